@@ -1,0 +1,34 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+namespace gld {
+
+// Element types of tensors on file (safetensors, PyTorch, NumPy). Files and memory are little-endian.
+enum class DType {
+  kFloat64,
+  kFloat32,
+  kFloat16,
+  kBFloat16,
+  kInt64,
+  kInt32,
+  kInt16,
+  kInt8,
+  kUInt64,
+  kUInt32,
+  kUInt16,
+  kUInt8,
+  kBool,
+};
+
+int64_t byte_size(DType dtype);
+bool is_floating(DType dtype);
+// "float32", "bfloat16", "int64", "bool", ...
+std::string dtype_name(DType dtype);
+
+// Value of a half-precision number given by its bits; exact.
+float float_from_half(uint16_t bits);
+float float_from_bfloat16(uint16_t bits);
+
+}  // namespace gld
