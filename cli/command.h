@@ -1,0 +1,50 @@
+#pragma once
+
+#include "gld/options.h"
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// One command of the program. Its file parses nothing and computes nothing: it names an options struct and
+// the function that does the work.
+//
+//   Command make_inspect_command() {
+//     auto options = std::make_shared<InspectOptions>();
+//     Command command;
+//     command.name = "inspect";
+//     command.summary = "List the tensors of a weight file or model bundle";
+//     command.arguments = {"FILE|BUNDLE", 1, 1};
+//     command.options = options;
+//     command.run = [options](const std::vector<std::string>& arguments) { return inspect(arguments[0],
+//     *options); }; return command;
+//   }
+struct Arguments {
+  std::string usage;   // as --help shows it, empty when the command takes none
+  size_t minimum = 0;  // how many positional arguments
+  size_t maximum = 0;
+};
+
+struct Command {
+  std::string name;
+  std::string summary;      // one line for gld --help
+  std::string description;  // more for gld COMMAND --help; may be empty
+  Arguments arguments;
+  // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other
+  // field of the command ends like that; underscores are dashes. Booleans are --name and --no-name. All
+  // commands have
+  // --config FILE.yaml and --set key=value as well.
+  std::shared_ptr<OptionsGroup> options;
+  // Called after options are read and checked. Returns the exit status.
+  std::function<int(const std::vector<std::string>& arguments)> run;
+  std::vector<Command> subcommands;  // instead of run
+};
+
+// Runs the command that arguments (without the program's name) ask for. Returns the exit status: 0 done, 1
+// failed, 2 wrong usage, 130 interrupted. Messages go to standard error, help to standard output.
+int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments);
+
+}  // namespace gld

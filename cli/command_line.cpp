@@ -1,0 +1,207 @@
+#include "cli/command.h"
+#include "gld/configuration.h"
+#include "gld/error.h"
+
+#include <algorithm>
+#include <iostream>
+#include <map>
+#include <new>
+
+#include <c10/util/Exception.h>
+
+#include <CLI/CLI.hpp>
+
+namespace gld {
+namespace {
+
+constexpr int kFailed = 1;
+constexpr int kWrongUsage = 2;
+constexpr int kInterrupted = 130;  // the shell's convention for SIGINT
+
+struct Setting {
+  std::string key;
+  std::string value;
+};
+
+// What the command line said about the options, before it is applied in the documented order.
+struct Collected {
+  std::string config_file;
+  std::vector<std::string> settings;
+  std::vector<Setting> flags;
+};
+
+std::string dashed(std::string key) {
+  std::replace(key.begin(), key.end(), '_', '-');
+  return key;
+}
+
+std::string last_part(const std::string& key) { return key.substr(key.rfind('.') + 1); }
+
+// "--solver.evaluations,--evaluations": the short form only where it is unambiguous.
+std::string flag_names(const std::string& key, const std::map<std::string, int>& uses_of_last_part,
+                       const std::string& prefix) {
+  std::string names = prefix + dashed(key);
+  const std::string last = last_part(key);
+  if (last != key && uses_of_last_part.at(last) == 1) names += "," + prefix + dashed(last);
+  return names;
+}
+
+void add_flags(CLI::App& app, const OptionsGroup& options, Collected& collected) {
+  app.add_option("--config", collected.config_file, "YAML file of options, applied before --set and flags")
+      ->type_name("FILE");
+  app.add_option("--set", collected.settings, "set one option, applied after --config; may be repeated")
+      ->type_name("KEY=VALUE")
+      ->allow_extra_args(false);
+  const auto descriptions = describe_options(options);
+  std::map<std::string, int> uses_of_last_part{{"config", 1}, {"set", 1}, {"help", 1}};
+  for (const auto& description : descriptions) ++uses_of_last_part[last_part(description.key)];
+  for (const auto& description : descriptions) {
+    const std::string key = description.key;
+    std::string type = description.type;
+    if (!description.range.empty()) type += " " + description.range;
+    if (description.type == "true|false") {
+      const std::string names =
+          flag_names(key, uses_of_last_part, "--") + "," + flag_names(key, uses_of_last_part, "!--no-");
+      app.add_flag_function(
+             names,
+             [&collected, key](int64_t count) {
+               collected.flags.push_back({key, count > 0 ? "true" : "false"});
+             },
+             description.help + " (default " + description.default_value + ")")
+          ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+      continue;
+    }
+    auto* option = app.add_option_function<std::string>(
+        flag_names(key, uses_of_last_part, "--"),
+        [&collected, key](const std::string& value) {
+          collected.flags.push_back({key, value});
+        },
+        description.help);
+    option->type_name(type)->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+    if (!description.default_value.empty()) option->default_str(description.default_value);
+  }
+}
+
+std::vector<std::string> known_flags(const CLI::App& app) {
+  std::vector<std::string> names;
+  for (const auto* option : app.get_options()) {
+    for (const auto& name : option->get_lnames()) names.push_back("--" + name);
+  }
+  return names;
+}
+
+void refuse_unknown(const Command& command, const CLI::App& app, const std::vector<std::string>& left_over) {
+  for (const auto& argument : left_over) {
+    if (argument.size() < 2 || argument[0] != '-') continue;
+    const std::string flag = argument.substr(0, argument.find('='));
+    const auto near = nearest_name(flag, known_flags(app));
+    fail({"gld " + command.name, "a known flag", "'" + flag + "'",
+          near.empty() ? "see gld " + command.name + " --help" : "did you mean " + near + "?"});
+  }
+}
+
+void require_argument_count(const Command& command, size_t count) {
+  const Arguments& arguments = command.arguments;
+  if (count >= arguments.minimum && count <= arguments.maximum) return;
+  const std::string expected =
+      arguments.maximum == 0 ? "no argument without a flag"
+      : arguments.minimum == arguments.maximum
+          ? std::to_string(arguments.minimum) + " argument(s): " + arguments.usage
+          : "at least " + std::to_string(arguments.minimum) + " argument(s): " + arguments.usage;
+  fail({"gld " + command.name, expected, std::to_string(count), "see gld " + command.name + " --help"});
+}
+
+void apply(const Collected& collected, OptionsGroup& options) {
+  if (!collected.config_file.empty()) load_yaml(options, collected.config_file);
+  for (const auto& setting : collected.settings) apply_setting(options, setting);
+  for (const auto& flag : collected.flags) {
+    apply_setting(options, flag.key, flag.value, "--" + dashed(flag.key));
+  }
+}
+
+int run_one(const Command& command, std::vector<std::string> arguments) {
+  CLI::App app(
+      command.summary + (command.description.empty() ? "" : "\n\n" + command.description),
+      "gld " + command.name + (command.arguments.usage.empty() ? "" : " " + command.arguments.usage));
+  app.allow_extras();
+  app.get_formatter()->column_width(48);
+  Collected collected;
+  if (command.options) add_flags(app, *command.options, collected);
+  try {
+    std::reverse(arguments.begin(), arguments.end());  // CLI11 takes them last first
+    app.parse(arguments);
+  } catch (const CLI::CallForHelp&) {
+    std::cout << app.help();
+    return 0;
+  } catch (const CLI::ParseError& error) {
+    fail({"gld " + command.name, "", error.what(), "see gld " + command.name + " --help"});
+  }
+  const std::vector<std::string> left_over = app.remaining();
+  refuse_unknown(command, app, left_over);
+  require_argument_count(command, left_over.size());
+  if (command.options) {
+    apply(collected, *command.options);
+    check_options(*command.options, "gld " + command.name);
+  }
+  return command.run(left_over);
+}
+
+void print_overview(const std::string& program, const std::vector<Command>& commands) {
+  std::cout << "Usage: " << program << " COMMAND [options]\n\nCommands:\n";
+  size_t width = 0;
+  for (const auto& command : commands) width = std::max(width, command.name.size());
+  for (const auto& command : commands) {
+    const std::string last = command.name.substr(command.name.rfind(' ') + 1);
+    std::cout << "  " << last << std::string(width - last.size() + 2, ' ') << command.summary << "\n";
+  }
+  std::cout << "\n" << program << " COMMAND --help lists a command's options with type, range and default.\n";
+}
+
+int dispatch(const std::string& program, const std::vector<Command>& commands,
+             const std::vector<std::string>& arguments) {
+  if (arguments.empty() || arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
+    print_overview(program, commands);
+    return arguments.empty() ? kWrongUsage : 0;
+  }
+  std::vector<std::string> names;
+  for (const auto& command : commands) {
+    const std::string last = command.name.substr(command.name.rfind(' ') + 1);
+    names.push_back(last);
+    if (last != arguments[0]) continue;
+    const std::vector<std::string> rest(arguments.begin() + 1, arguments.end());
+    if (!command.subcommands.empty()) return dispatch("gld " + command.name, command.subcommands, rest);
+    return run_one(command, rest);
+  }
+  const auto near = nearest_name(arguments[0], names);
+  fail({program, "a command", "'" + arguments[0] + "'",
+        near.empty() ? "see " + program + " --help" : "did you mean '" + near + "'?"});
+}
+
+}  // namespace
+
+int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments) {
+  try {
+    return dispatch("gld", commands, arguments);
+  } catch (const Interrupted& interrupted) {
+    std::cerr << "interrupted: " << interrupted.what() << "\n";
+    return kInterrupted;
+  } catch (const Error& error) {
+    std::cerr << "error: " << error.what() << "\n";
+    const std::string& where = error.parts().where;
+    return where.rfind("gld ", 0) == 0 || where.rfind("--", 0) == 0 ? kWrongUsage : kFailed;
+  } catch (const c10::Error& error) {
+    const std::string text = error.what_without_backtrace();
+    std::cerr << "error: LibTorch refused an operation: " << text.substr(0, text.find('\n')) << "\n";
+    return kFailed;
+  } catch (const std::bad_alloc&) {
+    std::cerr
+        << "error: memory ran out; use fewer views or a smaller size, or see what 'gld doctor' forecasts.\n";
+    return kFailed;
+  } catch (const std::exception& error) {
+    const std::string text = error.what();
+    std::cerr << "error: " << text.substr(0, text.find('\n')) << "\n";
+    return kFailed;
+  }
+}
+
+}  // namespace gld

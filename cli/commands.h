@@ -1,0 +1,12 @@
+#pragma once
+
+#include "cli/command.h"
+
+#include <vector>
+
+namespace gld {
+
+// Every command, in the order gld --help shows them.
+std::vector<Command> all_commands();
+
+}  // namespace gld
