@@ -12,7 +12,7 @@ std::string sentence(const ErrorParts& parts) {
     if (!parts.expected.empty() || !parts.found.empty()) text += "; ";
     text += parts.remedy;
   }
-  if (!text.empty() && text.back() != '.') text += '.';
+  if (!text.empty() && text.back() != '.' && text.back() != '?') text += '.';
   return text;
 }
 
