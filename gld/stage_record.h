@@ -1,0 +1,47 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// What one stage of a command took.
+struct StageRecord {
+  std::string name;
+  double seconds = 0;
+  int64_t peak_bytes = 0;  // largest resident memory of the process while the stage ran; 0 where unknown
+};
+
+// Runs stages one after another and keeps their records.
+class StageRecords {
+ public:
+  // Runs work as the stage of that name. The record is kept also when work throws.
+  void run(const std::string& name, const std::function<void()>& work);
+
+  const std::vector<StageRecord>& records() const { return records_; }
+  nlohmann::ordered_json to_json() const;
+
+ private:
+  std::vector<StageRecord> records_;
+};
+
+// Resident memory of this process now, and its largest value since the last reset, in bytes; 0 where the
+// system does not tell (they come from Linux's /proc).
+int64_t resident_bytes();
+int64_t peak_resident_bytes();
+// Starts a new maximum. Where the system refuses, the maximum stays that of the whole process.
+void reset_peak_resident_bytes();
+
+// Memory that the machine has and that is free for use, in bytes.
+int64_t total_memory_bytes();
+int64_t available_memory_bytes();
+
+// "1.25 GB" (powers of 1000).
+std::string bytes_text(int64_t bytes);
+
+}  // namespace gld
