@@ -60,6 +60,8 @@ class WeightFile : public std::enable_shared_from_this<WeightFile> {
 int64_t checked_byte_count(const std::vector<int64_t>& shape, DType dtype);
 std::vector<int64_t> row_major_strides(const std::vector<int64_t>& shape);
 std::string shape_text(const std::vector<int64_t>& shape);  // "(2, 3)"
+// A name from a file as it may appear in a message: control characters replaced, cut after 120 bytes.
+std::string printable_name(const std::string& name);
 
 // What a format's parser returns; used by WeightFile and the fuzzers.
 struct ParsedWeights {
