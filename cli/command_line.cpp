@@ -6,6 +6,7 @@
 #include <iostream>
 #include <map>
 #include <new>
+#include <optional>
 
 #include <c10/util/Exception.h>
 
@@ -119,7 +120,14 @@ void apply(const Collected& collected, OptionsGroup& options) {
   }
 }
 
-int run_one(const Command& command, std::vector<std::string> arguments) {
+// A command whose options are read and checked.
+struct Invocation {
+  const Command* command = nullptr;
+  std::vector<std::string> arguments;
+};
+
+// Empty after --help, which is printed.
+std::optional<Invocation> parse(const Command& command, std::vector<std::string> arguments) {
   CLI::App app(
       command.summary + (command.description.empty() ? "" : "\n\n" + command.description),
       "gld " + command.name + (command.arguments.usage.empty() ? "" : " " + command.arguments.usage));
@@ -132,7 +140,7 @@ int run_one(const Command& command, std::vector<std::string> arguments) {
     app.parse(arguments);
   } catch (const CLI::CallForHelp&) {
     std::cout << app.help();
-    return 0;
+    return std::nullopt;
   } catch (const CLI::ParseError& error) {
     fail({"gld " + command.name, "", error.what(), "see gld " + command.name + " --help"});
   }
@@ -143,7 +151,7 @@ int run_one(const Command& command, std::vector<std::string> arguments) {
     apply(collected, *command.options);
     check_options(*command.options, "gld " + command.name);
   }
-  return command.run(left_over);
+  return Invocation{&command, left_over};
 }
 
 void print_overview(const std::string& program, const std::vector<Command>& commands) {
@@ -157,11 +165,15 @@ void print_overview(const std::string& program, const std::vector<Command>& comm
   std::cout << "\n" << program << " COMMAND --help lists a command's options with type, range and default.\n";
 }
 
-int dispatch(const std::string& program, const std::vector<Command>& commands,
-             const std::vector<std::string>& arguments) {
-  if (arguments.empty() || arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
+std::optional<Invocation> find_and_parse(const std::string& program, const std::vector<Command>& commands,
+                                         const std::vector<std::string>& arguments) {
+  if (arguments.empty()) {
     print_overview(program, commands);
-    return arguments.empty() ? kWrongUsage : 0;
+    fail({program, "a command", "none", "choose one of the above"});
+  }
+  if (arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
+    print_overview(program, commands);
+    return std::nullopt;
   }
   std::vector<std::string> names;
   for (const auto& command : commands) {
@@ -169,8 +181,8 @@ int dispatch(const std::string& program, const std::vector<Command>& commands,
     names.push_back(last);
     if (last != arguments[0]) continue;
     const std::vector<std::string> rest(arguments.begin() + 1, arguments.end());
-    if (!command.subcommands.empty()) return dispatch("gld " + command.name, command.subcommands, rest);
-    return run_one(command, rest);
+    if (!command.subcommands.empty()) return find_and_parse("gld " + command.name, command.subcommands, rest);
+    return parse(command, rest);
   }
   const auto near = nearest_name(arguments[0], names);
   fail({program, "a command", "'" + arguments[0] + "'",
@@ -180,28 +192,28 @@ int dispatch(const std::string& program, const std::vector<Command>& commands,
 }  // namespace
 
 int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments) {
+  int status_of_error = kWrongUsage;
   try {
-    return dispatch("gld", commands, arguments);
+    const auto invocation = find_and_parse("gld", commands, arguments);
+    if (!invocation) return 0;
+    status_of_error = kFailed;
+    return invocation->command->run(invocation->arguments);
   } catch (const Interrupted& interrupted) {
     std::cerr << "interrupted: " << interrupted.what() << "\n";
     return kInterrupted;
   } catch (const Error& error) {
     std::cerr << "error: " << error.what() << "\n";
-    const std::string& where = error.parts().where;
-    return where.rfind("gld ", 0) == 0 || where.rfind("--", 0) == 0 ? kWrongUsage : kFailed;
   } catch (const c10::Error& error) {
     const std::string text = error.what_without_backtrace();
     std::cerr << "error: LibTorch refused an operation: " << text.substr(0, text.find('\n')) << "\n";
-    return kFailed;
   } catch (const std::bad_alloc&) {
     std::cerr
         << "error: memory ran out; use fewer views or a smaller size, or see what 'gld doctor' forecasts.\n";
-    return kFailed;
   } catch (const std::exception& error) {
     const std::string text = error.what();
     std::cerr << "error: " << text.substr(0, text.find('\n')) << "\n";
-    return kFailed;
   }
+  return status_of_error;
 }
 
 }  // namespace gld

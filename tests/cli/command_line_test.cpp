@@ -1,0 +1,133 @@
+#include "cli/command.h"
+#include "gld/atomic_file.h"
+#include "gld/error.h"
+#include "tests/support/shared_data.h"
+
+#include <stdexcept>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+struct GuidanceLikeOptions : OptionsGroup {
+  double scale = 1.5;
+  void visit(FieldVisitor& visitor) override { visitor.real({"scale", "guidance scale"}, scale, {0, 100}); }
+};
+
+struct PaintOptions : OptionsGroup {
+  int64_t frame_count = 4;
+  bool json = false;
+  std::vector<int64_t> sources;
+  double offset = 0;
+  GuidanceLikeOptions guidance;
+  void visit(FieldVisitor& visitor) override {
+    visitor.integer({"frame_count", "how many frames"}, frame_count, {1, 100});
+    visitor.boolean({"json", "write JSON"}, json);
+    visitor.integers({"sources", "source views"}, sources, {0, 1000});
+    visitor.real({"offset", "an offset"}, offset);
+    visitor.group({"guidance", "guidance"}, guidance);
+  }
+};
+
+class CommandLine : public testing::Test {
+ protected:
+  CommandLine() : options_(std::make_shared<PaintOptions>()) {
+    command_.name = "paint";
+    command_.summary = "Paint something";
+    command_.arguments = {"FILE", 1, 2};
+    command_.options = options_;
+    command_.run = [this](const std::vector<std::string>& arguments) {
+      arguments_ = arguments;
+      if (failure_) failure_();
+      return 0;
+    };
+  }
+
+  int run(const std::vector<std::string>& arguments) {
+    testing::internal::CaptureStderr();
+    testing::internal::CaptureStdout();
+    const int status = run_command_line({command_}, arguments);
+    error_text_ = testing::internal::GetCapturedStderr();
+    output_text_ = testing::internal::GetCapturedStdout();
+    return status;
+  }
+
+  std::shared_ptr<PaintOptions> options_;
+  Command command_;
+  std::vector<std::string> arguments_;
+  std::function<void()> failure_;
+  std::string error_text_;
+  std::string output_text_;
+};
+
+TEST_F(CommandLine, FlagsSettingsAndArguments) {
+  EXPECT_EQ(run({"paint", "a.png", "--frame-count", "7", "--sources", "0,3", "--json", "--offset", "-0.5",
+                 "--scale=2", "b.png"}),
+            0);
+  EXPECT_EQ(error_text_, "");
+  EXPECT_THAT(arguments_, testing::ElementsAre("a.png", "b.png"));
+  EXPECT_EQ(options_->frame_count, 7);
+  EXPECT_THAT(options_->sources, testing::ElementsAre(0, 3));
+  EXPECT_TRUE(options_->json);
+  EXPECT_EQ(options_->offset, -0.5);
+  EXPECT_EQ(options_->guidance.scale, 2);
+}
+
+TEST_F(CommandLine, LaterSourcesWin) {
+  test::TemporaryFolder folder;
+  const auto file = folder.path() / "c.yaml";
+  write_file_atomically(file, "frame_count: 5\noffset: 3\nguidance:\n  scale: 4\njson: true\n");
+  EXPECT_EQ(run({"paint", "x", "--set", "offset=2", "--set", "guidance.scale=3", "--config", file.string(),
+                 "--guidance.scale", "1", "--no-json"}),
+            0);
+  EXPECT_EQ(options_->frame_count, 5);
+  EXPECT_EQ(options_->offset, 2);
+  EXPECT_EQ(options_->guidance.scale, 1);
+  EXPECT_FALSE(options_->json);
+}
+
+TEST_F(CommandLine, WrongUsageGetsOneSentence) {
+  EXPECT_EQ(run({"paint", "x", "--frame-cuont", "7"}), 2);
+  EXPECT_EQ(error_text_,
+            "error: gld paint: expected a known flag, found '--frame-cuont'; did you mean --frame-count?\n");
+  EXPECT_EQ(run({"pait"}), 2);
+  EXPECT_EQ(error_text_, "error: gld: expected a command, found 'pait'; did you mean 'paint'?\n");
+  EXPECT_EQ(run({"paint"}), 2);
+  EXPECT_EQ(error_text_,
+            "error: gld paint: expected at least 1 argument(s): FILE, found 0; see gld paint --help.\n");
+  EXPECT_EQ(run({"paint", "x", "--frame-count", "0"}), 2);
+  EXPECT_EQ(
+      error_text_,
+      "error: --frame-count, key 'frame_count': expected an integer in the range [1, 100], found 0; choose a "
+      "value inside the range.\n");
+  EXPECT_EQ(run({"paint", "x", "--set", "frame_count"}), 2);
+  EXPECT_EQ(error_text_,
+            "error: --set: expected key=value, found 'frame_count'; write for example --set "
+            "solver.evaluations=16.\n");
+}
+
+TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {
+  failure_ = [] { fail({"scene.json", "a camera", "none", "add one"}); };
+  EXPECT_EQ(run({"paint", "x"}), 1);
+  EXPECT_EQ(error_text_, "error: scene.json: expected a camera, found none; add one.\n");
+  failure_ = [] { throw Interrupted("3 of 4 views are finished"); };
+  EXPECT_EQ(run({"paint", "x"}), 130);
+  EXPECT_EQ(error_text_, "interrupted: 3 of 4 views are finished\n");
+  failure_ = [] { throw std::runtime_error("first line\nsecond line"); };
+  EXPECT_EQ(run({"paint", "x"}), 1);
+  EXPECT_EQ(error_text_, "error: first line\n");
+}
+
+TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {
+  EXPECT_EQ(run({"--help"}), 0);
+  EXPECT_THAT(output_text_, testing::HasSubstr("paint  Paint something"));
+  EXPECT_EQ(run({"paint", "--help"}), 0);
+  EXPECT_THAT(output_text_, testing::HasSubstr("--frame-count integer [1, 100]=4"));
+  EXPECT_THAT(output_text_, testing::HasSubstr("--guidance.scale,--scale real [0, 100]=1.5"));
+  EXPECT_THAT(output_text_, testing::HasSubstr("--config FILE"));
+}
+
+}  // namespace
+}  // namespace gld
