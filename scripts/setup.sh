@@ -5,7 +5,7 @@ set -euo pipefail
 packages=(
   g++ cmake ninja-build pkg-config
   libtorch-dev libopenblas0-pthread libopencv-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
-  libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev libzip-dev libfmt-dev libhdf5-dev libcairo2-dev
+  libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
 )
 
 missing=()
