@@ -4,14 +4,18 @@
 #include "gld/error.h"
 #include "gld/mapped_file.h"
 #include "gld/safetensors.h"
+#include "gld/torch_archive.h"
 
 #include <algorithm>
+#include <array>
 #include <limits>
 
 namespace gld {
 namespace {
 
 constexpr size_t kLongestPrintedName = 120;
+constexpr std::array<uint8_t, 4> kZipMagic = {'P', 'K', 3, 4};
+constexpr uint8_t kPickleStart = 0x80;  // the PROTO opcode
 
 }  // namespace
 
@@ -82,6 +86,12 @@ std::shared_ptr<const WeightFile> WeightFile::open(const std::filesystem::path& 
   if (bytes.size > 8 && bytes.data[8] == '{') {
     weights->format_ = "safetensors";
     parsed = parse_safetensors(bytes, where);
+  } else if (bytes.size > kZipMagic.size() && std::equal(kZipMagic.begin(), kZipMagic.end(), bytes.data)) {
+    weights->format_ = "PyTorch zip";
+    parsed = parse_torch_zip(bytes, where);
+  } else if (bytes.size > 1 && bytes.data[0] == kPickleStart) {
+    weights->format_ = "PyTorch legacy";
+    parsed = parse_torch_legacy(bytes, where);
   } else {
     fail({where, "a safetensors or PyTorch file", "neither by its first bytes",
           "check that the download is complete and is not a web page or a Git LFS pointer"});
