@@ -1,0 +1,25 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+namespace gld {
+
+// What the header of a PNG or JPEG file says, without decoding it.
+struct ImageFileInfo {
+  int64_t width = 0;    // as stored
+  int64_t height = 0;   // as stored
+  int orientation = 1;  // EXIF orientation, 1..8; 1 when the file has none
+
+  // True for the four orientations that swap width and height.
+  bool turned() const { return orientation >= 5; }
+};
+
+// Throws Error when the file is missing, is no PNG or JPEG, ends early, or is one pixel wide or high.
+ImageFileInfo probe_image_file(const std::filesystem::path& file);
+
+// The same on bytes in memory; where names them in errors.
+ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where);
+
+}  // namespace gld

@@ -1,0 +1,54 @@
+#pragma once
+
+#include "datasets/image.h"
+#include "datasets/scene.h"
+#include "gld/camera.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// A size that a model was trained at, in pixels.
+struct TrainedSize {
+  int64_t width = 0;
+  int64_t height = 0;
+};
+
+// 504x504, 504x378, 504x336, 504x280 (paper A.3).
+std::vector<TrainedSize> published_sizes();
+
+// The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
+TrainedSize nearest_trained_size(int64_t width, int64_t height, const std::vector<TrainedSize>& sizes);
+
+// A uniform resize that covers the target (up to rounding the other side to whole pixels), then a centred crop.
+struct ResizeCrop {
+  int64_t source_width = 0;
+  int64_t source_height = 0;
+  int64_t resized_width = 0;
+  int64_t resized_height = 0;
+  int64_t left = 0;
+  int64_t top = 0;
+  TrainedSize target;
+};
+ResizeCrop plan_resize_crop(int64_t width, int64_t height, const TrainedSize& target);
+
+// The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
+Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
+// Area averaging when shrinking, bicubic when growing.
+Image resize_crop(const Image& image, const ResizeCrop& plan);
+// Nearest pixel centre: depth is never averaged over an edge.
+DepthMap resize_crop(const DepthMap& depth, const ResizeCrop& plan);
+ValidityMask resize_crop(const ValidityMask& mask, const ResizeCrop& plan);
+
+// A frame loaded at a trained size. depth and validity are empty when not asked for or not there.
+struct SizedFrame {
+  Camera camera;
+  Image image;
+  DepthMap depth;
+  ValidityMask validity;
+};
+enum class FrameParts { kImage, kImageAndDepth };
+SizedFrame load_sized(const Frame& frame, const TrainedSize& target, FrameParts parts);
+
+}  // namespace gld
