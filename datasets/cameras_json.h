@@ -23,16 +23,13 @@ struct CameraList {
   std::vector<CameraRecord> records;
 };
 
-// The format that we read and write ourselves. Numbers keep every bit. Additional keys are ignored. Throws Error
-// that names the file, the frame and the key: not JSON, a missing or mistyped key, two frames of one name, no frame,
-// or a camera that datasets/frame_checks.h refuses.
+// The format that we read and write ourselves. Numbers keep every bit; additional keys are ignored. Throws Error that
+// names the file, the frame and the key: not JSON, a missing or mistyped key, two frames of one name, no frame, or a
+// camera that datasets/frame_checks.h refuses.
 CameraList read_cameras_json(const std::filesystem::path& file);
-CameraList parse_cameras_json(const std::string& text, const std::string& where);
 
 std::string cameras_json_text(const CameraList& cameras);
-void write_cameras_json(const std::filesystem::path& file, const CameraList& cameras);  // atomic
-
-// Whether a JSON text says that it is in this format; anything else, also broken JSON, is false.
-bool is_cameras_json(const std::string& text);
+// Atomic; refuses the same cameras.
+void write_cameras_json(const std::filesystem::path& file, const CameraList& cameras);
 
 }  // namespace gld
