@@ -1,6 +1,7 @@
 #include "gld/torch_version.h"
 
 #include <ATen/Parallel.h>
+#include <ATen/autocast_mode.h>
 #include <dlfcn.h>
 #include <link.h>
 #include <torch/version.h>
@@ -25,6 +26,28 @@ int collect_blas(dl_phdr_info* info, size_t /*size*/, void* data) {
   return 0;
 }
 
+// Since 2.4 autocast takes the kind of device; before, each kind had functions of its own.
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 4)
+bool autocast_enabled(torch::DeviceType device) { return at::autocast::is_autocast_enabled(device); }
+void enable_autocast(torch::DeviceType device, bool enabled) {
+  at::autocast::set_autocast_enabled(device, enabled);
+  at::autocast::set_autocast_dtype(device, torch::kBFloat16);
+}
+#else
+bool autocast_enabled(torch::DeviceType device) {
+  return device == torch::kCPU ? at::autocast::is_cpu_enabled() : at::autocast::is_enabled();
+}
+void enable_autocast(torch::DeviceType device, bool enabled) {
+  if (device == torch::kCPU) {
+    at::autocast::set_cpu_enabled(enabled);
+    at::autocast::set_autocast_cpu_dtype(torch::kBFloat16);
+  } else {
+    at::autocast::set_enabled(enabled);
+    at::autocast::set_autocast_gpu_dtype(torch::kBFloat16);
+  }
+}
+#endif
+
 }  // namespace
 
 std::string torch_version() {
@@ -48,5 +71,19 @@ void set_thread_count(int threads) {
 }
 
 int thread_count() { return at::get_num_threads(); }
+
+bool has_bfloat16_autocast(torch::Device device) { return device.is_cuda(); }
+
+BFloat16Autocast::BFloat16Autocast(torch::DeviceType device)
+    : device_(device), enabled_before_(autocast_enabled(device)) {
+  enable_autocast(device_, true);
+  at::autocast::increment_nesting();
+}
+
+BFloat16Autocast::~BFloat16Autocast() {
+  // The outermost scope drops the cached casts of the parameters, which the optimiser is about to change.
+  if (at::autocast::decrement_nesting() == 0) at::autocast::clear_cache();
+  enable_autocast(device_, enabled_before_);
+}
 
 }  // namespace gld

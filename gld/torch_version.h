@@ -18,4 +18,20 @@ std::string blas_name();
 void set_thread_count(int threads);
 int thread_count();
 
+// True where bfloat16 matrix products are faster than float32 ones and autocast may be used (CUDA).
+bool has_bfloat16_autocast(torch::Device device);
+
+// Autocast to bfloat16 on a kind of device, for as long as it lives. Nesting is allowed.
+class BFloat16Autocast {
+ public:
+  explicit BFloat16Autocast(torch::DeviceType device);
+  ~BFloat16Autocast();
+  BFloat16Autocast(const BFloat16Autocast&) = delete;
+  BFloat16Autocast& operator=(const BFloat16Autocast&) = delete;
+
+ private:
+  torch::DeviceType device_;
+  bool enabled_before_;
+};
+
 }  // namespace gld

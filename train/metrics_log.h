@@ -1,0 +1,31 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// metrics.jsonl of a training run: one JSON object a line, each with a "step". Lines are appended and flushed.
+class MetricsLog {
+ public:
+  // Lines of steps behind last_step (written after the checkpoint that the run resumes from) are removed.
+  MetricsLog(std::filesystem::path file, int64_t last_step);
+
+  void append(const nlohmann::ordered_json& line);
+
+  // (step, value) of every line that has the key, in order.
+  std::vector<std::pair<double, double>> series(const std::string& key) const;
+  // Keys with numbers, sorted, beside "step".
+  std::vector<std::string> keys() const;
+
+ private:
+  std::filesystem::path file_;
+  std::vector<nlohmann::ordered_json> lines_;
+};
+
+}  // namespace gld
