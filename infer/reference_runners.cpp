@@ -1,0 +1,13 @@
+#include "infer/reference_runners.h"
+
+namespace gld {
+
+ReferenceRunners standard_reference_runners() {
+  return {
+      {"backbone", run_backbone_case},           {"dpt_head", run_dpt_head_case},
+      {"rgb_decoder", run_rgb_decoder_case},     {"lpips", run_lpips_case},
+      {"metrics_image_depth", run_metrics_case},
+  };
+}
+
+}  // namespace gld

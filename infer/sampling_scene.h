@@ -1,0 +1,48 @@
+#pragma once
+
+#include "datasets/image.h"
+#include "datasets/resize_crop.h"
+#include "datasets/scene.h"
+#include "gld/camera.h"
+#include "gld/options.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Which views of a scene are given and which are asked for.
+struct ViewSelection : OptionsGroup {
+  std::vector<int64_t> sources;  // frame numbers, from 0
+  std::vector<int64_t> targets;  // frame numbers; their images are only used to compare with
+  std::string path;              // orbit, spline or a cameras.json file, instead of targets
+  int64_t frames = 8;            // target views along an orbit or spline
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;  // either targets or path; no frame twice among the sources
+};
+
+// The scene as the sampler takes it: source views first, all at one size.
+struct SamplingScene {
+  std::string name;
+  TrainedSize size;
+  Views views;
+  std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path
+  std::vector<Image> source_images;     // one a source view
+  std::vector<Image> true_images;       // one a target view; empty where the scene has none
+  std::vector<DepthMap> true_depths;    // one a target view; empty where the scene has none
+  std::vector<std::string> warnings;    // what is unusual about the cameras, one sentence each
+};
+
+// Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
+// numbers that the scene does not have and for cameras that make no sense (gld/camera_checks.h).
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection,
+                                  const TrainedSize& size);
+
+// "504x280" -> that size; "auto" -> the trained size whose aspect is nearest to the first frame's. Sides must be
+// whole patches. Throws Error otherwise.
+TrainedSize choose_size(const std::string& text, const Scene& scene,
+                        const std::vector<TrainedSize>& trained_sizes, int64_t patch_size);
+
+}  // namespace gld
