@@ -126,8 +126,15 @@ void save_safetensors(const std::filesystem::path& file, const std::map<std::str
     entry.shape = tensor.sizes().vec();
     entries.push_back(std::move(entry));
   }
-  // Wide elements first: every tensor is then aligned to its element size without holes, which the format
-  // forbids.
+  save_safetensors(
+      file, std::move(entries), [&](const TensorEntry& entry) { return tensors.at(entry.name); }, metadata);
+}
+
+void save_safetensors(const std::filesystem::path& file, std::vector<TensorEntry> entries,
+                      const std::function<torch::Tensor(const TensorEntry&)>& make,
+                      const std::map<std::string, std::string>& metadata) {
+  std::sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) { return a.name < b.name; });
+  // Wide elements first: every tensor is then aligned to its element size without holes, which the format forbids.
   std::stable_sort(entries.begin(), entries.end(),
                    [](const auto& a, const auto& b) { return byte_size(a.dtype) > byte_size(b.dtype); });
   AtomicFile target(file);
@@ -135,7 +142,15 @@ void save_safetensors(const std::filesystem::path& file, const std::map<std::str
   const std::string header = safetensors_header(entries, metadata);
   stream.write(header.data(), static_cast<std::streamsize>(header.size()));
   for (const auto& entry : entries) {
-    const auto tensor = tensors.at(entry.name).detach().to(torch::kCPU).contiguous();
+    const auto tensor = make(entry).detach().to(torch::kCPU).contiguous();
+    const std::string where = file.string() + ": tensor " + printable_name(entry.name);
+    if (tensor.sizes() != torch::IntArrayRef(entry.shape) ||
+        file_dtype(tensor.scalar_type(), where) != entry.dtype) {
+      fail({where, dtype_name(entry.dtype) + " of shape " + shape_text(entry.shape),
+            dtype_name(file_dtype(tensor.scalar_type(), where)) + " of shape " +
+                shape_text(tensor.sizes().vec()),
+            "make the tensor that was announced"});
+    }
     if (entry.byte_count() == 0) continue;
     stream.write(static_cast<const char*>(tensor.data_ptr()),
                  static_cast<std::streamsize>(entry.byte_count()));

@@ -3,8 +3,10 @@
 #include "gld/weight_file.h"
 
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <string>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -27,9 +29,15 @@ std::map<std::string, torch::Tensor> read_all(const WeightFile& file, const std:
 std::map<std::string, torch::Tensor> read_all(const std::filesystem::path& file,
                                               const std::string& prefix = "");
 
-// Writes a safetensors file under a temporary name and renames it. Tensors of any device and strides; each
-// starts at a multiple of its element size. The same tensors give the same bytes.
+// Writes a safetensors file under a temporary name and renames it. Tensors of any device and strides; each starts at a
+// multiple of its element size. The same tensors give the same bytes.
 void save_safetensors(const std::filesystem::path& file, const std::map<std::string, torch::Tensor>& tensors,
+                      const std::map<std::string, std::string>& metadata = {});
+
+// The same for tensors that are made one after the other, so that only one is in memory. Of `entries` only names, dtypes
+// and shapes are used; `make` is called once for each, in the order of the file, and must return that dtype and shape.
+void save_safetensors(const std::filesystem::path& file, std::vector<TensorEntry> entries,
+                      const std::function<torch::Tensor(const TensorEntry&)>& make,
                       const std::map<std::string, std::string>& metadata = {});
 
 }  // namespace gld

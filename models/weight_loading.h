@@ -27,7 +27,7 @@ struct WeightSelection {
 struct LoadReport {
   int64_t tensors = 0;     // parameters and buffers set
   int64_t parameters = 0;  // elements set
-  int64_t shared = 0;      // tensors that use the file's memory without a copy
+  int64_t shared = 0;      // tensors that use the given memory without a copy
   int64_t converted = 0;   // tensors whose dtype changed
   std::vector<std::string> ignored;
 };
@@ -42,6 +42,18 @@ LoadReport load_strict(torch::nn::Module& module, const WeightFile& file,
 // needed.
 LoadReport load_strict(torch::nn::Module& module, const std::map<std::string, torch::Tensor>& tensors,
                        const std::string& where, const WeightSelection& selection = {});
+
+// A tensor of the module and the file's tensor for it.
+struct MatchedTensor {
+  std::string name;  // the module's
+  torch::Tensor target;
+  const TensorEntry* source = nullptr;
+};
+
+// The checks of load_strict without loading: every tensor of the module with its counterpart. The module may be on the
+// meta device.
+std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const WeightFile& file,
+                                        const WeightSelection& selection, LoadReport& report);
 
 // Parameters and buffers by full name; they share the module's memory. What save_safetensors takes.
 std::map<std::string, torch::Tensor> named_tensors(const torch::nn::Module& module);
