@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstdint>
+#include <initializer_list>
+
+namespace gld {
+
+// Mixes the bits of a 64-bit number (the finaliser of SplitMix64).
+inline uint64_t mixed_bits(uint64_t x) {
+  x += 0x9E3779B97F4A7C15ULL;
+  x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ULL;
+  x = (x ^ (x >> 27)) * 0x94D049BB133111EBULL;
+  return x ^ (x >> 31);
+}
+
+// A small generator whose numbers are the same with every compiler and library, unlike the distributions of <random>:
+// scenes and view choices must be reproducible from their seed. SplitMix64.
+class SeededRandom {
+ public:
+  // Streams with different keys are independent; the key's order matters.
+  explicit SeededRandom(std::initializer_list<uint64_t> key) {
+    for (uint64_t part : key) state_ = mixed_bits(state_ ^ part);
+  }
+
+  uint64_t bits() {
+    state_ += 0x9E3779B97F4A7C15ULL;
+    return mixed_bits(state_);
+  }
+  // In [0, 1).
+  double uniform() { return static_cast<double>(bits() >> 11) * 0x1.0p-53; }
+  double uniform(double low, double high) { return low + (high - low) * uniform(); }
+  // In [low, high], both included. The bias is below 2^-40 for the ranges used here.
+  int64_t integer(int64_t low, int64_t high) {
+    const auto count = static_cast<uint64_t>(high - low) + 1;
+    return low + static_cast<int64_t>(static_cast<uint64_t>(uniform() * static_cast<double>(count)));
+  }
+  bool chance(double probability) { return uniform() < probability; }
+
+ private:
+  uint64_t state_ = 0x6A09E667F3BCC909ULL;
+};
+
+}  // namespace gld
