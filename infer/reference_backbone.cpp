@@ -1,7 +1,7 @@
-#include "gld/configuration.h"
 #include "gld/error.h"
 #include "infer/reference_runners.h"
 #include "models/da3_backbone.h"
+#include "models/imagenet.h"
 #include "models/weight_loading.h"
 
 #include <algorithm>
@@ -37,14 +37,14 @@ void encode_group(const ReferenceCase& reference, const Da3Backbone& backbone, c
 
 NamedTensors run_backbone_case(const ReferenceCase& reference) {
   Da3BackboneOptions options;
-  load_json(options, reference.config, reference.config_place());
+  reference.read_config(options);
   Da3Backbone backbone(options, {});
   WeightSelection selection;
   selection.prefix = Da3Backbone::kPrefix;
   load_strict(backbone, reference.weight_file(), selection);
 
-  // The images go in as they are: the case's author chose their range.
-  const auto images = reference.input("images", {-1, 3, -1, -1});
+  // The case has RGB in [0, 1]; the published encoder normalises before the backbone.
+  const auto images = imagenet_normalise(reference.input("images", {-1, 3, -1, -1}));
   NamedTensors outputs;
   encode_group(reference, backbone, "all_views", images, outputs);
   if (reference.expects_prefix("source_views.")) {

@@ -1,5 +1,6 @@
 #include "infer/reference_case.h"
 
+#include "gld/configuration.h"
 #include "gld/error.h"
 #include "gld/weight_tensors.h"
 
@@ -51,6 +52,11 @@ std::string shape_pattern(const std::vector<int64_t>& shape) {
 }
 
 }  // namespace
+
+void ReferenceCase::read_config(OptionsGroup& options) const {
+  load_json(options, config, config_place());
+  check_options(options, config_place());
+}
 
 torch::Tensor ReferenceCase::input(const std::string& input_name, const std::vector<int64_t>& shape) const {
   const auto file = (folder / "inputs.safetensors").string();

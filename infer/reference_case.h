@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/options.h"
 #include "gld/weight_file.h"
 
 #include <cstdint>
@@ -24,7 +25,7 @@ using NamedTensors = std::map<std::string, torch::Tensor>;
 struct ReferenceCase {
   std::filesystem::path folder;
   std::string kind;
-  nlohmann::json config;  // the "config" object; read it into an OptionsGroup with load_json
+  nlohmann::json config;  // the "config" object; see read_config
   double relative_tolerance = 0;
   std::string note;
   NamedTensors inputs;
@@ -34,6 +35,8 @@ struct ReferenceCase {
   std::string name() const { return folder.filename().string(); }
   // For the where of a message about case.json's configuration.
   std::string config_place() const { return (folder / "case.json").string() + ": config"; }
+  // Reads the configuration into options and checks them. A key that options do not have is an Error.
+  void read_config(OptionsGroup& options) const;
 
   // The input of that name. Throws Error when the case has none, or when its shape does not match: -1 accepts
   // any size.

@@ -1,4 +1,3 @@
-#include "gld/configuration.h"
 #include "infer/reference_runners.h"
 #include "models/dpt_head.h"
 #include "models/weight_loading.h"
@@ -25,7 +24,7 @@ struct DptHeadCaseOptions : DptHeadOptions {
 
 NamedTensors run_dpt_head_case(const ReferenceCase& reference) {
   DptHeadCaseOptions options;
-  load_json(options, reference.config, reference.config_place());
+  reference.read_config(options);
   DptHead head(options, {});
   WeightSelection selection;
   selection.prefix = DptHead::kPrefix;

@@ -1,4 +1,3 @@
-#include "gld/configuration.h"
 #include "infer/reference_runners.h"
 #include "models/lpips.h"
 #include "models/weight_loading.h"
@@ -7,7 +6,7 @@ namespace gld {
 
 NamedTensors run_lpips_case(const ReferenceCase& reference) {
   LpipsOptions options;
-  load_json(options, reference.config, reference.config_place());
+  reference.read_config(options);
   Lpips lpips(options, {});
   WeightSelection selection;
   selection.ignored = {{"classifier.*", "torchvision's classifier, which LPIPS does not use"}};

@@ -1,4 +1,3 @@
-#include "gld/configuration.h"
 #include "infer/depth_metrics.h"
 #include "infer/image_metrics.h"
 #include "infer/reference_runners.h"
@@ -19,7 +18,7 @@ torch::Tensor published(const torch::Tensor& errors, double perfect) {
 
 NamedTensors run_metrics_case(const ReferenceCase& reference) {
   NoOptions options;
-  load_json(options, reference.config, reference.config_place());
+  reference.read_config(options);
   NamedTensors outputs;
   if (reference.expects("psnr") || reference.expects("ssim")) {
     const auto image = reference.input("image", {-1, -1, -1, -1});

@@ -1,4 +1,3 @@
-#include "gld/configuration.h"
 #include "infer/reference_runners.h"
 #include "models/imagenet.h"
 #include "models/rgb_decoder.h"
@@ -23,7 +22,7 @@ struct RgbDecoderCaseOptions : RgbDecoderOptions {
 
 NamedTensors run_rgb_decoder_case(const ReferenceCase& reference) {
   RgbDecoderCaseOptions options;
-  load_json(options, reference.config, reference.config_place());
+  reference.read_config(options);
   RgbDecoder decoder(options, {});
   WeightSelection selection;
   selection.prefix = RgbDecoder::kPrefix;

@@ -103,6 +103,7 @@ bool CaseVerification::passed() const {
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners) {
   CaseVerification result;
   result.folder = folder;
+  torch::NoGradGuard no_grad;
   const auto start = std::chrono::steady_clock::now();
   try {
     const auto reference = read_reference_case(folder);
@@ -132,24 +133,26 @@ CaseVerification verify_case(const std::filesystem::path& folder, const Referenc
   } catch (const std::filesystem::filesystem_error& error) {
     result.error = folder.string() + ": found a folder that cannot be read (" + error.code().message() +
                    "); check its permissions.";
+  } catch (const std::exception& error) {
+    result.error = folder.string() + ": found a fault that no check names (" + error.what() + ").";
   }
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   return result;
 }
 
-std::string verification_text(const std::vector<CaseVerification>& cases) {
-  std::string text;
-  size_t passed = 0;
-  for (const auto& result : cases) {
-    const bool ok = result.passed();
-    passed += ok ? 1 : 0;
-    text +=
-        fmt::format("{}  {} ({:.2f} s)  {}\n", result.folder.string(),
-                    result.kind.empty() ? "unknown kind" : result.kind, result.seconds, ok ? "pass" : "FAIL");
-    for (const auto& row : result.tensors) text += tensor_line(row);
-    if (!result.error.empty()) text += "  " + result.error + "\n";
-  }
-  return text + fmt::format("{} of {} cases pass\n", passed, cases.size());
+std::string case_text(const CaseVerification& result) {
+  auto text =
+      fmt::format("{}  {}  {} ({:.2f} s)\n", result.passed() ? "pass" : "FAIL", result.folder.string(),
+                  result.kind.empty() ? "unknown kind" : result.kind, result.seconds);
+  for (const auto& row : result.tensors) text += tensor_line(row);
+  if (!result.error.empty()) text += "  " + result.error + "\n";
+  return text;
+}
+
+std::string summary_text(const std::vector<CaseVerification>& cases) {
+  const auto passed =
+      std::count_if(cases.begin(), cases.end(), [](const auto& result) { return result.passed(); });
+  return fmt::format("{} of {} cases pass\n", passed, cases.size());
 }
 
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases) {

@@ -46,11 +46,14 @@ struct CaseVerification {
 };
 
 // Reads, runs and compares one case. Never throws for a fault of the case: it becomes the error of the
-// result.
+// result. Runs without autograd; a runner that needs gradients switches it on for itself.
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners);
 
-// A table with one line a tensor, or one JSON object.
-std::string verification_text(const std::vector<CaseVerification>& cases);
+// One line for the case and one a tensor; then one line for all.
+std::string case_text(const CaseVerification& result);
+std::string summary_text(const std::vector<CaseVerification>& cases);
+// {"passed", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]}; numbers that are
+// not finite are null.
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases);
 
 }  // namespace gld

@@ -1,0 +1,52 @@
+#include "cli/verify_command.h"
+
+#include "infer/reference_runners.h"
+#include "infer/verification.h"
+
+#include <algorithm>
+#include <iostream>
+#include <memory>
+
+namespace gld {
+namespace {
+
+struct VerifyOptions : OptionsGroup {
+  bool json = false;
+  void visit(FieldVisitor& visitor) override {
+    visitor.boolean({"json", "print one JSON object instead of lines"}, json);
+  }
+};
+
+int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {
+  const auto runners = standard_reference_runners();
+  std::vector<CaseVerification> results;
+  for (const auto& folder : folders) {
+    results.push_back(verify_case(folder, runners));
+    if (!options.json) std::cout << case_text(results.back()) << std::flush;
+  }
+  std::cout << (options.json ? verification_json(results).dump(2) + "\n" : summary_text(results));
+  const bool passed =
+      std::all_of(results.begin(), results.end(), [](const auto& result) { return result.passed(); });
+  return passed ? 0 : 1;
+}
+
+}  // namespace
+
+Command make_verify_command() {
+  auto options = std::make_shared<VerifyOptions>();
+  Command command;
+  command.name = "verify";
+  command.summary = "Compare this program with reference tensors";
+  command.description =
+      "Each DIR holds case.json, inputs.safetensors, outputs.safetensors and, where the case has weights, "
+      "weights.safetensors. The module is built from case.json's configuration, and every output tensor "
+      "passes "
+      "where max|a - b| <= relative_tolerance * max(1, max|b|). The exit status is 0 only when all cases "
+      "pass.";
+  command.arguments = {"DIR...", 1, 1000000};
+  command.options = options;
+  command.run = [options](const std::vector<std::string>& folders) { return verify(folders, *options); };
+  return command;
+}
+
+}  // namespace gld

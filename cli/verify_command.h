@@ -1,0 +1,10 @@
+#pragma once
+
+#include "cli/command.h"
+
+namespace gld {
+
+// gld verify DIR...
+Command make_verify_command();
+
+}  // namespace gld
