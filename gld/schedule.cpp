@@ -125,7 +125,7 @@ double shifted_time(double time, double shift) { return shift * time / (1 + (shi
 
 LogSnrEndPoints log_snr_end_points(int64_t steps) {
   const double n = static_cast<double>(std::max<int64_t>(steps, 2));
-  return {0.998, 0.3 / n};
+  return {1 - 0.04 / n - 10.8 / (n * n * n * n), std::min(0.022, 2.6 / (n * n))};
 }
 
 std::vector<double> schedule_times(const ScheduleOptions& options, int64_t steps) {

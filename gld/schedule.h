@@ -48,6 +48,11 @@ struct LogSnrEndPoints {
   double first_time;  // the first time below 1
   double final_time;  // the last time above 0
 };
+// The one rule of the default grid, for any number n of steps:
+//   first_time = 1 - 0.04/n - 10.8/n^4,   final_time = min(0.022, 2.6/n^2).
+// With few steps the widest scales of the data are passed over in the first step and the narrowest in the last; with
+// more steps both ends move out, so that neither becomes the floor of the error. Fitted with unipc3 to Gaussian
+// mixtures with scales from 60 to 0.05, 6 to 32 evaluations; `gld bench solvers` measures it.
 LogSnrEndPoints log_snr_end_points(int64_t steps);
 
 // Checks a list of times: at least two, within [0, 1], strictly decreasing. where names its origin in the
