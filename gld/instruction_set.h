@@ -1,0 +1,20 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// The vector instruction sets our kernels exist for, in order of width.
+enum class InstructionSet { portable, avx2, avx512 };
+
+// What this processor can run and this build contains, widest last; never empty (the portable kernels always
+// work).
+std::vector<InstructionSet> available_instruction_sets();
+// The widest of them.
+InstructionSet best_instruction_set();
+
+// "portable", "AVX2" or "AVX-512".
+std::string instruction_set_name(InstructionSet set);
+
+}  // namespace gld
