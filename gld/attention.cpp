@@ -1,10 +1,10 @@
 #include "gld/attention.h"
 
+#include "gld/composed_attention.h"
 #include "gld/error.h"
+#include "gld/fused_attention.h"
+#include "gld/torch_version.h"
 
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -12,9 +12,6 @@
 
 namespace gld {
 namespace {
-
-// Logits held at once, over all batch entries and heads: 64 MB in float32.
-constexpr int64_t kLogitsPerBlock = int64_t{1} << 24;
 
 void require(bool condition, const std::string& expected, const std::string& found) {
   if (!condition) fail({"attention", expected, found, "check what calls it"});
@@ -45,51 +42,8 @@ void check_inputs(const AttentionInputs& inputs) {
           c10::str(query.size(1), " queries and ", key.size(1), " keys for ", mask.size(0), " views"));
 }
 
-// All arguments are (batch * heads, tokens, head_dim), the queries already multiplied by the scale.
-torch::Tensor attend(const torch::Tensor& query, const torch::Tensor& key, const torch::Tensor& value) {
-  const int64_t rows = query.size(1);
-  const int64_t logits_per_row = std::max<int64_t>(1, query.size(0) * key.size(1));
-  const int64_t block = std::max<int64_t>(1, kLogitsPerBlock / logits_per_row);
-  const auto transposed_key = key.transpose(1, 2);
-  std::vector<torch::Tensor> blocks;
-  for (int64_t first = 0; first < rows; first += block) {
-    const auto part = query.narrow(1, first, std::min(block, rows - first));
-    blocks.push_back(torch::bmm(torch::softmax(torch::bmm(part, transposed_key), -1), value));
-  }
-  return blocks.size() == 1 ? blocks.front() : torch::cat(blocks, 1);
-}
-
-// The tokens of the views that `attends` names, (batch * heads, tokens, head_dim).
-torch::Tensor select_views(const torch::Tensor& tokens, const bool* attends, int64_t views) {
-  const int64_t per_view = tokens.size(1) / views;
-  std::vector<torch::Tensor> seen;
-  for (int64_t view = 0; view < views; ++view) {
-    if (attends[view]) seen.push_back(tokens.narrow(1, view * per_view, per_view));
-  }
-  if (seen.empty()) return {};
-  return torch::cat(seen, 1);
-}
-
-torch::Tensor attend_masked(const torch::Tensor& query, const torch::Tensor& key, const torch::Tensor& value,
-                            const torch::Tensor& view_mask) {
-  const auto mask = view_mask.contiguous();
-  const int64_t views = mask.size(0);
-  const int64_t queries_per_view = query.size(1) / views;
-  std::vector<torch::Tensor> outputs;
-  for (int64_t view = 0; view < views; ++view) {
-    const bool* attends = mask.data_ptr<bool>() + view * views;
-    const auto part = query.narrow(1, view * queries_per_view, queries_per_view);
-    const auto seen_keys = select_views(key, attends, views);
-    outputs.push_back(seen_keys.defined() ? attend(part, seen_keys, select_views(value, attends, views))
-                                          : torch::zeros_like(part));
-  }
-  return torch::cat(outputs, 1);
-}
-
-}  // namespace
-
-torch::Tensor attention(const AttentionInputs& inputs) {
-  check_inputs(inputs);
+// The library's own fused kernel.
+torch::Tensor library_attention(const AttentionInputs& inputs) {
   auto query = inputs.query;
   auto key = inputs.key;
   auto value = inputs.value;
@@ -98,16 +52,22 @@ torch::Tensor attention(const AttentionInputs& inputs) {
     key = encode_key_value(*inputs.prope, key);
     value = encode_key_value(*inputs.prope, value);
   }
-  const int64_t batch = query.size(0), rows = query.size(1), heads = query.size(2), head_dim = query.size(3);
-  const auto heads_first = [&](const torch::Tensor& x) {
-    return x.transpose(1, 2).reshape({batch * heads, x.size(1), head_dim});
-  };
-  const auto scaled_query = heads_first(query * (1.0 / std::sqrt(static_cast<double>(head_dim))));
-  auto output = inputs.view_mask.defined()
-                    ? attend_masked(scaled_query, heads_first(key), heads_first(value), inputs.view_mask)
-                    : attend(scaled_query, heads_first(key), heads_first(value));
-  output = output.view({batch, heads, rows, head_dim}).transpose(1, 2).contiguous();
+  const auto output =
+      scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
+          .transpose(1, 2)
+          .contiguous();
   return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);
+}
+
+}  // namespace
+
+torch::Tensor attention(const AttentionInputs& inputs) {
+  check_inputs(inputs);
+  if (fused_attention_applies(inputs)) return fused_attention(inputs);
+  // A mask would have to be dense there, which the row-blocked version saves.
+  if (has_library_attention(inputs.query.device()) && !inputs.view_mask.defined())
+    return library_attention(inputs);
+  return row_blocked_attention(inputs);
 }
 
 }  // namespace gld

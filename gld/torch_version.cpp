@@ -1,12 +1,15 @@
 #include "gld/torch_version.h"
 
-#include <ATen/Parallel.h>
-#include <ATen/autocast_mode.h>
-#include <dlfcn.h>
-#include <link.h>
-#include <torch/version.h>
+#include "gld/error.h"
 
 #include <cstring>
+
+#include <ATen/Parallel.h>
+#include <ATen/autocast_mode.h>
+#include <torch/version.h>
+
+#include <dlfcn.h>
+#include <link.h>
 
 namespace gld {
 namespace {
@@ -19,8 +22,9 @@ int collect_blas(dl_phdr_info* info, size_t /*size*/, void* data) {
     const char* name;
   };
   // libblas.so.3 is whatever Debian's alternatives point at, so the more specific names come first.
-  for (const Pattern& pattern : {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
-                                 Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
+  for (const Pattern& pattern :
+       {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
+        Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
     if (found->empty() && path.find(pattern.fragment) != std::string::npos) *found = pattern.name;
   }
   return 0;
@@ -72,7 +76,30 @@ void set_thread_count(int threads) {
 
 int thread_count() { return at::get_num_threads(); }
 
+#if TORCH_VERSION_MAJOR >= 2
+
+bool has_library_attention(torch::Device device) { return device.is_cuda(); }
+
+torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const torch::Tensor& key,
+                                           const torch::Tensor& value) {
+  return at::scaled_dot_product_attention(query, key, value);
+}
+
+#else
+
+bool has_library_attention(torch::Device /*device*/) { return false; }
+
+torch::Tensor scaled_dot_product_attention(const torch::Tensor& /*query*/, const torch::Tensor& /*key*/,
+                                           const torch::Tensor& /*value*/) {
+  fail(
+      {"scaled_dot_product_attention", "LibTorch 2.0 or newer", torch_version(), "call attention() instead"});
+}
+
+#endif
+
 bool has_bfloat16_autocast(torch::Device device) { return device.is_cuda(); }
+
+bool bfloat16_autocast_active(torch::DeviceType device) { return autocast_enabled(device); }
 
 BFloat16Autocast::BFloat16Autocast(torch::DeviceType device)
     : device_(device), enabled_before_(autocast_enabled(device)) {

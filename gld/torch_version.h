@@ -1,8 +1,8 @@
 #pragma once
 
-#include <torch/types.h>
-
 #include <string>
+
+#include <torch/types.h>
 
 // The only place that knows LibTorch versions (1.13 to 2.x).
 namespace gld {
@@ -18,8 +18,18 @@ std::string blas_name();
 void set_thread_count(int threads);
 int thread_count();
 
+// Whether LibTorch brings a fused attention for that kind of device which beats composing it (2.0 and newer, CUDA).
+bool has_library_attention(torch::Device device);
+// softmax(query key^T / sqrt(head_dim)) value; (batch, heads, tokens, head_dim) each. Throws Error where
+// has_library_attention is false.
+torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const torch::Tensor& key,
+                                           const torch::Tensor& value);
+
 // True where bfloat16 matrix products are faster than float32 ones and autocast may be used (CUDA).
 bool has_bfloat16_autocast(torch::Device device);
+
+// Whether a BFloat16Autocast for that kind of device is alive.
+bool bfloat16_autocast_active(torch::DeviceType device);
 
 // Autocast to bfloat16 on a kind of device, for as long as it lives. Nesting is allowed.
 class BFloat16Autocast {
