@@ -27,7 +27,7 @@ constexpr PartName kParts[] = {{BundlePart::kBackbone, "backbone"},
                                {BundlePart::kLevel1, "level1"},
                                {BundlePart::kCascade, "cascade"},
                                {BundlePart::kStatisticsLevel0, "statistics_level0"},
-                               {BundlePart::kStatisticsBoundary, "statistics_level1"}};
+                               {BundlePart::kStatisticsLevel1, "statistics_level1"}};
 
 std::filesystem::path part_file(const std::filesystem::path& folder, BundlePart part) {
   return folder / (bundle_part_name(part) + kExtension);
@@ -65,7 +65,7 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(BundlePart part, const Bun
     case BundlePart::kCascade:
       return std::make_shared<DitDh>(options.cascade, placement);
     case BundlePart::kStatisticsLevel0:
-    case BundlePart::kStatisticsBoundary:
+    case BundlePart::kStatisticsLevel1:
       break;
   }
   return nullptr;

@@ -24,7 +24,7 @@ enum class BundlePart {
   kLevel1,
   kCascade,
   kStatisticsLevel0,
-  kStatisticsBoundary
+  kStatisticsLevel1
 };
 
 const std::vector<BundlePart>& bundle_parts();

@@ -4,8 +4,6 @@
 #include "gld/error.h"
 #include "gld/weight_tensors.h"
 
-#include <algorithm>
-
 #include <torch/autograd.h>
 
 namespace gld {
@@ -20,14 +18,6 @@ struct Offered {
 using Offers = std::map<std::string, Offered>;  // by name, without the prefix
 
 const std::string kCheckConfiguration = "check that the configuration belongs to these weights";
-
-bool is_ignored(const std::vector<IgnoredName>& ignored, const std::string& name) {
-  return std::any_of(ignored.begin(), ignored.end(), [&](const IgnoredName& entry) {
-    const bool pattern = !entry.name.empty() && entry.name.back() == '*';
-    const size_t length = pattern ? entry.name.size() - 1 : entry.name.size();
-    return name.compare(0, length, entry.name, 0, length) == 0 && (pattern || name.size() == length);
-  });
-}
 
 void check_offer(const torch::Tensor& target, const Offered& offered, const std::string& where) {
   const auto shape = target.sizes().vec();
@@ -49,7 +39,7 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
   }
   for (const auto& offer : offers) {
     if (targets.count(offer.first) != 0) continue;
-    if (is_ignored(selection.ignored, offer.first)) {
+    if (ignored_name(selection.ignored, offer.first) != nullptr) {
       report.ignored.push_back(offer.first);
       continue;
     }
@@ -86,6 +76,16 @@ void set_tensor(torch::Tensor target, const torch::Tensor& value, const std::str
 }
 
 }  // namespace
+
+const IgnoredName* ignored_name(const std::vector<IgnoredName>& ignored, const std::string& name) {
+  for (const auto& entry : ignored) {
+    const bool pattern = !entry.name.empty() && entry.name.back() == '*';
+    const size_t length = pattern ? entry.name.size() - 1 : entry.name.size();
+    if (name.compare(0, length, entry.name, 0, length) == 0 && (pattern || name.size() == length))
+      return &entry;
+  }
+  return nullptr;
+}
 
 std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const WeightFile& file,
                                         const WeightSelection& selection, LoadReport& report) {

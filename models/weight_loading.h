@@ -17,6 +17,9 @@ struct IgnoredName {
   std::string reason;
 };
 
+// The entry that covers the name, or null.
+const IgnoredName* ignored_name(const std::vector<IgnoredName>& ignored, const std::string& name);
+
 struct WeightSelection {
   // Only tensors whose names start with it are considered, and it is removed: "ema.",
   // "model.backbone.pretrained.".

@@ -1,0 +1,27 @@
+#include "cli/convert_command.h"
+
+#include "models/conversion.h"
+
+#include <iostream>
+#include <memory>
+
+namespace gld {
+
+Command make_convert_command() {
+  auto options = std::make_shared<ConversionOptions>();
+  Command command;
+  command.name = "convert";
+  command.summary = "Convert the published weight files into a model bundle";
+  command.description =
+      "Takes DA3-Base's safetensors, GLD's .pt files and the latent statistics. Every tensor must be known "
+      "and of the "
+      "right shape. Parts can be converted one after the other into the same folder.";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    std::cout << conversion_text(convert(*options));
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace gld
