@@ -103,7 +103,8 @@ PropeTables make_prope_tables(const RelativeCameras& cameras, const PropeLayout&
                               const torch::TensorOptions& options) {
   check_layout(cameras, layout);
   std::vector<Eigen::Matrix4d> query, key_value, output;
-  for (const Camera& camera : cameras.views.cameras) {
+  const bool world = layout.frame == PropeFrame::kWorld && layout.prefix_tokens > 0;
+  for (const Camera& camera : (world ? cameras.world_views : cameras.views).cameras) {
     const bool scene_pose = which == PropeCameras::kScene;
     const Eigen::Isometry3d reference_from_camera =
         scene_pose ? camera.world_from_camera : Eigen::Isometry3d::Identity();
@@ -138,6 +139,7 @@ PropeTables fold_shared_camera(const PropeTables& tables) {
   const auto same_for_all = [](const torch::Tensor& matrices) {
     return torch::equal(matrices, matrices.narrow(0, 0, 1).expand_as(matrices));
   };
+  if (tables.prefix_tokens > 0) return tables;
   if (!same_for_all(tables.output_matrix) || !same_for_all(tables.key_value_matrix)) return tables;
   // (P^T q) . (P^-1 k) = (M^T q) . k and P sum(w P^-1 v) = M sum(w v), with M = P P^-1, which is the identity for
   // the true inverse only.

@@ -33,6 +33,10 @@ enum class PropeInverse { kPublished, kTrue };
 // before they are normalised; or the identity as pose with the scene's intrinsics (the released cascade).
 enum class PropeCameras { kScene, kIdentity, kIdentityPose };
 
+// The frame that projections start from. Between patch tokens it cancels. It does not between a patch token and a
+// special token, which is not encoded; the published code uses the world's frame as the dataset gives it.
+enum class PropeFrame { kReferenceView, kWorld };
+
 struct PropeLayout {
   LatentGrid grid;
   int64_t prefix_tokens = 0;
@@ -40,6 +44,8 @@ struct PropeLayout {
   // Pixels by which the intrinsics are normalised; 0 for each view's own size.
   int64_t image_size = 0;
   PropeInverse inverse = PropeInverse::kPublished;
+  // Taken only where there are prefix tokens; otherwise always the reference view's, which loses no digits.
+  PropeFrame frame = PropeFrame::kReferenceView;
 };
 
 // The tables of a scene. Matrices and angles are computed in double and cast to the dtype of options (float32,
@@ -50,7 +56,8 @@ PropeTables make_prope_tables(const RelativeCameras& cameras, const PropeLayout&
 
 // The same encoding of scalar products and outputs with the key and value matrix moved into the query and output
 // matrices: exact where every view has the same P, as in the unconditional branch of one intrinsics for all.
-// Returns the tables unchanged where the views differ.
+// Returns the tables unchanged where the views differ, or where there are prefix tokens, which meet keys and values
+// without being encoded themselves.
 PropeTables fold_shared_camera(const PropeTables& tables);
 
 // x: (1, views * (prefix + grid), heads, head_dim) -> the same shape. Differentiable in x.

@@ -37,6 +37,7 @@ RelativeCameras relative_cameras(const Views& views, int64_t reference_view) {
   }
   RelativeCameras relative;
   relative.views = views;
+  relative.world_views = views;
   const Eigen::Isometry3d world_from_reference = views.cameras[static_cast<size_t>(index)].world_from_camera;
   const Eigen::Matrix3d reference_from_world = world_from_reference.linear().transpose();
   double world_baseline = 0;
@@ -54,7 +55,9 @@ RelativeCameras relative_cameras(const Views& views, int64_t reference_view) {
     largest = std::max(largest, pose.translation().cwiseAbs().maxCoeff());
   }
   if (world_baseline <= centre_resolution(views)) {
-    for (Camera& camera : relative.views.cameras) camera.world_from_camera.translation().setZero();
+    for (Views* frame : {&relative.views, &relative.world_views}) {
+      for (Camera& camera : frame->cameras) camera.world_from_camera.translation().setZero();
+    }
     if (views.size() > 1) {
       relative.warnings.push_back(
           "the camera centres coincide, so there is no baseline: translations are taken as exactly zero");
@@ -63,8 +66,9 @@ RelativeCameras relative_cameras(const Views& views, int64_t reference_view) {
   }
   constexpr double kScaleOffset = 1e-8;
   relative.translation_scale = 1.0 / (largest + kScaleOffset);
-  for (Camera& camera : relative.views.cameras) {
-    camera.world_from_camera.translation() *= relative.translation_scale;
+  for (Views* frame : {&relative.views, &relative.world_views}) {
+    for (Camera& camera : frame->cameras)
+      camera.world_from_camera.translation() *= relative.translation_scale;
   }
   return relative;
 }

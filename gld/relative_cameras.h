@@ -18,6 +18,9 @@ struct RelativeCameras {
   // The pinhole cameras of the scene with world_from_camera replaced by reference_from_camera, its translation
   // multiplied by translation_scale. View order is kept.
   Views views;
+  // The cameras in the world's own frame, translations multiplied by the same scale. They carry the distance of the
+  // scene from the origin; only published models with special tokens need them (gld/prope.h).
+  Views world_views;
   // 1 / (largest absolute translation component + 1e-8), in 1 / world units; 1 where there is no baseline.
   double translation_scale = 1;
   // One sentence each; not empty where the camera centres coincide to the precision of the poses. Every

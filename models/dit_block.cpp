@@ -1,0 +1,98 @@
+#include "models/dit_block.h"
+
+#include "gld/attention.h"
+
+#include <torch/types.h>
+
+namespace gld {
+namespace {
+
+constexpr double kEpsilon = 1e-6;
+
+// Vectors of a block's AdaLN, in the order of the checkpoint.
+constexpr int64_t kAttentionShift = 0;
+constexpr int64_t kAttentionGate = 2;
+constexpr int64_t kFeedForwardShift = 3;
+
+}  // namespace
+
+DitBlock::DitBlock(const DitBlockSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
+  const int64_t channels = sizes.channels;
+  norm1_ = register_module("norm1", std::make_shared<RmsNorm>(channels, kEpsilon, placement));
+  norm2_ = register_module("norm2", std::make_shared<RmsNorm>(channels, kEpsilon, placement));
+  auto attention_part = register_module("attn", std::make_shared<torch::nn::Module>());
+  qkv_ = attention_part->register_module(
+      "qkv", std::make_shared<Linear>(LinearSizes{channels, 3 * channels}, placement));
+  if (sizes.qk_norm) {
+    const int64_t head_dim = channels / sizes.num_heads;
+    query_norm_ =
+        attention_part->register_module("q_norm", std::make_shared<RmsNorm>(head_dim, kEpsilon, placement));
+    key_norm_ =
+        attention_part->register_module("k_norm", std::make_shared<RmsNorm>(head_dim, kEpsilon, placement));
+  }
+  projection_ = attention_part->register_module(
+      "proj", std::make_shared<Linear>(LinearSizes{channels, channels}, placement));
+  feed_forward_ =
+      register_module("mlp", std::make_shared<Swiglu>(SwigluSizes{channels, sizes.swiglu_width}, placement));
+  adaptive_norm_ =
+      register_module("adaLN_modulation", std::make_shared<AdaptiveNorm>(channels, 6, placement));
+}
+
+torch::Tensor DitBlock::modulation_rows(const torch::Tensor& activation) const {
+  return adaptive_norm_->rows(activation);
+}
+
+torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& context) const {
+  const int64_t views = x.size(0), tokens = x.size(1), heads = sizes_.num_heads;
+  const int64_t head_dim = sizes_.channels / heads;
+  const auto qkv = by_view_groups(x, [&](const ViewGroup& group) {
+                     const auto vectors =
+                         adaptive_norm_->parts(context.modulation, group, kAttentionShift, 2);
+                     const auto normed = norm1_->forward(x.narrow(0, group.first, group.count));
+                     return qkv_->forward(modulate(normed, vectors[0], vectors[1]));
+                   }).view({1, views * tokens, 3, heads, head_dim});
+  AttentionInputs inputs;
+  inputs.query = qkv.select(2, 0);
+  inputs.key = qkv.select(2, 1);
+  inputs.value = qkv.select(2, 2);
+  if (sizes_.qk_norm) {
+    inputs.query = query_norm_->forward(inputs.query);
+    inputs.key = key_norm_->forward(inputs.key);
+  }
+  inputs.prope = context.prope;
+  inputs.view_mask = context.view_mask;
+  return attention(inputs).view({views, tokens, sizes_.channels});
+}
+
+torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {
+  const auto attended = attend(x, context);
+  return by_view_groups(x, [&](const ViewGroup& group) {
+    const auto gate = adaptive_norm_->parts(context.modulation, group, kAttentionGate, 1);
+    const auto middle = x.narrow(0, group.first, group.count) +
+                        gate[0] * projection_->forward(attended.narrow(0, group.first, group.count));
+    const auto vectors = adaptive_norm_->parts(context.modulation, group, kFeedForwardShift, 3);
+    const auto update = feed_forward_->forward(modulate(norm2_->forward(middle), vectors[0], vectors[1]));
+    return middle + vectors[2] * update;
+  });
+}
+
+DitFinalLayer::DitFinalLayer(const DitFinalLayerSizes& sizes, const ParameterPlacement& placement) {
+  norm_ = register_module("norm_final", std::make_shared<RmsNorm>(sizes.channels, kEpsilon, placement));
+  linear_ = register_module("linear",
+                            std::make_shared<Linear>(LinearSizes{sizes.channels, sizes.outputs}, placement));
+  adaptive_norm_ =
+      register_module("adaLN_modulation", std::make_shared<AdaptiveNorm>(sizes.channels, 2, placement));
+}
+
+torch::Tensor DitFinalLayer::features(const torch::Tensor& x, const Modulation& modulation) const {
+  return by_view_groups(x, [&](const ViewGroup& group) {
+    const auto vectors = adaptive_norm_->parts(modulation, group, 0, 2);
+    return modulate(norm_->forward(x.narrow(0, group.first, group.count)), vectors[0], vectors[1]);
+  });
+}
+
+torch::Tensor DitFinalLayer::project(const torch::Tensor& features) const {
+  return linear_->forward(features);
+}
+
+}  // namespace gld

@@ -1,0 +1,186 @@
+#include "models/dit_dh.h"
+
+#include "gld/configuration.h"
+#include "models/position_embedding.h"
+
+#include <string>
+
+#include <torch/types.h>
+
+namespace gld {
+
+DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : options_(options) {
+  check_options(options_, "diffusion model");
+  const int64_t channels = options_.in_channels;
+  const auto embedder_sizes = [&](int64_t width) {
+    return DitEmbedderSizes{channels, width, options_.split_embedders, options_.num_special_tokens};
+  };
+  decoder_embedder_ =
+      std::make_unique<DitEmbedder>(*this, "x", embedder_sizes(options_.decoder_width()), placement);
+  encoder_embedder_ =
+      std::make_unique<DitEmbedder>(*this, "s", embedder_sizes(options_.encoder_width()), placement);
+  if (options_.num_special_tokens > 0) {
+    special_projection_ =
+        register_module("special_output_proj",
+                        std::make_shared<Linear>(LinearSizes{options_.decoder_width(), channels}, placement));
+  }
+  if (options_.encoder_width() != options_.decoder_width()) {
+    condition_projection_ = register_module(
+        "s_projector",
+        std::make_shared<Linear>(LinearSizes{options_.encoder_width(), options_.decoder_width()}, placement));
+  }
+  time_embedding_ =
+      register_module("t_embedder", std::make_shared<TimeEmbedding>(options_.encoder_width(), placement));
+  constexpr int64_t kCameraChannels = 7;
+  camera_embedder_ = register_module(
+      "camera_embedder",
+      std::make_shared<PatchEmbed>(
+          PatchEmbedSizes{kCameraChannels, options_.camera_width(), options_.camera_patch_size}, placement));
+  final_layer_ = register_module(
+      "final_layer",
+      std::make_shared<DitFinalLayer>(DitFinalLayerSizes{options_.decoder_width(), channels}, placement));
+
+  auto blocks = register_module("blocks", std::make_shared<torch::nn::Module>());
+  for (int64_t i = 0; i < options_.encoder_blocks() + options_.decoder_blocks(); ++i) {
+    const size_t part = i < options_.encoder_blocks() ? 0 : 1;
+    DitBlockSizes sizes;
+    sizes.channels = options_.hidden_size[part];
+    sizes.num_heads = options_.num_heads[part];
+    sizes.swiglu_width = options_.swiglu_width(sizes.channels);
+    sizes.qk_norm = options_.qk_norm;
+    auto block = blocks->register_module(std::to_string(i), std::make_shared<DitBlock>(sizes, placement));
+    (part == 0 ? encoder_blocks_ : decoder_blocks_).push_back(block);
+  }
+}
+
+std::vector<DitTimeRow> DitDh::time_rows(const std::vector<double>& times, int64_t rows) const {
+  std::vector<double> repeated;
+  for (const double time : times) repeated.insert(repeated.end(), static_cast<size_t>(rows), time);
+  const auto embedding = time_embedding_->forward(repeated);
+  // The published model applies SiLU to the time embedding and again at the head of each block's AdaLN.
+  const auto activation = torch::silu(torch::silu(embedding));
+  std::vector<DitTimeRow> result(times.size());
+  for (size_t i = 0; i < times.size(); ++i) {
+    result[i].time = times[i];
+    result[i].embedding = embedding.narrow(0, static_cast<int64_t>(i) * rows, rows);
+  }
+  for (const auto& block : encoder_blocks_) {
+    const auto modulation = block->modulation_rows(activation);
+    for (size_t i = 0; i < times.size(); ++i) {
+      result[i].encoder_modulation.push_back(modulation.narrow(0, static_cast<int64_t>(i) * rows, rows));
+    }
+  }
+  return result;
+}
+
+torch::Tensor DitDh::source_part(const DitEmbedder& embedder, const DitScene& scene) const {
+  const int64_t special = options_.num_special_tokens, patches = scene.grid.tokens_per_view();
+  const auto& source = scene.source_features;
+  auto tokens = embedder.source_patches(source.narrow(1, special, patches), scene.grid.views);
+  if (special == 0) return tokens;
+  return torch::cat({embedder.source_special(source.narrow(1, 0, special), scene.grid.views), tokens}, 1);
+}
+
+torch::Tensor DitDh::latent_part(const DitEmbedder& embedder, const DitScene& scene,
+                                 const torch::Tensor& noisy) const {
+  const int64_t special = options_.num_special_tokens, patches = scene.grid.tokens_per_view();
+  auto tokens = embedder.latent_patches(noisy.narrow(1, special, patches), scene.num_sources());
+  if (special == 0) return tokens;
+  return torch::cat({embedder.latent_special(noisy.narrow(1, 0, special)), tokens}, 1);
+}
+
+torch::Tensor DitDh::joint_tokens(const DitEmbedder& embedder, const DitScene& scene,
+                                  const torch::Tensor& patches, const torch::Tensor& noisy) const {
+  const int64_t special = options_.num_special_tokens;
+  const auto& source = scene.source_features;
+  auto tokens = embedder.patches(source.narrow(1, special, scene.grid.tokens_per_view()), patches);
+  if (special == 0) return tokens;
+  return torch::cat({embedder.special(source.narrow(1, 0, special), noisy.narrow(1, 0, special)), tokens}, 1);
+}
+
+torch::Tensor DitDh::with_positions(const torch::Tensor& tokens, const DitScene& scene) const {
+  if (options_.position_embedding == PositionEmbedding::kNone) return tokens;
+  const auto positions = sincos_positions(scene.grid, tokens.size(2), tokens.options());
+  const auto none = torch::zeros({options_.num_special_tokens, tokens.size(2)}, tokens.options());
+  return tokens + torch::cat({none, positions}, 0);
+}
+
+torch::Tensor DitDh::encoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const {
+  const auto& embedder = *encoder_embedder_;
+  const int64_t special = options_.num_special_tokens;
+  if (!scene.encoder_source.defined()) {
+    const auto patches = scene.deeper_patches.defined()
+                             ? scene.deeper_patches
+                             : noisy.narrow(1, special, scene.grid.tokens_per_view());
+    return with_positions(joint_tokens(embedder, scene, patches, noisy), scene);
+  }
+  if (!scene.deeper_patches.defined()) return scene.encoder_source + latent_part(embedder, scene, noisy);
+  if (special == 0) return scene.encoder_source;
+  // In a cascade only the special tokens carry the noisy latent into the condition encoder.
+  return torch::cat(
+      {scene.encoder_source.narrow(1, 0, special) + embedder.latent_special(noisy.narrow(1, 0, special)),
+       scene.encoder_source.narrow(1, special, scene.grid.tokens_per_view())},
+      1);
+}
+
+torch::Tensor DitDh::decoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const {
+  if (scene.decoder_source.defined()) {
+    return scene.decoder_source + latent_part(*decoder_embedder_, scene, noisy);
+  }
+  const auto patches = noisy.narrow(1, options_.num_special_tokens, scene.grid.tokens_per_view());
+  return with_positions(joint_tokens(*decoder_embedder_, scene, patches, noisy), scene);
+}
+
+DitNoisyTokens DitDh::embed_noisy(const DitScene& scene, const torch::Tensor& noisy) const {
+  check_latent(scene, noisy, "noisy latent", scene.grid.views);
+  return {encoder_tokens(scene, noisy), decoder_tokens(scene, noisy)};
+}
+
+torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
+                                       const DitTimeRow& time, DitBranch branch) const {
+  const auto cameras = evaluation_cameras(scene, branch);
+  auto x = tokens.encoder;
+  if (options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder) x = x + cameras.embedding;
+  for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
+    DitBlockContext context;
+    context.modulation.rows = time.encoder_modulation[i];
+    context.prope = &cameras.encoder_prope;
+    context.view_mask = scene.view_mask;
+    x = encoder_blocks_[i]->forward(x, context);
+  }
+  return x;
+}
+
+torch::Tensor DitDh::velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
+                                       const torch::Tensor& condition, const DitTimeRow& time,
+                                       DitBranch branch) const {
+  const auto cameras = evaluation_cameras(scene, branch);
+  auto s = torch::silu(condition + time.embedding.unsqueeze(1));
+  if (condition_projection_) s = condition_projection_->forward(s);
+  DitBlockContext context;
+  context.modulation.activation = torch::silu(s);
+  context.prope = &cameras.decoder_prope;
+  context.view_mask = scene.view_mask;
+  auto x = tokens.decoder;
+  if (options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder) x = x + cameras.embedding;
+  for (const auto& block : decoder_blocks_) x = block->forward(x, context);
+  return final_layer_->features(x, context.modulation);
+}
+
+torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features) const {
+  const auto velocity = final_layer_->project(features);
+  const int64_t special = options_.num_special_tokens;
+  if (special == 0) return velocity;
+  return torch::cat({special_projection_->forward(velocity.narrow(1, 0, special)),
+                     velocity.narrow(1, special, velocity.size(1) - special)},
+                    1);
+}
+
+torch::Tensor DitDh::velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
+                              DitBranch branch) const {
+  const auto tokens = embed_noisy(scene, noisy);
+  const auto condition = condition_encoder(scene, tokens, time, branch);
+  return velocity_from_features(velocity_features(scene, tokens, condition, time, branch));
+}
+
+}  // namespace gld
