@@ -1,0 +1,61 @@
+#include "cli/verify_command.h"
+
+#include "tests/support/shared_data.h"
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+struct Outcome {
+  int status = 0;
+  std::string output;
+};
+
+Outcome run_verify(const std::vector<std::string>& arguments) {
+  std::vector<std::string> words = {"verify"};
+  words.insert(words.end(), arguments.begin(), arguments.end());
+  testing::internal::CaptureStdout();
+  Outcome outcome;
+  outcome.status = run_command_line({make_verify_command()}, words);
+  outcome.output = testing::internal::GetCapturedStdout();
+  return outcome;
+}
+
+std::string golden(const std::string& name) { return (test::shared_data() / "goldens" / name).string(); }
+
+TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
+  const auto good = run_verify({golden("metrics_image_depth"), golden("rgb_decoder")});
+  EXPECT_EQ(good.status, 0);
+  EXPECT_NE(good.output.find("2 of 2 cases pass\n"), std::string::npos) << good.output;
+  EXPECT_NE(good.output.find("  pass  psnr "), std::string::npos) << good.output;
+
+  // A folder that is no case fails with its sentence and does not stop the next.
+  const auto mixed = run_verify({golden("no_such_case"), golden("metrics_image_depth")});
+  EXPECT_EQ(mixed.status, 1);
+  EXPECT_NE(mixed.output.find(
+                golden("no_such_case") +
+                ": expected a folder with a reference case, found no such folder; give the folder that "
+                "holds case.json."),
+            std::string::npos)
+      << mixed.output;
+  EXPECT_NE(mixed.output.find("1 of 2 cases pass\n"), std::string::npos) << mixed.output;
+}
+
+TEST(VerifyCommand, PrintsOneJsonObject) {
+  const auto outcome = run_verify({golden("metrics_image_depth"), "--json"});
+  EXPECT_EQ(outcome.status, 0);
+  const auto report = nlohmann::json::parse(outcome.output);
+  EXPECT_TRUE(report.at("passed").get<bool>());
+  const auto& tensors = report.at("cases").at(0).at("tensors");
+  ASSERT_EQ(tensors.size(), 5u);
+  EXPECT_EQ(tensors[0].at("name"), "abs_rel");
+  EXPECT_EQ(tensors[0].at("count"), 4);
+  EXPECT_LT(tensors[0].at("max").get<double>(), tensors[0].at("tolerance").get<double>());
+}
+
+TEST(VerifyCommand, NeedsAFolder) { EXPECT_EQ(run_verify({}).status, 2); }
+
+}  // namespace
+}  // namespace gld
