@@ -1,9 +1,14 @@
 #include "datasets/scene_reader.h"
 
 #include "datasets/cameras_json_reader.h"
+#include "datasets/colmap_reader.h"
+#include "datasets/eth3d_reader.h"
 #include "datasets/file_listing.h"
+#include "datasets/hypersim_reader.h"
 #include "datasets/nerfstudio_reader.h"
 #include "datasets/npz_reader.h"
+#include "datasets/re10k_reader.h"
+#include "datasets/tartanair_reader.h"
 #include "gld/configuration.h"
 #include "gld/error.h"
 
@@ -63,7 +68,13 @@ const std::vector<const SceneReader*>& scene_readers() {
   static const CamerasJsonReader cameras_json;
   static const NpzReader npz;
   static const NerfstudioReader nerfstudio;
-  static const std::vector<const SceneReader*> readers{&cameras_json, &npz, &nerfstudio};
+  static const HypersimReader hypersim;
+  static const TartanAirReader tartanair;
+  static const Eth3dReader eth3d;
+  static const ColmapReader colmap;
+  static const Re10kReader re10k;
+  static const std::vector<const SceneReader*> readers{&cameras_json, &npz,   &nerfstudio, &hypersim,
+                                                       &tartanair,    &eth3d, &colmap,     &re10k};
   return readers;
 }
 

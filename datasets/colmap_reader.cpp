@@ -1,0 +1,76 @@
+#include "datasets/colmap_reader.h"
+
+#include "datasets/file_listing.h"
+#include "datasets/frame_checks.h"
+#include "datasets/frame_pixels.h"
+#include "gld/error.h"
+
+#include <optional>
+
+namespace gld {
+namespace {
+
+// images_N may hold another file type than the model names.
+std::filesystem::path find_colmap_image(const std::filesystem::path& folder, const std::string& name,
+                                        const std::string& where) {
+  const auto file = inside(folder, name, where);
+  if (std::filesystem::is_regular_file(file)) return file;
+  return find_image(file.parent_path(), file.stem().string());
+}
+
+}  // namespace
+
+ColmapView colmap_view(const ColmapModel& model, const ColmapImage& image, const std::string& where) {
+  const auto camera = model.cameras.find(image.camera_id);
+  if (camera == model.cameras.end()) {
+    fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
+          "export the model again"});
+  }
+  ColmapView view;
+  view.camera = &camera->second;
+  view.lens = colmap_lens(camera->second, where);
+  view.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
+  return view;
+}
+
+bool ColmapReader::recognises(const std::filesystem::path& path) const {
+  return !find_colmap_model(path).folder.empty();
+}
+
+Scene ColmapReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
+  const ColmapLocation location = find_colmap_model(path);
+  if (location.folder.empty()) {
+    fail({path.string(), marker(), "none", "check the folder or choose another format"});
+  }
+  const ColmapModel model = read_colmap_model(location.folder, location.form);
+  const auto images = find_image_folder(path, reading.image_folder);
+  if (images.empty()) {
+    fail({path.string(), "a folder of images beside the model (images or images_N)", "none",
+          "put the images there or name their folder with image_folder"});
+  }
+  SceneBuilder builder(name(), path, reading);
+  FrameMaker maker;
+  for (const ColmapImage& image : model.images) {
+    const std::string where = location.folder.string() + " " + image.name;
+    builder.add(where, [&]() -> std::optional<Frame> {
+      FrameRecord record;
+      record.image_file = find_colmap_image(images, image.name, where);
+      if (record.image_file.empty()) {
+        builder.add_missing(images / image.name);
+        return std::nullopt;
+      }
+      const ColmapView view = colmap_view(model, image, where);
+      record.name = record.image_file.stem().string();
+      record.camera_width = view.camera->width;
+      record.camera_height = view.camera->height;
+      record.intrinsics = view.lens.intrinsics;
+      record.lens = view.lens.lens;
+      record.world_from_camera = view.world_from_camera;
+      return maker.make(record);
+    });
+  }
+  builder.scene().points_in_world = model.points_in_world;
+  return builder.finish();
+}
+
+}  // namespace gld

@@ -1,0 +1,26 @@
+#pragma once
+
+#include "datasets/colmap_model.h"
+#include "datasets/scene_reader.h"
+
+namespace gld {
+
+// A COLMAP model in text or binary form (sparse/0 beside images or images_N, as Mip-NeRF 360 has them). Distortion is
+// undone on loading; intrinsics follow images_N. Images of the model that have no file are counted as missing.
+class ColmapReader : public SceneReader {
+ public:
+  std::string name() const override { return "colmap"; }
+  std::string marker() const override { return "sparse/0 with cameras.bin or cameras.txt"; }
+  bool recognises(const std::filesystem::path& path) const override;
+  Scene read(const std::filesystem::path& path, const SceneReading& reading) const override;
+};
+
+// The image's pose and camera; Error when its camera is not in the model.
+struct ColmapView {
+  Eigen::Isometry3d world_from_camera = Eigen::Isometry3d::Identity();
+  const ColmapCamera* camera = nullptr;
+  ColmapLens lens;
+};
+ColmapView colmap_view(const ColmapModel& model, const ColmapImage& image, const std::string& where);
+
+}  // namespace gld

@@ -1,0 +1,114 @@
+#include "datasets/eth3d_reader.h"
+
+#include "datasets/colmap_reader.h"
+#include "datasets/depth_files.h"
+#include "datasets/file_listing.h"
+#include "datasets/frame_pixels.h"
+#include "datasets/undistortion.h"
+#include "gld/error.h"
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+
+namespace gld {
+namespace {
+
+struct Calibration {
+  std::filesystem::path model;
+  bool distorted = false;
+};
+
+// The calibration whose images are there; without images the first that exists.
+Calibration choose_calibration(const std::filesystem::path& path) {
+  const Calibration choices[] = {{path / "dslr_calibration_jpg", true},
+                                 {path / "dslr_calibration_undistorted", false}};
+  const std::filesystem::path images[] = {path / "images" / "dslr_images",
+                                          path / "images" / "dslr_images_undistorted"};
+  for (int i = 0; i < 2; ++i) {
+    if (std::filesystem::is_directory(choices[i].model) && !list_images(images[i]).empty()) return choices[i];
+  }
+  for (const Calibration& choice : choices) {
+    if (std::filesystem::is_directory(choice.model)) return choice;
+  }
+  return {};
+}
+
+LensCamera lens_camera(const ColmapView& view) {
+  return {view.camera->width, view.camera->height, view.lens.intrinsics, view.lens.lens};
+}
+
+// Cameras of the distorted images by the file name of their image.
+using LensesByName = std::map<std::string, LensCamera>;
+
+LensesByName distorted_lenses(const std::filesystem::path& path) {
+  LensesByName lenses;
+  const auto folder = path / "dslr_calibration_jpg";
+  if (!std::filesystem::is_regular_file(folder / "images.txt")) return lenses;
+  const ColmapModel model = read_colmap_model(folder, ColmapForm::kText);
+  for (const ColmapImage& image : model.images) {
+    const std::string where = folder.string() + " " + image.name;
+    lenses[std::filesystem::path(image.name).filename().string()] =
+        lens_camera(colmap_view(model, image, where));
+  }
+  return lenses;
+}
+
+}  // namespace
+
+bool Eth3dReader::recognises(const std::filesystem::path& path) const {
+  return !choose_calibration(path).model.empty();
+}
+
+Scene Eth3dReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
+  const Calibration calibration = choose_calibration(path);
+  if (calibration.model.empty()) {
+    fail({path.string(), marker(), "none", "check the folder or choose another format"});
+  }
+  const ColmapModel model = read_colmap_model(calibration.model, ColmapForm::kText);
+  const LensesByName distorted = calibration.distorted ? LensesByName() : distorted_lenses(path);
+  const auto depth_folder = path / "ground_truth_depth" / "dslr_images";
+  SceneBuilder builder(name(), path, reading);
+  FrameMaker maker;
+  for (const ColmapImage& image : model.images) {
+    const std::string where = calibration.model.string() + " " + image.name;
+    builder.add(where, [&]() -> std::optional<Frame> {
+      FrameRecord record;
+      record.image_file = inside(path / "images", image.name, where);
+      if (!std::filesystem::is_regular_file(record.image_file)) {
+        builder.add_missing(record.image_file);
+        return std::nullopt;
+      }
+      const ColmapView view = colmap_view(model, image, where);
+      record.name = record.image_file.stem().string();
+      record.camera_width = view.camera->width;
+      record.camera_height = view.camera->height;
+      record.intrinsics = view.lens.intrinsics;
+      record.lens = view.lens.lens;
+      record.world_from_camera = view.world_from_camera;
+      const auto depth = depth_folder / record.image_file.filename();
+      const auto lens = distorted.find(record.image_file.filename().string());
+      if (std::filesystem::is_regular_file(depth) && calibration.distorted) {
+        record.load_depth = [depth, width = view.camera->width, height = view.camera->height] {
+          return read_depth_raw(depth, width, height);
+        };
+      } else if (std::filesystem::is_regular_file(depth) && lens != distorted.end()) {
+        Camera ideal;
+        ideal.width = view.camera->width;
+        ideal.height = view.camera->height;
+        ideal.intrinsics = view.lens.intrinsics;
+        const auto undistorter = make_undistorter(ideal, lens->second);
+        record.load_depth = [depth, undistorter, width = lens->second.width, height = lens->second.height] {
+          return undistorter->depth(read_depth_raw(depth, width, height));
+        };
+      }
+      return maker.make(record);
+    });
+  }
+  builder.scene().metric = true;
+  builder.scene().points_in_world = model.points_in_world;
+  return builder.finish();
+}
+
+}  // namespace gld
