@@ -53,12 +53,16 @@ void Progress::finish() {
 void Progress::draw(bool last) {
   drawn_ = Clock::now();
   const double elapsed = seconds_between(start_, drawn_);
-  std::string line = fmt::format("{:<18} {:>4}/{}", stage_, done_, steps_);
+  std::string line = steps_ > 0 ? fmt::format("{:<18} {:>4}/{}", stage_, done_, steps_)
+                                : fmt::format("{:<18} {:>4}", stage_, done_);
   if (done_ > 0 && elapsed > 0) {
     const double rate = static_cast<double>(done_) / elapsed;
     line += rate >= 1 ? fmt::format("  {:.1f}/s", rate) : fmt::format("  {:.1f} s each", 1 / rate);
-    line += last ? "  " + duration_text(elapsed)
-                 : "  " + duration_text(static_cast<double>(steps_ - done_) / rate) + " left";
+    if (last) {
+      line += "  " + duration_text(elapsed);
+    } else if (steps_ > 0) {
+      line += "  " + duration_text(static_cast<double>(steps_ - done_) / rate) + " left";
+    }
   }
   if (!note_.empty()) line += "  " + note_;
   std::fputs((terminal_ ? "\r\033[K" + line + (last ? "\n" : "") : line + "\n").c_str(), stderr);

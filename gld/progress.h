@@ -10,6 +10,7 @@ namespace gld {
 // lines (at most one every few seconds, and the last) elsewhere.
 class Progress {
  public:
+  // steps: 0 where their number is not known.
   Progress(std::string stage, int64_t steps);
   ~Progress();
   Progress(const Progress&) = delete;

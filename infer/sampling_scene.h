@@ -5,6 +5,7 @@
 #include "datasets/scene.h"
 #include "gld/camera.h"
 #include "gld/options.h"
+#include "infer/camera_path.h"
 
 #include <cstdint>
 #include <string>
@@ -16,9 +17,9 @@ namespace gld {
 struct ViewSelection : OptionsGroup {
   std::vector<int64_t> sources;  // frame numbers, from 0
   std::vector<int64_t> targets;  // frame numbers; their images are only used to compare with
-  std::string path;              // orbit, spline or a cameras.json file, instead of targets
-  int64_t frames = 8;            // target views along an orbit or spline
+  CameraPathOptions path;        // instead of targets; unused while path.path is empty
 
+  ViewSelection();
   void visit(FieldVisitor& visitor) override;
   void check() const override;  // either targets or path; no frame twice among the sources
 };

@@ -1,0 +1,22 @@
+#include "cli/doctor_command.h"
+
+#include "infer/doctor.h"
+
+#include <iostream>
+
+namespace gld {
+
+Command make_doctor_command() {
+  auto options = std::make_shared<DoctorOptions>();
+  Command command;
+  command.name = "doctor";
+  command.summary = "Examine this machine, and forecast time and memory for a model";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    std::cout << doctor_report(*options);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace gld

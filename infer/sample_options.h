@@ -1,0 +1,60 @@
+#pragma once
+
+#include "datasets/scene_reader.h"
+#include "gld/guidance.h"
+#include "gld/options.h"
+#include "gld/solver.h"
+#include "infer/sampling_scene.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+enum class SamplingPreset {
+  kOptions,  // as the options say
+  kPublished,  // the release's sampler exactly: 49 Euler steps on its shifted grid, whatever the solver options say
+};
+
+// What gld sample is asked to make.
+struct RequestedOutputs {
+  bool image = false;
+  bool depth = false;
+  bool rays = false;
+  bool points = false;
+  bool latents = false;
+
+  bool needs_depth() const { return depth || points; }
+  // A point cloud takes its scale from the rays.
+  bool needs_rays() const { return rays || points; }
+  bool needs_geometry() const { return needs_depth() || needs_rays(); }
+  bool needs_image() const { return image || points; }  // points are coloured by the images
+  bool needs_levels() const { return needs_image() || needs_geometry(); }
+};
+
+struct SampleOptions : OptionsGroup {
+  std::string model = "configs/tiny";
+  std::string scene;
+  SceneReading reading;
+  ViewSelection views;
+  std::string size = "auto";
+  std::vector<std::string> outputs{"image", "depth", "points"};
+  int64_t seed = 0;
+  SamplingPreset preset = SamplingPreset::kOptions;
+  SolverOptions solver;
+  GuidanceOptions guidance;
+  std::string device = "cpu";
+  int64_t threads = 0;
+  std::string out;
+
+  SampleOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+
+  RequestedOutputs requested() const;  // Error for a name that is no output
+  // The solver with preset and the model's own time shift applied.
+  SolverOptions resolved_solver(double model_shift) const;
+};
+
+}  // namespace gld
