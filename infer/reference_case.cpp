@@ -69,7 +69,7 @@ torch::Tensor ReferenceCase::input(const std::string& input_name, const std::vec
     fail({file + ": " + input_name, "shape " + shape_pattern(shape), c10::str(found->second.sizes()),
           "make the inputs agree with case.json's configuration"});
   }
-  return found->second;
+  return found->second.is_floating_point() ? found->second.to(torch::kFloat32) : found->second;
 }
 
 int64_t ReferenceCase::integer_input(const std::string& input_name) const {

@@ -38,8 +38,8 @@ struct ReferenceCase {
   // Reads the configuration into options and checks them. A key that options do not have is an Error.
   void read_config(OptionsGroup& options) const;
 
-  // The input of that name. Throws Error when the case has none, or when its shape does not match: -1 accepts
-  // any size.
+  // The input of that name; floating-point numbers as float32, integers as they are. Throws Error when the case
+  // has none, or when its shape does not match: -1 accepts any size.
   torch::Tensor input(const std::string& input_name, const std::vector<int64_t>& shape) const;
   // An input that holds one integer.
   int64_t integer_input(const std::string& input_name) const;

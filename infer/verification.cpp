@@ -44,6 +44,20 @@ std::string tensor_line(const TensorComparison& row) {
       index_text(row.worst_index), row.computed_value, row.expected_value);
 }
 
+std::string no_memory(const std::filesystem::path& folder) {
+  return folder.string() + ": expected enough memory for the case, found too little; free memory.";
+}
+
+// Tensors that agree with the configuration never get here; LibTorch's own words, without its backtrace, are
+// the best there is.
+std::string library_fault(const std::filesystem::path& folder, const c10::Error& error) {
+  std::string words = error.what_without_backtrace();
+  if (words.find("can't allocate memory") != std::string::npos) return no_memory(folder);
+  words = words.substr(0, words.find('\n'));
+  return folder.string() + ": found tensors that do not fit together (" + words +
+         "); compare them with case.json.";
+}
+
 }  // namespace
 
 TensorComparison compare_tensor(const std::string& name, const torch::Tensor& computed,
@@ -124,12 +138,9 @@ CaseVerification verify_case(const std::filesystem::path& folder, const Referenc
   } catch (const Error& error) {
     result.error = error.what();
   } catch (const c10::Error& error) {
-    // Inputs that agree with the configuration cannot get here; the first line leaves out the backtrace.
-    result.error = folder.string() + ": found inputs that do not fit together (" +
-                   std::string(error.what_without_backtrace()) + "); compare their shapes with case.json.";
-    result.error.erase(std::remove(result.error.begin(), result.error.end(), '\n'), result.error.end());
+    result.error = library_fault(folder, error);
   } catch (const std::bad_alloc&) {
-    result.error = folder.string() + ": expected enough memory for the case, found too little; free memory.";
+    result.error = no_memory(folder);
   } catch (const std::filesystem::filesystem_error& error) {
     result.error = folder.string() + ": found a folder that cannot be read (" + error.code().message() +
                    "); check its permissions.";

@@ -153,10 +153,11 @@ TEST_F(Verification, FaultsOfACaseAreOneSentence) {
 }
 
 TEST_F(Verification, InputsAreAskedForByNameAndShape) {
-  const auto directory =
-      write_case("inputs", description_, {{"a", torch::ones({2, 3})}}, {{"a", torch::ones({1})}});
+  const auto directory = write_case("inputs", description_, {{"a", torch::ones({2, 3}, torch::kFloat16)}},
+                                    {{"a", torch::ones({1})}});
   const auto reference = read_reference_case(directory);
   EXPECT_EQ(reference.input("a", {-1, 3}).numel(), 6);
+  EXPECT_EQ(reference.input("a", {-1, 3}).scalar_type(), torch::kFloat32);
   const auto file = (directory / "inputs.safetensors").string();
   EXPECT_EQ(
       test::error_of([&] { reference.input("b", {1}); }),
@@ -184,7 +185,11 @@ TEST_F(Verification, FaultsInsideARunnerDoNotStopTheOthers) {
   const auto result = verify(directory);
   EXPECT_FALSE(result.passed());
   EXPECT_EQ(result.error.find('\n'), std::string::npos);
-  EXPECT_NE(result.error.find("inputs that do not fit together"), std::string::npos);
+  EXPECT_NE(result.error.find("found tensors that do not fit together ("), std::string::npos);
+  runners_["scaling"] = [](const ReferenceCase&) -> NamedTensors {
+    return {{"a", torch::empty({1LL << 48})}};
+  };
+  EXPECT_EQ(error(directory), "DIR: expected enough memory for the case, found too little; free memory.");
   runners_["scaling"] = [](const ReferenceCase&) -> NamedTensors { throw Interrupted("stopped"); };
   EXPECT_THROW(verify(directory), Interrupted);
 }
