@@ -20,7 +20,7 @@ struct Colour {
 };
 
 // Distinguishable by colour-blind readers (Okabe and Ito), then darker variants.
-constexpr std::array<Colour, 12> kColours{{{0.00, 0.45, 0.70},
+constexpr std::array<Colour, 14> kColours{{{0.00, 0.45, 0.70},
                                            {0.84, 0.37, 0.00},
                                            {0.00, 0.62, 0.45},
                                            {0.80, 0.47, 0.65},
@@ -31,7 +31,9 @@ constexpr std::array<Colour, 12> kColours{{{0.00, 0.45, 0.70},
                                            {0.40, 0.30, 0.70},
                                            {0.45, 0.45, 0.00},
                                            {0.00, 0.35, 0.35},
-                                           {0.70, 0.55, 0.40}}};
+                                           {0.70, 0.55, 0.40},
+                                           {0.05, 0.05, 0.05},
+                                           {0.55, 0.80, 0.20}}};
 constexpr Colour kInk{0.13, 0.13, 0.13}, kGrid{0.88, 0.88, 0.88}, kMinorGrid{0.95, 0.95, 0.95},
     kFrontGrey{0.45, 0.45, 0.45};
 constexpr double kMarkerRadius = 3.6, kTextSize = 12.5;
@@ -279,6 +281,8 @@ void paint_legend(Canvas& canvas, const std::vector<PlotSeries>& entries, double
   }
 }
 
+using Surface = std::unique_ptr<cairo_surface_t, decltype(&cairo_surface_destroy)>;
+
 struct FigureSize {
   double width, height, legend;
 };
@@ -286,9 +290,11 @@ struct FigureSize {
 constexpr double kTop = 62, kLeft = 72, kRight = 18, kBottom = 56;
 
 FigureSize figure_size(const Figure& figure, const std::vector<PlotSeries>& entries) {
-  size_t longest = 0;
-  for (const auto& entry : entries) longest = std::max(longest, entry.name.size());
-  const double legend = entries.empty() ? 0 : 48 + 7.3 * static_cast<double>(longest);
+  const Surface scratch(cairo_image_surface_create(CAIRO_FORMAT_RGB24, 1, 1), cairo_surface_destroy);
+  Canvas canvas(scratch.get());
+  double longest = 0;
+  for (const auto& entry : entries) longest = std::max(longest, canvas.text_width(entry.name, kTextSize));
+  const double legend = entries.empty() ? 0 : 4 + 33 + longest + 16;
   const double panels = static_cast<double>(figure.panels.size()) * static_cast<double>(figure.panel_width);
   const double rows = kTop + 19 * static_cast<double>(entries.size()) + 20;
   return {std::ceil(panels + legend), std::max(static_cast<double>(figure.height), rows), legend};
@@ -308,8 +314,6 @@ void paint_figure(const Figure& figure, const FigureSize& size, const std::vecto
   }
   paint_legend(canvas, entries, panels + 4, kTop);
 }
-
-using Surface = std::unique_ptr<cairo_surface_t, decltype(&cairo_surface_destroy)>;
 
 cairo_status_t append(void* closure, const unsigned char* data, unsigned int length) {
   static_cast<std::string*>(closure)->append(reinterpret_cast<const char*>(data), length);

@@ -15,20 +15,19 @@
 
 namespace gld {
 
-// Solvers of dx/dt = velocity(x, t) from noise (t = 1) to data (t = 0). Order in brackets.
+// Solvers of dx/dt = velocity(x, t) from noise (t = 1) to data (t = 0). Order of convergence in brackets.
 //
-//   euler [1], heun [2], midpoint [2], rk4 [4]   Runge-Kutta on the schedule's times (1, 2, 2, 4 evaluations
-//   a step) ab2 [2], ab3 [3]                             Adams-Bashforth for unequal steps; ab3 spends one
-//   evaluation more on a start
-//                                                that keeps its order
-//   dpmpp1 [1], dpmpp2m [2], dpmpp3m [3]         DPM-Solver++ (Lu et al. 2022), multistep, data prediction
-//   unipc2 [3], unipc3 [4]                       UniPC (Zhao et al. 2023): predictor of order 2, 3, and a
-//   corrector that costs
-//                                                no evaluation and raises the order by one
-//   bs32, dp54                                   adaptive Bogacki-Shampine 3(2) and Dormand-Prince 5(4)
-//   rodas3                                       adaptive Rosenbrock method, L-stable, for small problems
-//   (dense Jacobian) euler_maruyama, stochastic_heun              the reverse stochastic equation with the
-//   same marginals
+// - Runge-Kutta on the schedule's times: euler [1], heun [2], midpoint [2], rk4 [4], with 1, 2, 2, 4
+//   evaluations a step.
+// - Adams-Bashforth for unequal steps: ab2 [2], ab3 [3]. ab3 spends one evaluation more on a start that keeps
+//   its order.
+// - DPM-Solver++ (Lu et al. 2022), multistep, data prediction: dpmpp1 [1], dpmpp2m [2], dpmpp3m [3]. dpmpp3m
+//   spends one evaluation more on its start where that is not t = 1.
+// - UniPC (Zhao et al. 2023): unipc2 [3], unipc3 [3]. A predictor of order 2 or 3, and a corrector that costs
+//   no evaluation and raises the order by one; the first step caps unipc3 at 3.
+// - Adaptive: bs32, Bogacki-Shampine 3(2), and dp54, Dormand-Prince 5(4).
+// - For small stiff problems: rodas3 [3], an adaptive L-stable Rosenbrock method with a dense Jacobian.
+// - The reverse stochastic equation with the same marginals: euler_maruyama, stochastic_heun.
 enum class SolverKind {
   kEuler,
   kHeun,

@@ -44,6 +44,15 @@ void run_dpm_solver(SolverRun& run, const std::vector<double>& times) {
     const auto x = run.report().state;
     history.add(start, run.data(x, start), order);
     const auto& nodes = history.times();
+    if (order == 3 && i == 0 && start < 1) {
+      // A first-order start would cap the order at 2. From noise it is not needed: there the schedule takes the first
+      // time towards 1 as steps are added.
+      const auto predicted = history.combine(x, next / start, data_prediction_weights(start, next, nodes));
+      DataHistory ends = history;
+      ends.add(next, run.data(predicted, next), 2);
+      run.accept(ends.combine(x, next / start, data_prediction_weights(start, next, ends.times())), next);
+      continue;
+    }
     const auto weights = kind == SolverKind::kDpmSolver2M && nodes.size() == 2
                              ? dpm_solver_2m_weights(start, next, nodes[1])
                              : data_prediction_weights(start, next, nodes);

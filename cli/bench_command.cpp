@@ -1,0 +1,45 @@
+#include "cli/bench_command.h"
+
+#include "infer/attention_benchmark.h"
+#include "infer/forward_benchmark.h"
+#include "infer/solver_benchmark.h"
+#include "infer/stiff_benchmark.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace gld {
+namespace {
+
+// A report that takes no arguments, only options.
+template <class Options>
+Command report_command(const std::string& name, const std::string& summary, int (*run)(const Options&)) {
+  auto options = std::make_shared<Options>();
+  Command command;
+  command.name = name;
+  command.summary = summary;
+  command.options = options;
+  command.run = [options, run](const std::vector<std::string>&) { return run(*options); };
+  return command;
+}
+
+}  // namespace
+
+Command make_bench_command() {
+  Command command;
+  command.name = "bench";
+  command.summary = "Measure error against run time, and numerical stability";
+  command.subcommands = {
+      report_command("solvers", "Solvers and schedules on flows whose solution is known",
+                     run_solver_benchmark),
+      report_command("stiff", "Solvers on stiff problems: which finish, which fail and how",
+                     run_stiff_benchmark),
+      report_command("attention", "Attention kernels beside LibTorch's composition, as fractions of peak",
+                     run_attention_benchmark),
+      report_command("forward", "One evaluation of M1 beside LibTorch's composition, as fractions of peak",
+                     run_forward_benchmark)};
+  return command;
+}
+
+}  // namespace gld
