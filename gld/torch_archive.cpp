@@ -13,7 +13,7 @@ namespace gld {
 namespace {
 
 constexpr size_t kDeepestNesting = 64;
-constexpr size_t kMostFlattened = 1'000'000;
+constexpr size_t kMostFlattened = 200'000;
 constexpr uint64_t kLargestPickle = uint64_t{64} << 20;
 // Weights hardly compress; more than this is a bomb.
 constexpr uint64_t kLargestExpansion = 16;

@@ -303,7 +303,7 @@ TEST(TorchArchive, RefusesLoopsAndMultiplication) {
                     "ah\x01"
                     "a"));
   EXPECT_EQ(refusal(laughs.stopped()),
-            "w.pt: expected at most 1000000 objects, found more; save only the state_dict() of the model.");
+            "w.pt: expected at most 200000 objects, found more; save only the state_dict() of the model.");
 }
 
 TEST(TorchArchive, RefusesValuesWithoutANameOrMeaning) {
