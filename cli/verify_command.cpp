@@ -1,6 +1,6 @@
 #include "cli/verify_command.h"
 
-#include "infer/reference_runners.h"
+#include "cli/reference_training.h"
 #include "infer/verification.h"
 
 #include <algorithm>
@@ -18,7 +18,7 @@ struct VerifyOptions : OptionsGroup {
 };
 
 int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {
-  const auto runners = standard_reference_runners();
+  const auto runners = all_reference_runners();
   std::vector<CaseVerification> results;
   for (const auto& folder : folders) {
     results.push_back(verify_case(folder, runners));

@@ -75,6 +75,7 @@ void CaseSamplerOptions::visit(FieldVisitor& visitor) {
 SolverOptions CaseSamplerOptions::solver_options() const {
   SolverOptions options;
   options.solver = solver;
+  options.evaluations = num_times - 1;
   options.schedule.schedule = ScheduleKind::kPublished;
   options.schedule.shift = time_shift;
   options.schedule.last_time = last_time;

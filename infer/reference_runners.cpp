@@ -12,6 +12,7 @@ ReferenceRunners standard_reference_runners() {
       {"camera_conditioning", run_camera_case},
       {"dit", run_dit_case},
       {"sample", run_sample_case},
+      {"pipeline", run_pipeline_case},
   };
 }
 

@@ -21,5 +21,10 @@ INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
                          testing::Values("backbone_da3", "dpt_head_da3", "rgb_decoder", "lpips_squeeze",
                                          "metrics_image_depth"));
 
+INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
+                         testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",
+                                         "dit_special_level1", "dit_special_cascade", "sample_level1",
+                                         "pipeline"));
+
 }  // namespace
 }  // namespace gld

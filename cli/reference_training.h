@@ -1,0 +1,13 @@
+#pragma once
+
+#include "infer/reference_case.h"
+
+namespace gld {
+
+// The kind "train_diffusion": it needs training as well as the comparison of infer/, so the two meet here.
+NamedTensors run_train_diffusion_case(const ReferenceCase& reference);
+
+// Every kind of reference case.
+ReferenceRunners all_reference_runners();
+
+}  // namespace gld
