@@ -5,6 +5,7 @@
 #include <string>
 
 #include "gld/error.h"
+#include "gld/fused_ops.h"
 
 namespace gld {
 namespace {
@@ -49,7 +50,11 @@ RmsNorm::RmsNorm(int64_t channels, double epsilon, const ParameterPlacement& pla
 
 torch::Tensor RmsNorm::forward(const torch::Tensor& x) const {
   require_channels(x, weight.size(0), "RMSNorm");
-  return x * torch::rsqrt(x.square().mean(-1, /*keepdim=*/true) + epsilon_) * weight;
+  RmsNormInputs inputs;
+  inputs.x = x;
+  inputs.weight = weight;
+  inputs.epsilon = epsilon_;
+  return rms_norm(inputs);
 }
 
 PatchEmbed::PatchEmbed(const PatchEmbedSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
