@@ -1,6 +1,7 @@
 #include "cli/bench_command.h"
 
 #include "infer/attention_benchmark.h"
+#include "infer/extremes_benchmark.h"
 #include "infer/forward_benchmark.h"
 #include "infer/solver_benchmark.h"
 #include "infer/stiff_benchmark.h"
@@ -35,6 +36,8 @@ Command make_bench_command() {
                      run_solver_benchmark),
       report_command("stiff", "Solvers on stiff problems: which finish, which fail and how",
                      run_stiff_benchmark),
+      report_command("extremes", "Cameras, logits, norms and flows at the ends of their range",
+                     run_extremes_benchmark),
       report_command("attention", "Attention kernels beside LibTorch's composition, as fractions of peak",
                      run_attention_benchmark),
       report_command("forward", "One evaluation of M1 beside LibTorch's composition, as fractions of peak",
