@@ -27,7 +27,7 @@ pkg_check_modules(HDF5 IMPORTED_TARGET hdf5)
 if(NOT HDF5_FOUND)
   message(FATAL_ERROR "HDF5 was not found. Run scripts/setup.sh, or install the Debian package libhdf5-dev.")
 endif()
-gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs calib3d)
+gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d)
 
 if(NOT GLD_SANITIZE)
   find_package(Torch QUIET)

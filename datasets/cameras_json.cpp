@@ -38,7 +38,7 @@ CameraRecord parse_record(const json& object, const std::string& where) {
   const auto pose = object.find("world_from_camera");
   if (pose == object.end()) fail({where, "the key \"world_from_camera\"", "none", "add it"});
   record.camera.world_from_camera = checked_pose(json_pose(*pose, where), where);
-  check_camera(record.camera, where);
+  check_frame_camera(record.camera, where);
   record.image = text_or_empty(object, "image", where);
   record.depth = text_or_empty(object, "depth", where);
   if (std::filesystem::path(record.depth).extension() == ".png") {
@@ -118,7 +118,7 @@ void write_cameras_json(const std::filesystem::path& file, const CameraList& cam
   for (const CameraRecord& record : cameras.records) {
     const std::string where = file.string() + " " + record.name;
     checked_pose(record.camera.world_from_camera.matrix(), where);
-    check_camera(record.camera, where);
+    check_frame_camera(record.camera, where);
   }
   write_file_atomically(file, cameras_json_text(cameras));
 }

@@ -1,6 +1,11 @@
 #include "datasets/dataset.h"
 
 namespace gld {
+namespace {
+
+constexpr size_t kScenesKept = 1000;
+
+}  // namespace
 
 FolderDataset::FolderDataset(const std::filesystem::path& root, const SceneReading& reading)
     : reading_(reading), locations_(list_scenes(root, reading)), scenes_(locations_.size()) {}
@@ -22,7 +27,12 @@ Scene FolderDataset::scene(int64_t index) const {
   reading.part = location.part;
   auto scene = std::make_shared<const Scene>(open_scene(location.path, reading));
   const std::lock_guard<std::mutex> lock(mutex_);
+  if (!scenes_[i]) kept_.push_back(i);
   scenes_[i] = scene;
+  if (kept_.size() > kScenesKept) {
+    scenes_[kept_.front()] = nullptr;
+    kept_.pop_front();
+  }
   return *scene;
 }
 

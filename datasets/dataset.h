@@ -4,6 +4,7 @@
 #include "datasets/scene_reader.h"
 
 #include <cstdint>
+#include <deque>
 #include <filesystem>
 #include <memory>
 #include <mutex>
@@ -22,7 +23,8 @@ class Dataset {
   virtual Scene scene(int64_t index) const = 0;
 };
 
-// All scenes below a folder, in any of the layouts; cameras are read once and kept, pixels are not.
+// All scenes below a folder, in any of the layouts. The cameras of the last thousand scenes that were read are kept,
+// pixels are not: all cameras of RealEstate10K would take gigabytes.
 class FolderDataset : public Dataset {
  public:
   FolderDataset(const std::filesystem::path& root, const SceneReading& reading);
@@ -35,6 +37,7 @@ class FolderDataset : public Dataset {
   std::vector<SceneLocation> locations_;
   mutable std::mutex mutex_;
   mutable std::vector<std::shared_ptr<const Scene>> scenes_;
+  mutable std::deque<size_t> kept_;  // indices into scenes_, the oldest first
 };
 
 }  // namespace gld

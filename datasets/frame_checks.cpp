@@ -67,7 +67,7 @@ Eigen::Isometry3d checked_pose(const QuaternionPose& pose, const std::string& wh
   return result;
 }
 
-void check_camera(const Camera& camera, const std::string& where) {
+void check_frame_camera(const Camera& camera, const std::string& where) {
   if (camera.width < 2 || camera.height < 2) {
     fail({where, "an image at least 2 pixels wide and high",
           std::to_string(camera.width) + "x" + std::to_string(camera.height), "check the camera's size"});

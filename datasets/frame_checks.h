@@ -25,7 +25,7 @@ Eigen::Isometry3d checked_pose(const QuaternionPose& pose, const std::string& wh
 
 // Finite, positive focal lengths, zero skew, last row 0 0 1; in pixels, not divided by the image size; and a
 // principal point that lies in the image or near it.
-void check_camera(const Camera& camera, const std::string& where);
+void check_frame_camera(const Camera& camera, const std::string& where);
 
 Eigen::Matrix3d intrinsic_matrix(double fx, double fy, double cx, double cy);
 

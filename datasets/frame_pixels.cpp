@@ -65,7 +65,7 @@ Frame FrameMaker::make(const FrameRecord& record) {
   frame.camera.height = fitted.height;
   frame.camera.intrinsics = scaled_intrinsics(record.intrinsics, fitted);
   frame.camera.world_from_camera = record.world_from_camera;
-  check_camera(frame.camera, record.image_file.string());
+  check_frame_camera(frame.camera, record.image_file.string());
 
   std::shared_ptr<const Undistorter> undistorter;
   if (!record.lens.ideal()) {

@@ -4,11 +4,17 @@
 #include "gld/error.h"
 
 #include <algorithm>
+#include <fstream>
 
 namespace gld {
 namespace {
 
 constexpr int64_t kLargestSide = 65535;
+constexpr std::streamsize kHeaderBytes =
+    1 << 18;  // more than most headers have; otherwise the whole file is read
+
+// How much of a file is looked at.
+enum class Extent { kHeader, kWhole };
 
 [[noreturn]] void fail_truncated(const std::string& where) {
   fail({where, "a whole image file", "one that ends early", "copy or download it again"});
@@ -54,7 +60,7 @@ int tiff_orientation(const Bytes& bytes, size_t begin, size_t end) {
   return 1;
 }
 
-ImageFileInfo probe_png(const Bytes& bytes, const std::string& where) {
+ImageFileInfo probe_png(const Bytes& bytes, Extent extent, const std::string& where) {
   ImageFileInfo info;
   info.width = bytes.big32(16);
   info.height = bytes.big32(20);
@@ -63,6 +69,7 @@ ImageFileInfo probe_png(const Bytes& bytes, const std::string& where) {
     const size_t length = bytes.big32(offset);
     const uint32_t type = bytes.big32(offset + 4);
     const size_t next = offset + 12 + length;
+    if (type == 0x49444154 && extent == Extent::kHeader) return info;  // IDAT
     if (next > bytes.size()) fail_truncated(where);
     if (type == 0x65584966) {  // eXIf
       info.orientation = tiff_orientation(bytes, offset + 8, offset + 8 + length);
@@ -84,7 +91,8 @@ bool has_end_marker(const std::string& bytes, size_t scan) {
          bytes.end();
 }
 
-ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, const std::string& where) {
+ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent extent,
+                         const std::string& where) {
   ImageFileInfo info;
   size_t offset = 2;
   while (true) {
@@ -103,22 +111,20 @@ ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, const std:
       info.orientation = tiff_orientation(bytes, offset + 8, offset + length);
     }
     if (marker == 0xDA) {
-      if (!has_end_marker(text, offset)) fail_truncated(where);
+      if (extent == Extent::kWhole && !has_end_marker(text, offset)) fail_truncated(where);
       return info;
     }
     offset += length;
   }
 }
 
-}  // namespace
-
-ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where) {
+ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& where) {
   const Bytes reader(bytes, where);
   ImageFileInfo info;
   if (bytes.compare(0, 8, "\x89PNG\r\n\x1A\n") == 0) {
-    info = probe_png(reader, where);
+    info = probe_png(reader, extent, where);
   } else if (bytes.compare(0, 2, "\xFF\xD8") == 0) {
-    info = probe_jpeg(reader, bytes, where);
+    info = probe_jpeg(reader, bytes, extent, where);
   } else {
     fail({where, "a PNG or JPEG image", bytes.empty() ? "an empty file" : "something else", "convert it"});
   }
@@ -133,8 +139,27 @@ ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& whe
   return info;
 }
 
+}  // namespace
+
+ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where) {
+  return probe(bytes, Extent::kWhole, where);
+}
+
 ImageFileInfo probe_image_file(const std::filesystem::path& file) {
-  return probe_image_bytes(read_file(file), file.string());
+  std::error_code error;
+  const auto size = std::filesystem::file_size(file, error);
+  if (!error && size > static_cast<uintmax_t>(kHeaderBytes)) {
+    std::string start(static_cast<size_t>(kHeaderBytes), '\0');
+    std::ifstream stream(file, std::ios::binary);
+    if (stream.read(start.data(), kHeaderBytes)) {
+      try {
+        return probe(start, Extent::kHeader, file.string());
+      } catch (const Error&) {
+        // Either wrong or a longer header: the whole file tells.
+      }
+    }
+  }
+  return probe(read_file(file), Extent::kHeader, file.string());
 }
 
 }  // namespace gld

@@ -16,10 +16,11 @@ struct ImageFileInfo {
   bool turned() const { return orientation >= 5; }
 };
 
-// Throws Error when the file is missing, is no PNG or JPEG, ends early, or is one pixel wide or high.
+// Reads no more than the header, so that opening a scene of many large photographs is quick. Throws Error when the file
+// is missing, is no PNG or JPEG, ends within the header, or is one pixel wide or high.
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
-// The same on bytes in memory; where names them in errors.
+// The same for a whole file in memory, and an Error when it ends early anywhere; where names it in errors.
 ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where);
 
 }  // namespace gld

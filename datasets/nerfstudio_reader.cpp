@@ -127,9 +127,11 @@ std::filesystem::path find_listed(const std::filesystem::path& folder, const std
 std::filesystem::path replacement_folder(const std::filesystem::path& folder, const json& frames,
                                          const std::string& asked_for, const std::string& where) {
   if (!asked_for.empty()) return find_image_folder(folder, asked_for);
-  for (const json& frame : frames) {
+  for (size_t i = 0; i < frames.size(); ++i) {
+    const json& frame = frames[i];
     if (!frame.is_object() || !frame.contains("file_path") || !frame["file_path"].is_string()) continue;
-    if (!find_listed(folder, frame["file_path"].get<std::string>(), {}, where).empty()) return {};
+    const std::string frame_where = where + " frame " + std::to_string(i);
+    if (!find_listed(folder, frame["file_path"].get<std::string>(), {}, frame_where).empty()) return {};
   }
   return find_image_folder(folder, {});
 }

@@ -22,7 +22,7 @@ void SceneBuilder::add(const std::string& where, const std::function<std::option
   try {
     std::optional<Frame> frame = make();
     if (!frame) return;
-    check_camera(frame->camera, where);
+    check_frame_camera(frame->camera, where);
     scene_.frames.push_back(*std::move(frame));
   } catch (const Error& error) {
     if (broken_frames_ == BrokenFrames::kRefuse) throw;

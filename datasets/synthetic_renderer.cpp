@@ -190,7 +190,7 @@ void store(const Vector3d& light, uint8_t* pixel) {
 }  // namespace
 
 Image render_image(const SyntheticWorld& world, const Camera& camera) {
-  check_camera(camera, "synthetic camera");
+  check_frame_camera(camera, "synthetic camera");
   const PixelRays rays(camera);
   const Shader shader(world);
   const int64_t width = camera.width;
@@ -236,7 +236,7 @@ Image render_image(const SyntheticWorld& world, const Camera& camera) {
 }
 
 DepthMap render_depth(const SyntheticWorld& world, const Camera& camera) {
-  check_camera(camera, "synthetic camera");
+  check_frame_camera(camera, "synthetic camera");
   const PixelRays rays(camera);
   DepthMap depth(camera.width, camera.height);
   for (int64_t y = 0; y < camera.height; ++y) {

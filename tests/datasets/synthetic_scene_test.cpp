@@ -1,10 +1,10 @@
 #include "datasets/synthetic_scene.h"
 
+#include "datasets/depth_warp.h"
 #include "datasets/frame_checks.h"
 #include "datasets/synthetic_layout.h"
 #include "datasets/synthetic_renderer.h"
 #include "gld/configuration.h"
-#include "tests/datasets/depth_warp.h"
 #include "tests/support/shared_data.h"
 
 #include <algorithm>
@@ -149,7 +149,7 @@ TEST(SyntheticScene, ViewsAgreeAndOverlap) {
     const Scene scene = make_synthetic_scene(options, index);
     const Frame& a = scene.frames[8];
     const Frame& b = scene.frames[12];
-    const test::WarpResult warp = test::warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.01);
+    const WarpResult warp = warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.01);
     EXPECT_GT(warp.share_in_view, 0.5) << index;
     EXPECT_GT(warp.share_agreeing, 0.75) << index;
     EXPECT_LT(warp.median_error, 2e-3) << index;

@@ -1,4 +1,4 @@
-#include "tests/datasets/depth_warp.h"
+#include "datasets/depth_warp.h"
 
 #include <algorithm>
 #include <cmath>
@@ -7,7 +7,7 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 
-namespace gld::test {
+namespace gld {
 namespace {
 
 // Bilinear depth at a pixel position; 0 next to the border, unknown pixels or an edge.
@@ -60,4 +60,4 @@ WarpResult warp_depth(const DepthView& a, const DepthView& b, double relative_to
   return result;
 }
 
-}  // namespace gld::test
+}  // namespace gld

@@ -3,7 +3,7 @@
 #include "datasets/image.h"
 #include "gld/camera.h"
 
-namespace gld::test {
+namespace gld {
 
 struct DepthView {
   Camera camera;
@@ -20,4 +20,4 @@ struct WarpResult {
 // agreement from occlusion.
 WarpResult warp_depth(const DepthView& a, const DepthView& b, double relative_tolerance);
 
-}  // namespace gld::test
+}  // namespace gld
