@@ -56,15 +56,19 @@ void for_rows(int64_t rows, int64_t channels, const std::function<void(int64_t, 
 const KernelTable& kernels() { return kernel_table(best_instruction_set()); }
 
 torch::Tensor composed_rms_norm(const RmsNormInputs& inputs) {
-  auto x = inputs.x;
-  const double smallest = std::numeric_limits<float>::min();
-  auto largest = x.detach().abs().amax(-1, /*keepdim=*/true);
-  // A power of two near each row's largest value; squares below epsilon's last digit need no care.
-  const double lowest_scale = std::max(smallest, std::sqrt(inputs.epsilon) * 0x1p-40);
-  const auto scale = torch::exp2(torch::floor(torch::log2(largest.clamp_min(lowest_scale))));
-  x = x / scale;
-  const auto mean = x.square().mean(-1, /*keepdim=*/true) + (std::sqrt(inputs.epsilon) / scale).square();
-  auto y = x * torch::rsqrt(inputs.epsilon > 0 ? mean : mean.clamp_min(smallest));
+  // Halves are normalised in float32, as their own range ends at 65504.
+  const auto wide = inputs.x.element_size() < 4 ? inputs.x.to(torch::kFloat32) : inputs.x;
+  // A power of two near each row's largest value, but not so small that epsilon divided by its square overflows: x is
+  // then far below sqrt(epsilon), and its square may vanish.
+  const double smallest =
+      std::max<double>(std::numeric_limits<float>::min(), std::sqrt(inputs.epsilon) * 0x1p-40);
+  const auto largest = wide.detach().abs().amax(-1, /*keepdim=*/true).clamp_min(smallest);
+  const auto scale = torch::exp2(torch::floor(torch::log2(largest)));
+  const auto scaled = wide / scale;
+  auto mean = scaled.square().mean(-1, /*keepdim=*/true);
+  mean = inputs.epsilon > 0 ? mean + (std::sqrt(inputs.epsilon) / scale).square()
+                            : mean.clamp_min(std::numeric_limits<float>::min());
+  auto y = (scaled * torch::rsqrt(mean)).to(inputs.x.scalar_type());
   if (inputs.weight.defined()) y = y * inputs.weight;
   return inputs.scale.defined() ? y * (1.0 + inputs.scale) + inputs.shift : y;
 }

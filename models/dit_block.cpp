@@ -1,6 +1,9 @@
 #include "models/dit_block.h"
 
 #include "gld/attention.h"
+#include "gld/fused_ops.h"
+
+#include <vector>
 
 #include <torch/types.h>
 
@@ -13,6 +16,18 @@ constexpr double kEpsilon = 1e-6;
 constexpr int64_t kAttentionShift = 0;
 constexpr int64_t kAttentionGate = 2;
 constexpr int64_t kFeedForwardShift = 3;
+
+// Normalised and modulated by the first two of an AdaLN's vectors, shift and scale.
+torch::Tensor modulated(const RmsNorm& norm, const torch::Tensor& x,
+                        const std::vector<torch::Tensor>& vectors) {
+  RmsNormInputs inputs;
+  inputs.x = x;
+  inputs.weight = norm.weight;
+  inputs.epsilon = norm.epsilon();
+  inputs.shift = vectors[0];
+  inputs.scale = vectors[1];
+  return rms_norm(inputs);
+}
 
 }  // namespace
 
@@ -48,8 +63,7 @@ torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& co
   const auto qkv = by_view_groups(x, [&](const ViewGroup& group) {
                      const auto vectors =
                          adaptive_norm_->parts(context.modulation, group, kAttentionShift, 2);
-                     const auto normed = norm1_->forward(x.narrow(0, group.first, group.count));
-                     return qkv_->forward(modulate(normed, vectors[0], vectors[1]));
+                     return qkv_->forward(modulated(*norm1_, x.narrow(0, group.first, group.count), vectors));
                    }).view({1, views * tokens, 3, heads, head_dim});
   AttentionInputs inputs;
   inputs.query = qkv.select(2, 0);
@@ -68,11 +82,10 @@ torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& c
   const auto attended = attend(x, context);
   return by_view_groups(x, [&](const ViewGroup& group) {
     const auto gate = adaptive_norm_->parts(context.modulation, group, kAttentionGate, 1);
-    const auto middle = x.narrow(0, group.first, group.count) +
-                        gate[0] * projection_->forward(attended.narrow(0, group.first, group.count));
+    const auto middle = gated_sum(x.narrow(0, group.first, group.count), gate[0],
+                                  projection_->forward(attended.narrow(0, group.first, group.count)));
     const auto vectors = adaptive_norm_->parts(context.modulation, group, kFeedForwardShift, 3);
-    const auto update = feed_forward_->forward(modulate(norm2_->forward(middle), vectors[0], vectors[1]));
-    return middle + vectors[2] * update;
+    return gated_sum(middle, vectors[2], feed_forward_->forward(modulated(*norm2_, middle, vectors)));
   });
 }
 
@@ -87,7 +100,7 @@ DitFinalLayer::DitFinalLayer(const DitFinalLayerSizes& sizes, const ParameterPla
 torch::Tensor DitFinalLayer::features(const torch::Tensor& x, const Modulation& modulation) const {
   return by_view_groups(x, [&](const ViewGroup& group) {
     const auto vectors = adaptive_norm_->parts(modulation, group, 0, 2);
-    return modulate(norm_->forward(x.narrow(0, group.first, group.count)), vectors[0], vectors[1]);
+    return modulated(*norm_, x.narrow(0, group.first, group.count), vectors);
   });
 }
 

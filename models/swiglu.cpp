@@ -1,5 +1,7 @@
 #include "models/swiglu.h"
 
+#include "gld/fused_ops.h"
+
 #include <torch/types.h>
 
 namespace gld {
@@ -12,8 +14,7 @@ Swiglu::Swiglu(const SwigluSizes& sizes, const ParameterPlacement& placement) {
 }
 
 torch::Tensor Swiglu::forward(const torch::Tensor& x) const {
-  const auto halves = expansion_->forward(x).chunk(2, -1);
-  return contraction_->forward(torch::silu(halves[0]) * halves[1]);
+  return contraction_->forward(silu_gate(expansion_->forward(x)));
 }
 
 }  // namespace gld

@@ -1,0 +1,268 @@
+#include "infer/forward_benchmark.h"
+
+#include "gld/atomic_file.h"
+#include "gld/configuration.h"
+#include "gld/cpu_peak.h"
+#include "gld/error.h"
+#include "gld/interrupt.h"
+#include "gld/plot.h"
+#include "gld/progress.h"
+#include "gld/run_folder.h"
+#include "gld/sgemm_peak.h"
+#include "gld/torch_version.h"
+#include "infer/composed_dit.h"
+#include "infer/timing.h"
+#include "models/bundle.h"
+#include "models/cost_model.h"
+
+#include <cmath>
+#include <functional>
+#include <iostream>
+#include <memory>
+
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr double kFlowTime = 0.7;
+
+// Neither all equal nor growing with depth; what they are does not change the time.
+void fill_with_random_weights(torch::nn::Module& module) {
+  torch::manual_seed(1);
+  for (auto& parameter : module.parameters()) {
+    if (parameter.dim() < 2) {
+      parameter.fill_(0.5);
+      continue;
+    }
+    const double range = 1.0 / std::sqrt(static_cast<double>(parameter[0].numel()));
+    parameter.uniform_(-range, range);
+  }
+}
+
+Views cameras_in_a_row(const ForwardBenchmarkOptions& options, const ImageSize& size) {
+  Views views;
+  views.num_sources = options.sources;
+  for (int64_t i = 0; i < options.views; ++i) {
+    Camera camera;
+    camera.width = size.width;
+    camera.height = size.height;
+    const auto focal = static_cast<double>(size.width);
+    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(size.height), 0, 0, 1;
+    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
+    views.cameras.push_back(camera);
+  }
+  return views;
+}
+
+// A model, a scene and everything that exact savings compute once.
+struct Setting {
+  std::shared_ptr<DitDh> model;
+  DitScene scene;
+  DitTimeRow time;
+  torch::Tensor noisy;
+  DitNoisyTokens tokens;
+  torch::Tensor condition;
+};
+
+Setting make_setting(const ForwardBenchmarkOptions& options) {
+  BundleOptions bundle;
+  Setting setting;
+  if (options.model.empty()) {
+    setting.model = std::make_shared<DitDh>(bundle.level1, ParameterPlacement{});
+    fill_with_random_weights(*setting.model);
+  } else {
+    const auto opened = ModelBundle::open(options.model);
+    bundle = opened.options();
+    setting.model = opened.load_level1();
+  }
+  const ImageSize size = image_size_from_text(options.size, "--size");
+  const LatentGrid grid = bundle.backbone.grid_of(options.views, size.height, size.width);
+  const int64_t tokens = setting.model->tokens_per_view(grid),
+                channels = setting.model->options().in_channels;
+  torch::manual_seed(2);
+  DitSceneInputs inputs;
+  inputs.views = cameras_in_a_row(options, size);
+  inputs.source_features = torch::randn({options.sources, tokens, channels});
+  setting.scene = setting.model->prepare_scene(inputs);
+  setting.time = setting.model->time_rows({kFlowTime}).front();
+  setting.noisy = torch::randn({options.views, tokens, channels});
+  setting.tokens = setting.model->embed_noisy(setting.scene, setting.noisy);
+  return setting;
+}
+
+struct Part {
+  std::string name;
+  Cost cost;
+  std::function<torch::Tensor()> ours;
+  std::function<torch::Tensor()> composed;
+};
+
+std::vector<Part> parts_of(const Setting& setting, const ComposedDit& composed) {
+  const DitDh& model = *setting.model;
+  const DitBranch branch = DitBranch::kConditional;
+  const auto& options = model.options();
+  return {
+      {"condition_encoder", condition_encoder_cost(options, setting.scene.grid),
+       [&, branch] { return model.condition_encoder(setting.scene, setting.tokens, setting.time, branch); },
+       [&, branch] {
+         return composed.condition_encoder(setting.scene, setting.tokens, setting.time, branch);
+       }},
+      {"velocity_decoder", velocity_decoder_cost(options, setting.scene.grid),
+       [&, branch] {
+         return model.velocity_from_features(
+             model.velocity_features(setting.scene, setting.tokens, setting.condition, setting.time, branch));
+       },
+       [&, branch] {
+         return model.velocity_from_features(composed.velocity_features(
+             setting.scene, setting.tokens, setting.condition, setting.time, branch));
+       }},
+      {"evaluation", dit_cost(options, setting.scene.grid),
+       [&, branch] { return model.velocity(setting.scene, setting.noisy, setting.time, branch); },
+       [&, branch] {
+         const auto tokens = model.embed_noisy(setting.scene, setting.noisy);
+         const auto condition = composed.condition_encoder(setting.scene, tokens, setting.time, branch);
+         return model.velocity_from_features(
+             composed.velocity_features(setting.scene, tokens, condition, setting.time, branch));
+       }}};
+}
+
+struct Samples {
+  std::vector<double> seconds;
+  std::vector<double> fractions;
+  torch::Tensor result;
+};
+
+ForwardBenchmarkRow row_from(const Part& part, const std::string& variant, const Samples& samples,
+                             const torch::Tensor& reference) {
+  ForwardBenchmarkRow row;
+  row.part = part.name;
+  row.variant = variant;
+  const Spread seconds = spread_of(samples.seconds);
+  row.seconds = seconds.median;
+  row.seconds_low = seconds.low;
+  row.seconds_high = seconds.high;
+  row.tflop = part.cost.flop() * 1e-12;
+  row.fraction_of_peak = spread_of(samples.fractions).median;
+  row.relative_difference = ((samples.result - reference).abs().max() / reference.abs().max()).item<double>();
+  return row;
+}
+
+Table overview(const std::vector<ForwardBenchmarkRow>& rows) {
+  Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
+               "relative_difference"});
+  for (const auto& row : rows) {
+    table.add_row({row.part, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
+                   row.fraction_of_peak, row.relative_difference});
+  }
+  return table;
+}
+
+Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
+  PlotPanel panel;
+  panel.title = "time and use of the processor";
+  panel.x = {"seconds", AxisScale::kLog};
+  panel.y = {"fraction of multiply-add peak", AxisScale::kLinear, 0, 1};
+  for (const auto& row : rows) {
+    panel.series.push_back(
+        {row.part + ", " + row.variant, SeriesStyle::kMarkers, {{row.seconds, row.fraction_of_peak}}});
+  }
+  Figure figure;
+  figure.title = "One evaluation of M1";
+  figure.panels = {panel};
+  return figure;
+}
+
+}  // namespace
+
+void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"out", "folder to write into"}, out);
+  visitor.text({"model", "model bundle; empty for the full-size M1 with random weights"}, model);
+  visitor.integer({"views", "source and target views"}, views, {1, 1000});
+  visitor.integer({"sources", "source views"}, sources, {1, 1000});
+  visitor.text({"size", "image size, width x height in pixels"}, size);
+  visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
+}
+
+void ForwardBenchmarkOptions::check() const {
+  if (sources > views) {
+    fail({"--sources", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
+  }
+}
+
+std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options) {
+  const torch::NoGradGuard no_grad;
+  Setting setting = make_setting(options);
+  const ComposedDit composed(*setting.model);
+  setting.condition =
+      composed.condition_encoder(setting.scene, setting.tokens, setting.time, DitBranch::kConditional);
+  const auto parts = parts_of(setting, composed);
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  std::vector<ForwardBenchmarkRow> rows;
+  Progress progress("bench forward", static_cast<int64_t>(parts.size()));
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    Samples ours, plain;
+    const auto sample = [&](const std::function<torch::Tensor()>& run, Samples& samples) {
+      const double peak_before = measure_multiply_add_peak(peak);
+      const double seconds = seconds_of([&] { samples.result = run(); });
+      samples.seconds.push_back(seconds);
+      samples.fractions.push_back(parts[i].cost.flop() / seconds / peak_before);
+      stop_if_interrupted(fmt::format("{} rows", rows.size()));
+    };
+    for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
+      sample(parts[i].ours, ours);
+      sample(parts[i].composed, plain);
+    }
+    rows.push_back(row_from(parts[i], "ours", ours, plain.result));
+    rows.push_back(row_from(parts[i], "composed", plain, plain.result));
+    progress.update(static_cast<int64_t>(i) + 1, parts[i].name);
+  }
+  progress.finish();
+  return rows;
+}
+
+Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
+  Table table({"part", "variant", "seconds", "tflop", "fraction_of_peak", "relative_difference"});
+  for (const auto& row : rows) {
+    table.add_row(
+        {row.part, row.variant, row.seconds, row.tflop, row.fraction_of_peak, row.relative_difference});
+  }
+  return table;
+}
+
+int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
+  RunFolder folder(options.out, "bench forward", options);
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  const double multiply_add = measure_multiply_add_peak(peak);
+  const double sgemm = measure_sgemm_peak();
+  const auto rows = forward_benchmark_rows(options);
+  const std::string text = fmt::format(
+      "# One evaluation of M1, {} views of {}\n\nWith {} threads the multiply-add peak is {:.0f} GFLOP/s and "
+      "a large "
+      "matrix product ({}) reaches {:.0f}.\n\n{}",
+      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9,
+      overview(rows).markdown());
+  write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());
+  write_file_atomically(folder.path() / "forward.md", text);
+  const auto figure = forward_figure(rows);
+  write_svg(figure, folder.path() / "forward.svg");
+  write_png(figure, folder.path() / "forward.png");
+  folder.write_report({{"command", "bench forward"},
+                       {"options", to_json(options)},
+                       {"multiply_add_peak", multiply_add},
+                       {"sgemm_peak", sgemm},
+                       {"blas", blas_name()}});
+  std::cout << text << "\n";
+  folder.note("parts", "forward.csv");
+  folder.note("table", "forward.md");
+  folder.note("plot", "forward.png");
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return 0;
+}
+
+}  // namespace gld
