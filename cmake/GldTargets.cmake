@@ -25,9 +25,12 @@ function(gld_library name)
 endfunction()
 
 # gld_test(NAME SOURCES a_test.cpp ... LIBRARIES x ... [TORCH] [TIMEOUT seconds])
-# One executable and one ctest entry a test file; a skipped case fails the entry.
+# One executable and one ctest entry a test file, none where GLD_SANITIZE leaves LibTorch out; a skipped case fails the entry.
 function(gld_test name)
   cmake_parse_arguments(arg "TORCH" "TIMEOUT" "SOURCES;LIBRARIES" ${ARGN})
+  if(arg_TORCH AND GLD_SANITIZE)
+    return()
+  endif()
   add_executable(${name} ${arg_SOURCES})
   gld_target_defaults(${name})
   target_link_libraries(${name} PRIVATE ${arg_LIBRARIES} gld_test_support GTest::gtest GTest::gmock GTest::gtest_main)

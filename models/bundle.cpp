@@ -129,6 +129,15 @@ std::shared_ptr<DitDh> ModelBundle::load_cascade(const ParameterPlacement& place
   return loaded<DitDh>(BundlePart::kCascade, options_.cascade, placement);
 }
 
+LatentStatistics ModelBundle::load_statistics(BundlePart part) const {
+  auto statistics = read_latent_statistics(*open_part(part), "", options_.latent_epsilon);
+  if (statistics.channels() != options_.backbone.level_channels()) {
+    fail({file(part).string(), std::to_string(options_.backbone.level_channels()) + " channels",
+          std::to_string(statistics.channels()), "compute the statistics with this bundle's backbone"});
+  }
+  return statistics;
+}
+
 std::string ModelBundle::content_hash() const {
   Sha256 hash;
   const auto add = [&](const std::filesystem::path& file) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/dtype.h"
+#include "gld/latent_statistics.h"
 #include "models/bundle_options.h"
 #include "models/dit_dh.h"
 #include "models/weight_loading.h"
@@ -56,6 +57,8 @@ class ModelBundle {
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DitDh> load_level1(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DitDh> load_cascade(const ParameterPlacement& placement = {}) const;
+  // Of kStatisticsLevel0 or kStatisticsLevel1, with the bundle's epsilon; as many channels as the backbone's levels.
+  LatentStatistics load_statistics(BundlePart part) const;
 
   // SHA-256 over the names and contents of model.yaml and the parts, 64 hexadecimal digits. Reads every file.
   std::string content_hash() const;

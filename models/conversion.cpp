@@ -101,29 +101,7 @@ DType stored_dtype(StoredPrecision precision) {
   return DType::kFloat32;
 }
 
-// Latent statistics seen as a module, so that the same strict checks hold for them.
-class StatisticsModule : public torch::nn::Module {
- public:
-  explicit StatisticsModule(int64_t channels) {
-    for (const char* name : {"mean", "var"}) {
-      register_buffer(name, torch::empty({1, channels, 1, 1}, torch::TensorOptions().device(torch::kMeta)));
-    }
-  }
-};
-
-std::shared_ptr<torch::nn::Module> meta_module(BundlePart part, const BundleOptions& options) {
-  ParameterPlacement meta;
-  meta.device = torch::kMeta;
-  const auto module = make_bundle_module(part, options, meta);
-  if (module != nullptr) return module;
-  return std::make_shared<StatisticsModule>(options.backbone.level_channels());
-}
-
-bool is_statistics(BundlePart part) {
-  return part == BundlePart::kStatisticsLevel0 || part == BundlePart::kStatisticsLevel1;
-}
-
-torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType dtype, BundlePart part) {
+torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType dtype) {
   const std::string where = file.path().string() + ": tensor " + printable_name(entry.name);
   const auto tensor = read_tensor(file, entry);
   if (!tensor.is_floating_point()) return tensor;
@@ -135,9 +113,6 @@ torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType 
     fail({where, "numbers that fit " + dtype_name(dtype),
           fmt::format("{:g}", tensor.abs().max().to(torch::kFloat64).item<double>()),
           "choose --precision bf16 or fp32"});
-  }
-  if (is_statistics(part) && entry.name == "var" && tensor.lt(0).any().item<bool>()) {
-    fail({where, "variances of at least 0", "a negative one", "compute the statistics again"});
   }
   return target;
 }
@@ -174,15 +149,36 @@ struct PlannedTensor {
   DType dtype = DType::kFloat32;
 };
 
+// Statistics are few numbers that everything is divided by: never rounded.
+ordered_json convert_statistics(const WeightFile& file, const Source& source, BundlePart part,
+                                const ConversionOptions& options, const BundleOptions& bundle) {
+  const auto statistics = read_latent_statistics(file);
+  if (statistics.channels() != bundle.backbone.level_channels()) {
+    fail({source.file, std::to_string(bundle.backbone.level_channels()) + " channels",
+          std::to_string(statistics.channels()), "check that the file belongs to this backbone"});
+  }
+  const auto tensors = statistics_tensors(statistics);
+  save_bundle_part(options.out, part, tensors);
+  return {{"source", source.file},
+          {"selection", ""},
+          {"tensors", tensors.size()},
+          {"elements", 2 * statistics.channels()},
+          {"from", {{dtype_name(file.entry("mean").dtype), tensors.size()}}},
+          {"to", dtype_name(DType::kFloat32)},
+          {"bytes", std::filesystem::file_size(ModelBundle::open(options.out).file(part))}};
+}
+
 ordered_json convert_part(const WeightFile& file, const Source& source, const SourcePart& part,
                           const ConversionOptions& options, const BundleOptions& bundle) {
   WeightSelection selection;
   selection.prefix = part.prefix;
   selection.ignored = source.ignored;
-  const auto module = meta_module(part.part, bundle);
+  ParameterPlacement meta;
+  meta.device = torch::kMeta;
+  const auto module = make_bundle_module(part.part, bundle, meta);
+  if (module == nullptr) return convert_statistics(file, source, part.part, options, bundle);
   LoadReport report;
-  // Statistics are few numbers that everything is divided by: never rounded.
-  const DType dtype = is_statistics(part.part) ? DType::kFloat32 : stored_dtype(options.precision);
+  const DType dtype = stored_dtype(options.precision);
   std::map<std::string, PlannedTensor> planned;
   std::vector<TensorEntry> entries;
   std::map<std::string, int64_t> from;
@@ -201,7 +197,7 @@ ordered_json convert_part(const WeightFile& file, const Source& source, const So
   const auto target = std::filesystem::path(options.out) / (bundle_part_name(part.part) + ".safetensors");
   save_safetensors(target, std::move(entries), [&](const TensorEntry& entry) {
     const auto& plan = planned.at(entry.name);
-    return converted(file, *plan.source, plan.dtype, part.part);
+    return converted(file, *plan.source, plan.dtype);
   });
   return {{"source", source.file},
           {"selection", part.prefix},

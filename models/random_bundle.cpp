@@ -60,7 +60,7 @@ std::vector<TensorEntry> entries_of(BundlePart part, const BundleOptions& option
     for (const char* name : {"mean", "var"}) {
       TensorEntry entry;
       entry.name = name;
-      entry.shape = {1, options.backbone.level_channels(), 1, 1};
+      entry.shape = {options.backbone.level_channels()};
       entries.push_back(entry);
     }
     return entries;
@@ -84,9 +84,8 @@ void write_random_bundle(const std::filesystem::path& folder, const BundleOption
     const std::string part_name = bundle_part_name(part);
     const auto make = [&](const TensorEntry& entry) {
       auto generator = at::detail::createCPUGenerator(seed ^ hash_of(part_name + "." + entry.name));
-      if (entry.name == "var" && entry.shape.size() == 4) {
-        return torch::empty(entry.shape, torch::kFloat32).uniform_(0.5, 2, generator);
-      }
+      if (entry.name == "mean") return normal(entry.shape, 0, 1, generator);
+      if (entry.name == "var") return torch::empty(entry.shape, torch::kFloat32).uniform_(0.5, 2, generator);
       return random_weight(entry, generator).to(torch_dtype(entry.dtype, entry.name));
     };
     save_safetensors(folder / (part_name + ".safetensors"), entries_of(part, options, dtype), make);

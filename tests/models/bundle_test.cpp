@@ -51,6 +51,7 @@ TEST_F(Bundles, EveryPartLoads) {
   EXPECT_EQ(bundle.load_dpt_head()->options().features, 32);
   EXPECT_EQ(bundle.load_rgb_decoder()->options().num_layers, 3);
   EXPECT_EQ(bundle.load_cascade()->options().conditioning, DitConditioning::kDeeperLevel);
+  EXPECT_EQ(bundle.load_statistics(BundlePart::kStatisticsLevel1).channels(), 128);
   const auto level1 = bundle.load_level1();
   const auto stored = WeightFile::open(bundle.file(BundlePart::kLevel1));
   for (const auto& [name, tensor] : named_tensors(*level1)) {

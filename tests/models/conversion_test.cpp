@@ -151,6 +151,10 @@ TEST_F(Conversion, RealStatisticsConvert) {
   EXPECT_EQ(report["parts"]["statistics_level1"]["elements"], 3072);
   EXPECT_EQ(report["ignored"][0]["names"], "std");
   EXPECT_EQ(ModelBundle::open(options.out).options().rgb_decoder.num_layers, 28);
+  options.statistics_level1 = test::shared_data() / "stats/vggt/normalization_stats_level1.pt";
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.statistics_level1 +
+                ": expected 1536 channels, found 2048; check that the file belongs to this backbone.");
 }
 
 TEST_F(Conversion, IsStrict) {
