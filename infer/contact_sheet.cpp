@@ -131,7 +131,7 @@ Layout choose_layout(const std::vector<Section>& sections, const SheetText& text
   // Many views leave little room: pictures stay recognisable and the sheet grows instead.
   best_width = std::max(best_width, kSmallestSide * std::min(1.0, aspect));
   best.picture_width = std::max<int64_t>(1, static_cast<int64_t>(best_width));
-  best.picture_height = std::max<int64_t>(1, static_cast<int64_t>(best_width / aspect));
+  best.picture_height = std::max<int64_t>(1, std::llround(static_cast<double>(best.picture_width) / aspect));
   best.pitch = std::max(best.picture_width, kNarrowestColumn);
   return best;
 }

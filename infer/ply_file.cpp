@@ -29,13 +29,20 @@ std::string comments(const TextItems& items) {
   return lines;
 }
 
+// The header's lines about a vertex.
+std::string property_lines(bool doubles) {
+  std::string lines;
+  for (const char* axis : {"x", "y", "z"}) {
+    lines += std::string("property ") + (doubles ? "double " : "float ") + axis + "\n";
+  }
+  return lines + "property uchar red\nproperty uchar green\nproperty uchar blue\nproperty float confidence\n";
+}
+
 std::string header(const PointCloud& cloud, const TextItems& items, bool doubles) {
-  const std::string type = doubles ? "double" : "float";
-  return "ply\nformat binary_little_endian 1.0\n" + comments(items) + "element vertex " +
-         std::to_string(cloud.size()) + "\nproperty " + type + " x\nproperty " + type + " y\nproperty " +
-         type +
-         " z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nproperty float confidence\n"
-         "end_header\n";
+  std::string text = "ply\nformat binary_little_endian 1.0\n";
+  text += comments(items);
+  text += "element vertex " + std::to_string(cloud.size()) + "\n";
+  return text + property_lines(doubles) + "end_header\n";
 }
 
 bool needs_doubles(const PointCloud& cloud) {
@@ -68,6 +75,7 @@ Value take(const char*& at) {
 // Reads the header's lines up to end_header; returns the number of vertices.
 int64_t read_header(std::istringstream& stream, const std::string& where, PlyFile& ply) {
   std::string line;
+  std::string format;
   std::string properties;
   int64_t vertices = -1;
   std::getline(stream, line);
@@ -82,26 +90,24 @@ int64_t read_header(std::istringstream& stream, const std::string& where, PlyFil
       words >> name;
       words.get();
       std::getline(words, text);
-      if (name.back() == '+' && !ply.comments.empty()) {
+      if (!name.empty() && name.back() == '+' && !ply.comments.empty()) {
         ply.comments.back().second += text;
       } else {
         ply.comments.emplace_back(name, text);
       }
     } else if (keyword == "element") {
       words >> keyword >> vertices;
+    } else if (keyword == "format") {
+      format = line;
     } else {
-      properties += line + ";";
+      properties += line + "\n";
     }
   }
-  const std::string rest =
-      "property uchar red;property uchar green;property uchar blue;property float confidence;";
+  const bool whole = format == "format binary_little_endian 1.0" && vertices >= 0 && line == "end_header";
   for (const bool doubles : {false, true}) {
-    const std::string type = doubles ? "property double " : "property float ";
-    if (properties == "format binary_little_endian 1.0;" + type + "x;" + type + "y;" + type + "z;" + rest &&
-        vertices >= 0 && line == "end_header") {
-      ply.doubles = doubles;
-      return vertices;
-    }
+    if (!whole || properties != property_lines(doubles)) continue;
+    ply.doubles = doubles;
+    return vertices;
   }
   fail({where, "a point cloud of this program", "another PLY header", "open it with another program"});
 }

@@ -69,6 +69,7 @@ std::vector<Ray> usable_rays(const RayMap& map, const ConfidenceMap& confidence)
 // Confidences relative to their median and at most 10, so that no single ray decides.
 void level_confidences(std::vector<Ray>& rays) {
   std::vector<double> values;
+  values.reserve(rays.size());
   for (const Ray& ray : rays) values.push_back(ray.confidence);
   const double middle = median(values);
   for (Ray& ray : rays) ray.confidence = std::min(ray.confidence / middle, 10.0);
@@ -93,6 +94,7 @@ double sine_of_angle(const Eigen::Vector3d& unit, const Eigen::Vector3d& other) 
 // The 3x3 matrix of the linear fit, with the sign that maps pixels in front of the camera.
 Eigen::Matrix3d linear_fit(const std::vector<Ray>& rays) {
   std::vector<double> weights;
+  weights.reserve(rays.size());
   for (const Ray& ray : rays) weights.push_back(ray.confidence);
   std::vector<double> residuals(rays.size());
   Eigen::Matrix3d fit = Eigen::Matrix3d::Zero();
@@ -185,6 +187,7 @@ Eigen::Matrix<double, 3, 7> jacobian(const Pinhole& pinhole, const Eigen::Vector
 
 std::vector<double> angles(const std::vector<Ray>& rays, const Pinhole& pinhole) {
   std::vector<double> result;
+  result.reserve(rays.size());
   for (const Ray& ray : rays) {
     const Eigen::Vector3d expected = (pinhole.rotation * pinhole.in_camera(ray.pixel)).normalized();
     result.push_back(std::atan2(ray.direction.cross(expected).norm(), ray.direction.dot(expected)));
@@ -224,6 +227,7 @@ Eigen::Vector3d robust_centre(const std::vector<Ray>& rays, double& origin_error
   Eigen::Vector3d centre;
   for (int axis = 0; axis < 3; ++axis) {
     std::vector<double> values;
+    values.reserve(rays.size());
     for (const Ray& ray : rays) values.push_back(ray.origin[axis]);
     centre[axis] = median(values);
   }
