@@ -1,6 +1,10 @@
 #!/usr/bin/env bash
-# Configures and builds the release preset: build/release/cli/gld. Safe to run again.
+# Configures the release preset and builds the given targets, or everything: build/release/cli/gld. Safe to run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-cmake --preset release -DGLD_BUILD_TESTS="${1:-ON}" >/dev/null
-cmake --build --preset release
+cmake --preset release >/dev/null
+if [ $# -eq 0 ]; then
+  cmake --build --preset release
+else
+  cmake --build --preset release --target "$@"
+fi

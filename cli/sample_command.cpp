@@ -1,0 +1,24 @@
+#include "cli/sample_command.h"
+
+#include "infer/sampling.h"
+
+namespace gld {
+
+Command make_sample_command() {
+  auto options = std::make_shared<SampleOptions>();
+  Command command;
+  command.name = "sample";
+  command.summary = "Synthesise novel views of a scene, with depth, rays and a point cloud";
+  command.description =
+      "Example: gld sample --model configs/tiny --scene my_photos --sources 0,3 --targets 1,2 --out "
+      "runs/first\n"
+      "Targets are frames of the scene (--targets) or a camera path (--path orbit|spline|cameras.json).";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    sample(*options);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace gld

@@ -1,0 +1,16 @@
+#pragma once
+
+#include "infer/sampling_pipeline.h"
+#include "models/bundle.h"
+
+#include <torch/types.h>
+
+namespace gld {
+
+// The modules of a bundle, each loaded from its file when the pipeline asks for it. bundle is copied.
+PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device);
+
+// "cpu", "cuda" or "cuda:N". Throws Error for another text and for a device that LibTorch does not have.
+torch::Device device_from_text(const std::string& text);
+
+}  // namespace gld

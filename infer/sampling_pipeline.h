@@ -1,0 +1,90 @@
+#pragma once
+
+#include "gld/camera.h"
+#include "gld/guidance.h"
+#include "gld/latent_statistics.h"
+#include "gld/solver.h"
+#include "gld/stage_record.h"
+#include "models/da3_backbone.h"
+#include "models/dit_dh.h"
+#include "models/dit_field.h"
+#include "models/dpt_head.h"
+#include "models/exact_savings.h"
+#include "models/rgb_decoder.h"
+
+#include <array>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Where the stages get their modules. Each function is called when a stage starts and what it returns is dropped when
+// the stage ends, so that the weights of one stage are in memory at a time.
+struct PipelineModels {
+  std::function<std::shared_ptr<Da3Backbone>()> backbone;
+  std::function<std::shared_ptr<DitDh>()> level1;
+  std::function<std::shared_ptr<DitDh>()> cascade;
+  std::function<std::shared_ptr<RgbDecoder>()> rgb_decoder;
+  std::function<std::shared_ptr<DptHead>()> dpt_head;
+  LatentStatistics level0_statistics;
+  LatentStatistics level1_statistics;
+};
+
+// Which views are decoded.
+enum class DecodedViews { kNone, kTargets, kAll };
+
+struct PipelineRequest {
+  Views views;                  // one size, in whole patches
+  torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
+  // (views, patch tokens, channels), standard normal: the state at flow time 1.
+  torch::Tensor level1_noise;
+  torch::Tensor level0_noise;
+  SolverOptions level1_solver;
+  SolverOptions cascade_solver;
+  GuidanceOptions guidance;
+  ExactSavings savings;
+  DecodedViews image_views = DecodedViews::kTargets;
+  DecodedViews geometry_views = DecodedViews::kNone;
+  GeometryMaps geometry_maps = GeometryMaps::kDepthAndRays;
+  torch::Device device = torch::kCPU;
+  // Called after each accepted step of a flow-matching stage.
+  std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
+  // Called when the images are there and geometry is still to come, so that they can be written already.
+  std::function<void(const torch::Tensor& images)> on_images;
+};
+
+// What a flow-matching stage did.
+struct FlowReport {
+  std::string stage;
+  std::vector<double> times;
+  int64_t evaluations = 0;
+  int64_t rejected = 0;
+  GuidanceReport guidance;
+  DitCounts counts;
+};
+
+struct PipelineResult {
+  LatentGrid grid;  // of all views
+  // Normalised latents, (views, patch tokens, channels), on the CPU.
+  torch::Tensor level1;
+  torch::Tensor level0;
+  // The four levels as decoders take them, (decoded views, patch tokens, channels); undefined when not needed.
+  std::array<torch::Tensor, 4> levels;
+  torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
+  GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
+  std::vector<FlowReport> flows;
+  std::vector<std::string> warnings;
+};
+
+// Source encoding, M1, cascade, propagation, RGB decoding and geometry (DESIGN.md section 1). Each stage is recorded,
+// and can be interrupted between steps. Throws Error naming the stage, and for flows the
+// step and time, where a number is not finite.
+PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
+                            StageRecords& stages);
+
+}  // namespace gld
