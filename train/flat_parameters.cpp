@@ -16,7 +16,7 @@ int64_t padded(int64_t count) { return (count + kAlignment - 1) / kAlignment * k
 std::vector<NamedParameter> named_parameters(const torch::nn::Module& module, const std::string& prefix) {
   std::vector<NamedParameter> result;
   for (const auto& item : module.named_parameters(/*recurse=*/true)) {
-    result.push_back({prefix + item.key(), item.value()});
+    if (item.value().requires_grad()) result.push_back({prefix + item.key(), item.value()});
   }
   return result;
 }

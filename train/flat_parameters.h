@@ -14,7 +14,7 @@ struct NamedParameter {
   torch::Tensor parameter;  // shares its storage with the module
 };
 
-// All parameters of a module, in registration order, named prefix + their name.
+// The parameters of a module that want a gradient, in registration order, named prefix + their name.
 std::vector<NamedParameter> named_parameters(const torch::nn::Module& module, const std::string& prefix = "");
 
 // The parameters of a training run laid out in one float32 buffer, and their gradients in another, so that

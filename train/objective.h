@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/dtype.h"
 #include "train/flat_parameters.h"
 #include "train/training_scene.h"
 
@@ -54,8 +55,8 @@ class Objective {
   // State beside the parameters: discriminator, its optimiser.
   virtual std::map<std::string, torch::Tensor> state() const;
   virtual void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
-  // Writes the trained model as a bundle into folder, with the moving average in place.
-  virtual void export_model(const std::filesystem::path& folder) const = 0;
+  // Writes the trained model as a bundle into folder, with the moving average in place, in that precision.
+  virtual void export_model(const std::filesystem::path& folder, DType dtype) const = 0;
 };
 
 }  // namespace gld

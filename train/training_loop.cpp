@@ -6,6 +6,7 @@
 #include "gld/torch_version.h"
 #include "gld/weight_tensors.h"
 #include "train/checkpoint.h"
+#include "train/loss_curve.h"
 #include "train/metrics_log.h"
 
 #include <chrono>
@@ -115,16 +116,8 @@ class Session {
 };
 
 void Session::restore(TrainingStart start) {
-  auto found = start == TrainingStart::kResume ? checkpoints_.newest() : std::nullopt;
-  if (start == TrainingStart::kResume && !found) {
-    fail({run_.folder.string(), "a checkpoint to resume from", "none in " + checkpoints_.path().string(),
-          "start the run without --resume"});
-  }
-  if (start == TrainingStart::kFresh && !checkpoints_.steps().empty()) {
-    fail({run_.folder.string(), "a folder without checkpoints",
-          "a run at step " + std::to_string(checkpoints_.steps().back()),
-          "continue it with --resume or choose another --out"});
-  }
+  check_training_start(run_.folder, start);
+  const auto found = start == TrainingStart::kResume ? checkpoints_.newest() : std::nullopt;
   if (found) {
     for (const std::string& damaged : found->damaged) messages_.push_back("passed over " + damaged);
     const Checkpoint& checkpoint = found->checkpoint;
@@ -359,7 +352,10 @@ TrainingSummary Session::run() {
       averages.clear();
       scenes = 0;
     }
-    if (step_ % options_.validate_every == 0 || last) validate();
+    if (step_ % options_.validate_every == 0 || last) {
+      validate();
+      draw_loss_curve(*metrics_, run_.folder / "loss");
+    }
     if (step_ % options_.checkpoint_every == 0 || last) checkpoints_.save(snapshot());
   }
   progress.finish();
@@ -368,7 +364,7 @@ TrainingSummary Session::run() {
     const AverageInPlace average(parameters_, optimiser_);
     const auto folder = run_.folder / "model";
     std::filesystem::create_directories(folder);
-    objective_.export_model(folder);
+    objective_.export_model(folder, run_.export_dtype);
   }
   TrainingSummary summary;
   summary.steps_done = step_;
@@ -401,6 +397,19 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
                precision, {"float32", "bfloat16"});
   visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
   visitor.group({"optimiser", "optimiser, clipping and moving average"}, optimiser);
+}
+
+void check_training_start(const std::filesystem::path& folder, TrainingStart start) {
+  const CheckpointFolder checkpoints(folder / "checkpoints", {});
+  const auto steps = checkpoints.steps();
+  if (start == TrainingStart::kResume && steps.empty()) {
+    fail({folder.string(), "a checkpoint to resume from", "none in " + checkpoints.path().string(),
+          "start the run without --resume"});
+  }
+  if (start == TrainingStart::kFresh && !steps.empty()) {
+    fail({folder.string(), "a folder without checkpoints", "a run at step " + std::to_string(steps.back()),
+          "continue it with --resume or choose another --out"});
+  }
 }
 
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start) {

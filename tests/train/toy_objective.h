@@ -47,7 +47,7 @@ class ToyObjective : public Objective {
   void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& /*where*/) override {
     counter_.copy_(state.at("counter"));
   }
-  void export_model(const std::filesystem::path& folder) const override {
+  void export_model(const std::filesystem::path& folder, DType /*dtype*/) const override {
     write_file_atomically(folder / "weight.txt", c10::str(weight_));
   }
 

@@ -1,0 +1,28 @@
+#include "cli/stats_command.h"
+
+#include "train/latent_stages.h"
+
+#include <iostream>
+#include <memory>
+#include <string>
+
+namespace gld {
+
+Command make_stats_command() {
+  auto options = std::make_shared<StatsOptions>();
+  Command command;
+  command.name = "stats";
+  command.summary = "Compute the latent statistics that level and cascade models need";
+  command.description =
+      "Example: gld stats --config configs/tiny/stats.yaml --model runs/decoder/model --out runs/stats\n"
+      "model/ in the run folder is a copy of the bundle with the statistics of level 0 and of the boundary "
+      "level.";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    std::cout << compute_statistics(*options);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace gld

@@ -1,0 +1,50 @@
+#include "cli/train_command.h"
+
+#include "cli/validation_sheet.h"
+#include "train/feature_stages.h"
+#include "train/latent_stages.h"
+
+#include <iostream>
+#include <memory>
+#include <string>
+
+namespace gld {
+namespace {
+
+template <class Options>
+Command stage_command(const std::string& name, const std::string& summary,
+                      std::string (*run)(const Options&, const DrawValidation&)) {
+  auto options = std::make_shared<Options>();
+  Command command;
+  command.name = name;
+  command.summary = summary;
+  command.options = options;
+  command.run = [options, run](const std::vector<std::string>&) {
+    std::cout << run(*options, draw_validation_sheet);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace
+
+Command make_train_command() {
+  Command command;
+  command.name = "train";
+  command.summary = "Train a part of a model: backbone, decoder, level or cascade";
+  command.description =
+      "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
+      "runs/backbone\n"
+      "Each kind reads a bundle (--model) and writes one with the trained part (model/ in the run folder), "
+      "which the "
+      "next kind takes. Order: backbone, decoder, then gld stats, level, cascade. --resume continues a run.";
+  command.subcommands = {
+      stage_command("backbone", "A geometric backbone and its DPT head, from scratch on scenes with depth",
+                    train_backbone),
+      stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder),
+      stage_command("level", "M_L, which generates the boundary level from noise", train_level),
+      stage_command("cascade", "M_L->0, which generates level 0 from the boundary level", train_cascade)};
+  return command;
+}
+
+}  // namespace gld

@@ -1,0 +1,10 @@
+#pragma once
+
+#include "cli/command.h"
+
+namespace gld {
+
+// gld train backbone|decoder|level|cascade.
+Command make_train_command();
+
+}  // namespace gld

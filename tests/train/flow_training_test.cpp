@@ -1,0 +1,151 @@
+// gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
+#include "gld/latent_statistics.h"
+#include "models/bundle.h"
+#include "models/imagenet.h"
+#include "tests/support/shared_data.h"
+#include "tests/train/small_training.h"
+#include "train/feature_stages.h"
+#include "train/latent_stages.h"
+#include "train/level_objective.h"
+#include "train/metrics_log.h"
+
+#include <cmath>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+template <class Options>
+Options stage_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+  Options options;
+  options.model = model.string();
+  options.out = out.string();
+  options.threads = 1;
+  options.data = test::small_data();
+  options.loop = test::two_steps();
+  return options;
+}
+
+// One folder with the runs of all stages: backbone, decoder, stats, level, cascade.
+class TrainedChain : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    save_bundle_options(path("empty"), test::small_model());
+    auto backbone = stage_options<TrainBackboneOptions>(path("empty"), path("backbone"));
+    backbone.weights = ExportPrecision::kFloat16;
+    train_backbone(backbone, {});
+    auto decoder = stage_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
+    decoder.objective.adversarial.convolutional.channels = 8;
+    train_decoder(decoder, {});
+    StatsOptions stats;
+    stats.model = path("decoder/model").string();
+    stats.out = path("stats").string();
+    stats.threads = 1;
+    stats.scenes = 5;
+    stats.data = test::small_data();
+    compute_statistics(stats);
+    train_level(stage_options<TrainLevelOptions>(path("stats/model"), path("level")), {});
+    train_cascade(stage_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+  }
+  static void TearDownTestSuite() { folder_.reset(); }
+  static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+};
+std::unique_ptr<test::TemporaryFolder> TrainedChain::folder_;
+
+TEST_F(TrainedChain, TheLastBundleHasEveryPart) {
+  const auto bundle = ModelBundle::open(path("cascade/model"));
+  for (const BundlePart part : bundle_parts()) EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
+  EXPECT_EQ(bundle.load_cascade()->options().in_channels, 64);
+  // The exported precision is what later stages saw.
+  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::kBackbone))->entries().front().dtype, DType::kFloat16);
+}
+
+TEST_F(TrainedChain, SourceAndTargetLossesAreLoggedApart) {
+  for (const char* kind : {"level", "cascade"}) {
+    const MetricsLog log(path(kind) / "metrics.jsonl", 2);
+    for (const char* key :
+         {"loss", "source", "target", "validation_flow_loss_target", "validation_target_psnr"}) {
+      const auto series = log.series(key);
+      ASSERT_EQ(series.size(), 2U) << kind << ' ' << key;
+      EXPECT_TRUE(std::isfinite(series.back().second)) << kind << ' ' << key;
+    }
+    // The last layer starts at zero, so the first velocity is 0 and its error E (noise - data)^2 = 2.
+    EXPECT_NEAR(log.series("loss").front().second, 2.0, 0.3) << kind;
+  }
+}
+
+TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  const auto statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  EXPECT_EQ(statistics.channels(), 64);
+  EXPECT_GE(statistics.variance.min().item<float>(), 0.0F);
+  // The same scenes again have mean 0 and variance 1 in every channel.
+  const LoadedBatches data(test::small_data(), test::sizes_of(test::small_model()), FrameParts::kImage);
+  const torch::NoGradGuard no_grad;
+  const auto backbone = bundle.load_backbone();
+  std::vector<torch::Tensor> latents;
+  for (int64_t index = 0; index < 5; ++index) {
+    const auto images = data.batch(index).scenes.front().images;
+    const auto level = backbone->encode(imagenet_normalise(images), 1)[1];
+    latents.push_back(statistics.normalise(level.narrow(1, 1, level.size(1) - 1)).flatten(0, 1));
+  }
+  const auto latent = torch::cat(latents);
+  EXPECT_LT(latent.mean(0).abs().max().item<double>(), 1e-3);
+  EXPECT_LT((latent.std(0, /*unbiased=*/false) - 1.0).abs().max().item<double>(), 0.02);
+  EXPECT_TRUE(std::filesystem::exists(path("stats/report.json")));
+}
+
+TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("nothing"));
+  options.resume = true;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            path("nothing").string() + ": expected a checkpoint to resume from, found none in " +
+                path("nothing/checkpoints").string() + "; start the run without --resume.");
+  EXPECT_FALSE(std::filesystem::exists(path("nothing")));
+}
+
+TEST_F(TrainedChain, TheLevelMustBeTheBoundaryLevel) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_level"));
+  options.level = 2;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            "--level: expected 1, the boundary_level of " + path("stats/model").string() +
+                ", found 2; change boundary_level in model.yaml and compute its statistics.");
+}
+
+TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  const auto loss_with = [&](double dropout) {
+    FlowObjectiveOptions options;
+    options.camera_dropout = dropout;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    // The last layer is zero at the start; give it something to show.
+    const torch::NoGradGuard no_grad;
+    auto generator = at::detail::createCPUGenerator(9);
+    for (const auto& item : objective.parameters()) {
+      if (item.parameter.dim() > 1) {
+        torch::Tensor parameter = item.parameter;
+        parameter.add_(0.05 * torch::randn(parameter.sizes(), generator, torch::kFloat32));
+      }
+    }
+    auto draws = at::detail::createCPUGenerator(4);
+    return objective.losses(batch, {0, 1, draws}).total.item<double>();
+  };
+  const double shown = loss_with(0.0), dropped = loss_with(1.0);
+  EXPECT_NE(shown, dropped);
+  EXPECT_EQ(shown, loss_with(0.0));
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,74 @@
+#pragma once
+
+#include "models/bundle_options.h"
+#include "train/training_data.h"
+#include "train/training_loop.h"
+
+namespace gld::test {
+
+// A model of the same structure as the published one, small enough for a step in milliseconds.
+inline BundleOptions small_model() {
+  BundleOptions model;
+  model.name = "small";
+  model.backbone.embed_dim = 32;
+  model.backbone.depth = 8;
+  model.backbone.num_heads = 2;
+  model.backbone.pos_embed_grid = 4;
+  model.backbone.out_layers = {1, 3, 5, 7};
+  model.backbone.alternating_start = 2;
+  model.backbone.qk_norm_start = 2;
+  model.backbone.rope_start = 2;
+  model.dpt_head.dim_in = 64;
+  model.dpt_head.features = 16;
+  model.dpt_head.out_channels = {8, 8, 16, 16};
+  model.dpt_head.aux_out1_conv_num = 1;
+  model.rgb_decoder.in_channels = 256;
+  model.rgb_decoder.hidden_size = 32;
+  model.rgb_decoder.num_layers = 2;
+  model.rgb_decoder.num_heads = 2;
+  model.rgb_decoder.intermediate_size = 64;
+  model.rgb_decoder.base_image_size = 56;
+  for (DitOptions* dit : {&model.level1, &model.cascade}) {
+    dit->in_channels = 64;
+    dit->hidden_size = {32, 64};
+    dit->depth = {2, 1};
+    dit->num_heads = {2, 4};
+  }
+  model.level1_time_shift = {};
+  model.level1_time_shift.training = model.level1_time_shift.evaluation = 3.0;
+  model.cascade_time_shift.training = model.cascade_time_shift.evaluation = 3.0;
+  model.trained_sizes = {"56x56", "56x42"};
+  return model;
+}
+
+inline TrainingDataOptions small_data() {
+  TrainingDataOptions data;
+  data.synthetic.frames = 8;
+  data.synthetic.width = data.synthetic.height = 56;
+  data.views.views = 3;
+  data.views.longest_interval = 2;
+  data.views.fewest_sources = 1;
+  data.views.most_sources = 2;
+  data.loading.batch_size = 1;
+  data.validation_scenes = 2;
+  return data;
+}
+
+inline std::vector<TrainedSize> sizes_of(const BundleOptions& model) {
+  std::vector<TrainedSize> sizes;
+  for (const ImageSize& size : model.image_sizes()) sizes.push_back({size.width, size.height});
+  return sizes;
+}
+
+inline TrainingLoopOptions two_steps() {
+  TrainingLoopOptions options;
+  options.steps = 2;
+  options.micro_batches = 2;
+  options.log_every = 1;
+  options.checkpoint_every = 1;
+  options.validate_every = 1;
+  options.learning_rate.peak = 1e-3;
+  return options;
+}
+
+}  // namespace gld::test

@@ -1,0 +1,63 @@
+#pragma once
+
+#include "models/bundle.h"
+#include "train/geometry_loss.h"
+#include "train/objective.h"
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+struct BackboneObjectiveOptions : OptionsGroup {
+  GeometryLossOptions loss;
+  std::vector<double> pixel_weights = {1.0, 0.5};  // of levels 0, 1, ...
+  double all_views_probability = 0.5;
+
+  void visit(FieldVisitor& visitor) override;
+};
+
+// Trains a geometric backbone and its DPT head from scratch on scenes with depth (geometry_loss.h).
+//
+// Depth alone would let a backbone forget colour, and the RGB decoder could then not give images back: the
+// published backbone keeps colour in its shallow levels because it starts from DINOv2, ours has to be told. So one
+// linear layer a level (0 and 1 by default) predicts the patch's pixels from the level as decoders take it, with
+// an absolute error. A linear layer, because it leaves the work to the backbone: what it can read off, the
+// decoder and the latent models find there as well. The pixel layers are not part of the exported model.
+//
+// A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views
+// alone and single views too.
+class BackboneObjective : public Objective {
+ public:
+  // model: the architecture; its backbone and DPT head are trained.
+  BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
+                    const ParameterPlacement& placement, int64_t seed);
+
+  std::string kind() const override { return "backbone"; }
+  torch::Device device() const override { return placement_.device; }
+  std::vector<NamedParameter> parameters() const override;
+  Losses losses(const TrainingBatch& batch, const StepContext& context) override;
+  Validation validate(const std::vector<TrainingScene>& scenes) override;
+  void export_model(const std::filesystem::path& folder, DType dtype) const override;
+
+ private:
+  struct SceneResult {
+    GeometryLosses geometry;
+    std::vector<torch::Tensor> pixel_errors;  // a level each, scalars
+    GeometryOutput output;
+    torch::Tensor shallow_image;  // (views, 3, height, width), what level 0 still shows
+  };
+  SceneResult evaluate(const TrainingScene& scene, int64_t views) const;
+
+  BundleOptions model_;
+  BackboneObjectiveOptions options_;
+  ParameterPlacement placement_;
+  std::shared_ptr<Da3Backbone> backbone_;
+  std::shared_ptr<DptHead> head_;
+  std::vector<std::shared_ptr<Linear>> pixel_layers_;
+};
+
+}  // namespace gld

@@ -1,0 +1,52 @@
+#pragma once
+
+#include "datasets/batch_loader.h"
+#include "datasets/synthetic_scene.h"
+#include "gld/options.h"
+#include "train/batch_feed.h"
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// What a run trains on: generated scenes, or folders of scenes in any layout mixed by weight.
+struct TrainingDataOptions : OptionsGroup {
+  std::vector<std::string> folders;        // empty: generated scenes
+  std::vector<double> weights;             // one a folder; empty: equal
+  std::vector<int64_t> longest_intervals;  // one a folder; empty: views.longest_interval for all
+  std::vector<double> size_weights;        // one a trained size of the model; empty: equal
+  SyntheticOptions synthetic;
+  ViewSampling views;
+  BatchLoading loading;
+  std::string validation_folder;     // empty: generated scenes of validation_seed
+  int64_t validation_seed = 900000;  // must differ from synthetic.seed
+  int64_t validation_scenes = 8;
+
+  TrainingDataOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Micro-batches of loading.batch_size scenes, sources first. depth: whether scenes carry it.
+class LoadedBatches : public BatchSource {
+ public:
+  LoadedBatches(const TrainingDataOptions& options, const std::vector<TrainedSize>& sizes, FrameParts parts);
+  TrainingBatch batch(int64_t index) const override;
+  LoadingReport report() const { return loader_.report(); }
+
+ private:
+  BatchLoader loader_;
+};
+
+// The validation scenes: views spread by views.longest_interval, the first and the last ones are sources.
+std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const TrainedSize& size,
+                                             FrameParts parts);
+
+// Views of one scene as tensors: frames[0 .. num_sources) are the sources.
+TrainingScene training_scene(const Scene& scene, const SampledViews& views, const TrainedSize& size,
+                             FrameParts parts);
+
+}  // namespace gld
