@@ -8,6 +8,7 @@
 #include "infer/extremes_benchmark.h"
 
 #include <cmath>
+#include <limits>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/types.h>
@@ -25,7 +26,11 @@ torch::Tensor random(c10::IntArrayRef sizes, uint64_t seed) {
   return torch::randn(sizes, at::detail::createCPUGenerator(seed), torch::kFloat64);
 }
 
-double largest(const torch::Tensor& x) { return x.abs().max().item<double>(); }
+// Infinite when a value is not a number: std::max would drop it.
+double largest(const torch::Tensor& x) {
+  const double value = x.abs().max().item<double>();
+  return std::isnan(value) ? std::numeric_limits<double>::infinity() : value;
+}
 
 AttentionInputs inputs_with_logits(double size, int64_t tokens) {
   AttentionInputs inputs;

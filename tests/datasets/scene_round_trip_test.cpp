@@ -33,7 +33,9 @@ double largest_difference(const DepthMap& a, const DepthMap& b) {
   if (a.metres.size() != b.metres.size()) return 1e9;
   double largest = 0;
   for (size_t i = 0; i < a.metres.size(); ++i) {
-    largest = std::max(largest, static_cast<double>(std::abs(a.metres[i] - b.metres[i])));
+    const double difference = std::abs(static_cast<double>(a.metres[i]) - static_cast<double>(b.metres[i]));
+    if (std::isnan(difference)) return 1e9;  // std::max would drop it
+    largest = std::max(largest, difference);
   }
   return largest;
 }
