@@ -3,6 +3,7 @@
 #include "infer/attention_benchmark.h"
 #include "infer/extremes_benchmark.h"
 #include "infer/forward_benchmark.h"
+#include "infer/sample_benchmark.h"
 #include "infer/solver_benchmark.h"
 #include "infer/stiff_benchmark.h"
 
@@ -36,6 +37,8 @@ Command make_bench_command() {
                      run_solver_benchmark),
       report_command("stiff", "Solvers on stiff problems: which finish, which fail and how",
                      run_stiff_benchmark),
+      report_command("sample", "Sampling with a model: latent error, quality and time by solver and guidance",
+                     run_sample_benchmark),
       report_command("extremes", "Cameras, logits, norms and flows at the ends of their range",
                      run_extremes_benchmark),
       report_command("attention", "Attention kernels beside LibTorch's composition, as fractions of peak",
