@@ -8,7 +8,8 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kWindow = 11;
+constexpr int64_t kRadius = 5;
+constexpr int64_t kWindow = 2 * kRadius + 1;
 constexpr double kWindowDeviation = 1.5;
 
 void require_same_images(const torch::Tensor& image, const torch::Tensor& prediction,
@@ -21,7 +22,7 @@ void require_same_images(const torch::Tensor& image, const torch::Tensor& predic
 }
 
 torch::Tensor gaussian_window(const torch::TensorOptions& options) {
-  const auto x = torch::arange(kWindow, options) - static_cast<double>(kWindow / 2);
+  const auto x = torch::arange(kWindow, options) - static_cast<double>(kRadius);
   const auto weights = torch::exp(x.square() / (-2 * kWindowDeviation * kWindowDeviation));
   return weights / weights.sum();
 }

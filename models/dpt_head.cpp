@@ -233,6 +233,7 @@ GeometryOutput DptHead::forward(const std::vector<torch::Tensor>& levels, const 
   for (int64_t first = 0; first < grid.views; first += chunk) {
     const int64_t count = std::min(chunk, grid.views - first);
     std::vector<torch::Tensor> part;
+    part.reserve(levels.size());
     for (const auto& level : levels) part.push_back(level.narrow(0, first, count));
     const auto maps_of_part = pyramid(part, grid);
     if (maps != GeometryMaps::kRays) {
