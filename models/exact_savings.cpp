@@ -38,7 +38,7 @@ void disable_exact_saving(ExactSavings& savings, const std::string& name) {
   if (std::find(names.begin(), names.end(), name) == names.end()) {
     const auto near = nearest_name(name, names);
     fail({"--no-skip", fmt::format("one of {}", fmt::join(names, ", ")), "'" + name + "'",
-          near.empty() ? "choose one of them" : "did you mean '" + near + "'?"});
+          near.empty() ? "choose one of them" : "write '" + near + "'"});
   }
   apply_setting(savings, name, "false", "--no-skip");
 }
