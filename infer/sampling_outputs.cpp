@@ -93,7 +93,12 @@ void SamplingOutputs::write_rest(const PipelineResult& result, const std::string
 
 void SamplingOutputs::write_depth(const PipelineResult& result) {
   const auto& depth = result.geometry.depth;
-  for (int64_t i = 0; i < depth.size(0); ++i) depths_.push_back(depth_map(depth[i]));
+  // All depth files are in the unit of the poses, so that cameras.json describes one scene.
+  const double scale = requested_.needs_rays() ? depth_scale(result) : 1;
+  for (int64_t i = 0; i < depth.size(0); ++i) {
+    depths_.push_back(depth_map(depth[i]));
+    for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
+  }
   depth_unit_ = choose_depth_unit(depths_);
   if (!requested_.depth) return;
   const auto folder = run_.subfolder("depth");
@@ -137,19 +142,20 @@ double SamplingOutputs::depth_scale(const PipelineResult& result) {
                                            PrincipalPoint::kCentre)
                               .camera);
     }
-    const auto alignment = align_poses(predicted, scene_.views.cameras);
+    const auto& cameras = scene_.views.cameras;
+    const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
     findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
                                    {"scale_known", alignment.scale_known},
                                    {"rotation_error_degrees", alignment.rotation_error},
                                    {"centre_error", alignment.centre_error}};
     if (alignment.scale_known) return alignment.b_from_a.scale;
     warnings_.emplace_back(
-        "The cameras do not tell the scale of the predicted depth; points.ply has the unit of the depth "
-        "maps.");
+        "The cameras do not tell the scale of the predicted depth; depth and points.ply keep the model's own "
+        "unit.");
   } catch (const Error& error) {
-    warnings_.push_back(
-        fmt::format("No camera fits the predicted rays ({}) so points.ply has the unit of the depth maps.",
-                    error.what()));
+    warnings_.push_back(fmt::format(
+        "No camera fits the predicted rays ({}) so depth and points.ply keep the model's own unit.",
+        error.what()));
   }
   return 1;
 }
@@ -165,7 +171,7 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
     view.confidence = confidence_map(result.geometry.depth_confidence[static_cast<int64_t>(i)]);
     views.push_back(std::move(view));
   }
-  const PointCloud cloud = build_point_cloud(views, depth_scale(result), PointCloudOptions());
+  const PointCloud cloud = build_point_cloud(views, 1, PointCloudOptions());
   export_ply(run_.path() / "points.ply", cloud, provenance_);
   const PointCounts& counts = cloud.counts;
   findings_["points"] = {{"written", cloud.size()},
