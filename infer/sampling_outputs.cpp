@@ -42,6 +42,21 @@ DepthMap depth_map(const torch::Tensor& depth) {
   return to_depth_map(depth.to(torch::kCPU, torch::kFloat32).contiguous());
 }
 
+// The cameras that fit the predicted rays, in the frame of the rays. Error when no camera fits.
+std::vector<Camera> predicted_cameras(const PipelineResult& result, const TrainedSize& size) {
+  PictureSize picture;
+  picture.width = size.width;
+  picture.height = size.height;
+  std::vector<Camera> cameras;
+  for (int64_t i = 0; i < result.geometry.rays.size(0); ++i) {
+    const auto recovered =
+        camera_from_rays(ray_map(result.geometry.rays[i]), confidence_map(result.geometry.ray_confidence[i]),
+                         picture, PrincipalPoint::kCentre);
+    cameras.push_back(recovered.camera);
+  }
+  return cameras;
+}
+
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
@@ -125,23 +140,27 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
     warnings_.push_back(
         fmt::format("{} predicted rays were not finite; they are zero in the files.", not_finite));
   }
+  try {
+    CameraList list;
+    for (const Camera& camera : predicted_cameras(result, scene_.size)) {
+      CameraRecord record;
+      record.name =
+          view_name(first_geometry_view_ + static_cast<int64_t>(list.records.size()), scene_.views.size());
+      record.camera = camera;
+      list.records.push_back(record);
+    }
+    write_cameras_json(folder / "predicted_cameras.json", list);
+  } catch (const Error& error) {
+    warnings_.push_back(fmt::format("rays/predicted_cameras.json is left out ({})", error.what()));
+  }
   run_.note("rays", "rays");
 }
 
 // The DPT head has a scale of its own; the predicted rays tell where it thinks the cameras are, and the given cameras
 // tell the true distances between them.
 double SamplingOutputs::depth_scale(const PipelineResult& result) {
-  PictureSize picture;
-  picture.width = scene_.size.width;
-  picture.height = scene_.size.height;
   try {
-    std::vector<Camera> predicted;
-    for (int64_t i = 0; i < result.geometry.rays.size(0); ++i) {
-      predicted.push_back(camera_from_rays(ray_map(result.geometry.rays[i]),
-                                           confidence_map(result.geometry.ray_confidence[i]), picture,
-                                           PrincipalPoint::kCentre)
-                              .camera);
-    }
+    const auto predicted = predicted_cameras(result, scene_.size);
     const auto& cameras = scene_.views.cameras;
     const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
     findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
