@@ -1,16 +1,24 @@
 #include "cli/commands.h"
 
 #include "cli/bench_command.h"
+#include "cli/check_data_command.h"
 #include "cli/convert_command.h"
 #include "cli/doctor_command.h"
+#include "cli/eval_command.h"
 #include "cli/inspect_command.h"
+#include "cli/plan_command.h"
+#include "cli/sample_command.h"
+#include "cli/stats_command.h"
+#include "cli/synth_command.h"
+#include "cli/train_command.h"
 #include "cli/verify_command.h"
 
 namespace gld {
 
 std::vector<Command> all_commands() {
-  return {make_bench_command(), make_convert_command(), make_doctor_command(), make_inspect_command(),
-          make_verify_command()};
+  return {make_sample_command(),  make_plan_command(),   make_doctor_command(),     make_convert_command(),
+          make_inspect_command(), make_verify_command(), make_check_data_command(), make_synth_command(),
+          make_train_command(),   make_stats_command(),  make_eval_command(),       make_bench_command()};
 }
 
 }  // namespace gld

@@ -11,6 +11,7 @@
 #include "gld/torch_version.h"
 #include "infer/bundle_models.h"
 #include "infer/sampling_outputs.h"
+#include "infer/sampling_plan.h"
 
 #include <algorithm>
 #include <iostream>
@@ -105,25 +106,70 @@ void print_warnings(const std::vector<std::string>& warnings) {
   for (const auto& warning : warnings) std::cerr << "warning: " << warning << "\n";
 }
 
-}  // namespace
+// What sampling needs before anything is computed.
+struct PreparedSampling {
+  torch::Device device = torch::kCPU;
+  ModelBundle bundle;
+  Scene found;
+  SamplingScene scene;
+};
 
-void sample(const SampleOptions& options) {
-  install_interrupt_handler();
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+PreparedSampling prepare(const SampleOptions& options) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
   const Scene found = open_scene(options.scene, options.reading);
   const TrainedSize size =
       choose_size(options.size, found, trained_sizes(bundle.options()), bundle.options().backbone.patch_size);
-  const SamplingScene scene = load_sampling_scene(found, options.views, size);
+  return {device, bundle, found, load_sampling_scene(found, options.views, size)};
+}
+
+SamplingPlan plan_of(const PreparedSampling& prepared, const SampleOptions& options) {
+  const BundleOptions& bundle = prepared.bundle.options();
+  PlanRequest request;
+  request.grid = bundle.backbone.grid_of(prepared.scene.views.size(), prepared.scene.size.height,
+                                         prepared.scene.size.width);
+  request.num_sources = prepared.scene.views.num_sources;
+  request.outputs = options.requested();
+  request.level1_solver = options.resolved_solver(bundle.level1_time_shift.evaluation);
+  request.cascade_solver = options.resolved_solver(bundle.cascade_time_shift.evaluation);
+  request.guidance = options.guidance;
+  SamplingPlan plan = plan_sampling(bundle, request);
+  predict_seconds(plan, measure_machine_speed());
+  return plan;
+}
+
+std::string scene_line(const SamplingScene& scene) {
+  return fmt::format("scene {}: {} source and {} target views at {}x{}\n", scene.name,
+                     scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height);
+}
+
+void use_threads(const SampleOptions& options) {
+  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
+                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+}
+
+}  // namespace
+
+std::string sampling_plan_report(const SampleOptions& options) {
+  use_threads(options);
+  const PreparedSampling prepared = prepare(options);
+  std::string text = scene_line(prepared.scene) + plan_text(plan_of(prepared, options));
+  for (const auto& warning : prepared.scene.warnings) text += "warning: " + warning + "\n";
+  return text;
+}
+
+void sample(const SampleOptions& options) {
+  install_interrupt_handler();
+  use_threads(options);
+  const PreparedSampling prepared = prepare(options);
+  const ModelBundle& bundle = prepared.bundle;
+  const SamplingScene& scene = prepared.scene;
   RunFolder run(options.out, "sample", options);
   const RequestedOutputs requested = options.requested();
-  PipelineRequest request = make_request(options, bundle.options(), scene, device);
+  PipelineRequest request = make_request(options, bundle.options(), scene, prepared.device);
 
-  std::cout << fmt::format("scene {}: {} source and {} target views at {}x{}\n", scene.name,
-                           scene.views.num_sources, scene.views.num_targets(), size.width, size.height)
-            << std::flush;
+  const SamplingPlan plan = plan_of(prepared, options);
+  std::cout << scene_line(scene) << plan_text(plan) << std::flush;
   print_warnings(scene.warnings);
 
   StageRecords stages;
@@ -136,7 +182,7 @@ void sample(const SampleOptions& options) {
     progress.update(stage, solve);
   };
   request.on_images = [&](const torch::Tensor& images) { outputs.write_images(images); };
-  const PipelineResult result = run_pipeline(bundle_models(bundle, device), request, stages);
+  const PipelineResult result = run_pipeline(bundle_models(bundle, prepared.device), request, stages);
   stages.run("writing",
              [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
 
@@ -154,11 +200,12 @@ void sample(const SampleOptions& options) {
   report["model"] = {
       {"folder", options.model}, {"name", bundle.options().name}, {"hash", provenance.model_hash}};
   report["seed"] = options.seed;
-  report["scene"] = {{"name", scene.name},        {"format", found.format},
-                     {"width", size.width},       {"height", size.height},
+  report["scene"] = {{"name", scene.name},        {"format", prepared.found.format},
+                     {"width", scene.size.width}, {"height", scene.size.height},
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
   report["threads"] = thread_count();
   report["stages"] = stages.to_json();
+  report["plan"] = plan_json(plan);
   report["flows"] = flows_json(result.flows);
   for (const auto& [key, value] : outputs.findings().items()) report[key] = value;
   report["warnings"] = warnings;

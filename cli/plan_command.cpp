@@ -1,0 +1,34 @@
+#include "cli/plan_command.h"
+
+#include "infer/sampling.h"
+
+#include <iostream>
+
+namespace gld {
+namespace {
+
+// The options of gld sample; nothing is written, so no folder is asked for.
+struct PlanOptions : SampleOptions {
+  void check() const override {
+    SampleOptions with_folder = *this;
+    with_folder.out = "unused";
+    with_folder.SampleOptions::check();
+  }
+};
+
+}  // namespace
+
+Command make_plan_command() {
+  auto options = std::make_shared<PlanOptions>();
+  Command command;
+  command.name = "plan";
+  command.summary = "Say what gld sample would run for a scene, and its time and memory";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    std::cout << sampling_plan_report(*options);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace gld
