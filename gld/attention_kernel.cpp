@@ -20,6 +20,7 @@ constexpr double kLn2 = 0.6931471805599453;
 constexpr int64_t kPackedFloats = 32 * 1024 * 1024 / sizeof(float);
 constexpr int64_t kPackRows = 64;
 constexpr int64_t kTilesAThread = 16;
+constexpr int64_t kBackwardTilesAThread = 8;
 constexpr int64_t kPrefetchRows = 16;
 
 int64_t round_up(int64_t value, int64_t multiple) { return (value + multiple - 1) / multiple * multiple; }
@@ -341,14 +342,18 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
   const int64_t stride = packed_stride(shape.head_dim);
   const int64_t padded_head_dim = round_up(shape.head_dim, 8);
   const auto key_segments = segments(forward, SegmentSide::keys);
-  const auto key_tiles = tiles(key_segments, kernels.tile_lanes);
+  // Large tiles read queries less often, but the tiles of one head are shared between the threads.
+  const int64_t share = shape.keys / (kBackwardTilesAThread * settings.threads);
+  const int64_t tile_keys =
+      std::clamp(share / kernels.tile_lanes * kernels.tile_lanes, kernels.tile_lanes, kernels.backward_keys);
+  const auto key_tiles = tiles(key_segments, tile_keys);
   const auto num_tiles = static_cast<int64_t>(key_tiles.size());
   const double scale = 1.0 / std::sqrt(static_cast<double>(shape.head_dim));
   const auto query_factor = static_cast<float>(kLog2E * scale);
 
   const int64_t query_floats = (shape.queries + kPackedRowPadding) * stride;
   const int64_t key_floats = (shape.keys + kPackedRowPadding) * stride;
-  const int64_t thread_floats = query_floats + 2 * kernels.tile_lanes * stride + stride +
+  const int64_t thread_floats = query_floats + 2 * tile_keys * stride + stride +
                                 round_up(kernels.backward_scratch(padded_head_dim), 16);
   const AlignedFloats packed(2 * query_floats + 2 * key_floats + 2 * shape.queries);
   const AlignedFloats scratch(settings.threads * thread_floats);
@@ -366,8 +371,8 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
     {
       float* query_gradients = scratch.data() + omp_get_thread_num() * thread_floats;
       float* key_gradients = query_gradients + query_floats;
-      float* value_gradients = key_gradients + kernels.tile_lanes * stride;
-      float* row_scratch = value_gradients + kernels.tile_lanes * stride;
+      float* value_gradients = key_gradients + tile_keys * stride;
+      float* row_scratch = value_gradients + tile_keys * stride;
       std::fill(query_gradients, query_gradients + query_floats, 0.0f);
 #pragma omp for schedule(static) nowait
       for (int64_t token = 0; token < shape.queries + kPackedRowPadding; ++token) {

@@ -15,6 +15,7 @@ constexpr int kTileVectors = Simd::tile_vectors;
 // Keys a step: their probabilities for one tile of queries stay in the first-level cache.
 constexpr int64_t kForwardKeys = 96;
 constexpr int64_t kForwardGroups = 4;
+constexpr int64_t kBackwardGroups = 4;
 constexpr int64_t kBackwardQueries = 64;
 constexpr float kLowest = -__builtin_inff();
 
@@ -205,19 +206,23 @@ void attention_forward_tile(const AttentionForwardTile& tile) {
   }
 }
 
+// Scratch of one group of kTileLanes keys: keys, values and the sums of their gradients, transposed.
+GLD_INLINE int64_t backward_group_floats(int64_t head_dim) { return 4 * head_dim * kTileLanes; }
+
 int64_t backward_scratch_floats(int64_t head_dim) {
-  return (4 * head_dim + 2 * (kBackwardQueries + kTileRows)) * kTileLanes;
+  return kBackwardGroups * backward_group_floats(head_dim) + 2 * (kBackwardQueries + kTileRows) * kTileLanes;
 }
 
 // query_gradients rows += logit gradients (count, kTileLanes) times key rows, one strip of channels.
 template <int vectors>
-GLD_INLINE void add_query_gradients(const AttentionBackwardTile& tile, const float* logit_gradients,
-                                    int64_t count, float* rows, int64_t channel) {
+GLD_INLINE void add_query_gradients(const AttentionBackwardTile& tile, const TokenRange& keys,
+                                    const float* logit_gradients, int64_t count, float* rows,
+                                    int64_t channel) {
   for (int64_t first = 0; first < count; first += kTileRows) {
     Vector c[kTileRows][vectors];
     clear_tile(c);
-    multiply_tile<kTileRows, vectors>(tile.key_count, logit_gradients + first * kTileLanes, 1, kTileLanes,
-                                      tile.keys + channel, tile.stride, c);
+    multiply_tile<kTileRows, vectors>(keys.count, logit_gradients + first * kTileLanes, 1, kTileLanes,
+                                      tile.keys + keys.first * tile.stride + channel, tile.stride, c);
 #pragma GCC unroll 8
     for (int m = 0; m < kTileRows; ++m) {
       // Rows past count belong to other queries.
@@ -249,77 +254,105 @@ GLD_INLINE void add_transposed_product(const float* rows, const float* weights, 
   }
 }
 
-// FlashAttention's backward pass (Dao 2023, algorithm 2) for one tile of keys: probabilities are recomputed
-// from the stored log-sum-exp, P = 2^(logit - lse), and dS = P (dP - output . output gradient).
+// Probabilities and logit gradients, (count, kTileLanes) each, of a block of queries and a group of keys:
+// P = 2^(logit - lse) and dS = P (dP - output . output gradient).
+GLD_INLINE void logit_gradient_tile(const AttentionBackwardTile& tile, int64_t start, int64_t count,
+                                    const float* transposed_keys, const float* transposed_values,
+                                    float* probabilities, float* logit_gradients) {
+  const float* queries = tile.queries + start * tile.stride;
+  const float* output_gradients = tile.output_gradients + start * tile.stride;
+  for (int64_t first = 0; first < count; first += kTileRows) {
+    Vector c[kTileRows][kTileVectors];
+    clear_tile(c);
+    multiply_tile<kTileRows, kTileVectors>(tile.head_dim, queries + first * tile.stride, 1, tile.stride,
+                                           transposed_keys, kTileLanes, c);
+#pragma GCC unroll 8
+    for (int m = 0; m < kTileRows; ++m) {
+      // The two tables have no padding; rows past count are never used.
+      const int64_t row = first + m < count ? first + m : count - 1;
+      const Vector lse = Simd::broadcast(tile.base2_lse[start + row]);
+#pragma GCC unroll 8
+      for (int n = 0; n < kTileVectors; ++n) {
+        Simd::store(probabilities + (first + m) * kTileLanes + n * Simd::lanes,
+                    Simd::exp2(Simd::subtract(c[m][n], lse)));
+      }
+    }
+    clear_tile(c);
+    multiply_tile<kTileRows, kTileVectors>(tile.head_dim, output_gradients + first * tile.stride, 1,
+                                           tile.stride, transposed_values, kTileLanes, c);
+#pragma GCC unroll 8
+    for (int m = 0; m < kTileRows; ++m) {
+      const int64_t row = first + m < count ? first + m : count - 1;
+      const Vector dot = Simd::broadcast(tile.output_dot[start + row]);
+#pragma GCC unroll 8
+      for (int n = 0; n < kTileVectors; ++n) {
+        const int64_t place = (first + m) * kTileLanes + n * Simd::lanes;
+        Simd::store(logit_gradients + place,
+                    Simd::multiply(Simd::load(probabilities + place), Simd::subtract(c[m][n], dot)));
+      }
+    }
+  }
+}
+
+// A block of queries and one group of keys.
+GLD_INLINE void backward_step(const AttentionBackwardTile& tile, int64_t start, int64_t count,
+                              const TokenRange& keys, float* group, float* probabilities) {
+  const int64_t head_dim = tile.head_dim;
+  const int64_t matrix = head_dim * kTileLanes;
+  float* logit_gradients = probabilities + (kBackwardQueries + kTileRows) * kTileLanes;
+  logit_gradient_tile(tile, start, count, group, group + matrix, probabilities, logit_gradients);
+  add_transposed_product(tile.queries + start * tile.stride, logit_gradients, count, tile.stride, head_dim,
+                         group + 2 * matrix);
+  add_transposed_product(tile.output_gradients + start * tile.stride, probabilities, count, tile.stride,
+                         head_dim, group + 3 * matrix);
+  float* query_gradients = tile.query_gradients + start * tile.stride;
+  int64_t channel = 0;
+  for (; channel + 2 * Simd::lanes < head_dim; channel += 3 * Simd::lanes) {
+    add_query_gradients<3>(tile, keys, logit_gradients, count, query_gradients, channel);
+  }
+  for (; channel + Simd::lanes < head_dim; channel += 2 * Simd::lanes) {
+    add_query_gradients<2>(tile, keys, logit_gradients, count, query_gradients, channel);
+  }
+  for (; channel < head_dim; channel += Simd::lanes) {
+    add_query_gradients<1>(tile, keys, logit_gradients, count, query_gradients, channel);
+  }
+}
+
+// FlashAttention's backward pass (Dao 2023, algorithm 2) for some keys: probabilities are recomputed from the stored
+// log-sum-exp. Several groups of keys share a block of queries while it is in the second-level cache.
 void attention_backward_tile(const AttentionBackwardTile& tile) {
   const int64_t head_dim = tile.head_dim;
   const int64_t matrix = head_dim * kTileLanes;
-  float* transposed_keys = tile.scratch;
-  float* transposed_values = transposed_keys + matrix;
-  float* key_sums = transposed_values + matrix;
-  float* value_sums = key_sums + matrix;
-  float* probabilities = value_sums + matrix;
-  float* logit_gradients = probabilities + (kBackwardQueries + kTileRows) * kTileLanes;
-  transpose_rows(tile.keys, tile.key_count, tile.stride, head_dim, transposed_keys);
-  transpose_rows(tile.values, tile.key_count, tile.stride, head_dim, transposed_values);
-  for (int64_t i = 0; i < 2 * matrix; ++i) key_sums[i] = 0;
-
+  const int64_t group_floats = backward_group_floats(head_dim);
+  const int64_t groups = round_up(tile.key_count, kTileLanes) / kTileLanes;
+  float* probabilities = tile.scratch + kBackwardGroups * group_floats;
+  TokenRange keys[kBackwardGroups];
+  for (int64_t g = 0; g < groups; ++g) {
+    float* group = tile.scratch + g * group_floats;
+    const int64_t left = tile.key_count - g * kTileLanes;
+    keys[g] = {g * kTileLanes, left < kTileLanes ? left : kTileLanes};
+    transpose_rows(tile.keys + keys[g].first * tile.stride, keys[g].count, tile.stride, head_dim, group);
+    transpose_rows(tile.values + keys[g].first * tile.stride, keys[g].count, tile.stride, head_dim,
+                   group + matrix);
+    for (int64_t i = 0; i < 2 * matrix; ++i) group[2 * matrix + i] = 0;
+  }
   for (int64_t r = 0; r < tile.query_range_count; ++r) {
     const int64_t end = tile.query_ranges[r].first + tile.query_ranges[r].count;
     for (int64_t start = tile.query_ranges[r].first; start < end; start += kBackwardQueries) {
       const int64_t count = end - start < kBackwardQueries ? end - start : kBackwardQueries;
-      const float* queries = tile.queries + start * tile.stride;
-      const float* output_gradients = tile.output_gradients + start * tile.stride;
-      for (int64_t first = 0; first < count; first += kTileRows) {
-        Vector c[kTileRows][kTileVectors];
-        clear_tile(c);
-        multiply_tile<kTileRows, kTileVectors>(head_dim, queries + first * tile.stride, 1, tile.stride,
-                                               transposed_keys, kTileLanes, c);
-#pragma GCC unroll 8
-        for (int m = 0; m < kTileRows; ++m) {
-          // The two tables have no padding; rows past count are never used.
-          const int64_t row = first + m < count ? first + m : count - 1;
-          const Vector lse = Simd::broadcast(tile.base2_lse[start + row]);
-#pragma GCC unroll 8
-          for (int n = 0; n < kTileVectors; ++n) {
-            Simd::store(probabilities + (first + m) * kTileLanes + n * Simd::lanes,
-                        Simd::exp2(Simd::subtract(c[m][n], lse)));
-          }
-        }
-        clear_tile(c);
-        multiply_tile<kTileRows, kTileVectors>(head_dim, output_gradients + first * tile.stride, 1,
-                                               tile.stride, transposed_values, kTileLanes, c);
-#pragma GCC unroll 8
-        for (int m = 0; m < kTileRows; ++m) {
-          const int64_t row = first + m < count ? first + m : count - 1;
-          const Vector dot = Simd::broadcast(tile.output_dot[start + row]);
-#pragma GCC unroll 8
-          for (int n = 0; n < kTileVectors; ++n) {
-            const int64_t place = (first + m) * kTileLanes + n * Simd::lanes;
-            Simd::store(logit_gradients + place,
-                        Simd::multiply(Simd::load(probabilities + place), Simd::subtract(c[m][n], dot)));
-          }
-        }
-      }
-      add_transposed_product(output_gradients, probabilities, count, tile.stride, head_dim, value_sums);
-      add_transposed_product(queries, logit_gradients, count, tile.stride, head_dim, key_sums);
-      float* query_gradients = tile.query_gradients + start * tile.stride;
-      int64_t channel = 0;
-      for (; channel + 2 * Simd::lanes < head_dim; channel += 3 * Simd::lanes) {
-        add_query_gradients<3>(tile, logit_gradients, count, query_gradients, channel);
-      }
-      for (; channel + Simd::lanes < head_dim; channel += 2 * Simd::lanes) {
-        add_query_gradients<2>(tile, logit_gradients, count, query_gradients, channel);
-      }
-      for (; channel < head_dim; channel += Simd::lanes) {
-        add_query_gradients<1>(tile, logit_gradients, count, query_gradients, channel);
+      for (int64_t g = 0; g < groups; ++g) {
+        backward_step(tile, start, count, keys[g], tile.scratch + g * group_floats, probabilities);
       }
     }
   }
-
-  for (int64_t lane = 0; lane < kTileLanes; ++lane) transposed_keys[lane] = 1;
-  transpose_back(key_sums, transposed_keys, tile.key_count, tile.stride, head_dim, tile.key_gradients);
-  transpose_back(value_sums, transposed_keys, tile.key_count, tile.stride, head_dim, tile.value_gradients);
+  for (int64_t lane = 0; lane < kTileLanes; ++lane) probabilities[lane] = 1;
+  for (int64_t g = 0; g < groups; ++g) {
+    const float* sums = tile.scratch + g * group_floats + 2 * matrix;
+    const int64_t offset = keys[g].first * tile.stride;
+    transpose_back(sums, probabilities, keys[g].count, tile.stride, head_dim, tile.key_gradients + offset);
+    transpose_back(sums + matrix, probabilities, keys[g].count, tile.stride, head_dim,
+                   tile.value_gradients + offset);
+  }
 }
 
 GLD_INLINE void scale_row(int64_t count, float factor, const float* __restrict x, float* __restrict y) {

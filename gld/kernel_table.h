@@ -44,7 +44,7 @@ struct AttentionBackwardTile {
   const float* output_dot;        // (queries) output . output gradient
   const float* keys;              // packed, row 0 is the tile's first key
   const float* values;            // packed, row 0 is the tile's first key
-  int64_t key_count;              // at most KernelTable::tile_lanes
+  int64_t key_count;              // at most KernelTable::backward_keys
   int64_t stride;
   int64_t head_dim;
   const TokenRange* query_ranges;
@@ -109,8 +109,9 @@ struct GatedSumRows {
 
 struct KernelTable {
   InstructionSet instruction_set;
-  int64_t tile_lanes;       // keys in a backward tile; forward tiles are best a multiple of it
+  int64_t tile_lanes;       // tiles are best a multiple of it
   int64_t forward_queries;  // the most queries in a forward tile
+  int64_t backward_keys;    // the most keys in a backward tile
   int64_t (*forward_scratch)(int64_t head_dim);
   int64_t (*backward_scratch)(int64_t head_dim);
   void (*attention_forward)(const AttentionForwardTile& tile);

@@ -10,6 +10,7 @@ const KernelTable& avx2_kernels() {
   static const KernelTable table = {InstructionSet::avx2,
                                     kTileLanes,
                                     kForwardGroups * kTileLanes,
+                                    kBackwardGroups * kTileLanes,
                                     forward_scratch_floats,
                                     backward_scratch_floats,
                                     attention_forward_tile,

@@ -10,6 +10,7 @@ const KernelTable& avx512_kernels() {
   static const KernelTable table = {InstructionSet::avx512,
                                     kTileLanes,
                                     kForwardGroups * kTileLanes,
+                                    kBackwardGroups * kTileLanes,
                                     forward_scratch_floats,
                                     backward_scratch_floats,
                                     attention_forward_tile,

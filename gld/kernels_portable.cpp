@@ -10,6 +10,7 @@ const KernelTable& portable_kernels() {
   static const KernelTable table = {InstructionSet::portable,
                                     kTileLanes,
                                     kForwardGroups * kTileLanes,
+                                    kBackwardGroups * kTileLanes,
                                     forward_scratch_floats,
                                     backward_scratch_floats,
                                     attention_forward_tile,

@@ -216,6 +216,16 @@ TEST_P(AttentionKernel, GradientsAgreeWithDouble) {
   }
 }
 
+TEST_P(AttentionKernel, LargeTilesOfSeveralGroupsAgreeWithDouble) {
+  for (const auto& [queries, keys] : std::vector<std::pair<int64_t, int64_t>>{{1601, 30}, {30, 1601}}) {
+    SCOPED_TRACE(testing::Message() << queries << " x " << keys);
+    Case problem({1, 2, queries, keys, 24}, {});
+    problem.forward(settings(1));
+    EXPECT_LE(relative_error(problem.output, problem.reference().output), 2e-6);
+    expect_gradients(problem, settings(1), 4e-6);
+  }
+}
+
 TEST_P(AttentionKernel, AppliesTheCameraEncoding) {
   for (const int64_t head_dim : {8, 16, 48, 128}) {
     for (const int64_t prefix : {0, 3}) {
