@@ -35,14 +35,14 @@ struct SolverRow {
   int64_t evaluations = 0;
   int64_t accepted = 0;
   int64_t rejected = 0;
-  double seconds = 0;
+  double seconds = 0;    // the shortest of three solves
   double error_rms = 0;  // NaN where the solve stopped early
   double error_max = 0;
   int64_t non_finite = 0;  // 1 where it stopped at a value that was not finite
   int64_t budget = 0;      // the evaluations asked for; 0 for adaptive solvers (not in the CSV)
 };
 
-// Solves a problem once, with its guidance.
+// Solves a problem with its guidance.
 SolverRow solve_problem(const FlowProblem& problem, const SolverOptions& options);
 
 // Every fixed-step solver on every schedule with every count, and the adaptive ones at every tolerance.

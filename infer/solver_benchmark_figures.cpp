@@ -15,13 +15,13 @@ using Coordinate = std::function<double(const SolverRow&)>;
 double evaluations_of(const SolverRow& row) { return static_cast<double>(row.evaluations); }
 double seconds_of(const SolverRow& row) { return row.seconds; }
 
+// In the order of the rows: by evaluations, or by tolerance.
 Points points_of(const std::vector<SolverRow>& rows, const Coordinate& x,
                  const std::function<bool(const SolverRow&)>& chosen) {
   Points points;
   for (const auto& row : rows) {
     if (chosen(row) && std::isfinite(row.error_rms)) points.emplace_back(x(row), row.error_rms);
   }
-  std::sort(points.begin(), points.end());
   return points;
 }
 
