@@ -92,7 +92,7 @@ std::vector<std::string> check_cameras(const Views& views, const std::string& wh
     warn_about_intrinsics(camera, place, warnings);
   }
   for (const std::string& warning : relative_cameras(views).warnings) {
-    warnings.push_back(where + ": " + warning);
+    warnings.push_back(fmt::format("{}: {}", where, warning));
   }
   return warnings;
 }
