@@ -59,6 +59,11 @@ bool natural_less(const std::string& a, const std::string& b) {
   return a < b;  // equal as numbers: leading zeros decide, so that the order is total
 }
 
+std::string folder_name(const std::filesystem::path& folder) {
+  const auto absolute = std::filesystem::absolute(folder).lexically_normal();
+  return (absolute.has_filename() ? absolute : absolute.parent_path()).filename().string();
+}
+
 bool is_image_name(const std::filesystem::path& file) {
   const std::string extension = lower(file.extension().string());
   return extension == ".png" || extension == ".jpg" || extension == ".jpeg";

@@ -19,6 +19,9 @@ std::vector<std::filesystem::path> list_files(const std::filesystem::path& folde
 // Folders directly in folder, in natural order; hidden ones left out.
 std::vector<std::filesystem::path> list_folders(const std::filesystem::path& folder);
 
+// The last name of a path, also of "scene/" and ".".
+std::string folder_name(const std::filesystem::path& folder);
+
 bool is_image_name(const std::filesystem::path& file);
 
 // folder/stem.png, .jpg, .jpeg or their capital forms, whichever exists; empty when none does.

@@ -1,5 +1,6 @@
 #include "datasets/hypersim_camera.h"
 
+#include "datasets/file_listing.h"
 #include "datasets/text_fields.h"
 #include "gld/error.h"
 
@@ -35,10 +36,8 @@ std::map<std::string, std::string> table_row(const std::filesystem::path& file, 
 }
 
 std::map<std::string, std::string> camera_parameters(const std::filesystem::path& scene) {
-  const auto absolute = std::filesystem::absolute(scene).lexically_normal();
-  const std::string name =
-      absolute.has_filename() ? absolute.filename().string() : absolute.parent_path().filename().string();
-  auto folder = absolute;
+  const std::string name = folder_name(scene);
+  auto folder = std::filesystem::absolute(scene).lexically_normal();
   for (int level = 0; level < 4; ++level) {
     const auto file = folder / "metadata_camera_parameters.csv";
     if (std::filesystem::is_regular_file(file)) return table_row(file, name);

@@ -42,6 +42,10 @@ class Settings {
   std::string text_or(const std::string& key, const std::string& otherwise) const {
     return has(key) ? json_text(owner(key), key, where_) : otherwise;
   }
+  // instant-ngp's way of choosing a lens.
+  bool is_set(const std::string& key) const {
+    return has(key) && owner(key).at(key).is_boolean() && owner(key).at(key).get<bool>();
+  }
   const std::string& where() const { return where_; }
 
  private:
@@ -52,7 +56,8 @@ class Settings {
 };
 
 LensDistortion lens_of(const Settings& settings) {
-  const std::string model = settings.text_or("camera_model", "OPENCV");
+  const std::string model =
+      settings.text_or("camera_model", settings.is_set("is_fisheye") ? "OPENCV_FISHEYE" : "OPENCV");
   LensDistortion lens;
   lens.k1 = settings.number_or("k1", 0);
   lens.k2 = settings.number_or("k2", 0);

@@ -16,9 +16,11 @@ std::filesystem::path camera_file(const std::filesystem::path& image) {
   return std::filesystem::path(image).replace_extension(".npz");
 }
 
+// A few images tell: a folder may hold thousands without any camera file.
 bool has_camera_files(const std::filesystem::path& folder) {
   const auto images = list_images(folder);
-  return std::any_of(images.begin(), images.end(), [](const std::filesystem::path& image) {
+  const auto few = images.begin() + static_cast<std::ptrdiff_t>(std::min<size_t>(images.size(), 16));
+  return std::any_of(images.begin(), few, [](const std::filesystem::path& image) {
     return std::filesystem::is_regular_file(camera_file(image));
   });
 }

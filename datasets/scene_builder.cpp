@@ -1,5 +1,6 @@
 #include "datasets/scene_builder.h"
 
+#include "datasets/file_listing.h"
 #include "datasets/frame_checks.h"
 #include "datasets/image_probe.h"
 #include "gld/error.h"
@@ -15,7 +16,7 @@ SceneBuilder::SceneBuilder(std::string format, const std::filesystem::path& fold
     : broken_frames_(reading.broken_frames) {
   scene_.format = std::move(format);
   scene_.folder = folder;
-  scene_.name = folder.has_filename() ? folder.stem().string() : folder.parent_path().stem().string();
+  scene_.name = std::filesystem::is_directory(folder) ? folder_name(folder) : folder.stem().string();
 }
 
 void SceneBuilder::add(const std::string& where, const std::function<std::optional<Frame>()>& make) {

@@ -1,5 +1,6 @@
 // Layouts of recorded trajectories: RealEstate10K, TartanAir, HyperSim.
 #include "datasets/depth_files.h"
+#include "datasets/file_listing.h"
 #include "datasets/hdf5_file.h"
 #include "datasets/image_file.h"
 #include "datasets/scene_layouts.h"
@@ -155,10 +156,8 @@ void write_hypersim_layout(const Scene& scene, const std::filesystem::path& fold
   orientations.shape = {count, 3, 3};
   write_hdf5(detail / "camera_keyframe_positions.hdf5", "dataset", positions);
   write_hdf5(detail / "camera_keyframe_orientations.hdf5", "dataset", orientations);
-  const auto absolute = std::filesystem::absolute(folder).lexically_normal();
-  const std::string name =
-      absolute.has_filename() ? absolute.filename().string() : absolute.parent_path().filename().string();
-  write_file_atomically(folder / "metadata_camera_parameters.csv", hypersim_table(name, camera));
+  write_file_atomically(folder / "metadata_camera_parameters.csv",
+                        hypersim_table(folder_name(folder), camera));
 }
 
 }  // namespace gld
