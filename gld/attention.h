@@ -1,10 +1,10 @@
 #pragma once
 
-#include <torch/types.h>
+#include "gld/prope.h"
 
 #include <optional>
 
-#include "gld/prope.h"
+#include <torch/types.h>
 
 namespace gld {
 

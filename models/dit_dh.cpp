@@ -1,6 +1,7 @@
 #include "models/dit_dh.h"
 
 #include "gld/configuration.h"
+#include "models/activation_checkpoint.h"
 #include "models/position_embedding.h"
 
 #include <string>
@@ -136,6 +137,24 @@ DitNoisyTokens DitDh::embed_noisy(const DitScene& scene, const torch::Tensor& no
   return {encoder_tokens(scene, noisy), decoder_tokens(scene, noisy)};
 }
 
+torch::Tensor DitDh::run_block(const DitBlock& block, const torch::Tensor& x,
+                               const DitBlockContext& context) const {
+  if (activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled()) {
+    return block.forward(x, context);
+  }
+  // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
+  const bool rows = context.modulation.rows.defined();
+  const BlockFunction again = [&block, rows, tables = *context.prope, mask = context.view_mask](
+                                  const torch::Tensor& tokens, const torch::Tensor& conditioning) {
+    DitBlockContext inner;
+    (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
+    inner.prope = &tables;
+    inner.view_mask = mask;
+    return block.forward(tokens, inner);
+  };
+  return checkpointed(again, x, rows ? context.modulation.rows : context.modulation.activation);
+}
+
 torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
                                        const DitTimeRow& time, DitBranch branch) const {
   const auto cameras = evaluation_cameras(scene, branch);
@@ -146,7 +165,7 @@ torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyToke
     context.modulation.rows = time.encoder_modulation[i];
     context.prope = &cameras.encoder_prope;
     context.view_mask = scene.view_mask;
-    x = encoder_blocks_[i]->forward(x, context);
+    x = run_block(*encoder_blocks_[i], x, context);
   }
   return x;
 }
@@ -163,12 +182,12 @@ torch::Tensor DitDh::velocity_features(const DitScene& scene, const DitNoisyToke
   context.view_mask = scene.view_mask;
   auto x = tokens.decoder;
   if (options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder) x = x + cameras.embedding;
-  for (const auto& block : decoder_blocks_) x = block->forward(x, context);
+  for (const auto& block : decoder_blocks_) x = run_block(*block, x, context);
   return final_layer_->features(x, context.modulation);
 }
 
 torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features) const {
-  const auto velocity = final_layer_->project(features);
+  auto velocity = final_layer_->project(features);
   const int64_t special = options_.num_special_tokens;
   if (special == 0) return velocity;
   return torch::cat({special_projection_->forward(velocity.narrow(1, 0, special)),

@@ -16,6 +16,10 @@
 
 namespace gld {
 
+// What the backward pass of training finds: every intermediate tensor, or only the blocks' inputs, from which the rest
+// is computed again (models/activation_checkpoint.h). The same gradients.
+enum class ActivationStorage { kKeep, kRecompute };
+
 // DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder
 // turns source features, cameras and the noisy latent (or a deeper level) into one condition a token, which
 // modulates a wide and shallow velocity decoder. Parameters have the names of the published checkpoints.
@@ -58,7 +62,11 @@ class DitDh : public torch::nn::Module {
   // last layers zero, other layers uniform +-1/sqrt(inputs). Drawn on the CPU in the order of the names.
   void initialise(const torch::Generator& generator);
 
+  void set_activation_storage(ActivationStorage storage) { activation_storage_ = storage; }
+
  private:
+  torch::Tensor run_block(const DitBlock& block, const torch::Tensor& x,
+                          const DitBlockContext& context) const;
   void check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
                     int64_t views) const;
   torch::TensorOptions tensor_options() const;
@@ -78,6 +86,7 @@ class DitDh : public torch::nn::Module {
   torch::Tensor decoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const;
 
   DitOptions options_;
+  ActivationStorage activation_storage_ = ActivationStorage::kKeep;
   std::unique_ptr<DitEmbedder> encoder_embedder_, decoder_embedder_;
   std::shared_ptr<Linear> condition_projection_;  // null where both widths are equal
   std::shared_ptr<TimeEmbedding> time_embedding_;
