@@ -22,7 +22,7 @@ void require(bool good, const std::string& where, const std::string& expected, c
 
 torch::Tensor tensor_of_shape(const WeightFile& file, const std::string& name,
                               const std::vector<int64_t>& shape) {
-  const auto tensor = read_tensor(file, name);
+  auto tensor = read_tensor(file, name);
   const std::string where = file.path().string() + ", tensor " + name;
   require(tensor.scalar_type() == torch::kFloat64, where, "float64 numbers", c10::str(tensor.scalar_type()));
   std::vector<int64_t> expected = shape;
