@@ -56,25 +56,6 @@ void measure_cameras(const Scene& scene, DataCheck& check) {
   check.median_step = median(steps);
 }
 
-// The point that the optical axes come nearest to, in least squares; the mean position when they are parallel.
-double typical_distance(const Scene& scene) {
-  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
-  Vector3d right = Vector3d::Zero();
-  for (const Frame& frame : scene.frames) {
-    const Vector3d axis = frame.camera.world_from_camera.linear().col(2);
-    const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - axis * axis.transpose();
-    normal += across;
-    right += across * position(frame);
-  }
-  if (std::abs(normal.determinant()) < 1e-6) return 0;
-  const Vector3d point = normal.inverse() * right;
-  std::vector<double> distances;
-  for (const Frame& frame : scene.frames) {
-    distances.push_back((point - position(frame)).dot(frame.camera.world_from_camera.linear().col(2)));
-  }
-  return median(distances);
-}
-
 bool sees(const Camera& camera, const Vector3d& point) {
   const Vector3d in_camera = camera.camera_from_world() * point;
   if (in_camera.z() <= 0) return false;
@@ -112,11 +93,11 @@ void measure_overlap(const Scene& scene, const DataCheckOptions& options, DataCh
   const size_t count = scene.frames.size();
   if (count < 2) return;
   const bool depth = check.frames_with_depth == check.frames;
-  const double distance = typical_distance(scene);
+  const double distance = check.poses.median_depth;
   if (!depth && scene.points_in_world.empty() && distance <= 0) return;
   check.overlap_method = depth                            ? "by depth"
                          : !scene.points_in_world.empty() ? "by sparse points"
-                                                          : "at the distance where the optical axes meet";
+                                                          : "at the depth of matched points";
   const size_t pairs = std::min<size_t>(count - 1, static_cast<size_t>(depth ? options.most_pairs : 100));
   double sum = 0;
   for (size_t i = 0; i < pairs; ++i) {

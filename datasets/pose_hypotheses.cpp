@@ -32,6 +32,7 @@ constexpr double kDepthTolerance = 0.02;  // relative
 struct Tally {
   int64_t comparisons = 0;
   std::array<double, 4> agreeing{};
+  std::vector<double> depths;  // of points that agree as read
 };
 
 TrainedSize working_size(const Camera& camera) {
@@ -93,7 +94,10 @@ std::vector<std::pair<Vector2d, Vector2d>> matched(const Features& a, const Feat
   return pairs;
 }
 
-// Whether two pixels can be one point: near the epipolar line, and in front of both cameras.
+constexpr double kVeryFar = 1e12;
+
+// The depth in a of the point that two pixels show, or 0 when they cannot be one point: off the epipolar line, or behind
+// a camera.
 class EpipolarTest {
  public:
   EpipolarTest(const Camera& a, const Camera& b) {
@@ -107,24 +111,24 @@ class EpipolarTest {
     cross << 0, -t.z(), t.y(), t.z(), 0, -t.x(), -t.y(), t.x(), 0;
     fundamental_ = ray_b_.transpose() * cross * rotation_ * ray_a_;
   }
-  bool agrees(const Vector2d& pixel_a, const Vector2d& pixel_b) const {
+  double depth(const Vector2d& pixel_a, const Vector2d& pixel_b) const {
     const Vector3d a = pixel_a.homogeneous();
     const Vector3d b = pixel_b.homogeneous();
     const Vector3d line_b = fundamental_ * a;
     const Vector3d line_a = fundamental_.transpose() * b;
     const double slope = line_a.head<2>().squaredNorm() + line_b.head<2>().squaredNorm();
-    if (slope <= 0) return false;
+    if (slope <= 0) return 0;
     const double algebraic = b.dot(line_b);
-    if (algebraic * algebraic / slope > kEpipolarTolerance * kEpipolarTolerance / 2) return false;
+    if (algebraic * algebraic / slope > kEpipolarTolerance * kEpipolarTolerance / 2) return 0;
     // Depths along both rays by least squares: depth_b * u = rotation * depth_a * v + translation.
     const Vector3d v = rotation_ * (ray_a_ * a);
     const Vector3d u = ray_b_ * b;
     Eigen::Matrix2d normal;
     normal << v.dot(v), -v.dot(u), -v.dot(u), u.dot(u);
     const Vector2d right(-v.dot(translation_), u.dot(translation_));
-    if (std::abs(normal.determinant()) < 1e-12) return true;  // so far away that depth has no sign
+    if (std::abs(normal.determinant()) < 1e-12) return kVeryFar;  // depth has no sign there
     const Vector2d depths = normal.inverse() * right;
-    return depths.x() > 0 && depths.y() > 0;
+    return depths.x() > 0 && depths.y() > 0 ? depths.x() : 0;
   }
 
  private:
@@ -144,8 +148,12 @@ Tally compare_features(const Frame& a, const Frame& b) {
   for (size_t i = 0; i < kMeanings.size(); ++i) {
     const EpipolarTest test(reinterpreted(first.camera, kMeanings[i]),
                             reinterpreted(second.camera, kMeanings[i]));
-    tally.agreeing[i] = static_cast<double>(std::count_if(
-        pairs.begin(), pairs.end(), [&](const auto& pair) { return test.agrees(pair.first, pair.second); }));
+    for (const auto& [pixel_a, pixel_b] : pairs) {
+      const double depth = test.depth(pixel_a, pixel_b);
+      if (depth <= 0) continue;
+      ++tally.agreeing[i];
+      if (kMeanings[i] == PoseMeaning::kAsRead) tally.depths.push_back(depth);
+    }
   }
   return tally;
 }
@@ -215,6 +223,12 @@ PoseHypotheses test_pose_meanings(const Scene& scene, int64_t most_pairs) {
                              : compare_features(scene.frames[i], scene.frames[j]);
     sum.comparisons += pair.comparisons;
     for (size_t k = 0; k < kMeanings.size(); ++k) sum.agreeing[k] += pair.agreeing[k];
+    sum.depths.insert(sum.depths.end(), pair.depths.begin(), pair.depths.end());
+  }
+  if (!sum.depths.empty()) {
+    const auto middle = sum.depths.begin() + static_cast<std::ptrdiff_t>(sum.depths.size() / 2);
+    std::nth_element(sum.depths.begin(), middle, sum.depths.end());
+    result.median_depth = *middle;
   }
   result.comparisons = sum.comparisons;
   if (sum.comparisons == 0) return result;

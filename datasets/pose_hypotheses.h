@@ -23,6 +23,7 @@ struct PoseHypotheses {
       method;  // "depth carried between views", "epipolar lines of matched points" or empty: nothing to test
   int64_t comparisons = 0;
   std::vector<PoseEvidence> evidence;  // in the order of PoseMeaning
+  double median_depth = 0;             // of matched points that agree as read; 0 where unknown
   // The meaning that explains the pixels clearly better than the others; kAsRead when none does.
   PoseMeaning best() const;
 };
