@@ -38,6 +38,7 @@ FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, 
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   dit_ = std::make_shared<DitDh>(dit, placement);
   dit_->initialise(generator);
+  if (options_.checkpoint_blocks) dit_->set_activation_storage(ActivationStorage::kRecompute);
 }
 
 std::vector<NamedParameter> FlowObjective::parameters() const { return named_parameters(*dit_); }

@@ -119,6 +119,35 @@ TEST_F(TrainedChain, TheLevelMustBeTheBoundaryLevel) {
                 ", found 2; change boundary_level in model.yaml and compute its statistics.");
 }
 
+TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
+  const auto bundle = ModelBundle::open(path("level/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  std::vector<torch::Tensor> gradients;
+  for (const bool recompute : {false, true}) {
+    FlowObjectiveOptions options;
+    options.checkpoint_blocks = recompute;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    FlatParameters parameters(objective.parameters());
+    auto perturbation = at::detail::createCPUGenerator(9);
+    {
+      const torch::NoGradGuard no_grad;
+      auto values = parameters.values();
+      values.add_(0.02 * torch::randn(values.sizes(), perturbation, torch::kFloat32));
+    }
+    auto draws = at::detail::createCPUGenerator(4);
+    objective.losses(batch, {0, 1, draws}).total.backward();
+    gradients.push_back(parameters.gradients().clone());
+  }
+  EXPECT_GT(gradients[0].abs().max().item<float>(), 0.0F);
+  // The same numbers are added up in another order.
+  EXPECT_LT((gradients[0] - gradients[1]).abs().max().item<double>(),
+            1e-5 * gradients[0].abs().max().item<double>());
+}
+
 TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
   const auto bundle = ModelBundle::open(path("stats/model"));
   FrozenParts frozen;
