@@ -195,8 +195,10 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
     losses.parts.emplace_back("adaptive_weight", adaptive);
     losses.total = losses.total + options_.adversarial.weight * adaptive * loss;
   }
-  last_truth_ = truth;
-  last_decoded_ = decoded.detach();
+  if (discriminator_) {
+    last_truth_ = truth;
+    last_decoded_ = decoded.detach();
+  }
   return losses;
 }
 

@@ -35,6 +35,8 @@ struct FrozenParts {
 class FlowObjective : public Objective {
  public:
   torch::Device device() const override { return placement_.device; }
+  // Recomputed activations write gradients where the parameters are.
+  bool concurrent() const override { return !options_.checkpoint_blocks; }
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   Validation validate(const std::vector<TrainingScene>& scenes) override;

@@ -18,8 +18,7 @@ namespace {
 FrozenParts frozen_parts(const ModelBundle& bundle, const ParameterPlacement& placement) {
   FrozenParts frozen;
   frozen.backbone = bundle.load_backbone(placement);
-  frozen.boundary_statistics =
-      bundle.load_statistics(BundlePart::kStatisticsLevel1).to(placement.device);
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1).to(placement.device);
   if (bundle.has(BundlePart::kRgbDecoder)) frozen.rgb_decoder = bundle.load_rgb_decoder(placement);
   return frozen;
 }

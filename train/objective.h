@@ -46,6 +46,8 @@ class Objective {
   virtual torch::Device device() const = 0;
   // The parameters that the loop's optimiser moves, in a fixed order.
   virtual std::vector<NamedParameter> parameters() const = 0;
+  // Whether losses() may be called from several threads at the same time.
+  virtual bool concurrent() const { return false; }
   // Losses averaged over the scenes of a micro-batch, with gradients.
   virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
   // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.

@@ -65,6 +65,20 @@ class Averages {
   std::vector<Entry> entries_;
 };
 
+// Divides the threads of LibTorch and BLAS among workers for as long as it lives.
+class DividedThreads {
+ public:
+  explicit DividedThreads(int64_t workers) : before_(thread_count()) {
+    if (workers > 1) set_thread_count(std::max(1, before_ / static_cast<int>(workers)));
+  }
+  ~DividedThreads() { set_thread_count(before_); }
+  DividedThreads(const DividedThreads&) = delete;
+  DividedThreads& operator=(const DividedThreads&) = delete;
+
+ private:
+  int before_;
+};
+
 class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
@@ -202,28 +216,33 @@ StepOutcome Session::forward_backward() {
   StepOutcome outcome;
   outcome.finite = true;
   parameters_.zero_gradients();
+  std::vector<MicroBatch> batches;
+  for (int64_t micro = 0; micro < options_.micro_batches; ++micro) {
+    // Random numbers of its own for every micro-batch, so that their order in time does not matter.
+    const auto seed = torch::randint(0, std::numeric_limits<int64_t>::max(), {1}, generator_, torch::kInt64);
+    StepContext own = context();
+    own.generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed.item<int64_t>()));
+    batches.push_back({feed_->next(), own});
+    ++batch_index_;
+    outcome.scenes += static_cast<int64_t>(batches.back().batch.scenes.size());
+  }
+  MicroBatchWork work;
+  work.precision = options_.precision;
+  work.workers = objective_.concurrent() ? options_.workers : 1;
+  work.share = 1.0 / static_cast<double>(options_.micro_batches);
   Averages parts;
   double loss_sum = 0.0;
-  for (int64_t micro = 0; micro < options_.micro_batches; ++micro) {
-    last_batch_ = feed_->next();
-    ++batch_index_;
-    outcome.scenes += static_cast<int64_t>(last_batch_.scenes.size());
-    if (!outcome.finite) continue;  // the data position must not depend on what was skipped
-    Losses losses;
-    {
-      std::optional<BFloat16Autocast> autocast;
-      if (options_.precision == Precision::kBFloat16) autocast.emplace(objective_.device().type());
-      losses = objective_.losses(last_batch_, context());
-    }
-    const double loss = losses.total.item<double>();
-    if (!std::isfinite(loss)) {
+  last_batch_ = batches.back().batch;
+  const auto results = add_gradients(objective_, parameters_, batches, work);
+  for (size_t micro = 0; micro < results.size(); ++micro) {
+    if (!std::isfinite(results[micro].loss)) {
+      if (outcome.finite) last_batch_ = batches[micro].batch;
       outcome.finite = false;
-      outcome.problem = "a loss of " + six_digits(loss);
+      outcome.problem = "a loss of " + six_digits(results[micro].loss);
       continue;
     }
-    loss_sum += loss;
-    for (const auto& [name, value] : losses.parts) parts.add(name, value.item<double>());
-    (losses.total / static_cast<double>(options_.micro_batches)).backward();
+    loss_sum += results[micro].loss;
+    for (const auto& [name, value] : results[micro].parts) parts.add(name, value);
   }
   outcome.loss = loss_sum / static_cast<double>(options_.micro_batches);
   if (outcome.finite) {
@@ -393,6 +412,8 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
       stop_after_non_finite, {1, 100000});
   visitor.integer({"loader_threads", "threads that prepare data ahead of the step"}, loader_threads,
                   {0, 256});
+  visitor.integer({"workers", "micro-batches computed at the same time; the threads are divided among them"},
+                  workers, {1, 256});
   visit_choice(visitor, {"precision", "bfloat16 casts matrix products on devices that have it (CUDA)"},
                precision, {"float32", "bfloat16"});
   visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
@@ -419,6 +440,7 @@ TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options
   }
   Session session(run, options);
   session.restore(start);
+  const DividedThreads threads(run.objective->concurrent() ? options.workers : 1);
   return session.run();
 }
 

@@ -3,6 +3,7 @@
 #include "gld/options.h"
 #include "train/batch_feed.h"
 #include "train/learning_rate.h"
+#include "train/micro_batches.h"
 #include "train/objective.h"
 #include "train/optimiser.h"
 
@@ -15,8 +16,6 @@
 
 namespace gld {
 
-enum class Precision { kFloat32, kBFloat16 };
-
 struct TrainingLoopOptions : OptionsGroup {
   int64_t steps = 100000;
   int64_t micro_batches = 1;
@@ -27,6 +26,7 @@ struct TrainingLoopOptions : OptionsGroup {
   int64_t validate_every = 1000;
   int64_t stop_after_non_finite = 10;
   int64_t loader_threads = 1;
+  int64_t workers = 1;
   Precision precision = Precision::kFloat32;
   LearningRateOptions learning_rate;
   OptimiserOptions optimiser;

@@ -22,6 +22,7 @@ class ToyObjective : public Objective {
 
   std::string kind() const override { return "toy"; }
   torch::Device device() const override { return torch::kCPU; }
+  bool concurrent() const override { return true; }
   std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
   Losses losses(const TrainingBatch& batch, const StepContext& context) override {
     torch::Tensor total = torch::zeros({});
