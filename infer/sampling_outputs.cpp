@@ -211,6 +211,12 @@ void SamplingOutputs::write_latents(const PipelineResult& result) {
 }
 
 void SamplingOutputs::write_cameras() {
+  // The sources as the model saw them, so that the run folder is a scene that every command reads.
+  const auto folder = run_.subfolder("sources");
+  for (size_t view = 0; view < scene_.source_images.size(); ++view) {
+    export_image(folder / (view_name(static_cast<int64_t>(view), scene_.views.size()) + ".png"),
+                 scene_.source_images[view], provenance_);
+  }
   CameraList list;
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
     const bool target = view >= scene_.views.num_sources;
@@ -218,6 +224,7 @@ void SamplingOutputs::write_cameras() {
     record.name = view_name(view, scene_.views.size());
     record.role = target ? "target" : "source";
     record.camera = scene_.views.cameras[static_cast<size_t>(view)];
+    if (!target) record.image = "sources/" + record.name + ".png";
     if (target && requested_.image) record.image = "images/" + record.name + ".png";
     if (requested_.depth && view >= first_geometry_view_) {
       record.depth = "depth/" + record.name + ".png";

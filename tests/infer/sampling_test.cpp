@@ -1,6 +1,7 @@
 #include "infer/sampling.h"
 
 #include "datasets/image_file.h"
+#include "datasets/scene_reader.h"
 #include "datasets/scene_writer.h"
 #include "datasets/synthetic_scene.h"
 #include "gld/atomic_file.h"
@@ -89,6 +90,11 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
     EXPECT_TRUE(std::filesystem::is_regular_file(out / file)) << file;
   }
   EXPECT_FALSE(std::filesystem::exists(out / "images" / "view_00.png"));  // sources are not generated
+  // The run folder is a scene again, with all four views.
+  const Scene written = open_scene(out);
+  ASSERT_EQ(written.frames.size(), 4u);
+  EXPECT_EQ(written.frames[0].image().width, 112);
+  EXPECT_TRUE(written.frames[3].has_depth());
   const Image image = read_image(out / "images" / "view_02.png");
   EXPECT_EQ(image.width, 112);
   EXPECT_EQ(image.height, 56);
