@@ -83,7 +83,11 @@ std::string place(const Source& source, const YAML::Node& node, const std::strin
 
 std::string shown(const YAML::Node& node) {
   if (node.IsNull()) return "nothing";
-  if (node.IsScalar()) return quoted(node.Scalar());
+  if (node.IsScalar()) {
+    constexpr size_t kLongest = 60;
+    const std::string& text = node.Scalar();
+    return quoted(text.size() <= kLongest ? text : text.substr(0, kLongest) + "...");
+  }
   return node.IsSequence() ? "a list" : "a map";
 }
 
