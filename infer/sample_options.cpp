@@ -3,6 +3,9 @@
 #include "gld/configuration.h"
 #include "gld/error.h"
 
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
 namespace gld {
 namespace {
 
@@ -26,6 +29,9 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                preset, {"options", "published"});
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
+  visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
+                                fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
+                no_skip);
   visitor.text({"device", "cpu, cuda or cuda:N"}, device);
   visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
   visitor.text({"out", "run folder to write"}, out);
@@ -37,6 +43,13 @@ void SampleOptions::check() const {
   }
   if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/sample"});
   requested();
+  savings();
+}
+
+ExactSavings SampleOptions::savings() const {
+  ExactSavings savings;
+  for (const auto& name : no_skip) disable_exact_saving(savings, name);
+  return savings;
 }
 
 RequestedOutputs SampleOptions::requested() const {

@@ -5,6 +5,7 @@
 #include "gld/options.h"
 #include "gld/solver.h"
 #include "infer/sampling_scene.h"
+#include "models/exact_savings.h"
 
 #include <cstdint>
 #include <string>
@@ -44,6 +45,7 @@ struct SampleOptions : OptionsGroup {
   SamplingPreset preset = SamplingPreset::kOptions;
   SolverOptions solver;
   GuidanceOptions guidance;
+  std::vector<std::string> no_skip;  // exact savings to switch off (models/exact_savings.h)
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
@@ -53,6 +55,7 @@ struct SampleOptions : OptionsGroup {
   void check() const override;
 
   RequestedOutputs requested() const;  // Error for a name that is no output
+  ExactSavings savings() const;        // Error for a name that is no saving
   // The solver with preset and the model's own time shift applied.
   SolverOptions resolved_solver(double model_shift) const;
 };

@@ -52,6 +52,7 @@ PipelineRequest make_request(const SampleOptions& options, const BundleOptions& 
   request.level1_solver = options.resolved_solver(bundle.level1_time_shift.evaluation);
   request.cascade_solver = options.resolved_solver(bundle.cascade_time_shift.evaluation);
   request.guidance = options.guidance;
+  request.savings = options.savings();
   request.image_views = requested.needs_image() ? DecodedViews::kTargets : DecodedViews::kNone;
   if (requested.needs_geometry()) {
     request.geometry_views = requested.points ? DecodedViews::kAll : DecodedViews::kTargets;

@@ -8,6 +8,7 @@
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/torch_version.h"
+#include "gld/weight_tensors.h"
 #include "infer/doctor.h"
 #include "infer/ply_file.h"
 #include "models/random_bundle.h"
@@ -144,6 +145,28 @@ TEST_F(Sampling, GuidanceOutsideItsIntervalCostsNothing) {
   asked.guidance.guidance_interval = {0.99, 1};
   const auto report = run(asked);
   EXPECT_EQ(report.at("flows").at(0).at("with_unconditional_branch"), 1);  // the first evaluation, at t = 1
+}
+
+TEST_F(Sampling, ExactSavingsChangeNothingBeyondRounding) {
+  auto with = options("with_savings"), without = options("without_savings");
+  for (auto* asked : {&with, &without}) asked->outputs = {"latents"};
+  without.no_skip = exact_saving_names();
+  run(with);
+  run(without);
+  const auto latent = [](const SampleOptions& asked) {
+    return read_all(std::filesystem::path(asked.out) / "latents.safetensors").at("level0");
+  };
+  const auto expected = latent(without);
+  const double difference = (latent(with) - expected).abs().max().item<double>();
+  EXPECT_LT(difference, 1e-5 * expected.abs().max().item<double>());
+  EXPECT_EQ(
+      test::error_of([&] {
+        without.no_skip = {"prope_tables"};
+        without.savings();
+      }),
+      "--no-skip: expected one of camera_embedding_once, source_embedding_once, shared_noisy_embedding, "
+      "cascade_input_once, encoder_reuse, time_rows_once, prope_tables_once, unconditional_constants, "
+      "combined_last_linear, found 'prope_tables'; write 'prope_tables_once'.");
 }
 
 TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
