@@ -42,4 +42,8 @@ function(gld_test name)
     set(arg_TIMEOUT 600)
   endif()
   set_tests_properties(${name} PROPERTIES FAIL_REGULAR_EXPRESSION "SKIPPED;No tests were found" TIMEOUT ${arg_TIMEOUT})
+  if(GLD_SANITIZE)
+    set_tests_properties(${name} PROPERTIES
+      ENVIRONMENT "LSAN_OPTIONS=suppressions=${PROJECT_SOURCE_DIR}/tests/leak_suppressions.txt")
+  endif()
 endfunction()
