@@ -64,6 +64,11 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
     stop_if_interrupted(
         fmt::format("{} had reached flow time {:.4f}; nothing of it was written", stage.name, progress.time));
   };
+  if (request.on_step) {
+    SolveProgress start;
+    start.steps = is_adaptive(stage.solver.solver) ? 0 : static_cast<int64_t>(times.size()) - 1;
+    request.on_step(stage.name, start);
+  }
   const auto solved = solve_on(guided, stage.noise.to(request.device), stage.solver, times, observer);
   FlowReport report;
   report.stage = stage.name;

@@ -52,7 +52,7 @@ struct PipelineRequest {
   DecodedViews geometry_views = DecodedViews::kNone;
   GeometryMaps geometry_maps = GeometryMaps::kDepthAndRays;
   torch::Device device = torch::kCPU;
-  // Called after each accepted step of a flow-matching stage.
+  // Called when a flow-matching stage starts (step 0) and after each accepted step.
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
   // Called when the images are there and geometry is still to come, so that they can be written already.
   std::function<void(const torch::Tensor& images)> on_images;
