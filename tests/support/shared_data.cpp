@@ -22,7 +22,8 @@ std::filesystem::path shared_data() {
 }
 
 TemporaryFolder::TemporaryFolder() {
-  std::string pattern = (std::filesystem::temp_directory_path() / "gld_test_XXXXXX").string();
+  std::string pattern = (std::filesystem::temp_directory_path() / "gld_test_").string();
+  pattern += std::string(6, 'X');  // mkdtemp replaces these
   if (mkdtemp(pattern.data()) == nullptr) throw std::runtime_error("no temporary folder could be made");
   path_ = pattern;
 }
