@@ -8,6 +8,11 @@
 
 namespace gld {
 
+const std::vector<std::string>& branch_evaluation_names() {
+  static const std::vector<std::string> names{"automatic", "batched", "sequential"};
+  return names;
+}
+
 void GuidanceOptions::visit(FieldVisitor& visitor) {
   visitor.real({"guidance_scale", "guidance scale; 1 runs no unconditional branch"}, guidance_scale,
                {0, 1000});
@@ -16,6 +21,14 @@ void GuidanceOptions::visit(FieldVisitor& visitor) {
   visitor.real({"guidance_tolerance",
                 "leave out the unconditional branch where guidance adds less than this, relative; 0 never"},
                guidance_tolerance, {0, 1});
+  visit_choice(visitor,
+               {"guidance_branches",
+                "both branches in one pass, or one after the other; automatic: in one where "
+                "that fits guidance_batch_memory"},
+               guidance_branches, branch_evaluation_names());
+  visitor.real(
+      {"guidance_batch_memory", "megabytes of working memory up to which automatic batches the branches"},
+      guidance_batch_memory, {0, 1e9});
 }
 
 void GuidanceOptions::check() const {

@@ -4,6 +4,7 @@
 #include "gld/velocity_field.h"
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include <torch/types.h>
@@ -12,12 +13,24 @@ namespace gld {
 
 // Classifier-free guidance of a velocity (DESIGN.md section 4): v_u + g (v_c - v_u) where the flow time lies in the
 // interval, both ends included, else v_c. With g = 1 the unconditional branch never runs.
+// How the two branches of guidance are evaluated: in one pass over the tokens of both, or one after the other. Equal
+// results up to rounding.
+enum class BranchEvaluation {
+  kAutomatic,  // batched where its working memory stays below a limit (models/branch_choice.h)
+  kBatched,
+  kSequential,
+};
+
+const std::vector<std::string>& branch_evaluation_names();
+
 struct GuidanceOptions : OptionsGroup {
   double guidance_scale = 1.5;
   std::vector<double> guidance_interval{0, 1};
   // Above 0: once what guidance adds, RMS of (g - 1)(v_c - v_u) over RMS of v_c, falls below this, the unconditional
   // branch is left out and only tried again every fourth evaluation. An approximation, off by default.
   double guidance_tolerance = 0;
+  BranchEvaluation guidance_branches = BranchEvaluation::kAutomatic;
+  double guidance_batch_memory = 64;  // megabytes that automatic lets a batch of both branches use
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

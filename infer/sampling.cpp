@@ -73,6 +73,8 @@ nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
                     {"with_unconditional_branch", flow.guidance.unconditional},
                     {"unconditional_dropped", flow.guidance.dropped},
                     {"largest_neglected_guidance", flow.guidance.largest_neglected},
+                    {"branches_together", flow.counts.batched},
+                    {"branch_choice", flow.branches.reason},
                     {"condition_encoder_runs", flow.counts.condition_encoder},
                     {"velocity_decoder_runs", flow.counts.velocity_decoder},
                     {"times", flow.times}});

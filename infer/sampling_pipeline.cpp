@@ -53,7 +53,9 @@ struct FlowStage {
 torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
                        const PipelineRequest& request, PipelineResult& result) {
   result.warnings.insert(result.warnings.end(), scene.warnings().begin(), scene.warnings().end());
+  const auto branches = choose_branches(request.guidance, model.options(), scene.grid);
   DitField field(model, std::move(scene));
+  field.set_batched(branches.batched);
   GuidedField guided(field, request.guidance);
   const auto times = solver_times(stage.solver);
   if (!is_adaptive(stage.solver.solver)) field.prepare_times({times.begin(), times.end() - 1});
@@ -76,6 +78,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   report.evaluations = solved.evaluations;
   report.rejected = solved.rejected;
   report.guidance = guided.report();
+  report.branches = branches;
   report.counts = field.counts();
   result.flows.push_back(std::move(report));
   return solved.state;

@@ -5,6 +5,7 @@
 #include "gld/latent_statistics.h"
 #include "gld/solver.h"
 #include "gld/stage_record.h"
+#include "models/branch_choice.h"
 #include "models/da3_backbone.h"
 #include "models/dit_dh.h"
 #include "models/dit_field.h"
@@ -65,6 +66,7 @@ struct FlowReport {
   int64_t evaluations = 0;
   int64_t rejected = 0;
   GuidanceReport guidance;
+  BranchChoice branches;
   DitCounts counts;
 };
 

@@ -6,6 +6,7 @@
 #include "gld/sgemm_peak.h"
 #include "gld/stage_record.h"
 #include "gld/torch_version.h"
+#include "models/branch_choice.h"
 
 #include <algorithm>
 #include <chrono>
@@ -70,9 +71,12 @@ PlannedStage flow_stage(const std::string& name, const DitOptions& options, cons
   const int64_t state_bytes = request.grid.views *
                               (request.grid.tokens_per_view() + options.num_special_tokens) *
                               options.in_channels * kFloatBytes;
-  stage.peak_bytes = kProgramBytes + once.weight_bytes + once.working_bytes + 6 * state_bytes;
-  stage.reason = fmt::format("{} evaluations, {} with the unconditional branch", stage.evaluations,
-                             stage.with_unconditional);
+  const bool batched =
+      stage.with_unconditional > 0 && choose_branches(request.guidance, options, request.grid).batched;
+  stage.peak_bytes =
+      kProgramBytes + once.weight_bytes + (batched ? 2 : 1) * once.working_bytes + 6 * state_bytes;
+  stage.reason = fmt::format("{} evaluations, {} with the unconditional branch{}", stage.evaluations,
+                             stage.with_unconditional, batched ? " in the same pass" : "");
   return stage;
 }
 

@@ -59,12 +59,13 @@ torch::Tensor DitBlock::modulation_rows(const torch::Tensor& activation) const {
 
 torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& context) const {
   const int64_t views = x.size(0), tokens = x.size(1), heads = sizes_.num_heads;
+  const auto branches = static_cast<int64_t>(context.prope.size());
   const int64_t head_dim = sizes_.channels / heads;
   const auto qkv = by_view_groups(x, [&](const ViewGroup& group) {
                      const auto vectors =
                          adaptive_norm_->parts(context.modulation, group, kAttentionShift, 2);
                      return qkv_->forward(modulated(*norm1_, x.narrow(0, group.first, group.count), vectors));
-                   }).view({1, views * tokens, 3, heads, head_dim});
+                   }).view({branches, views / branches * tokens, 3, heads, head_dim});
   AttentionInputs inputs;
   inputs.query = qkv.select(2, 0);
   inputs.key = qkv.select(2, 1);
@@ -73,9 +74,17 @@ torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& co
     inputs.query = query_norm_->forward(inputs.query);
     inputs.key = key_norm_->forward(inputs.key);
   }
-  inputs.prope = context.prope;
   inputs.view_mask = context.view_mask;
-  return attention(inputs).view({views, tokens, sizes_.channels});
+  const auto query = inputs.query, key = inputs.key, value = inputs.value;
+  std::vector<torch::Tensor> attended;
+  for (int64_t branch = 0; branch < branches; ++branch) {
+    inputs.query = query.narrow(0, branch, 1);
+    inputs.key = key.narrow(0, branch, 1);
+    inputs.value = value.narrow(0, branch, 1);
+    inputs.prope = context.prope[static_cast<size_t>(branch)];
+    attended.push_back(attention(inputs));
+  }
+  return (branches == 1 ? attended.front() : torch::cat(attended)).view({views, tokens, sizes_.channels});
 }
 
 torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {

@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <vector>
 
 #include <torch/nn/module.h>
 #include <torch/types.h>
@@ -23,7 +24,9 @@ struct DitBlockSizes {
 // What a block needs beside its input.
 struct DitBlockContext {
   Modulation modulation;  // shift, scale, gate of attention, then of the feed-forward part
-  const PropeTables* prope = nullptr;
+  // One a branch of guidance: the input holds the views of one branch after the other, and each branch attends within
+  // itself.
+  std::vector<const PropeTables*> prope;
   torch::Tensor view_mask;  // which view pairs attend (gld/attention.h); every pair when undefined
 };
 
@@ -33,7 +36,7 @@ class DitBlock : public torch::nn::Module {
  public:
   DitBlock(const DitBlockSizes& sizes, const ParameterPlacement& placement);
 
-  // x: (views, tokens, channels) -> the same shape.
+  // x: (branches * views, tokens, channels) -> the same shape.
   torch::Tensor forward(const torch::Tensor& x, const DitBlockContext& context) const;
   // SiLU of one condition a row, (rows, channels) -> rows of a Modulation for this block.
   torch::Tensor modulation_rows(const torch::Tensor& activation) const;

@@ -9,6 +9,29 @@
 #include <torch/types.h>
 
 namespace gld {
+namespace {
+
+// The tokens of every branch, one after the other, with the branch's camera embedding where this part takes it.
+torch::Tensor branch_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
+                            bool with_embedding) {
+  const auto branches = static_cast<int64_t>(cameras.size());
+  // (views, ...) shared by all branches, or (branches * views, ...).
+  const bool shared = branches == 1 || tokens.size(0) == cameras.front().decoder_prope.grid.views;
+  std::vector<torch::Tensor> parts;
+  for (int64_t branch = 0; branch < branches; ++branch) {
+    const auto& embedding = cameras[static_cast<size_t>(branch)].embedding;
+    const auto own = shared ? tokens : tokens.chunk(branches)[static_cast<size_t>(branch)];
+    parts.push_back(with_embedding ? own + embedding : own);
+  }
+  return branches == 1 ? parts.front() : torch::cat(parts);
+}
+
+// (1 or views, width) -> one row that all branches share, or (branches * views, width).
+torch::Tensor branch_rows(const torch::Tensor& rows, size_t branches) {
+  return rows.size(0) == 1 || branches == 1 ? rows : rows.repeat({static_cast<int64_t>(branches), 1});
+}
+
+}  // namespace
 
 DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : options_(options) {
   check_options(options_, "diffusion model");
@@ -143,12 +166,14 @@ torch::Tensor DitDh::run_block(const DitBlock& block, const torch::Tensor& x,
     return block.forward(x, context);
   }
   // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
+  std::vector<PropeTables> copies;
+  for (const PropeTables* tables : context.prope) copies.push_back(*tables);
   const bool rows = context.modulation.rows.defined();
-  const BlockFunction again = [&block, rows, tables = *context.prope, mask = context.view_mask](
+  const BlockFunction again = [&block, rows, copies, mask = context.view_mask](
                                   const torch::Tensor& tokens, const torch::Tensor& conditioning) {
     DitBlockContext inner;
     (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
-    inner.prope = &tables;
+    for (const PropeTables& tables : copies) inner.prope.push_back(&tables);
     inner.view_mask = mask;
     return block.forward(tokens, inner);
   };
@@ -157,31 +182,43 @@ torch::Tensor DitDh::run_block(const DitBlock& block, const torch::Tensor& x,
 
 torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
                                        const DitTimeRow& time, DitBranch branch) const {
-  const auto cameras = evaluation_cameras(scene, branch);
-  auto x = tokens.encoder;
-  if (options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder) x = x + cameras.embedding;
-  for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
-    DitBlockContext context;
-    context.modulation.rows = time.encoder_modulation[i];
-    context.prope = &cameras.encoder_prope;
-    context.view_mask = scene.view_mask;
-    x = run_block(*encoder_blocks_[i], x, context);
-  }
-  return x;
+  return condition_encoder_batch(scene, tokens, time, {branch});
 }
 
 torch::Tensor DitDh::velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
                                        const torch::Tensor& condition, const DitTimeRow& time,
                                        DitBranch branch) const {
-  const auto cameras = evaluation_cameras(scene, branch);
-  auto s = torch::silu(condition + time.embedding.unsqueeze(1));
+  return velocity_features_batch(scene, tokens, condition, time, {branch});
+}
+
+torch::Tensor DitDh::condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                             const DitTimeRow& time,
+                                             const std::vector<DitBranch>& branches) const {
+  const auto cameras = evaluation_cameras(scene, branches);
+  auto x = branch_tokens(tokens.encoder, cameras,
+                         options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder);
+  DitBlockContext context;
+  for (const auto& branch : cameras) context.prope.push_back(&branch.encoder_prope);
+  context.view_mask = scene.view_mask;
+  for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
+    context.modulation.rows = branch_rows(time.encoder_modulation[i], branches.size());
+    x = run_block(*encoder_blocks_[i], x, context);
+  }
+  return x;
+}
+
+torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                             const torch::Tensor& condition, const DitTimeRow& time,
+                                             const std::vector<DitBranch>& branches) const {
+  const auto cameras = evaluation_cameras(scene, branches);
+  auto s = torch::silu(condition + branch_rows(time.embedding, branches.size()).unsqueeze(1));
   if (condition_projection_) s = condition_projection_->forward(s);
   DitBlockContext context;
   context.modulation.activation = torch::silu(s);
-  context.prope = &cameras.decoder_prope;
+  for (const auto& branch : cameras) context.prope.push_back(&branch.decoder_prope);
   context.view_mask = scene.view_mask;
-  auto x = tokens.decoder;
-  if (options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder) x = x + cameras.embedding;
+  auto x = branch_tokens(tokens.decoder, cameras,
+                         options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
   for (const auto& block : decoder_blocks_) x = run_block(*block, x, context);
   return final_layer_->features(x, context.modulation);
 }

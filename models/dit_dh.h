@@ -51,6 +51,13 @@ class DitDh : public torch::nn::Module {
   torch::Tensor velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
                                   const torch::Tensor& condition, const DitTimeRow& time,
                                   DitBranch branch) const;
+  // The same for several branches in one pass. Tokens are those of one branch, which all share, or of each branch one
+  // after the other; results and condition are (branches * views, tokens, width), one branch after the other.
+  torch::Tensor condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                        const DitTimeRow& time, const std::vector<DitBranch>& branches) const;
+  torch::Tensor velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                        const torch::Tensor& condition, const DitTimeRow& time,
+                                        const std::vector<DitBranch>& branches) const;
   // The last linear layer, which is affine: (views, tokens, channels).
   torch::Tensor velocity_from_features(const torch::Tensor& features) const;
 
@@ -74,7 +81,8 @@ class DitDh : public torch::nn::Module {
   torch::Tensor camera_embedding(const DitScene& scene, DitBranch branch) const;
   PropeTables prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const;
   void fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
-  DitBranchCameras evaluation_cameras(const DitScene& scene, DitBranch branch) const;
+  std::vector<DitBranchCameras> evaluation_cameras(const DitScene& scene,
+                                                   const std::vector<DitBranch>& branches) const;
   // Embeddings of special and patch tokens: of the source features, of the noisy latent, and of both in one product.
   torch::Tensor source_part(const DitEmbedder& embedder, const DitScene& scene) const;
   torch::Tensor latent_part(const DitEmbedder& embedder, const DitScene& scene,

@@ -2,9 +2,19 @@
 
 #include <utility>
 
+#include <c10/util/ScopeExit.h>
 #include <torch/types.h>
 
 namespace gld {
+namespace {
+
+const std::vector<DitBranch> kBothBranches{DitBranch::kConditional, DitBranch::kUnconditional};
+
+DitBranch other_branch(DitBranch branch) {
+  return branch == DitBranch::kConditional ? DitBranch::kUnconditional : DitBranch::kConditional;
+}
+
+}  // namespace
 
 DitField::DitField(const DitDh& model, DitScene scene) : model_(model), scene_(std::move(scene)) {}
 
@@ -30,16 +40,36 @@ const DitTimeRow& DitField::time_row(double t) {
   return time_rows_[t] = model_.time_rows({t}, rows).front();
 }
 
+bool DitField::keeps_conditions() const {
+  return scene_.savings.encoder_reuse && !model_.options().encoder_sees_noisy();
+}
+
+bool DitField::is_cached(DitBranch branch, double t) const {
+  const auto& cached = cached_[static_cast<size_t>(branch)];
+  return keeps_conditions() && cached.condition.defined() && cached.time == t;
+}
+
 torch::Tensor DitField::condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) {
-  auto& cached = cached_[static_cast<size_t>(branch)];
-  const bool reusable = scene_.savings.encoder_reuse && !model_.options().encoder_sees_noisy();
-  if (reusable && cached.condition.defined() && cached.time == time.time) {
+  const auto index = static_cast<size_t>(branch);
+  auto& cached = cached_[index];
+  if (is_cached(branch, time.time)) {
     ++counts_.encoder_reused;
     return cached.condition;
   }
-  ++counts_.condition_encoder;
-  auto condition = model_.condition_encoder(scene_, tokens, time, branch);
-  if (reusable) cached = {time.time, condition};
+  torch::Tensor condition;
+  const bool batching = batch_ && batch_->time == time.time;
+  if (batching && !batch_->conditions[index].defined() && !is_cached(other_branch(branch), time.time)) {
+    counts_.condition_encoder += 2;
+    const auto both = model_.condition_encoder_batch(scene_, batch_->tokens, time, kBothBranches).chunk(2);
+    batch_->conditions = {both[0], both[1]};
+  }
+  if (batching && batch_->conditions[index].defined()) {
+    condition = batch_->conditions[index];
+  } else {
+    ++counts_.condition_encoder;
+    condition = model_.condition_encoder(scene_, tokens, time, branch);
+  }
+  if (keeps_conditions()) cached = {time.time, condition};
   return condition;
 }
 
@@ -62,7 +92,31 @@ torch::Tensor DitField::unconditional(const torch::Tensor& state, double t) {
   return branch_velocity(state, t, DitBranch::kUnconditional);
 }
 
+BranchVelocities DitField::batched_features(const torch::Tensor& state, double t) {
+  const DitTimeRow& time = time_row(t);
+  const auto shared = model_.embed_noisy(scene_, state);
+  DitNoisyTokens own = shared;
+  Batch batch;
+  batch.time = t;
+  batch.tokens = shared;
+  if (!scene_.savings.shared_noisy_embedding) {
+    own = model_.embed_noisy(scene_, state);
+    batch.tokens = {torch::cat({shared.encoder, own.encoder}), torch::cat({shared.decoder, own.decoder})};
+  }
+  batch_ = batch;
+  const auto batch_ends = c10::make_scope_exit([&] { batch_.reset(); });
+  const auto conditional = condition(shared, time, DitBranch::kConditional);
+  const auto unconditional = condition(own, time, DitBranch::kUnconditional);
+  ++counts_.batched;
+  counts_.velocity_decoder += 2;
+  const auto features = model_.velocity_features_batch(
+      scene_, batch.tokens, torch::cat({conditional, unconditional}), time, kBothBranches);
+  const auto parts = features.chunk(2);
+  return {parts[0], parts[1]};
+}
+
 BranchVelocities DitField::both_features(const torch::Tensor& state, double t) {
+  if (batched_) return batched_features(state, t);
   const DitTimeRow& time = time_row(t);
   auto tokens = model_.embed_noisy(scene_, state);
   BranchVelocities result;

@@ -4,6 +4,9 @@
 #include "gld/error.h"
 #include "models/dit_dh.h"
 
+#include <utility>
+#include <vector>
+
 #include <torch/types.h>
 
 #include <fmt/format.h>
@@ -89,11 +92,16 @@ void DitDh::fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras
   cameras.decoder_prope = prope_tables(scene, branch, options_.hidden_size[1] / options_.num_heads[1]);
 }
 
-DitBranchCameras DitDh::evaluation_cameras(const DitScene& scene, DitBranch branch) const {
-  DitBranchCameras cameras = scene.branches[static_cast<size_t>(branch)];
-  if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(scene, branch);
-  if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(scene, branch, cameras);
-  return cameras;
+std::vector<DitBranchCameras> DitDh::evaluation_cameras(const DitScene& scene,
+                                                        const std::vector<DitBranch>& branches) const {
+  std::vector<DitBranchCameras> list;
+  for (const DitBranch branch : branches) {
+    DitBranchCameras cameras = scene.branches[static_cast<size_t>(branch)];
+    if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(scene, branch);
+    if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(scene, branch, cameras);
+    list.push_back(std::move(cameras));
+  }
+  return list;
 }
 
 DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& savings) const {

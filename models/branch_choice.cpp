@@ -1,0 +1,32 @@
+#include "models/branch_choice.h"
+
+#include "models/cost_model.h"
+
+#include <fmt/format.h>
+
+namespace gld {
+
+BranchChoice choose_branches(const GuidanceOptions& guidance, const DitOptions& model,
+                             const LatentGrid& grid) {
+  constexpr double kMegabyte = 1e6;
+  BranchChoice choice;
+  choice.working_bytes = 2 * dit_cost(model, grid).working_bytes;
+  const double megabytes = static_cast<double>(choice.working_bytes) / kMegabyte;
+  switch (guidance.guidance_branches) {
+    case BranchEvaluation::kBatched:
+      choice.batched = true;
+      choice.reason = "as asked";
+      break;
+    case BranchEvaluation::kSequential:
+      choice.reason = "as asked";
+      break;
+    case BranchEvaluation::kAutomatic:
+      choice.batched = megabytes <= guidance.guidance_batch_memory;
+      choice.reason = fmt::format("both together work in about {:.0f} MB, {} the limit of {:g} MB", megabytes,
+                                  choice.batched ? "within" : "above", guidance.guidance_batch_memory);
+      break;
+  }
+  return choice;
+}
+
+}  // namespace gld
