@@ -1,11 +1,13 @@
 #include "gld/torch_version.h"
 
+#include "gld/block_memory.h"
 #include "gld/error.h"
 
 #include <cstring>
 
 #include <ATen/Parallel.h>
 #include <ATen/autocast_mode.h>
+#include <c10/core/CPUAllocator.h>
 #include <torch/version.h>
 
 #include <dlfcn.h>
@@ -51,6 +53,27 @@ void enable_autocast(torch::DeviceType device, bool enabled) {
   }
 }
 #endif
+
+// 2.3 lets an allocator change and asks it to copy.
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 3)
+#define GLD_ALLOCATE_CONST
+#else
+#define GLD_ALLOCATE_CONST const
+#endif
+
+class BlockAllocator final : public c10::Allocator {
+ public:
+  c10::DataPtr allocate(size_t bytes) GLD_ALLOCATE_CONST override {
+    void* data = bytes == 0 ? nullptr : take_block(bytes);
+    return {data, data, &give_block, c10::Device(c10::DeviceType::CPU)};
+  }
+  c10::DeleterFnPtr raw_deleter() const override { return &give_block; }
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 3)
+  void copy_data(void* destination, const void* source, size_t bytes) const override {
+    default_copy_data(destination, source, bytes);
+  }
+#endif
+};
 
 }  // namespace
 
@@ -111,6 +134,12 @@ BFloat16Autocast::~BFloat16Autocast() {
   // The outermost scope drops the cached casts of the parameters, which the optimiser is about to change.
   if (at::autocast::decrement_nesting() == 0) at::autocast::clear_cache();
   enable_autocast(device_, enabled_before_);
+}
+
+void keep_freed_tensor_memory(int64_t most_kept_bytes) {
+  set_most_kept_bytes(most_kept_bytes);
+  static auto* allocator = new BlockAllocator;  // never destroyed: tensors outlive main
+  c10::SetCPUAllocator(allocator, /*priority=*/1);
 }
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 
 #include <torch/types.h>
@@ -17,6 +18,10 @@ std::string blas_name();
 // One setting for LibTorch's own loops, OpenMP and BLAS (Debian's LibTorch starts with one thread).
 void set_thread_count(int threads);
 int thread_count();
+
+// Lets CPU tensors take their memory from block_memory.h, which keeps up to that many freed bytes. Tensors of before
+// stay valid.
+void keep_freed_tensor_memory(int64_t most_kept_bytes);
 
 // Whether LibTorch brings a fused attention for that kind of device which beats composing it (2.0 and newer, CUDA).
 bool has_library_attention(torch::Device device);
