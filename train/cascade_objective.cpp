@@ -18,18 +18,24 @@ CascadeObjective::CascadeObjective(const BundleOptions& model, const CascadeObje
                     placement, seed),
       deeper_noise_(options.deeper_noise) {}
 
-FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene,
-                                                  torch::Generator& generator) const {
+SceneLatents CascadeObjective::latents(const TrainingScene& scene) const {
   const int64_t boundary = model().boundary_level;
   const auto levels = encode(scene, scene.views.size(), boundary);
   const auto& statistics = frozen().level0_statistics;
+  SceneLatents latents;
+  latents.sources = statistics.normalise(patches_of(encode(scene, scene.views.num_sources, 0)[0]));
+  latents.clean = statistics.normalise(patches_of(levels[0]));
+  latents.deeper = frozen().boundary_statistics.normalise(patches_of(levels[static_cast<size_t>(boundary)]));
+  return latents;
+}
+
+FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene, const SceneLatents& latents,
+                                                  torch::Generator& generator) const {
   Prepared prepared;
   prepared.inputs.views = scene.views;
-  prepared.inputs.source_features =
-      statistics.normalise(patches_of(encode(scene, scene.views.num_sources, 0)[0]));
-  prepared.clean = statistics.normalise(patches_of(levels[0]));
-  const auto deeper =
-      frozen().boundary_statistics.normalise(patches_of(levels[static_cast<size_t>(boundary)]));
+  prepared.inputs.source_features = latents.sources;
+  prepared.clean = latents.clean;
+  const auto& deeper = latents.deeper;
   const double strength =
       deeper_noise_ * std::abs(torch::randn({1}, generator, torch::kFloat64).item<double>());
   const auto noise = torch::randn(deeper.sizes(), generator, torch::kFloat32).to(deeper.device());

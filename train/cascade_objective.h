@@ -23,7 +23,9 @@ class CascadeObjective : public FlowObjective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  protected:
-  Prepared prepare(const TrainingScene& scene, torch::Generator& generator) const override;
+  SceneLatents latents(const TrainingScene& scene) const override;
+  Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
+                   torch::Generator& generator) const override;
   // Levels L and deeper are those of the true images.
   torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const override;
 

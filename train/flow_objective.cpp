@@ -24,6 +24,10 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.boolean(
       {"checkpoint_blocks", "keep no activations inside blocks but compute them again: memory for time"},
       checkpoint_blocks);
+  visitor.real({"kept_latents_gib",
+                "memory for the latents of scenes that come again (data.distinct_batches), in float16; 0 "
+                "encodes them every time"},
+               kept_latents_gib, {0.0, 1e6});
 }
 
 FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, double training_shift,
@@ -33,7 +37,8 @@ FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, 
       training_shift_(training_shift),
       options_(options),
       frozen_(std::move(frozen)),
-      placement_(placement) {
+      placement_(placement),
+      kept_latents_(options.kept_latents_gib) {
   model_.check();
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   dit_ = std::make_shared<DitDh>(dit, placement);
@@ -74,7 +79,11 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
   PartSums parts;
   for (const TrainingScene& on_host : batch.scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
-    const Prepared prepared = prepare(scene, generator);
+    const auto scene_latents =
+        kept_latents_.enabled()
+            ? kept_latents_.get(on_host, [&] { return latents(scene); }).to(placement_.device)
+            : latents(scene);
+    const Prepared prepared = prepare(scene, scene_latents, generator);
     const auto draws = torch::rand({2}, generator, torch::kFloat64);
     const double time = shifted_time(draws[0].item<double>(), training_shift_);
     const auto branch = draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional
@@ -110,7 +119,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
   auto generator = at::detail::createCPUGenerator(kValidationSeed);
   for (const TrainingScene& on_host : scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
-    const Prepared prepared = prepare(scene, generator);
+    const Prepared prepared = prepare(scene, latents(scene), generator);
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
     for (int i = 0; i < kTimes; ++i) {
       const double time = shifted_time((i + 0.5) / kTimes, training_shift_);

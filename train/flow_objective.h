@@ -3,6 +3,7 @@
 #include "gld/latent_statistics.h"
 #include "models/bundle.h"
 #include "train/objective.h"
+#include "train/scene_latents.h"
 
 #include <cstdint>
 #include <memory>
@@ -16,6 +17,7 @@ struct FlowObjectiveOptions : OptionsGroup {
   double camera_dropout = 0.1;
   int64_t validation_evaluations = 8;
   bool checkpoint_blocks = false;
+  double kept_latents_gib = 0;  // of scenes seen before; 0 encodes every time
 
   void visit(FieldVisitor& visitor) override;
 };
@@ -42,6 +44,9 @@ class FlowObjective : public Objective {
   Validation validate(const std::vector<TrainingScene>& scenes) override;
 
  protected:
+  // What the frozen backbone makes of a scene, normalised; the model has to generate clean.
+  virtual SceneLatents latents(const TrainingScene& scene) const = 0;
+
   // A scene as the model sees it, and the latent it has to generate: (views, tokens, channels), normalised.
   struct Prepared {
     DitSceneInputs inputs;
@@ -53,7 +58,8 @@ class FlowObjective : public Objective {
                 int64_t seed);
 
   // generator: random numbers that belong to the training of this scene.
-  virtual Prepared prepare(const TrainingScene& scene, torch::Generator& generator) const = 0;
+  virtual Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
+                           torch::Generator& generator) const = 0;
   // A generated latent as images (views, 3, height, width), for validation.
   virtual torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const = 0;
 
@@ -84,6 +90,7 @@ class FlowObjective : public Objective {
   FrozenParts frozen_;
   ParameterPlacement placement_;
   std::shared_ptr<DitDh> dit_;
+  KeptLatents kept_latents_;
 };
 
 }  // namespace gld

@@ -9,16 +9,22 @@ LevelObjective::LevelObjective(const BundleOptions& model, const FlowObjectiveOp
     : FlowObjective(model, model.level1, model.level1_time_shift.training, options, std::move(frozen),
                     placement, seed) {}
 
-FlowObjective::Prepared LevelObjective::prepare(const TrainingScene& scene,
-                                                torch::Generator& /*generator*/) const {
+SceneLatents LevelObjective::latents(const TrainingScene& scene) const {
   const int64_t level = model().boundary_level;
   const auto index = static_cast<size_t>(level);
   const auto& statistics = frozen().boundary_statistics;
+  SceneLatents latents;
+  latents.sources = statistics.normalise(patches_of(encode(scene, scene.views.num_sources, level)[index]));
+  latents.clean = statistics.normalise(patches_of(encode(scene, scene.views.size(), level)[index]));
+  return latents;
+}
+
+FlowObjective::Prepared LevelObjective::prepare(const TrainingScene& scene, const SceneLatents& latents,
+                                                torch::Generator& /*generator*/) const {
   Prepared prepared;
   prepared.inputs.views = scene.views;
-  prepared.inputs.source_features =
-      statistics.normalise(patches_of(encode(scene, scene.views.num_sources, level)[index]));
-  prepared.clean = statistics.normalise(patches_of(encode(scene, scene.views.size(), level)[index]));
+  prepared.inputs.source_features = latents.sources;
+  prepared.clean = latents.clean;
   return prepared;
 }
 

@@ -17,7 +17,9 @@ class LevelObjective : public FlowObjective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  protected:
-  Prepared prepare(const TrainingScene& scene, torch::Generator& generator) const override;
+  SceneLatents latents(const TrainingScene& scene) const override;
+  Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
+                   torch::Generator& generator) const override;
   // The levels below L are left out (zeros), which the decoder knows from its level dropout.
   torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const override;
 };

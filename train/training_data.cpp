@@ -78,6 +78,10 @@ void TrainingDataOptions::visit(FieldVisitor& visitor) {
   visitor.group({"synthetic", "generated scenes"}, synthetic);
   visitor.group({"views", "which frames make a training scene"}, views);
   visitor.group({"loading", "micro-batches and what is refused"}, loading);
+  visitor.integer({"distinct_batches",
+                   "micro-batches that are drawn before the same ones come again, kept in memory; 0 always "
+                   "draws new ones"},
+                  distinct_batches, {0, 1'000'000'000});
   visitor.text({"validation_folder", "folder of held-out scenes; none is generated scenes"},
                validation_folder);
   visitor.integer({"validation_seed", "seed of the generated validation scenes"}, validation_seed,
@@ -103,15 +107,30 @@ void TrainingDataOptions::check() const {
 
 LoadedBatches::LoadedBatches(const TrainingDataOptions& options, const std::vector<TrainedSize>& sizes,
                              FrameParts parts)
-    : loader_(mixture_of(options), weighted(sizes, options.size_weights),
-              with_parts(options.loading, parts)) {
+    : loader_(mixture_of(options), weighted(sizes, options.size_weights), with_parts(options.loading, parts)),
+      distinct_(options.distinct_batches) {
   options.check();
+}
+
+std::shared_ptr<const LoadedBatch> LoadedBatches::load(int64_t number) const {
+  if (distinct_ == 0) return std::make_shared<LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+  number %= distinct_;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto found = kept_.find(number);
+    if (found != kept_.end()) return found->second;
+  }
+  auto made = std::make_shared<const LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+  const std::lock_guard<std::mutex> lock(mutex_);
+  kept_[number] = made;
+  return made;
 }
 
 TrainingBatch LoadedBatches::batch(int64_t index) const {
   TrainingBatch batch;
   batch.index = index;
-  for (const LoadedScene& scene : loader_.load(static_cast<uint64_t>(index)).scenes) {
+  const auto loaded = load(index);
+  for (const LoadedScene& scene : loaded->scenes) {
     batch.scenes.push_back(to_training_scene(scene));
   }
   return batch;

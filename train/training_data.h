@@ -6,7 +6,9 @@
 #include "train/batch_feed.h"
 
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -21,6 +23,7 @@ struct TrainingDataOptions : OptionsGroup {
   SyntheticOptions synthetic;
   ViewSampling views;
   BatchLoading loading;
+  int64_t distinct_batches = 0;      // then the same come again, kept in memory; 0: always new ones
   std::string validation_folder;     // empty: generated scenes of validation_seed
   int64_t validation_seed = 900000;  // must differ from synthetic.seed
   int64_t validation_scenes = 8;
@@ -38,7 +41,12 @@ class LoadedBatches : public BatchSource {
   LoadingReport report() const { return loader_.report(); }
 
  private:
+  std::shared_ptr<const LoadedBatch> load(int64_t number) const;
+
   BatchLoader loader_;
+  int64_t distinct_ = 0;
+  mutable std::mutex mutex_;
+  mutable std::map<int64_t, std::shared_ptr<const LoadedBatch>> kept_;  // by number, below distinct_
 };
 
 // The validation scenes: views spread by views.longest_interval, the first and the last ones are sources.

@@ -148,6 +148,68 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
             1e-5 * gradients[0].abs().max().item<double>());
 }
 
+TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  std::vector<double> losses;
+  for (const double gib : {0.0, 0.01}) {
+    FlowObjectiveOptions options;
+    options.kept_latents_gib = gib;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    const torch::NoGradGuard no_grad;
+    for (int pass = 0; pass < 2; ++pass) {
+      auto draws = at::detail::createCPUGenerator(4);
+      losses.push_back(objective.losses(batch, {0, 1, draws}).total.item<double>());
+    }
+  }
+  EXPECT_EQ(losses[0], losses[1]);
+  EXPECT_EQ(losses[2], losses[3]) << "the first use has the rounding of later ones";
+  EXPECT_NEAR(losses[0], losses[2], 1e-3);
+}
+
+TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const TrainingScene first = data.batch(0).scenes.front(), second = data.batch(1).scenes.front();
+  int encoded = 0;
+  const auto encode = [&] {
+    ++encoded;
+    SceneLatents latents;
+    latents.sources = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
+    latents.clean = torch::full({2, 2, 3}, 2.0);
+    return latents;
+  };
+  KeptLatents kept(1e-3);
+  const auto made = kept.get(first, encode), again = kept.get(first, encode);
+  EXPECT_EQ(encoded, 1);
+  EXPECT_TRUE(torch::equal(made.sources, again.sources));
+  EXPECT_EQ(made.sources.scalar_type(), torch::kFloat32);
+  EXPECT_FALSE(made.deeper.defined());
+  kept.get(second, encode);
+  EXPECT_EQ(encoded, 2);
+  KeptLatents none(1e-9);  // room for a byte: everything is encoded every time
+  none.get(first, encode);
+  none.get(first, encode);
+  EXPECT_EQ(encoded, 4);
+}
+
+TEST(DistinctBatches, ComeAgain) {
+  auto options = test::small_data();
+  options.distinct_batches = 2;
+  const LoadedBatches data(options, {{56, 56}}, FrameParts::kImage);
+  const LoadedBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  for (const int64_t index : {0, 1, 2, 5}) {
+    const auto batch = data.batch(index);
+    EXPECT_EQ(batch.index, index);
+    const auto expected = endless.batch(index % 2);
+    ASSERT_EQ(batch.scenes.size(), expected.scenes.size());
+    EXPECT_TRUE(torch::equal(batch.scenes.front().images, expected.scenes.front().images));
+  }
+}
+
 TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
   const auto bundle = ModelBundle::open(path("stats/model"));
   FrozenParts frozen;
