@@ -38,6 +38,8 @@ struct Command {
   // commands have
   // --config FILE.yaml and --set key=value as well.
   std::shared_ptr<OptionsGroup> options;
+  // Called before options are checked, with the keys ("group.field") that flags and --set name; may be empty.
+  std::function<void(const std::vector<std::string>& keys)> on_named;
   // Called after options are read and checked. Returns the exit status.
   std::function<int(const std::vector<std::string>& arguments)> run;
   std::vector<Command> subcommands;  // instead of run

@@ -120,6 +120,13 @@ void apply(const Collected& collected, OptionsGroup& options) {
   }
 }
 
+std::vector<std::string> named_keys(const Collected& collected) {
+  std::vector<std::string> keys;
+  for (const auto& setting : collected.settings) keys.push_back(setting.substr(0, setting.find('=')));
+  for (const auto& flag : collected.flags) keys.push_back(flag.key);
+  return keys;
+}
+
 // A command whose options are read and checked.
 struct Invocation {
   const Command* command = nullptr;
@@ -149,6 +156,7 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   require_argument_count(command, left_over.size());
   if (command.options) {
     apply(collected, *command.options);
+    if (command.on_named) command.on_named(named_keys(collected));
     check_options(*command.options, "gld " + command.name);
   }
   return Invocation{&command, left_over};

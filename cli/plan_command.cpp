@@ -24,6 +24,7 @@ Command make_plan_command() {
   command.name = "plan";
   command.summary = "Say what gld sample would run for a scene, and its time and memory";
   command.options = options;
+  command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {
     std::cout << sampling_plan_report(*options);
     return 0;

@@ -12,8 +12,11 @@ Command make_sample_command() {
   command.description =
       "Example: gld sample --model configs/tiny --scene my_photos --sources 0,3 --targets 1,2 --out "
       "runs/first\n"
-      "Targets are frames of the scene (--targets) or a camera path (--path orbit|spline|cameras.json).";
+      "Targets are frames of the scene (--targets) or a camera path (--path orbit|spline|cameras.json).\n"
+      "How it is sampled: the solver, guidance and approximate options, or instead of them --quality\n"
+      "(published, exact, balanced, fast) or --tolerance (the largest relative error of the latents).";
   command.options = options;
+  command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {
     sample(*options);
     return 0;

@@ -9,7 +9,35 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kPublishedEvaluations = 49;  // 50 times
+// Fields that make up a SamplingMethod.
+bool decides_the_method(const std::string& key) {
+  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 || key == "preset" ||
+         key == "guidance.guidance_interval" || key == "guidance.guidance_tolerance";
+}
+
+// The first field of the method that the command line names or a file changes; empty for none.
+std::string method_field_asked_for(const SampleOptions& options) {
+  for (const auto& key : options.named) {
+    if (decides_the_method(key)) return key;
+  }
+  const auto defaults = describe_options(SampleOptions()), values = describe_options(options);
+  for (size_t i = 0; i < values.size(); ++i) {
+    if (decides_the_method(values[i].key) && values[i].default_value != defaults[i].default_value) {
+      return values[i].key;
+    }
+  }
+  return "";
+}
+
+void refuse_two_methods(const SampleOptions& options) {
+  const bool quality = options.quality != SamplingQuality::kOptions;
+  if (!quality && options.tolerance == 0) return;
+  const std::string chosen = quality ? "--quality" : "--tolerance";
+  const std::string other = quality && options.tolerance > 0 ? "tolerance" : method_field_asked_for(options);
+  if (other.empty()) return;
+  fail({chosen, "no other option beside it that decides how to sample", "'" + other + "'",
+        "leave out one of the two"});
+}
 
 }  // namespace
 
@@ -27,8 +55,18 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"seed", "seed of the noise; the same seed gives the same bytes"}, seed, {0});
   visit_choice(visitor, {"preset", "published: the release's sampler, whatever the solver options say"},
                preset, {"options", "published"});
+  visit_choice(visitor,
+               {"quality",
+                "how to sample: as the solver, guidance and approximate options say, or a fixed "
+                "choice instead of them"},
+               quality, sampling_quality_names());
+  visitor.real({"tolerance",
+                "instead of them: the largest relative error of the latents, for which the cheapest "
+                "measured way is taken; 0: none (an adaptive solver's is --solver.tolerance)"},
+               tolerance, {0, 10});
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
+  visitor.group({"approximate", "work left out with an error"}, approximate);
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);
@@ -44,6 +82,7 @@ void SampleOptions::check() const {
   if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/sample"});
   requested();
   savings();
+  refuse_two_methods(*this);
 }
 
 ExactSavings SampleOptions::savings() const {
@@ -82,17 +121,19 @@ RequestedOutputs SampleOptions::requested() const {
   return requested;
 }
 
-SolverOptions SampleOptions::resolved_solver(double model_shift) const {
-  SolverOptions resolved = solver;
+SamplingMethod SampleOptions::method(const DitOptions& cascade) const {
+  if (quality != SamplingQuality::kOptions) return quality_method(quality, cascade);
+  SamplingMethod method;
+  method.name = "as the options say";
+  method.solver = solver;
+  method.guidance_interval = guidance.guidance_interval;
+  method.guidance_tolerance = guidance.guidance_tolerance;
+  method.approximate = approximate;
   if (preset == SamplingPreset::kPublished) {
-    resolved = SolverOptions();
-    resolved.solver = SolverKind::kEuler;
-    resolved.evaluations = kPublishedEvaluations;
-    resolved.schedule.schedule = ScheduleKind::kPublished;
-    resolved.schedule.shift = 0;
+    method.name = "published";
+    method.solver = quality_method(SamplingQuality::kPublished, cascade).solver;
   }
-  if (resolved.schedule.shift == 0) resolved.schedule.shift = model_shift;
-  return resolved;
+  return method;
 }
 
 }  // namespace gld

@@ -4,7 +4,9 @@
 #include "gld/guidance.h"
 #include "gld/options.h"
 #include "gld/solver.h"
+#include "infer/sampling_method.h"
 #include "infer/sampling_scene.h"
+#include "models/approximate_savings.h"
 #include "models/exact_savings.h"
 
 #include <cstdint>
@@ -43,21 +45,28 @@ struct SampleOptions : OptionsGroup {
   std::vector<std::string> outputs{"image", "depth", "points"};
   int64_t seed = 0;
   SamplingPreset preset = SamplingPreset::kOptions;
+  // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays
+  // below a tolerance (infer/plan_errors.h; 0 for none). Neither goes together with those options.
+  SamplingQuality quality = SamplingQuality::kOptions;
+  double tolerance = 0;
   SolverOptions solver;
   GuidanceOptions guidance;
+  ApproximateSavings approximate;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/exact_savings.h)
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
+  // Keys that the command line names, so that a value equal to the default counts as asked for; not an option itself.
+  std::vector<std::string> named;
 
   SampleOptions();
   void visit(FieldVisitor& visitor) override;
-  void check() const override;
+  void check() const override;  // also that nothing contradicts quality or tolerance
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // The solver with preset and the model's own time shift applied.
-  SolverOptions resolved_solver(double model_shift) const;
+  // What all options but tolerance say, for a model with that cascade.
+  SamplingMethod method(const DitOptions& cascade) const;
 };
 
 }  // namespace gld

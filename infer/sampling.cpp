@@ -9,7 +9,9 @@
 #include "gld/random.h"
 #include "gld/run_folder.h"
 #include "gld/torch_version.h"
+#include "gld/view_visibility.h"
 #include "infer/bundle_models.h"
+#include "infer/method_choice.h"
 #include "infer/sampling_outputs.h"
 #include "infer/sampling_plan.h"
 
@@ -36,8 +38,9 @@ torch::Tensor stacked(const std::vector<Image>& images) {
   return torch::stack(tensors);
 }
 
-PipelineRequest make_request(const SampleOptions& options, const BundleOptions& bundle,
-                             const SamplingScene& scene, const torch::Device& device) {
+PipelineRequest make_request(const SampleOptions& options, const FlowSettings& settings,
+                             const BundleOptions& bundle, const SamplingScene& scene,
+                             const torch::Device& device) {
   const RequestedOutputs requested = options.requested();
   const LatentGrid grid = bundle.backbone.grid_of(scene.views.size(), scene.size.height, scene.size.width);
   PipelineRequest request;
@@ -49,9 +52,10 @@ PipelineRequest make_request(const SampleOptions& options, const BundleOptions& 
   };
   request.level1_noise = noise("level 1", bundle.level1.in_channels);
   request.level0_noise = noise("level 0", bundle.cascade.in_channels);
-  request.level1_solver = options.resolved_solver(bundle.level1_time_shift.evaluation);
-  request.cascade_solver = options.resolved_solver(bundle.cascade_time_shift.evaluation);
-  request.guidance = options.guidance;
+  request.level1_solver = settings.level1_solver;
+  request.cascade_solver = settings.cascade_solver;
+  request.guidance = settings.guidance;
+  request.approximate = settings.approximate;
   request.savings = options.savings();
   request.image_views = requested.needs_image() ? DecodedViews::kTargets : DecodedViews::kNone;
   if (requested.needs_geometry()) {
@@ -126,19 +130,33 @@ PreparedSampling prepare(const SampleOptions& options) {
   return {device, bundle, found, load_sampling_scene(found, options.views, size)};
 }
 
-SamplingPlan plan_of(const PreparedSampling& prepared, const SampleOptions& options) {
+// The method and what it would take. model_hash is called where the bundle's measured errors are needed.
+struct PlannedSampling {
+  ChosenMethod choice;
+  FlowSettings settings;
+  SamplingPlan plan;
+};
+
+PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options,
+                        const std::function<std::string()>& model_hash) {
   const BundleOptions& bundle = prepared.bundle.options();
+  const Views& views = prepared.scene.views;
   PlanRequest request;
-  request.grid = bundle.backbone.grid_of(prepared.scene.views.size(), prepared.scene.size.height,
-                                         prepared.scene.size.width);
-  request.num_sources = prepared.scene.views.num_sources;
+  request.grid = bundle.backbone.grid_of(views.size(), prepared.scene.size.height, prepared.scene.size.width);
+  request.num_sources = views.num_sources;
   request.outputs = options.requested();
-  request.level1_solver = options.resolved_solver(bundle.level1_time_shift.evaluation);
-  request.cascade_solver = options.resolved_solver(bundle.cascade_time_shift.evaluation);
-  request.guidance = options.guidance;
-  SamplingPlan plan = plan_sampling(bundle, request);
-  predict_seconds(plan, measure_machine_speed());
-  return plan;
+  request.visible_share = view_visibility(views).kept();
+  PlannedSampling planned;
+  planned.choice = choose_method(options, prepared.bundle, request, model_hash);
+  planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
+  request.set(planned.settings);
+  planned.plan = plan_sampling(bundle, request);
+  predict_seconds(planned.plan, measure_machine_speed());
+  return planned;
+}
+
+std::string planned_text(const PlannedSampling& planned) {
+  return choice_text(planned.choice) + plan_text(planned.plan);
 }
 
 std::string scene_line(const SamplingScene& scene) {
@@ -156,8 +174,11 @@ void use_threads(const SampleOptions& options) {
 std::string sampling_plan_report(const SampleOptions& options) {
   use_threads(options);
   const PreparedSampling prepared = prepare(options);
-  std::string text = scene_line(prepared.scene) + plan_text(plan_of(prepared, options));
-  for (const auto& warning : prepared.scene.warnings) text += "warning: " + warning + "\n";
+  const auto planned = plan_of(prepared, options, [&] { return prepared.bundle.content_hash(); });
+  std::string text = scene_line(prepared.scene) + planned_text(planned);
+  for (const auto& list : {planned.choice.notes, prepared.scene.warnings}) {
+    for (const auto& warning : list) text += "warning: " + warning + "\n";
+  }
   return text;
 }
 
@@ -167,17 +188,23 @@ void sample(const SampleOptions& options) {
   const PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   const SamplingScene& scene = prepared.scene;
-  RunFolder run(options.out, "sample", options);
-  const RequestedOutputs requested = options.requested();
-  PipelineRequest request = make_request(options, bundle.options(), scene, prepared.device);
-
-  const SamplingPlan plan = plan_of(prepared, options);
-  std::cout << scene_line(scene) << plan_text(plan) << std::flush;
-  print_warnings(scene.warnings);
 
   StageRecords stages;
   Provenance provenance = make_provenance("sample", options, {"out", "threads"});
-  stages.run("hashing the model", [&] { provenance.model_hash = bundle.content_hash(); });
+  const auto hash_model = [&] {
+    if (provenance.model_hash.empty()) {
+      stages.run("hashing the model", [&] { provenance.model_hash = bundle.content_hash(); });
+    }
+    return provenance.model_hash;
+  };
+  const PlannedSampling planned = plan_of(prepared, options, hash_model);
+  RunFolder run(options.out, "sample", options);
+  const RequestedOutputs requested = options.requested();
+  PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
+  std::cout << scene_line(scene) << planned_text(planned) << std::flush;
+  print_warnings(planned.choice.notes);
+  print_warnings(scene.warnings);
+  hash_model();
   provenance.seed = options.seed;
   SamplingOutputs outputs(run, scene, requested, provenance);
   FlowProgress progress;
@@ -190,13 +217,15 @@ void sample(const SampleOptions& options) {
              [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
 
   std::vector<std::string> warnings = scene.warnings;
+  warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
+  const size_t printed = warnings.size();
   // Both flows see the same cameras and warn alike.
   for (const auto& list : {result.warnings, outputs.warnings()}) {
     for (const auto& warning : list) {
       if (std::find(warnings.begin(), warnings.end(), warning) == warnings.end()) warnings.push_back(warning);
     }
   }
-  print_warnings({warnings.begin() + static_cast<std::ptrdiff_t>(scene.warnings.size()), warnings.end()});
+  print_warnings({warnings.begin() + static_cast<std::ptrdiff_t>(printed), warnings.end()});
   nlohmann::ordered_json report;
   report["command"] = "sample";
   report["options"] = to_json(options);
@@ -208,7 +237,8 @@ void sample(const SampleOptions& options) {
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
   report["threads"] = thread_count();
   report["stages"] = stages.to_json();
-  report["plan"] = plan_json(plan);
+  report["sampling"] = choice_json(planned.choice);
+  report["plan"] = plan_json(planned.plan);
   report["flows"] = flows_json(result.flows);
   for (const auto& [key, value] : outputs.findings().items()) report[key] = value;
   report["warnings"] = warnings;

@@ -2,7 +2,10 @@
 
 #include "gld/error.h"
 #include "gld/interrupt.h"
+#include "infer/visible_pairs.h"
+#include "models/extrapolated_field.h"
 #include "models/imagenet.h"
+#include "models/node_field.h"
 
 #include <utility>
 
@@ -18,6 +21,8 @@ struct SourceFeatures {
   torch::Tensor level0;       // (sources, tokens, channels) raw
   torch::Tensor level1;       // (sources, tokens, channels) raw
   torch::Tensor class_token;  // (1, 1, channels) raw: the first source view encoded alone
+  // All levels as the DPT head takes them; only where needs_source_depth.
+  std::vector<torch::Tensor> decodable;
 };
 
 void require_finite(const torch::Tensor& tensor, const std::string& stage, const std::string& what) {
@@ -28,10 +33,16 @@ void require_finite(const torch::Tensor& tensor, const std::string& stage, const
 
 torch::Tensor patches_of(const torch::Tensor& level) { return level.slice(1, 1).contiguous(); }
 
+// One source view would leave the unit of its depth open.
+bool needs_source_depth(const PipelineRequest& request) {
+  return request.approximate.view_pairs == ViewPairs::kVisible && request.views.num_sources > 1;
+}
+
 SourceFeatures encode_sources(const PipelineModels& models, const PipelineRequest& request) {
   const auto backbone = models.backbone();
   const auto images = imagenet_normalise(request.source_images.to(request.device));
-  const auto levels = backbone->encode(images, 1);
+  const auto last_level = static_cast<int64_t>(backbone->options().out_layers.size()) - 1;
+  const auto levels = backbone->encode(images, needs_source_depth(request) ? last_level : 1);
   SourceFeatures features;
   features.grid = backbone->options().grid_of(request.views.size(), images.size(2), images.size(3));
   features.level0 = patches_of(levels[0]);
@@ -39,9 +50,21 @@ SourceFeatures encode_sources(const PipelineModels& models, const PipelineReques
   // With one source view the joint encoding is the view alone already.
   const auto alone = request.views.num_sources == 1 ? levels : backbone->encode(images.slice(0, 0, 1), 1);
   features.class_token = alone[1].slice(0, 0, 1).slice(1, 0, 1).contiguous();
+  if (needs_source_depth(request)) {
+    for (const auto& level : levels) features.decodable.push_back(backbone->decodable(level).patches);
+  }
   require_finite(features.level0, "source encoding", "level 0 features");
   require_finite(features.level1, "source encoding", "level 1 features");
   return features;
+}
+
+VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
+                                const SourceFeatures& sources) {
+  if (sources.decodable.empty()) return visible_pairs(request.views);
+  LatentGrid grid = sources.grid;
+  grid.views = request.views.num_sources;
+  return visible_pairs(request.views,
+                       models.dpt_head()->forward(sources.decodable, grid, GeometryMaps::kDepthAndRays));
 }
 
 struct FlowStage {
@@ -50,15 +73,30 @@ struct FlowStage {
   torch::Tensor noise;
 };
 
+// The field that the approximate savings ask for; with none of them the exact one.
+std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const FlowStage& stage,
+                                     const PipelineRequest& request) {
+  const auto& savings = request.approximate;
+  const bool cascade = model.options().conditioning == DitConditioning::kDeeperLevel;
+  if (cascade && savings.cascade_encoder_nodes > 0) {
+    auto nodes = encoder_nodes(stage.solver, request.guidance, savings.cascade_encoder_nodes);
+    return std::make_unique<NodeField>(model, std::move(scene), std::move(nodes));
+  }
+  if (!cascade && savings.level1_encoder_every > 1) {
+    return std::make_unique<ExtrapolatedField>(model, std::move(scene), savings.level1_encoder_every);
+  }
+  return std::make_unique<DitField>(model, std::move(scene));
+}
+
 torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
                        const PipelineRequest& request, PipelineResult& result) {
   result.warnings.insert(result.warnings.end(), scene.warnings().begin(), scene.warnings().end());
   const auto branches = choose_branches(request.guidance, model.options(), scene.grid);
-  DitField field(model, std::move(scene));
-  field.set_batched(branches.batched);
-  GuidedField guided(field, request.guidance);
+  const auto field = make_field(model, std::move(scene), stage, request);
+  field->set_batched(branches.batched);
+  GuidedField guided(*field, request.guidance);
   const auto times = solver_times(stage.solver);
-  if (!is_adaptive(stage.solver.solver)) field.prepare_times({times.begin(), times.end() - 1});
+  if (!is_adaptive(stage.solver.solver)) field->prepare_times({times.begin(), times.end() - 1});
   SolveObserver observer;
   observer.stage = stage.name;
   observer.on_step = [&](const SolveProgress& progress) {
@@ -79,7 +117,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   report.rejected = solved.rejected;
   report.guidance = guided.report();
   report.branches = branches;
-  report.counts = field.counts();
+  report.counts = field->counts();
   result.flows.push_back(std::move(report));
   return solved.state;
 }
@@ -143,6 +181,15 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
 
   DitSceneInputs scene;
   scene.views = request.views;
+  if (request.approximate.view_pairs == ViewPairs::kVisible) {
+    stages.run("view pairs", [&] {
+      const VisiblePairs pairs = find_visible_pairs(models, request, sources);
+      scene.view_mask = pairs.view_mask();
+      result.view_pairs = pairs.visibility;
+      result.warnings = pairs.warnings;
+    });
+    sources.decodable.clear();
+  }
   torch::Tensor level1, level0;
   stages.run("M1", [&] {
     const auto model = models.level1();

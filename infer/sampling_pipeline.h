@@ -5,6 +5,8 @@
 #include "gld/latent_statistics.h"
 #include "gld/solver.h"
 #include "gld/stage_record.h"
+#include "gld/view_visibility.h"
+#include "models/approximate_savings.h"
 #include "models/branch_choice.h"
 #include "models/da3_backbone.h"
 #include "models/dit_dh.h"
@@ -17,6 +19,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -49,6 +52,7 @@ struct PipelineRequest {
   SolverOptions cascade_solver;
   GuidanceOptions guidance;
   ExactSavings savings;
+  ApproximateSavings approximate;
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
   GeometryMaps geometry_maps = GeometryMaps::kDepthAndRays;
@@ -80,12 +84,14 @@ struct PipelineResult {
   torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
   std::vector<FlowReport> flows;
+  // Which views attended to each other, where request.approximate asked to leave some out.
+  std::optional<ViewVisibility> view_pairs;
   std::vector<std::string> warnings;
 };
 
-// Source encoding, M1, cascade, propagation, RGB decoding and geometry (DESIGN.md section 1). Each stage is recorded,
-// and can be interrupted between steps. Throws Error naming the stage, and for flows the
-// step and time, where a number is not finite.
+// Source encoding, view pairs (only with approximate.view_pairs), M1, cascade, propagation, RGB decoding and geometry
+// (DESIGN.md section 1). Each stage is recorded, and can be interrupted between steps. Throws Error naming the stage, and
+// for flows the step and time, where a number is not finite.
 PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
                             StageRecords& stages);
 

@@ -7,8 +7,10 @@
 #include "gld/stage_record.h"
 #include "gld/torch_version.h"
 #include "models/branch_choice.h"
+#include "models/encoder_nodes.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <limits>
 
@@ -42,41 +44,95 @@ double measure_attention_speed() {
   return 4.0 * kTokens * kTokens * kHeads * kHeadDim / best;
 }
 
-Cost times(const Cost& cost, double factor) {
-  Cost scaled = cost;
-  scaled.linear_flop *= factor;
-  scaled.attention_flop *= factor;
-  return scaled;
+bool guided_at(double t, const GuidanceOptions& guidance) {
+  return guidance.guidance_scale != 1 && t >= guidance.guidance_interval[0] &&
+         t <= guidance.guidance_interval[1];
 }
 
-int64_t guided_evaluations(const std::vector<double>& times, const GuidanceOptions& guidance) {
-  if (guidance.guidance_scale == 1) return 0;
-  return std::count_if(times.begin(), times.end() - 1, [&](double t) {
-    return t >= guidance.guidance_interval[0] && t <= guidance.guidance_interval[1];
-  });
+// The flow time that each evaluation starts its step from.
+std::vector<double> evaluation_times(const SolverOptions& solver) {
+  const auto steps = solver_times(solver);
+  const auto step_count = static_cast<int64_t>(steps.size()) - 1;
+  std::vector<double> times;
+  for (int64_t i = 0; i < solver.evaluations; ++i) {
+    times.push_back(steps[static_cast<size_t>(i * step_count / solver.evaluations)]);
+  }
+  return times;
+}
+
+int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& guidance) {
+  const auto times = evaluation_times(solver);
+  return std::count_if(times.begin(), times.end(), [&](double t) { return guided_at(t, guidance); });
+}
+
+// The runs of ExtrapolatedField (models/extrapolated_field.h).
+int64_t extrapolated_runs(const SolverOptions& solver, const GuidanceOptions& guidance, int64_t every) {
+  const auto times = evaluation_times(solver);
+  int64_t runs = 0;
+  std::array<int64_t, 2> newest{-1, -1};  // evaluation that a branch was last computed at
+  for (int64_t i = 0; i < static_cast<int64_t>(times.size()); ++i) {
+    const bool refresh = i == 0 || (i - 1) % every == 0;
+    const int64_t branches = guided_at(times[static_cast<size_t>(i)], guidance) ? 2 : 1;
+    for (int64_t branch = 0; branch < branches; ++branch) {
+      auto& last = newest[static_cast<size_t>(branch)];
+      if (!refresh && last >= 0 && i - last < every) continue;
+      last = i;
+      ++runs;
+    }
+  }
+  return runs;
+}
+
+bool is_cascade(const DitOptions& options) { return options.conditioning == DitConditioning::kDeeperLevel; }
+
+// Conditions that the approximate savings keep, in bytes.
+int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& solver,
+                              const PlanRequest& request) {
+  int64_t kept = 0;
+  if (is_cascade(options) && request.approximate.cascade_encoder_nodes > 0) {
+    for (const auto& nodes :
+         encoder_nodes(solver, request.guidance, request.approximate.cascade_encoder_nodes)) {
+      kept += static_cast<int64_t>(nodes.size());
+    }
+  } else if (!is_cascade(options) && request.approximate.level1_encoder_every > 1) {
+    kept = 2 * (guided_evaluations(solver, request.guidance) > 0 ? 2 : 1);
+  }
+  return kept * request.grid.views * (request.grid.tokens_per_view() + options.num_special_tokens) *
+         options.encoder_width() * kFloatBytes;
 }
 
 PlannedStage flow_stage(const std::string& name, const DitOptions& options, const SolverOptions& solver,
                         const PlanRequest& request) {
-  const auto steps = solver_times(solver);
-  const auto step_count = static_cast<double>(steps.size()) - 1;
   PlannedStage stage;
   stage.name = name;
   stage.evaluations = solver.evaluations;
-  const double guided_share = static_cast<double>(guided_evaluations(steps, request.guidance)) / step_count;
-  stage.with_unconditional =
-      static_cast<int64_t>(guided_share * static_cast<double>(stage.evaluations) + 0.5);
+  stage.with_unconditional = guided_evaluations(solver, request.guidance);
+  stage.parts = planned_runs(options, solver, request);
   const Cost once = dit_cost(options, request.grid);
-  stage.cost = times(once, static_cast<double>(stage.evaluations + stage.with_unconditional));
+  const Cost encoder = condition_encoder_cost(options, request.grid);
+  const Cost decoder = velocity_decoder_cost(options, request.grid);
+  const auto encoder_runs = static_cast<double>(stage.parts.condition_encoder);
+  const auto decoder_runs = static_cast<double>(stage.parts.velocity_decoder);
+  stage.cost.linear_flop = encoder_runs * encoder.linear_flop + decoder_runs * decoder.linear_flop;
+  const double kept = request.approximate.view_pairs == ViewPairs::kVisible ? request.visible_share : 1;
+  stage.cost.attention_flop =
+      kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
   const int64_t state_bytes = request.grid.views *
                               (request.grid.tokens_per_view() + options.num_special_tokens) *
                               options.in_channels * kFloatBytes;
   const bool batched =
       stage.with_unconditional > 0 && choose_branches(request.guidance, options, request.grid).batched;
-  stage.peak_bytes =
-      kProgramBytes + once.weight_bytes + (batched ? 2 : 1) * once.working_bytes + 6 * state_bytes;
+  stage.peak_bytes = kProgramBytes + once.weight_bytes + (batched ? 2 : 1) * once.working_bytes +
+                     6 * state_bytes + kept_conditions_bytes(options, solver, request);
   stage.reason = fmt::format("{} evaluations, {} with the unconditional branch{}", stage.evaluations,
                              stage.with_unconditional, batched ? " in the same pass" : "");
+  if (stage.parts.condition_encoder < stage.parts.velocity_decoder) {
+    stage.reason += fmt::format("; condition encoder {} times instead of {}", stage.parts.condition_encoder,
+                                stage.parts.velocity_decoder);
+  }
+  if (kept < 1) {
+    stage.reason += fmt::format("; {:.0f} % of attention between views", 100 * kept);
+  }
   return stage;
 }
 
@@ -104,6 +160,29 @@ LatentGrid with_views(LatentGrid grid, int64_t views) {
 }
 
 }  // namespace
+
+void PlanRequest::set(const FlowSettings& settings) {
+  level1_solver = settings.level1_solver;
+  cascade_solver = settings.cascade_solver;
+  guidance = settings.guidance;
+  approximate = settings.approximate;
+}
+
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request) {
+  PlannedRuns runs;
+  runs.velocity_decoder = solver.evaluations + guided_evaluations(solver, request.guidance);
+  runs.condition_encoder = runs.velocity_decoder;
+  const auto& savings = request.approximate;
+  if (is_cascade(model) && savings.cascade_encoder_nodes > 0) {
+    runs.condition_encoder = 0;
+    for (const auto& nodes : encoder_nodes(solver, request.guidance, savings.cascade_encoder_nodes)) {
+      runs.condition_encoder += static_cast<int64_t>(nodes.size());
+    }
+  } else if (!is_cascade(model) && savings.level1_encoder_every > 1) {
+    runs.condition_encoder = extrapolated_runs(solver, request.guidance, savings.level1_encoder_every);
+  }
+  return runs;
+}
 
 MachineSpeed measure_machine_speed() {
   PeakMeasurement measurement;
@@ -213,6 +292,8 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan) {
                     {"reason", stage.reason},
                     {"evaluations", stage.evaluations},
                     {"with_unconditional_branch", stage.with_unconditional},
+                    {"condition_encoder_runs", stage.parts.condition_encoder},
+                    {"velocity_decoder_runs", stage.parts.velocity_decoder},
                     {"tflop", stage.cost.flop() / 1e12},
                     {"predicted_seconds", stage.seconds},
                     {"predicted_peak_bytes", stage.peak_bytes}});

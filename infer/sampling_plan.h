@@ -3,6 +3,7 @@
 #include "gld/guidance.h"
 #include "gld/solver.h"
 #include "infer/sample_options.h"
+#include "infer/sampling_method.h"
 #include "models/bundle_options.h"
 #include "models/cost_model.h"
 
@@ -31,7 +32,20 @@ struct PlanRequest {
   SolverOptions level1_solver;
   SolverOptions cascade_solver;
   GuidanceOptions guidance;
+  ApproximateSavings approximate;
+  double visible_share = 1;  // of view pairs: those that attend where approximate.view_pairs says visible
+
+  void set(const FlowSettings& settings);
 };
+
+// How often each part of a model runs in a flow, over both branches of guidance.
+struct PlannedRuns {
+  int64_t condition_encoder = 0;
+  int64_t velocity_decoder = 0;
+};
+// What the pipeline will count (DitCounts) with a fixed-step solver of one evaluation a step; adaptive solvers are
+// counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request);
 
 struct PlannedStage {
   std::string name;  // as in StageRecords
@@ -39,6 +53,7 @@ struct PlannedStage {
   std::string reason;              // why it runs or not, in words
   int64_t evaluations = 1;         // forward passes of the conditional branch
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
+  PlannedRuns parts;               // how often a flow's parts run
   Cost cost;                       // linear_flop and attention_flop of all passes together
   double seconds = 0;              // predicted; 0 without a measured speed
   int64_t peak_bytes = 0;          // predicted resident memory

@@ -173,7 +173,12 @@ TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
   const auto asked = options("unused");
   SampleOptions published = asked;
   published.preset = SamplingPreset::kPublished;
-  const SolverOptions solver = published.resolved_solver(31.18);
+  BundleOptions bundle;
+  bundle.level1_time_shift.evaluation = 31.18;
+  const auto resolved = [&](const SampleOptions& options) {
+    return flow_settings(options.method(bundle.cascade), options.guidance, bundle).level1_solver;
+  };
+  const SolverOptions solver = resolved(published);
   const auto times = solver_times(solver);
   ASSERT_EQ(times.size(), 50u);
   EXPECT_DOUBLE_EQ(times.front(), 1);
@@ -181,7 +186,8 @@ TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
   EXPECT_NEAR(times[49], 0.030, 5e-4);
   EXPECT_NEAR(times[48], 0.405, 5e-4);
   EXPECT_EQ(solver.solver, SolverKind::kEuler);
-  EXPECT_EQ(asked.resolved_solver(5).schedule.shift, 5);
+  bundle.level1_time_shift.evaluation = 5;
+  EXPECT_EQ(resolved(asked).schedule.shift, 5);
 }
 
 TEST_F(Sampling, AnOrbitNeedsNoTargetFrames) {

@@ -1,0 +1,51 @@
+#pragma once
+
+#include "gld/camera.h"
+#include "infer/sampling_method.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// What `gld bench sample-plan` measured of one method. An error is the RMS of the latents' difference from a converged
+// solve of the same noise over that solve's RMS, of level 1 or level 0, whichever is larger.
+struct MethodErrors {
+  SamplingMethod method;
+  double mean = 0;     // over scenes
+  double largest = 0;  // over scenes
+  double bound = 0;    // what other scenes are expected to stay below (error_bound)
+};
+
+// An upper bound for scenes that were not measured: a quarter above the largest error, or the mean of the errors'
+// logarithms plus three of their standard deviations where that is more. errors: at least one, all positive.
+double error_bound(const std::vector<double>& errors);
+
+// The measured error model of one bundle: plan_errors.json in its folder.
+struct PlanErrors {
+  std::string model_hash;  // of the weights it was measured with
+  int64_t scenes = 0;
+  double guidance_scale = 1.5;
+  LatentGrid grid;  // of the measured scenes
+  std::vector<MethodErrors> methods;
+};
+
+constexpr const char* kPlanErrorsFile = "plan_errors.json";
+
+nlohmann::ordered_json plan_errors_json(const PlanErrors& errors);
+// Throws Error, naming file, when it is not such a table.
+PlanErrors read_plan_errors(const std::filesystem::path& file);
+
+// Of the methods whose bound is at most the tolerance, the one with the least flop (one number a method). Throws Error
+// naming the smallest tolerance that a measured method meets when none does.
+size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& flop);
+
+// The measurement of the same method, if it is in the table.
+std::optional<MethodErrors> errors_of(const PlanErrors& errors, const SamplingMethod& method);
+
+}  // namespace gld
