@@ -23,8 +23,7 @@ void GuidanceOptions::visit(FieldVisitor& visitor) {
                guidance_tolerance, {0, 1});
   visit_choice(visitor,
                {"guidance_branches",
-                "both branches in one pass, or one after the other; automatic: in one where "
-                "that fits guidance_batch_memory"},
+                "both branches in one pass, or one after the other; automatic: in one for small scenes"},
                guidance_branches, branch_evaluation_names());
   visitor.real(
       {"guidance_batch_memory", "megabytes of working memory up to which automatic batches the branches"},

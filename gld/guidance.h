@@ -16,7 +16,7 @@ namespace gld {
 // How the two branches of guidance are evaluated: in one pass over the tokens of both, or one after the other. Equal
 // results up to rounding.
 enum class BranchEvaluation {
-  kAutomatic,  // batched where its working memory stays below a limit (models/branch_choice.h)
+  kAutomatic,  // batched where that is faster and its working memory stays below a limit (models/branch_choice.h)
   kBatched,
   kSequential,
 };
@@ -30,7 +30,7 @@ struct GuidanceOptions : OptionsGroup {
   // branch is left out and only tried again every fourth evaluation. An approximation, off by default.
   double guidance_tolerance = 0;
   BranchEvaluation guidance_branches = BranchEvaluation::kAutomatic;
-  double guidance_batch_memory = 64;  // megabytes that automatic lets a batch of both branches use
+  double guidance_batch_memory = 256;  // megabytes that automatic lets a batch of both branches use
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

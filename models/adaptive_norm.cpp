@@ -1,15 +1,12 @@
 #include "models/adaptive_norm.h"
 
+#include "gld/linear.h"
+
 #include <algorithm>
 
 #include <torch/types.h>
 
 namespace gld {
-namespace {
-
-constexpr int64_t kTokensPerGroup = 1024;
-
-}  // namespace
 
 torch::Tensor by_view_groups(const torch::Tensor& x,
                              const std::function<torch::Tensor(const ViewGroup&)>& part) {
@@ -53,8 +50,7 @@ std::vector<torch::Tensor> AdaptiveNorm::parts(const Modulation& modulation, con
     const auto activation = modulation.activation.narrow(0, group.first, group.count);
     const auto weight = linear_->weight.narrow(0, first * channels_, count * channels_);
     const auto bias = linear_->bias.narrow(0, first * channels_, count * channels_);
-    vectors = torch::addmm(bias, activation.reshape({-1, channels_}), weight.t())
-                  .view({group.count, activation.size(1), count * channels_});
+    vectors = linear(activation, weight, bias);
   }
   return vectors.chunk(count, -1);
 }

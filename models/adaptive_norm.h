@@ -18,8 +18,10 @@ struct ViewGroup {
   int64_t count = 0;
 };
 
+constexpr int64_t kTokensPerGroup = 1024;
+
 // Calls part for groups of views and puts the results, (views of the group, ...) each, together. While gradients
-// are recorded there is one group; otherwise groups of about a thousand tokens, so that what part makes on the way
+// are recorded there is one group; otherwise groups of about kTokensPerGroup tokens, so that what part makes on the way
 // stays small.
 torch::Tensor by_view_groups(const torch::Tensor& x,
                              const std::function<torch::Tensor(const ViewGroup&)>& part);

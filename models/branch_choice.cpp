@@ -1,5 +1,6 @@
 #include "models/branch_choice.h"
 
+#include "models/adaptive_norm.h"
 #include "models/cost_model.h"
 
 #include <fmt/format.h>
@@ -11,6 +12,7 @@ BranchChoice choose_branches(const GuidanceOptions& guidance, const DitOptions& 
   constexpr double kMegabyte = 1e6;
   BranchChoice choice;
   choice.working_bytes = 2 * dit_cost(model, grid).working_bytes;
+  const int64_t tokens = grid.views * (grid.tokens_per_view() + model.num_special_tokens);
   const double megabytes = static_cast<double>(choice.working_bytes) / kMegabyte;
   switch (guidance.guidance_branches) {
     case BranchEvaluation::kBatched:
@@ -21,9 +23,14 @@ BranchChoice choose_branches(const GuidanceOptions& guidance, const DitOptions& 
       choice.reason = "as asked";
       break;
     case BranchEvaluation::kAutomatic:
+      if (tokens >= kTokensPerGroup) {
+        choice.reason = fmt::format("{} tokens a branch: a batch would gain nothing", tokens);
+        break;
+      }
       choice.batched = megabytes <= guidance.guidance_batch_memory;
-      choice.reason = fmt::format("both together work in about {:.0f} MB, {} the limit of {:g} MB", megabytes,
-                                  choice.batched ? "within" : "above", guidance.guidance_batch_memory);
+      choice.reason =
+          fmt::format("{} tokens a branch; both together work in about {:.0f} MB, {} {:g} MB", tokens,
+                      megabytes, choice.batched ? "within" : "above", guidance.guidance_batch_memory);
       break;
   }
   return choice;
