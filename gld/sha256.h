@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/mapped_file.h"
+#include "gld/sha256_blocks.h"
 
 #include <array>
 #include <cstdint>
@@ -18,10 +19,10 @@ class Sha256 {
   std::string hex_digest();
 
  private:
-  void add_block(const uint8_t* block);
+  void add_blocks(const uint8_t* data, size_t blocks);
 
-  std::array<uint32_t, 8> state_ = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
-                                    0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+  Sha256State state_ = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
+                        0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
   std::array<uint8_t, 64> pending_ = {};
   uint64_t length_ = 0;  // bytes so far
 };
