@@ -26,15 +26,23 @@ Table extremes_table(const std::vector<ExtremeRow>& rows) {
   return table;
 }
 
+std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem::path& folder) {
+  std::filesystem::create_directories(folder);
+  std::vector<ExtremeRow> rows;
+  for (const auto& part :
+       {camera_extremes(camera_sets), attention_extremes(), norm_extremes(), flow_extremes(),
+        image_extremes(folder), depth_extremes(folder), forward_extremes(folder)}) {
+    rows.insert(rows.end(), part.begin(), part.end());
+  }
+  std::filesystem::remove_all(folder);
+  return rows;
+}
+
 int run_extremes_benchmark(const ExtremesBenchmarkOptions& options) {
   const at::NoGradGuard no_grad;
   RunFolder folder(options.out, "bench extremes", options);
   const auto start = std::chrono::steady_clock::now();
-  std::vector<ExtremeRow> rows;
-  for (const auto& part :
-       {camera_extremes(options.camera_sets), attention_extremes(), norm_extremes(), flow_extremes()}) {
-    rows.insert(rows.end(), part.begin(), part.end());
-  }
+  const auto rows = all_extremes(options.camera_sets, folder.path() / "scratch");
   const auto table = extremes_table(rows);
   const auto passed =
       std::count_if(rows.begin(), rows.end(), [](const ExtremeRow& row) { return row.passed(); });
