@@ -13,6 +13,9 @@
 namespace gld {
 
 void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
+  visit_choice(visitor,
+               {"training", "from_scratch (backbone and DPT head) or head_only (goes on with the bundle's)"},
+               training, {"from_scratch", "head_only"});
   visitor.group({"loss", "weights of the geometry losses"}, loss);
   visitor.reals({"pixel_weights", "weight of the pixel error read off each level, from level 0"},
                 pixel_weights, {0.0, 1e6});
@@ -21,12 +24,22 @@ void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
 }
 
 BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
-                                     const ParameterPlacement& placement, int64_t seed)
+                                     const ParameterPlacement& placement, int64_t seed,
+                                     const TrainedGeometry& trained)
     : model_(model), options_(options), placement_(placement) {
   model_.check();
   if (static_cast<int64_t>(options_.pixel_weights.size()) > model_.backbone.levels()) {
     fail({"objective.pixel_weights", "at most " + std::to_string(model_.backbone.levels()) + " levels",
           std::to_string(options_.pixel_weights.size()), "leave out the last ones"});
+  }
+  if (head_only()) {
+    if (!trained.backbone || !trained.head) {
+      fail({"objective.training head_only", "a bundle with a trained backbone and DPT head", "none",
+            "train them from_scratch first"});
+    }
+    backbone_ = trained.backbone;
+    head_ = trained.head;
+    return;
   }
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   backbone_ = std::make_shared<Da3Backbone>(model_.backbone, placement);
@@ -42,6 +55,7 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
 }
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
+  if (head_only()) return named_parameters(*head_, DptHead::kPrefix);
   auto result = named_parameters(*backbone_, Da3Backbone::kPrefix);
   for (auto& item : named_parameters(*head_, DptHead::kPrefix)) result.push_back(std::move(item));
   for (size_t level = 0; level < pixel_layers_.size(); ++level) {
@@ -59,10 +73,13 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
 
   const auto grid = model_.backbone.grid_of(views, shown.height(), shown.width());
   const auto pixels = imagenet_normalise(shown.images);
-  const auto raw = backbone_->encode(pixels, model_.backbone.levels() - 1);
   std::vector<torch::Tensor> levels;
-  levels.reserve(raw.size());
-  for (const auto& level : raw) levels.push_back(backbone_->decodable(level).patches);
+  {
+    const torch::AutoGradMode gradients(torch::GradMode::is_enabled() && !head_only());
+    for (const auto& level : backbone_->encode(pixels, model_.backbone.levels() - 1)) {
+      levels.push_back(backbone_->decodable(level).patches);
+    }
+  }
 
   SceneResult result;
   result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
@@ -145,7 +162,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
 
 void BackboneObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
   save_bundle_options(folder, model_);
-  save_bundle_part(folder, BundlePart::kBackbone, named_tensors(*backbone_), dtype);
+  if (!head_only()) save_bundle_part(folder, BundlePart::kBackbone, named_tensors(*backbone_), dtype);
   save_bundle_part(folder, BundlePart::kDptHead, named_tensors(*head_), dtype);
 }
 

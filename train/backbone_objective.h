@@ -12,12 +12,24 @@
 
 namespace gld {
 
+enum class GeometryTraining {
+  kFromScratch,  // backbone and DPT head, from random weights
+  kHeadOnly,  // the DPT head of the bundle goes on learning; the backbone is frozen, so that decoders and latent
+              // models that were trained on its features stay valid
+};
+
 struct BackboneObjectiveOptions : OptionsGroup {
+  GeometryTraining training = GeometryTraining::kFromScratch;
   GeometryLossOptions loss;
   std::vector<double> pixel_weights = {1.0, 0.5};  // of levels 0, 1, ...
   double all_views_probability = 0.5;
 
   void visit(FieldVisitor& visitor) override;
+};
+
+struct TrainedGeometry {
+  std::shared_ptr<Da3Backbone> backbone;
+  std::shared_ptr<DptHead> head;
 };
 
 // Trains a geometric backbone and its DPT head from scratch on scenes with depth (geometry_loss.h).
@@ -32,9 +44,9 @@ struct BackboneObjectiveOptions : OptionsGroup {
 // alone and single views too.
 class BackboneObjective : public Objective {
  public:
-  // model: the architecture; its backbone and DPT head are trained.
+  // model: the architecture; trained: the parts that kHeadOnly goes on with, null for kFromScratch.
   BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
-                    const ParameterPlacement& placement, int64_t seed);
+                    const ParameterPlacement& placement, int64_t seed, const TrainedGeometry& trained = {});
 
   std::string kind() const override { return "backbone"; }
   torch::Device device() const override { return placement_.device; }
@@ -52,6 +64,7 @@ class BackboneObjective : public Objective {
     torch::Tensor shallow_image;  // (views, 3, height, width), what level 0 still shows
   };
   SceneResult evaluate(const TrainingScene& scene, int64_t views) const;
+  bool head_only() const { return options_.training == GeometryTraining::kHeadOnly; }
 
   BundleOptions model_;
   BackboneObjectiveOptions options_;

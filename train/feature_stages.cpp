@@ -26,10 +26,14 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   TrainingStage stage;
   stage.command = "train backbone";
   stage.parts = FrameParts::kImageAndDepth;
-  stage.made = {BundlePart::kBackbone, BundlePart::kDptHead};
-  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+  const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
+  stage.made = {BundlePart::kDptHead};
+  if (!head_only) stage.made.push_back(BundlePart::kBackbone);
+  stage.objective = [&options, head_only](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    TrainedGeometry trained;
+    if (head_only) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
     return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
-                                               options.loop.seed);
+                                               options.loop.seed, trained);
   };
   return run_training_stage(options, options, stage, draw);
 }

@@ -148,6 +148,23 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
             1e-5 * gradients[0].abs().max().item<double>());
 }
 
+TEST_F(TrainedChain, TheHeadGoesOnAlone) {
+  auto options = stage_options<TrainBackboneOptions>(path("decoder/model"), path("head"));
+  options.objective.training = GeometryTraining::kHeadOnly;
+  train_backbone(options, {});
+  const auto before = ModelBundle::open(path("decoder/model")), after = ModelBundle::open(path("head/model"));
+  const auto changed = [&](auto&& load) {
+    const auto first = load(before)->parameters(), second = load(after)->parameters();
+    for (size_t i = 0; i < first.size(); ++i) {
+      if (!torch::equal(first[i], second[i])) return true;
+    }
+    return false;
+  };
+  EXPECT_TRUE(changed([](const ModelBundle& bundle) { return bundle.load_dpt_head(); }));
+  EXPECT_FALSE(changed([](const ModelBundle& bundle) { return bundle.load_backbone(); }));
+  EXPECT_TRUE(after.has(BundlePart::kRgbDecoder));
+}
+
 TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
   const auto bundle = ModelBundle::open(path("stats/model"));
   FrozenParts frozen;

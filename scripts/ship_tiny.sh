@@ -1,0 +1,34 @@
+#!/usr/bin/env bash
+# Puts a small model that scripts/train_tiny.sh has trained into configs/tiny: its weights, and beside them how it was
+# trained (curves, final numbers, last validation pictures) and what it is worth (the evaluation). Usage:
+# scripts/ship_tiny.sh [RUNS], by default runs/tiny.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+runs=${1:-runs/tiny}
+tiny=configs/tiny
+most_bytes=$((24 * 1000 * 1000))
+
+for needed in model/level1.safetensors model/cascade.safetensors model/rgb_decoder.safetensors eval/report.json; do
+  if [ ! -f "$runs/$needed" ]; then
+    echo "ship_tiny: expected $runs/$needed, found none; run scripts/train_tiny.sh $runs first." >&2
+    exit 1
+  fi
+done
+bytes=$(cat "$runs"/model/*.safetensors | wc -c)
+if [ "$bytes" -gt "$most_bytes" ]; then
+  echo "ship_tiny: expected at most $most_bytes bytes of weights, found $bytes in $runs/model; shrink $tiny/model.yaml." >&2
+  exit 1
+fi
+
+cp "$runs"/model/*.safetensors "$tiny/"
+rm -rf "$tiny/training" "$tiny/evaluation"
+for stage in backbone decoder level cascade; do
+  mkdir -p "$tiny/training/$stage"
+  cp "$runs/$stage"/{config.yaml,loss.png,metrics.jsonl,report.json} "$tiny/training/$stage/"
+  last=$(find "$runs/$stage/validation" -name 'step_*.png' | sort | tail -1)
+  if [ -n "$last" ]; then cp "$last" "$tiny/training/$stage/validation.png"; fi
+done
+mkdir -p "$tiny/training/stats" "$tiny/evaluation"
+cp "$runs"/stats/{config.yaml,report.json} "$tiny/training/stats/"
+cp "$runs"/eval/{config.yaml,eval.csv,report.json} "$tiny/evaluation/"
+echo "ship_tiny: $bytes bytes of weights are in $tiny"
