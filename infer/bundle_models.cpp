@@ -26,6 +26,24 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   return models;
 }
 
+PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device) {
+  PipelineModels models = bundle_models(bundle, device);
+  const auto keep = [](auto load) {
+    using Module = decltype(load());
+    auto kept = std::make_shared<Module>();
+    return [load, kept] {
+      if (!*kept) *kept = load();
+      return *kept;
+    };
+  };
+  models.backbone = keep(models.backbone);
+  models.level1 = keep(models.level1);
+  models.cascade = keep(models.cascade);
+  models.rgb_decoder = keep(models.rgb_decoder);
+  models.dpt_head = keep(models.dpt_head);
+  return models;
+}
+
 torch::Device device_from_text(const std::string& text) {
   const bool cuda = text == "cuda" || text.rfind("cuda:", 0) == 0;
   const std::string number = text.rfind("cuda:", 0) == 0 ? text.substr(5) : "0";

@@ -10,6 +10,10 @@ namespace gld {
 // The modules of a bundle, each loaded from its file when the pipeline asks for it. bundle is copied.
 PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device);
 
+// The same, but every stage's module is loaded once and kept, for commands that run the same models on many scenes. Not
+// for several threads at once.
+PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device);
+
 // "cpu", "cuda" or "cuda:N". Throws Error for another text and for a device that LibTorch does not have.
 torch::Device device_from_text(const std::string& text);
 

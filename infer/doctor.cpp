@@ -107,7 +107,7 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.guidance = options.guidance;
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
-  predict_seconds(result.plan, machine.speed);
+  predict_seconds(result.plan, bundle.options(), request, machine.speed);
   result.advice = advice_for(result.plan, options, machine);
   return result;
 }

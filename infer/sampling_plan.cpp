@@ -6,6 +6,8 @@
 #include "gld/sgemm_peak.h"
 #include "gld/stage_record.h"
 #include "gld/torch_version.h"
+#include "infer/dit_speed.h"
+#include "infer/stage_speed.h"
 #include "models/branch_choice.h"
 #include "models/encoder_nodes.h"
 
@@ -23,7 +25,7 @@ namespace {
 
 constexpr int64_t kFloatBytes = 4;
 // The program, LibTorch's libraries and its allocator before any model is loaded, measured.
-constexpr int64_t kProgramBytes = 350'000'000;
+constexpr int64_t kProgramBytes = 260'000'000;
 
 // Operations a second of softmax attention at head size 64: between the 48 and 128 of the published models.
 double measure_attention_speed() {
@@ -114,7 +116,7 @@ PlannedStage flow_stage(const std::string& name, const DitOptions& options, cons
   const auto encoder_runs = static_cast<double>(stage.parts.condition_encoder);
   const auto decoder_runs = static_cast<double>(stage.parts.velocity_decoder);
   stage.cost.linear_flop = encoder_runs * encoder.linear_flop + decoder_runs * decoder.linear_flop;
-  const double kept = request.approximate.view_pairs == ViewPairs::kVisible ? request.visible_share : 1;
+  const double kept = request.attention_share();
   stage.cost.attention_flop =
       kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
   const int64_t state_bytes = request.grid.views *
@@ -160,6 +162,12 @@ LatentGrid with_views(LatentGrid grid, int64_t views) {
 }
 
 }  // namespace
+
+GeometryMaps PlanRequest::geometry_maps() const {
+  return outputs.needs_depth() && outputs.needs_rays() ? GeometryMaps::kDepthAndRays
+         : outputs.needs_depth()                       ? GeometryMaps::kDepth
+                                                       : GeometryMaps::kRays;
+}
 
 void PlanRequest::set(const FlowSettings& settings) {
   level1_solver = settings.level1_solver;
@@ -216,17 +224,28 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   SamplingPlan plan;
   const auto& blocks = bundle.backbone.out_layers;
   const int64_t boundary_block = blocks.at(static_cast<size_t>(bundle.boundary_level)) + 1;
+  const LatentGrid source_grid = with_views(request.grid, request.num_sources);
+  const bool finds_pairs = request.approximate.view_pairs == ViewPairs::kVisible;
+  const bool source_depth = request.source_depth();
   Cost encoding =
-      backbone_cost(bundle.backbone, with_views(request.grid, request.num_sources), 0, boundary_block);
+      backbone_cost(bundle.backbone, source_grid, 0, source_depth ? bundle.backbone.depth : boundary_block);
   if (request.num_sources > 1) {
     const Cost alone = backbone_cost(bundle.backbone, with_views(request.grid, 1), 0, boundary_block);
     encoding.linear_flop += alone.linear_flop;
     encoding.attention_flop += alone.attention_flop;
   }
-  plan.stages.push_back(
-      single_stage("source encoding", encoding,
-                   fmt::format("{} source views up to level {}; deeper blocks are not needed",
-                               request.num_sources, bundle.boundary_level)));
+  plan.stages.push_back(single_stage(
+      "source encoding", encoding,
+      source_depth ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
+                   : fmt::format("{} source views up to level {}; deeper blocks are not needed",
+                                 request.num_sources, bundle.boundary_level)));
+  if (finds_pairs) {
+    plan.stages.push_back(
+        source_depth ? single_stage("view pairs",
+                                    dpt_head_cost(bundle.dpt_head, source_grid, GeometryMaps::kDepthAndRays),
+                                    "depth of the source views tells which views see common space")
+                     : single_stage("view pairs", Cost(), "by the cameras alone, one source has no scale"));
+  }
   plan.stages.push_back(flow_stage("M1", bundle.level1, request.level1_solver, request));
   plan.stages.push_back(flow_stage("cascade", bundle.cascade, request.cascade_solver, request));
 
@@ -247,21 +266,30 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
           : left_out("RGB decoding", "no images were asked for"));
   if (outputs.needs_geometry()) {
     const int64_t views = outputs.points ? request.grid.views : targets;
-    const auto maps = outputs.needs_depth() && outputs.needs_rays() ? GeometryMaps::kDepthAndRays
-                      : outputs.needs_depth()                       ? GeometryMaps::kDepth
-                                                                    : GeometryMaps::kRays;
-    plan.stages.push_back(single_stage("geometry",
-                                       dpt_head_cost(bundle.dpt_head, with_views(request.grid, views), maps),
-                                       outputs.points ? "all views, for the point cloud" : "target views"));
+    plan.stages.push_back(single_stage(
+        "geometry", dpt_head_cost(bundle.dpt_head, with_views(request.grid, views), request.geometry_maps()),
+        outputs.points ? "all views, for the point cloud" : "target views"));
   } else {
     plan.stages.push_back(left_out("geometry", "no depth, rays or points were asked for"));
   }
   return plan;
 }
 
-void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
+void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+                     const MachineSpeed& speed) {
+  // What a stage that runs once may take for it to be run beforehand.
+  constexpr double kShort = 0.2;
   for (auto& stage : plan.stages) {
+    if (!stage.runs) continue;
+    if (stage.name == "M1" || stage.name == "cascade") {
+      const DitSpeed parts =
+          measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
+      stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
+                      static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
+      continue;
+    }
     stage.seconds = stage.cost.linear_flop / speed.linear + stage.cost.attention_flop / speed.attention;
+    if (stage.seconds < kShort) stage.seconds = measure_stage_seconds(stage.name, bundle, request);
   }
 }
 
@@ -284,21 +312,69 @@ std::string plan_text(const SamplingPlan& plan) {
   return text;
 }
 
+namespace {
+
+const StageRecord* record_of(const std::vector<StageRecord>& records, const std::string& stage) {
+  for (const auto& record : records) {
+    if (record.name == stage) return &record;
+  }
+  return nullptr;
+}
+
+nlohmann::ordered_json ratio(double actual, double predicted) {
+  if (predicted <= 0) return nullptr;
+  return actual / predicted;
+}
+
+nlohmann::ordered_json stage_json(const PlannedStage& stage) {
+  return {{"stage", stage.name},
+          {"runs", stage.runs},
+          {"reason", stage.reason},
+          {"evaluations", stage.evaluations},
+          {"with_unconditional_branch", stage.with_unconditional},
+          {"condition_encoder_runs", stage.parts.condition_encoder},
+          {"velocity_decoder_runs", stage.parts.velocity_decoder},
+          {"tflop", stage.cost.flop() / 1e12},
+          {"predicted_seconds", stage.seconds},
+          {"predicted_peak_bytes", stage.peak_bytes}};
+}
+
+}  // namespace
+
 nlohmann::ordered_json plan_json(const SamplingPlan& plan) {
   auto list = nlohmann::ordered_json::array();
+  for (const auto& stage : plan.stages) list.push_back(stage_json(stage));
+  return list;
+}
+
+nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
+  auto list = nlohmann::ordered_json::array();
   for (const auto& stage : plan.stages) {
-    list.push_back({{"stage", stage.name},
-                    {"runs", stage.runs},
-                    {"reason", stage.reason},
-                    {"evaluations", stage.evaluations},
-                    {"with_unconditional_branch", stage.with_unconditional},
-                    {"condition_encoder_runs", stage.parts.condition_encoder},
-                    {"velocity_decoder_runs", stage.parts.velocity_decoder},
-                    {"tflop", stage.cost.flop() / 1e12},
-                    {"predicted_seconds", stage.seconds},
-                    {"predicted_peak_bytes", stage.peak_bytes}});
+    auto object = stage_json(stage);
+    if (const StageRecord* record = record_of(records, stage.name)) {
+      object["seconds"] = record->seconds;
+      object["seconds_over_predicted"] = ratio(record->seconds, stage.seconds);
+      object["peak_bytes"] = record->peak_bytes;
+      object["peak_over_predicted"] =
+          ratio(static_cast<double>(record->peak_bytes), static_cast<double>(stage.peak_bytes));
+    }
+    list.push_back(std::move(object));
   }
   return list;
+}
+
+std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
+  double seconds = 0;
+  int64_t peak = 0;
+  for (const auto& stage : plan.stages) {
+    const StageRecord* record = record_of(records, stage.name);
+    if (record == nullptr) continue;
+    seconds += record->seconds;
+    peak = std::max(peak, record->peak_bytes);
+  }
+  return fmt::format("the planned stages took {} (predicted {}) and at most {} (predicted {})\n",
+                     duration_text(seconds), duration_text(plan.seconds()), bytes_text(peak),
+                     bytes_text(plan.peak_bytes()));
 }
 
 }  // namespace gld

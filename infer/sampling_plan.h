@@ -2,10 +2,12 @@
 
 #include "gld/guidance.h"
 #include "gld/solver.h"
+#include "gld/stage_record.h"
 #include "infer/sample_options.h"
 #include "infer/sampling_method.h"
 #include "models/bundle_options.h"
 #include "models/cost_model.h"
+#include "models/dpt_head.h"
 
 #include <cstdint>
 #include <string>
@@ -36,6 +38,11 @@ struct PlanRequest {
   double visible_share = 1;  // of view pairs: those that attend where approximate.view_pairs says visible
 
   void set(const FlowSettings& settings);
+  // Whether view pairs are decided with the depth of the source views, too.
+  bool source_depth() const { return approximate.view_pairs == ViewPairs::kVisible && num_sources > 1; }
+  // What is computed of the attention between views.
+  double attention_share() const { return approximate.view_pairs == ViewPairs::kVisible ? visible_share : 1; }
+  GeometryMaps geometry_maps() const;
 };
 
 // How often each part of a model runs in a flow, over both branches of guidance.
@@ -69,11 +76,19 @@ struct SamplingPlan {
 
 // The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
-// Fills in PlannedStage::seconds.
-void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
+// Fills in PlannedStage::seconds: of flows from runs of their models' parts (infer/dit_speed.h), of other stages from
+// their operations and the machine's speed where they are long, otherwise from a run (infer/stage_speed.h). Takes a few
+// seconds at full size.
+void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+                     const MachineSpeed& speed);
 
 // A table, one line a stage, for people.
 std::string plan_text(const SamplingPlan& plan);
 nlohmann::ordered_json plan_json(const SamplingPlan& plan);
+
+// The same with what every stage took: seconds, peak memory, and both over what was predicted.
+nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
+// One line: the planned stages' seconds and peak memory together, as they were and as predicted.
+std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 
 }  // namespace gld
