@@ -1,7 +1,11 @@
 #include "gld/sha256.h"
 
+#include "gld/error.h"
+
 #include <algorithm>
 #include <cstring>
+#include <fstream>
+#include <vector>
 
 namespace gld {
 namespace {
@@ -90,8 +94,17 @@ std::string Sha256::hex_digest() {
 }
 
 std::string sha256_of_file(const std::filesystem::path& file) {
+  // Read, not mapped: the pages of a mapped file would count as this process's memory.
+  constexpr size_t kChunk = size_t{1} << 20;
+  MappedFile::open(file);  // says what is wrong with a file that cannot be read
+  std::ifstream stream(file, std::ios::binary);
+  std::vector<char> chunk(kChunk);
   Sha256 hash;
-  hash.update(MappedFile::open(file)->bytes());
+  while (stream.read(chunk.data(), kChunk), stream.gcount() > 0) {
+    hash.update(
+        ByteView{reinterpret_cast<const uint8_t*>(chunk.data()), static_cast<size_t>(stream.gcount())});
+  }
+  if (stream.bad()) fail({file.string(), "a readable file", "a reading error", "check the disk"});
   return hash.hex_digest();
 }
 

@@ -43,25 +43,6 @@ constexpr Column kColumns[] = {
     {"reconstruction_psnr", &SceneEvaluation::reconstruction_psnr},
 };
 
-// Every stage's module is loaded once and kept: the same models run for every scene.
-PipelineModels kept_models(const ModelBundle& bundle, const torch::Device& device) {
-  PipelineModels models = bundle_models(bundle, device);
-  const auto keep = [](auto load) {
-    using Module = decltype(load());
-    auto kept = std::make_shared<Module>();
-    return [load, kept] {
-      if (!*kept) *kept = load();
-      return *kept;
-    };
-  };
-  models.backbone = keep(models.backbone);
-  models.level1 = keep(models.level1);
-  models.cascade = keep(models.cascade);
-  models.rgb_decoder = keep(models.rgb_decoder);
-  models.dpt_head = keep(models.dpt_head);
-  return models;
-}
-
 double mean_of(const torch::Tensor& values) { return values.mean().item<double>(); }
 
 // Repeats one image for every target.
@@ -105,7 +86,7 @@ double reconstruction_psnr(const PipelineModels& models, const SceneTensors& sce
 class Evaluator {
  public:
   Evaluator(const EvaluationOptions& options, const ModelBundle& bundle, const torch::Device& device)
-      : options_(options), bundle_(bundle), device_(device), models_(kept_models(bundle, device)) {}
+      : options_(options), bundle_(bundle), device_(device), models_(kept_bundle_models(bundle, device)) {}
 
   struct Result {
     SceneEvaluation numbers;
@@ -330,6 +311,7 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
 }
 
 std::string evaluate(const EvaluationOptions& options) {
+  install_interrupt_handler();
   const torch::NoGradGuard no_grad;
   const auto processors = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
   set_thread_count(static_cast<int>(options.threads > 0 ? options.threads : processors));

@@ -1,19 +1,19 @@
 #include "infer/sampling.h"
 
-#include "datasets/batching.h"
 #include "datasets/scene_reader.h"
 #include "gld/configuration.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/progress.h"
-#include "gld/random.h"
 #include "gld/run_folder.h"
 #include "gld/torch_version.h"
 #include "gld/view_visibility.h"
+#include "infer/background_hash.h"
 #include "infer/bundle_models.h"
 #include "infer/method_choice.h"
 #include "infer/sampling_outputs.h"
 #include "infer/sampling_plan.h"
+#include "infer/scene_request.h"
 
 #include <algorithm>
 #include <iostream>
@@ -25,33 +25,11 @@
 namespace gld {
 namespace {
 
-std::vector<TrainedSize> trained_sizes(const BundleOptions& options) {
-  std::vector<TrainedSize> sizes;
-  for (const auto& size : options.image_sizes()) sizes.push_back({size.width, size.height});
-  return sizes;
-}
-
-torch::Tensor stacked(const std::vector<Image>& images) {
-  std::vector<torch::Tensor> tensors;
-  tensors.reserve(images.size());
-  for (const auto& image : images) tensors.push_back(to_tensor(image));
-  return torch::stack(tensors);
-}
-
 PipelineRequest make_request(const SampleOptions& options, const FlowSettings& settings,
                              const BundleOptions& bundle, const SamplingScene& scene,
                              const torch::Device& device) {
   const RequestedOutputs requested = options.requested();
-  const LatentGrid grid = bundle.backbone.grid_of(scene.views.size(), scene.size.height, scene.size.width);
-  PipelineRequest request;
-  request.views = scene.views;
-  request.source_images = stacked(scene.source_images);
-  const auto noise = [&](const char* stream, int64_t channels) {
-    return views_noise(static_cast<uint64_t>(options.seed), stream, grid.views,
-                       {grid.tokens_per_view(), channels});
-  };
-  request.level1_noise = noise("level 1", bundle.level1.in_channels);
-  request.level0_noise = noise("level 0", bundle.cascade.in_channels);
+  PipelineRequest request = scene_request(scene, bundle, options.seed, device);
   request.level1_solver = settings.level1_solver;
   request.cascade_solver = settings.cascade_solver;
   request.guidance = settings.guidance;
@@ -64,7 +42,6 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
                             : requested.needs_depth()                         ? GeometryMaps::kDepth
                                                                               : GeometryMaps::kRays;
   }
-  request.device = device;
   return request;
 }
 
@@ -191,28 +168,36 @@ void sample(const SampleOptions& options) {
 
   StageRecords stages;
   Provenance provenance = make_provenance("sample", options, {"out", "threads"});
-  const auto hash_model = [&] {
+  std::unique_ptr<BackgroundHash> hash;
+  const auto wait_for_hash = [&] {
+    if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
     if (provenance.model_hash.empty()) {
-      stages.run("hashing the model", [&] { provenance.model_hash = bundle.content_hash(); });
+      stages.run("hashing the model", [&] { provenance.model_hash = hash->get(); });
     }
     return provenance.model_hash;
   };
-  const PlannedSampling planned = plan_of(prepared, options, hash_model);
+  const PlannedSampling planned = plan_of(prepared, options, wait_for_hash);
+  // Not before the plan, which measures how fast this machine computes.
+  if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
   RunFolder run(options.out, "sample", options);
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
   std::cout << scene_line(scene) << planned_text(planned) << std::flush;
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
-  hash_model();
   provenance.seed = options.seed;
   SamplingOutputs outputs(run, scene, requested, provenance);
   FlowProgress progress;
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
     progress.update(stage, solve);
   };
-  request.on_images = [&](const torch::Tensor& images) { outputs.write_images(images); };
+  // Every file names the model's hash.
+  request.on_images = [&](const torch::Tensor& images) {
+    wait_for_hash();
+    outputs.write_images(images);
+  };
   const PipelineResult result = run_pipeline(bundle_models(bundle, prepared.device), request, stages);
+  wait_for_hash();
   stages.run("writing",
              [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
 

@@ -13,7 +13,7 @@
 #include "infer/ply_file.h"
 #include "infer/point_cloud.h"
 #include "infer/pose_alignment.h"
-#include "infer/pose_from_rays.h"
+#include "infer/predicted_cameras.h"
 #include "infer/ray_export.h"
 
 #include <cmath>
@@ -24,37 +24,15 @@
 namespace gld {
 namespace {
 
-ConfidenceMap confidence_map(const torch::Tensor& confidence) {
-  const auto values = confidence.to(torch::kCPU, torch::kFloat32).contiguous();
-  ConfidenceMap map(values.size(1), values.size(0));
-  std::copy_n(values.data_ptr<float>(), values.numel(), map.values.begin());
-  return map;
-}
-
-RayMap ray_map(const torch::Tensor& rays) {
-  const auto values = rays.to(torch::kCPU, torch::kFloat32).contiguous();
-  RayMap map(values.size(1), values.size(0));
-  std::copy_n(values.data_ptr<float>(), values.numel(), map.values.begin());
-  return map;
-}
-
 DepthMap depth_map(const torch::Tensor& depth) {
   return to_depth_map(depth.to(torch::kCPU, torch::kFloat32).contiguous());
 }
 
-// The cameras that fit the predicted rays, in the frame of the rays. Error when no camera fits.
-std::vector<Camera> predicted_cameras(const PipelineResult& result, const TrainedSize& size) {
+PictureSize picture_of(const TrainedSize& size) {
   PictureSize picture;
   picture.width = size.width;
   picture.height = size.height;
-  std::vector<Camera> cameras;
-  for (int64_t i = 0; i < result.geometry.rays.size(0); ++i) {
-    const auto recovered =
-        camera_from_rays(ray_map(result.geometry.rays[i]), confidence_map(result.geometry.ray_confidence[i]),
-                         picture, PrincipalPoint::kCentre);
-    cameras.push_back(recovered.camera);
-  }
-  return cameras;
+  return picture;
 }
 
 }  // namespace
@@ -109,7 +87,9 @@ void SamplingOutputs::write_rest(const PipelineResult& result, const std::string
 void SamplingOutputs::write_depth(const PipelineResult& result) {
   const auto& depth = result.geometry.depth;
   // All depth files are in the unit of the poses, so that cameras.json describes one scene.
-  const double scale = requested_.needs_rays() ? depth_scale(result) : 1;
+  const auto known_scale = requested_.needs_rays() ? depth_scale(result) : std::nullopt;
+  const double scale = known_scale.value_or(1);
+  depth_has_scene_unit_ = known_scale.has_value();
   for (int64_t i = 0; i < depth.size(0); ++i) {
     depths_.push_back(depth_map(depth[i]));
     for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
@@ -122,7 +102,8 @@ void SamplingOutputs::write_depth(const PipelineResult& result) {
     const auto name = view_name(first_geometry_view_ + static_cast<int64_t>(i), scene_.views.size());
     export_depth_png(folder / (name + ".png"), depths_[i], depth_unit_, provenance_);
     write_pfm(folder / (name + ".pfm"), depths_[i]);
-    export_image(folder / (name + "_preview.png"), depth_preview(depths_[i], range, ""), provenance_);
+    export_image(folder / (name + "_preview.png"), depth_preview(depths_[i], range, depth_unit_name()),
+                 provenance_);
   }
   findings_["depth_unit"] = depth_unit_;
   run_.note("depth", "depth");
@@ -133,8 +114,8 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
   int64_t not_finite = 0;
   for (int64_t i = 0; i < result.geometry.rays.size(0); ++i) {
     const auto name = view_name(first_geometry_view_ + i, scene_.views.size());
-    not_finite += export_rays(folder / (name + ".npz"), ray_map(result.geometry.rays[i]),
-                              confidence_map(result.geometry.ray_confidence[i]), provenance_);
+    not_finite += export_rays(folder / (name + ".npz"), to_ray_map(result.geometry.rays[i]),
+                              to_confidence_map(result.geometry.ray_confidence[i]), provenance_);
   }
   if (not_finite > 0) {
     warnings_.push_back(
@@ -142,7 +123,7 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
   }
   try {
     CameraList list;
-    for (const Camera& camera : predicted_cameras(result, scene_.size)) {
+    for (const Camera& camera : predicted_cameras(result.geometry, picture_of(scene_.size))) {
       CameraRecord record;
       record.name =
           view_name(first_geometry_view_ + static_cast<int64_t>(list.records.size()), scene_.views.size());
@@ -158,9 +139,9 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
 
 // The DPT head has a scale of its own; the predicted rays tell where it thinks the cameras are, and the given cameras
 // tell the true distances between them.
-double SamplingOutputs::depth_scale(const PipelineResult& result) {
+std::optional<double> SamplingOutputs::depth_scale(const PipelineResult& result) {
   try {
-    const auto predicted = predicted_cameras(result, scene_.size);
+    const auto predicted = predicted_cameras(result.geometry, picture_of(scene_.size));
     const auto& cameras = scene_.views.cameras;
     const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
     findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
@@ -176,7 +157,7 @@ double SamplingOutputs::depth_scale(const PipelineResult& result) {
         "No camera fits the predicted rays ({}) so depth and points.ply keep the model's own unit.",
         error.what()));
   }
-  return 1;
+  return std::nullopt;
 }
 
 void SamplingOutputs::write_points(const PipelineResult& result) {
@@ -187,7 +168,7 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
     view.image =
         i < scene_.source_images.size() ? scene_.source_images[i] : images_[i - scene_.source_images.size()];
     view.depth = depths_[i];
-    view.confidence = confidence_map(result.geometry.depth_confidence[static_cast<int64_t>(i)]);
+    view.confidence = to_confidence_map(result.geometry.depth_confidence[static_cast<int64_t>(i)]);
     views.push_back(std::move(view));
   }
   const PointCloud cloud = build_point_cloud(views, 1, PointCloudOptions());
@@ -218,6 +199,7 @@ void SamplingOutputs::write_cameras() {
                  scene_.source_images[view], provenance_);
   }
   CameraList list;
+  list.metric = scene_.metric && (depth_has_scene_unit_ || !requested_.depth);
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
     const bool target = view >= scene_.views.num_sources;
     CameraRecord record;
@@ -264,6 +246,7 @@ void SamplingOutputs::write_contact_sheet(const std::string& subtitle) {
   text.title = "gld sample, scene " + scene_.name;
   text.subtitle = subtitle;
   text.depth_range = range;
+  text.depth_unit = depth_unit_name();
   export_image(run_.path() / "contact_sheet.png", make_contact_sheet(views, text), provenance_);
   run_.note("contact sheet", "contact_sheet.png");
 }

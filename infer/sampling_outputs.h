@@ -6,6 +6,7 @@
 #include "infer/sampling_pipeline.h"
 #include "infer/sampling_scene.h"
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -36,7 +37,10 @@ class SamplingOutputs {
   void write_latents(const PipelineResult& result);
   void write_cameras();
   void write_contact_sheet(const std::string& subtitle);
-  double depth_scale(const PipelineResult& result);
+  // From the unit of the depth to that of the cameras; nothing where it is not known.
+  std::optional<double> depth_scale(const PipelineResult& result);
+  // "m" where depth is in metres.
+  std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
   void compare_with_truth();
 
   RunFolder& run_;
@@ -47,7 +51,8 @@ class SamplingOutputs {
   std::vector<double> psnr_;      // one a target view; NaN without truth
   std::vector<DepthMap> depths_;  // one a geometry view
   double depth_unit_ = 0;
-  int64_t first_geometry_view_ = 0;  // 0, or the first target where only targets have geometry
+  bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
+  int64_t first_geometry_view_ = 0;    // 0, or the first target where only targets have geometry
   nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
   std::vector<std::string> warnings_;
 };

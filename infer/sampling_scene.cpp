@@ -94,6 +94,7 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selec
                                   const TrainedSize& size) {
   SamplingScene sampling;
   sampling.name = scene.name;
+  sampling.metric = scene.metric;
   sampling.size = size;
   sampling.warnings = scene.warnings;
   for (const int64_t number : selection.sources) {

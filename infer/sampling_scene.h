@@ -27,6 +27,7 @@ struct ViewSelection : OptionsGroup {
 // The scene as the sampler takes it: source views first, all at one size.
 struct SamplingScene {
   std::string name;
+  bool metric = false;  // poses and depth are in metres
   TrainedSize size;
   Views views;
   std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path

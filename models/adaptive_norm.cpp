@@ -1,7 +1,5 @@
 #include "models/adaptive_norm.h"
 
-#include "gld/linear.h"
-
 #include <algorithm>
 
 #include <torch/types.h>
@@ -50,7 +48,8 @@ std::vector<torch::Tensor> AdaptiveNorm::parts(const Modulation& modulation, con
     const auto activation = modulation.activation.narrow(0, group.first, group.count);
     const auto weight = linear_->weight.narrow(0, first * channels_, count * channels_);
     const auto bias = linear_->bias.narrow(0, first * channels_, count * channels_);
-    vectors = linear(activation, weight, bias);
+    vectors = torch::addmm(bias, activation.reshape({-1, channels_}), weight.t())
+                  .view({group.count, activation.size(1), count * channels_});
   }
   return vectors.chunk(count, -1);
 }
