@@ -14,6 +14,7 @@
 #include "infer/sampling_outputs.h"
 #include "infer/sampling_plan.h"
 #include "infer/scene_request.h"
+#include "infer/visible_pairs.h"
 
 #include <algorithm>
 #include <iostream>
@@ -112,6 +113,8 @@ struct PlannedSampling {
   ChosenMethod choice;
   FlowSettings settings;
   SamplingPlan plan;
+  // By the cameras alone; the pipeline may find fewer pairs with the sources' depth.
+  ViewVisibility visibility;
 };
 
 PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options,
@@ -122,18 +125,21 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   request.grid = bundle.backbone.grid_of(views.size(), prepared.scene.size.height, prepared.scene.size.width);
   request.num_sources = views.num_sources;
   request.outputs = options.requested();
-  request.visible_share = view_visibility(views).kept();
   PlannedSampling planned;
+  planned.visibility = view_visibility(views);
+  request.visible_share = planned.visibility.kept();
   planned.choice = choose_method(options, prepared.bundle, request, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
   request.set(planned.settings);
   planned.plan = plan_sampling(bundle, request);
-  predict_seconds(planned.plan, measure_machine_speed());
+  predict_seconds(planned.plan, bundle, request, measure_machine_speed());
   return planned;
 }
 
 std::string planned_text(const PlannedSampling& planned) {
-  return choice_text(planned.choice) + plan_text(planned.plan);
+  const bool some_pairs = planned.settings.approximate.view_pairs == ViewPairs::kVisible;
+  return choice_text(planned.choice) + plan_text(planned.plan) +
+         (some_pairs ? view_visibility_text(planned.visibility) : "");
 }
 
 std::string scene_line(const SamplingScene& scene) {
@@ -223,13 +229,14 @@ void sample(const SampleOptions& options) {
   report["threads"] = thread_count();
   report["stages"] = stages.to_json();
   report["sampling"] = choice_json(planned.choice);
-  report["plan"] = plan_json(planned.plan);
+  report["plan"] = plan_json(planned.plan, stages.records());
   report["flows"] = flows_json(result.flows);
+  if (result.view_pairs) report["view_pairs"] = view_pairs_json(*result.view_pairs);
   for (const auto& [key, value] : outputs.findings().items()) report[key] = value;
   report["warnings"] = warnings;
   run.write_report(report);
   run.note("report", "report.json");
-  std::cout << run.closing_box();
+  std::cout << actual_text(planned.plan, stages.records()) << run.closing_box();
 }
 
 }  // namespace gld
