@@ -162,7 +162,16 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   return Invocation{&command, left_over};
 }
 
-void print_overview(const std::string& program, const std::vector<Command>& commands) {
+// A program, or a command that has commands of its own.
+struct CommandGroup {
+  std::string program;  // "gld train"
+  std::string description;
+  const std::vector<Command>& commands;  // outlive what is found among them
+};
+
+void print_overview(const CommandGroup& group) {
+  const auto& [program, description, commands] = group;
+  if (!description.empty()) std::cout << description << "\n";
   std::cout << "Usage: " << program << " COMMAND [options]\n\nCommands:\n";
   size_t width = 0;
   for (const auto& command : commands) width = std::max(width, command.name.size());
@@ -173,14 +182,15 @@ void print_overview(const std::string& program, const std::vector<Command>& comm
   std::cout << "\n" << program << " COMMAND --help lists a command's options with type, range and default.\n";
 }
 
-std::optional<Invocation> find_and_parse(const std::string& program, const std::vector<Command>& commands,
+std::optional<Invocation> find_and_parse(const CommandGroup& group,
                                          const std::vector<std::string>& arguments) {
+  const auto& [program, description, commands] = group;
   if (arguments.empty()) {
-    print_overview(program, commands);
+    print_overview(group);
     fail({program, "a command", "none", "choose one of the above"});
   }
   if (arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
-    print_overview(program, commands);
+    print_overview(group);
     return std::nullopt;
   }
   std::vector<std::string> names;
@@ -189,7 +199,11 @@ std::optional<Invocation> find_and_parse(const std::string& program, const std::
     names.push_back(last);
     if (last != arguments[0]) continue;
     const std::vector<std::string> rest(arguments.begin() + 1, arguments.end());
-    if (!command.subcommands.empty()) return find_and_parse("gld " + command.name, command.subcommands, rest);
+    if (!command.subcommands.empty()) {
+      const std::string heading =
+          command.summary + (command.description.empty() ? "" : "\n\n" + command.description) + "\n";
+      return find_and_parse({"gld " + command.name, heading, command.subcommands}, rest);
+    }
     return parse(command, rest);
   }
   const auto near = nearest_name(arguments[0], names);
@@ -202,7 +216,7 @@ std::optional<Invocation> find_and_parse(const std::string& program, const std::
 int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments) {
   int status_of_error = kWrongUsage;
   try {
-    const auto invocation = find_and_parse("gld", commands, arguments);
+    const auto invocation = find_and_parse({"gld", "", commands}, arguments);
     if (!invocation) return 0;
     status_of_error = kFailed;
     return invocation->command->run(invocation->arguments);

@@ -16,7 +16,7 @@ Command stage_command(const std::string& name, const std::string& summary,
                       std::string (*run)(const Options&, const DrawValidation&)) {
   auto options = std::make_shared<Options>();
   Command command;
-  command.name = name;
+  command.name = "train " + name;
   command.summary = summary;
   command.options = options;
   command.run = [options, run](const std::vector<std::string>&) {
