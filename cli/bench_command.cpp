@@ -19,7 +19,7 @@ template <class Options>
 Command report_command(const std::string& name, const std::string& summary, int (*run)(const Options&)) {
   auto options = std::make_shared<Options>();
   Command command;
-  command.name = name;
+  command.name = "bench " + name;
   command.summary = summary;
   command.options = options;
   command.run = [options, run](const std::vector<std::string>&) { return run(*options); };
