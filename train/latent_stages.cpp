@@ -85,6 +85,7 @@ void StatsOptions::check() const {
 
 std::string compute_statistics(const StatsOptions& options) {
   const torch::NoGradGuard no_grad;
+  install_interrupt_handler();
   use_training_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;

@@ -1,6 +1,7 @@
 #include "train/training_stage.h"
 
 #include "gld/error.h"
+#include "gld/interrupt.h"
 #include "gld/run_folder.h"
 #include "gld/torch_version.h"
 
@@ -81,6 +82,7 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
 
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw) {
+  install_interrupt_handler();
   use_training_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;

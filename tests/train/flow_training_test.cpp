@@ -1,4 +1,5 @@
 // gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
+#include "gld/error.h"
 #include "gld/latent_statistics.h"
 #include "models/bundle.h"
 #include "models/imagenet.h"
@@ -10,6 +11,7 @@
 #include "train/metrics_log.h"
 
 #include <cmath>
+#include <csignal>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -146,6 +148,17 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
   // The same numbers are added up in another order.
   EXPECT_LT((gradients[0] - gradients[1]).abs().max().item<double>(),
             1e-5 * gradients[0].abs().max().item<double>());
+}
+
+TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
+  options.loop.checkpoint_every = 1000;
+  options.loop.steps = 50;
+  EXPECT_THROW(
+      train_level(options, [](const Validation&, const std::filesystem::path&) { std::raise(SIGINT); }),
+      Interrupted);
+  std::signal(SIGINT, SIG_DFL);
+  EXPECT_TRUE(std::filesystem::exists(path("interrupted/checkpoints/step_000000001.safetensors")));
 }
 
 TEST_F(TrainedChain, TheHeadGoesOnAlone) {
