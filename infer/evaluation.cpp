@@ -106,9 +106,8 @@ class Evaluator {
     };
     request.level1_noise = noise("level 1", bundle_.options().level1.in_channels);
     request.level0_noise = noise("level 0", bundle_.options().cascade.in_channels);
-    request.level1_solver = request.cascade_solver = options_.solver;
-    request.level1_solver.schedule.shift = bundle_.options().level1_time_shift.evaluation;
-    request.cascade_solver.schedule.shift = bundle_.options().cascade_time_shift.evaluation;
+    request.level1_solver = solver_for(bundle_.options().level1_time_shift);
+    request.cascade_solver = solver_for(bundle_.options().cascade_time_shift);
     request.guidance = options_.guidance;
     request.image_views = DecodedViews::kTargets;
     request.geometry_views = scene.depth.defined() ? DecodedViews::kTargets : DecodedViews::kNone;
@@ -140,6 +139,12 @@ class Evaluator {
   }
 
  private:
+  SolverOptions solver_for(const TimeShiftOptions& model_shift) const {
+    SolverOptions solver = options_.solver;
+    if (solver.schedule.shift == 0) solver.schedule.shift = model_shift.evaluation;
+    return solver;
+  }
+
   const EvaluationOptions& options_;
   const ModelBundle& bundle_;
   torch::Device device_;
@@ -218,11 +223,8 @@ std::string summary_table(const nlohmann::ordered_json& summary) {
 }  // namespace
 
 EvaluationOptions::EvaluationOptions() {
-  views.views = 4;
-  views.shortest_interval = 2;
-  views.longest_interval = 7;
-  views.fewest_sources = views.most_sources = 2;
-  views.sources = SourceChoice::kInterpolate;
+  views = held_out_views();
+  solver.schedule.shift = 0;  // the model's
   guidance.guidance_scale = 1.0;
 }
 
@@ -235,7 +237,7 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
-  visitor.group({"solver", "solver of both flows; the shift is the model's"}, solver);
+  visitor.group({"solver", "solver of both flows"}, solver);
   visitor.group({"guidance", "guidance of both flows"}, guidance);
   visitor.integer({"seed", "seed of the noise"}, seed, {0, 1'000'000'000'000});
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});

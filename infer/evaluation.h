@@ -5,6 +5,7 @@
 #include "gld/guidance.h"
 #include "gld/options.h"
 #include "gld/solver.h"
+#include "infer/held_out_scenes.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -19,10 +20,10 @@ namespace gld {
 struct EvaluationOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string out;
-  int64_t synthetic = 64;           // generated scenes; 0 when scenes are given
-  int64_t synthetic_seed = 777000;  // training and validation use others
-  std::string scenes;               // folder of scenes in any layout
-  SyntheticOptions generator;       // what the generated scenes look like
+  int64_t synthetic = 64;                 // generated scenes; 0 when scenes are given
+  int64_t synthetic_seed = kHeldOutSeed;  // training and validation use others
+  std::string scenes;                     // folder of scenes in any layout
+  SyntheticOptions generator;             // what the generated scenes look like
   ViewSampling views;
   SolverOptions solver;
   GuidanceOptions guidance;
