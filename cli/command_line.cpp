@@ -173,10 +173,13 @@ void print_overview(const CommandGroup& group) {
   const auto& [program, description, commands] = group;
   if (!description.empty()) std::cout << description << "\n";
   std::cout << "Usage: " << program << " COMMAND [options]\n\nCommands:\n";
+  const auto last_word = [](const Command& command) {
+    return command.name.substr(command.name.rfind(' ') + 1);
+  };
   size_t width = 0;
-  for (const auto& command : commands) width = std::max(width, command.name.size());
+  for (const auto& command : commands) width = std::max(width, last_word(command).size());
   for (const auto& command : commands) {
-    const std::string last = command.name.substr(command.name.rfind(' ') + 1);
+    const std::string last = last_word(command);
     std::cout << "  " << last << std::string(width - last.size() + 2, ' ') << command.summary << "\n";
   }
   std::cout << "\n" << program << " COMMAND --help lists a command's options with type, range and default.\n";
