@@ -29,14 +29,16 @@ bool same_method(const SamplingMethod& a, const SamplingMethod& b);
 // "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
 std::string method_text(const SamplingMethod& method);
 
-// --quality. `options` is what the other options say. The rest are fixed methods; balanced and fast are the best of
-// what `gld bench sample-plan` measured on the trained configs/tiny (docs/measured/sample_plan).
+// --quality. `options` is what the other options say; the rest are fixed methods. balanced and fast take what
+// NUMBERS.md expects to pay (fewer evaluations of the default solver, nodes for the cascade's condition encoder, no
+// guidance where the data decide); `gld bench sample-plan` measures all four beside plain fewer evaluations.
 //
-// | quality   | solver on schedule | evaluations | guidance       | approximate savings      |
-// | published | euler on published | 49          | everywhere     | none                     |
-// | exact     | unipc3 on logsnr   | 16          | everywhere     | none                     |
-// | balanced  | unipc3 on logsnr   | 12          | everywhere     | 6 cascade encoder nodes  |
-// | fast      | unipc3 on logsnr   | 8           | from t = 0.5   | 4 cascade encoder nodes  |
+// | quality   | solver on schedule | evaluations | guidance     | approximate savings     |
+// |-----------|--------------------|-------------|--------------|-------------------------|
+// | published | euler on published | 49          | everywhere   | none                    |
+// | exact     | unipc3 on logsnr   | 16          | everywhere   | none                    |
+// | balanced  | unipc3 on logsnr   | 12          | everywhere   | 6 cascade encoder nodes |
+// | fast      | unipc3 on logsnr   | 8           | from t = 0.5 | 4 cascade encoder nodes |
 enum class SamplingQuality { kOptions, kPublished, kExact, kBalanced, kFast };
 const std::vector<std::string>& sampling_quality_names();
 
