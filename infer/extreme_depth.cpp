@@ -117,7 +117,7 @@ void add_clouds(std::vector<ExtremeRow>& rows, const std::filesystem::path& fold
 // The largest rounding of depths between 1 and 3 in a 16-bit file beside one that overflowed, relative to the depth.
 double rounding_beside_overflow(const std::filesystem::path& file) {
   DepthMap depth(40, 50);
-  for (size_t i = 0; i < depth.metres.size(); ++i) depth.metres[i] = 1 + static_cast<float>(i) * 1e-3F;
+  for (size_t i = 0; i < depth.metres.size(); ++i) depth.metres[i] = 1 + static_cast<float>(i) * 0.9973e-3F;
   depth.metres[777] = 3e38F;
   const double unit = choose_depth_unit({depth});
   export_depth_png(file, depth, unit, Provenance());

@@ -1,7 +1,10 @@
 #include "infer/visible_pairs.h"
 
+#include "infer/bundle_models.h"
 #include "infer/pose_from_rays.h"
+#include "models/random_bundle.h"
 #include "tests/support/random_cameras.h"
+#include "tests/support/shared_data.h"
 
 #include <cmath>
 
@@ -108,6 +111,49 @@ TEST(VisiblePairs, LonelyTargetsAreWarnedAbout) {
   EXPECT_EQ(json.at("attends").size(), 6U);
   EXPECT_EQ(json.at("targets_without_visible_source"), std::vector<int>({4}));
   EXPECT_DOUBLE_EQ(json.at("kept"), pairs.visibility.kept());
+}
+
+// The latents of both levels of a small random model, whose rays fit no camera: the cameras alone decide.
+PipelineResult latents_of(const PipelineModels& models, const BundleOptions& bundle, const Views& views,
+                          ViewPairs pairs) {
+  PipelineRequest request;
+  request.views = views;
+  torch::manual_seed(4);
+  request.source_images = torch::rand({views.num_sources, 3, kPicture.height, kPicture.width});
+  const int64_t tokens = (kPicture.height / 14) * (kPicture.width / 14);
+  request.level1_noise = torch::randn({views.size(), tokens, bundle.level1.in_channels});
+  request.level0_noise = torch::randn_like(request.level1_noise);
+  request.level1_solver.evaluations = request.cascade_solver.evaluations = 3;
+  request.image_views = DecodedViews::kNone;
+  request.approximate.view_pairs = pairs;
+  StageRecords stages;
+  return run_pipeline(models, request, stages);
+}
+
+TEST(VisiblePairs, ThePipelineLeavesOutWhatIsApartAndNothingElse) {
+  const test::TemporaryFolder folder;
+  const auto options = small_bundle_options();
+  write_random_bundle(folder.path(), options, 7);
+  const auto models = bundle_models(ModelBundle::open(folder.path()), torch::kCPU);
+  Views views = rooms_in_a_row();
+  const auto together = latents_of(models, options, views, ViewPairs::kVisible);
+  EXPECT_EQ(together.view_pairs->kept(), 1);
+  const auto all = latents_of(models, options, views, ViewPairs::kAll);
+  EXPECT_FALSE(all.view_pairs.has_value());
+  EXPECT_TRUE(torch::equal(together.level1, all.level1));
+  EXPECT_TRUE(torch::equal(together.level0, all.level0));
+
+  // The first room's views turn around.
+  for (const size_t view : {0, 3}) {
+    views.cameras[view].world_from_camera.linear() =
+        Eigen::AngleAxisd(M_PI, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  }
+  const auto apart = latents_of(models, options, views, ViewPairs::kVisible);
+  EXPECT_LT(apart.view_pairs->kept(), 1);
+  EXPECT_FALSE(apart.view_pairs->attends_to(0, 1));
+  const auto exact = latents_of(models, options, views, ViewPairs::kAll);
+  EXPECT_FALSE(torch::equal(apart.level1, exact.level1));
+  EXPECT_FALSE(torch::equal(apart.level0, exact.level0));
 }
 
 }  // namespace
