@@ -32,6 +32,10 @@ Command make_bench_command() {
   Command command;
   command.name = "bench";
   command.summary = "Measure error against run time, and numerical stability";
+  command.description =
+      "Examples: gld bench solvers --out runs/solvers\n"
+      "          gld bench sample --synthetic 4 --counts 6,16,49 --guidance-scales 1.5 --out runs/sample\n"
+      "Each writes tables (CSV and Markdown), plots and report.json into its run folder.";
   command.subcommands = {
       report_command("solvers", "Solvers and schedules on flows whose solution is known",
                      run_solver_benchmark),
