@@ -3,6 +3,7 @@
 #include "datasets/dataset.h"
 #include "gld/atomic_file.h"
 #include "gld/configuration.h"
+#include "gld/device.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/plot.h"
@@ -233,6 +234,29 @@ PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bun
   return table;
 }
 
+// The variants that options ask for. Error for a family that there is not.
+std::vector<PlanVariant> asked_variants(const SamplePlanBenchmarkOptions& options,
+                                        const DitOptions& cascade) {
+  auto variants = plan_variants(options.counts, cascade);
+  if (options.families.empty()) return variants;
+  const auto& asked = options.families;
+  for (const auto& family : asked) {
+    std::vector<std::string> names;
+    for (const auto& variant : variants) names.push_back(variant.family);
+    if (std::find(names.begin(), names.end(), family) != names.end()) continue;
+    const auto near = nearest_name(family, names);
+    fail({"--families", "kinds of methods", "'" + family + "'",
+          near.empty() ? "leave it out to see them all in the table" : "did you mean '" + near + "'?"});
+  }
+  variants.erase(std::remove_if(variants.begin(), variants.end(),
+                                [&](const PlanVariant& variant) {
+                                  return variant.family != kFewerEvaluations &&
+                                         std::find(asked.begin(), asked.end(), variant.family) == asked.end();
+                                }),
+                 variants.end());
+  return variants;
+}
+
 // The error of the reference itself, on the first scene: its distance from a solve with twice the evaluations.
 double reference_error(const Sampler& sampler, const BenchScene& scene, int64_t evaluations) {
   const Run twice = sampler.run(scene, exact_method(2 * evaluations));
@@ -253,6 +277,9 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.real({"guidance_scale", "guidance scale; errors hold up to it"}, guidance_scale, {0, 1000});
   visitor.integers({"counts", "evaluations a level of the default solver"}, counts, {2, 100000});
+  visitor.texts(
+      {"families", "kinds of methods to measure beside fewer evaluations, as the plot names them; none: all"},
+      families);
   visitor.integer({"reference_evaluations", "evaluations a level of the solve that errors refer to"},
                   reference_evaluations, {8, 100000});
   visitor.integer({"repeats", "timed runs of each method, of which the shortest counts"}, repeats, {1, 100});
@@ -407,15 +434,15 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   const auto device = device_from_text(options.device);
   const auto dataset = dataset_of(options);
   const int64_t scene_count = std::min(options.synthetic, dataset->size());
-  RunFolder folder(options.out, "bench sample-plan", options);
 
   std::vector<PlanRow> rows;
-  for (auto& variant : plan_variants(options.counts, bundle.options().cascade)) {
+  for (auto& variant : asked_variants(options, bundle.options().cascade)) {
     PlanRow row;
     row.variant = std::move(variant);
     row.samples.resize(static_cast<size_t>(scene_count));
     rows.push_back(std::move(row));
   }
+  RunFolder folder(options.out, "bench sample-plan", options);
   const BenchScene first = load_bench_scene(*dataset, 0, options, bundle.options());
   const LatentGrid grid =
       bundle.options().backbone.grid_of(first.request.views.size(), first.truth.size(2), first.truth.size(3));

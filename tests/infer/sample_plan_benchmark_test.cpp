@@ -73,11 +73,16 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
   options.synthetic = 2;
   options.generator.width = options.generator.height = 56;
   options.counts = {4, 8};
-  options.reference_evaluations = 24;
+  options.families = {"published", "visible pairs", "fast"};
+  options.reference_evaluations = 16;
   options.repeats = 1;
   options.threads = 2;
   options.write_table = true;
   options.out = (folder.path() / "run").string();
+  options.families.emplace_back("encoder node");
+  EXPECT_EQ(error_of([&] { run_sample_plan_benchmark(options); }),
+            "--families: expected kinds of methods, found 'encoder node'; did you mean 'encoder nodes'?");
+  options.families.pop_back();
   testing::internal::CaptureStdout();
   EXPECT_EQ(run_sample_plan_benchmark(options), 0);
   const auto text = testing::internal::GetCapturedStdout();
