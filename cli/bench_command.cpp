@@ -4,8 +4,10 @@
 #include "infer/extremes_benchmark.h"
 #include "infer/forward_benchmark.h"
 #include "infer/sample_benchmark.h"
+#include "infer/sample_plan_benchmark.h"
 #include "infer/solver_benchmark.h"
 #include "infer/stiff_benchmark.h"
+#include "train/train_benchmark.h"
 
 #include <memory>
 #include <string>
@@ -43,12 +45,18 @@ Command make_bench_command() {
                      run_stiff_benchmark),
       report_command("sample", "Sampling with a model: latent error, quality and time by solver and guidance",
                      run_sample_benchmark),
+      report_command(
+          "sample-plan",
+          "What leaving work out of sampling saves and what error it makes, beside fewer evaluations",
+          run_sample_plan_benchmark),
       report_command("extremes", "Cameras, logits, norms and flows at the ends of their range",
                      run_extremes_benchmark),
       report_command("attention", "Attention kernels beside LibTorch's composition, as fractions of peak",
                      run_attention_benchmark),
       report_command("forward", "One evaluation of M1 beside LibTorch's composition, as fractions of peak",
-                     run_forward_benchmark)};
+                     run_forward_benchmark),
+      report_command("train", "Training steps, their memory and the optimiser, as fractions of peak",
+                     run_train_benchmark)};
   return command;
 }
 

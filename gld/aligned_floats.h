@@ -1,8 +1,9 @@
 #pragma once
 
+#include "gld/block_memory.h"
+
 #include <cstdint>
 #include <memory>
-#include <new>
 
 namespace gld {
 
@@ -10,14 +11,12 @@ namespace gld {
 class AlignedFloats {
  public:
   explicit AlignedFloats(int64_t count)
-      : data_(static_cast<float*>(::operator new (static_cast<std::size_t>(count) * sizeof(float),
-                                                  std::align_val_t{kAlignment}))) {}
+      : data_(static_cast<float*>(take_block(static_cast<std::size_t>(count) * sizeof(float)))) {}
   float* data() const { return data_.get(); }
 
  private:
-  static constexpr std::size_t kAlignment = 64;
   struct Release {
-    void operator()(float* p) const { ::operator delete (p, std::align_val_t{kAlignment}); }
+    void operator()(float* p) const { give_block(p); }
   };
   std::unique_ptr<float, Release> data_;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstdlib>
+#include <iterator>
 #include <map>
 #include <mutex>
 #include <new>
@@ -43,11 +44,12 @@ class KeptBlocks {
       // One of the next two sizes will do as well.
       const auto found = blocks_.lower_bound(capacity);
       if (found != blocks_.end() && found->first <= capacity + capacity / 4) {
-        BlockHeader* block = found->second;
-        kept_ -= found->first;
-        blocks_.erase(found);
+        BlockHeader* block = remove(found);
+        count_in_use(block->capacity);
         return block;
       }
+      count_in_use(capacity);
+      make_room();
     }
     const size_t alignment = capacity >= kHugePage ? kHugePage : kAlignment;
     void* memory = nullptr;
@@ -62,6 +64,7 @@ class KeptBlocks {
   void give(BlockHeader* block) {
     if (block->capacity >= kSmallestKept) {
       const std::lock_guard<std::mutex> lock(mutex_);
+      in_use_ -= block->capacity;
       if (kept_ + block->capacity <= limit_) {
         kept_ += block->capacity;
         blocks_.emplace(block->capacity, block);
@@ -72,23 +75,50 @@ class KeptBlocks {
   }
 
   void release() {
-    std::multimap<size_t, BlockHeader*> blocks;
+    Blocks blocks;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       blocks.swap(blocks_);
       kept_ = 0;
+      most_in_use_ = in_use_;
     }
     for (const auto& [capacity, block] : blocks) std::free(block);
   }
 
-  size_t kept() {
+  struct Sizes {
+    size_t kept, in_use, most_in_use;
+  };
+  Sizes sizes() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    return kept_;
+    return {kept_, in_use_, most_in_use_};
   }
 
  private:
+  using Blocks = std::multimap<size_t, BlockHeader*>;
+
+  BlockHeader* remove(Blocks::iterator place) {
+    BlockHeader* block = place->second;
+    kept_ -= place->first;
+    blocks_.erase(place);
+    return block;
+  }
+
+  void count_in_use(size_t capacity) {
+    in_use_ += capacity;
+    most_in_use_ = std::max(most_in_use_, in_use_);
+  }
+
+  // Keeping blocks of sizes that are not asked for any more must not raise the process's peak by more than a quarter.
+  void make_room() {
+    while (!blocks_.empty() && in_use_ + kept_ > most_in_use_ + most_in_use_ / 4) {
+      std::free(remove(std::prev(blocks_.end())));
+    }
+  }
+
   std::mutex mutex_;
-  std::multimap<size_t, BlockHeader*> blocks_;  // by capacity
+  Blocks blocks_;           // by capacity
+  size_t in_use_ = 0;       // of blocks that are large enough to be kept
+  size_t most_in_use_ = 0;  // since the last release
   size_t kept_ = 0;
   size_t limit_ = 0;
 };
@@ -113,6 +143,10 @@ void give_block(void* data) {
 
 void release_kept_blocks() { kept_blocks().release(); }
 
-int64_t kept_block_bytes() { return static_cast<int64_t>(kept_blocks().kept()); }
+int64_t kept_block_bytes() { return static_cast<int64_t>(kept_blocks().sizes().kept); }
+
+int64_t used_block_bytes() { return static_cast<int64_t>(kept_blocks().sizes().in_use); }
+
+int64_t most_used_block_bytes() { return static_cast<int64_t>(kept_blocks().sizes().most_in_use); }
 
 }  // namespace gld

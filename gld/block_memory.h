@@ -16,7 +16,7 @@ void* take_block(size_t bytes);
 void give_block(void* data);
 
 // Freed blocks are kept up to this many bytes together, past it they go back to the system. 0, the default, keeps
-// nothing.
+// nothing. Blocks in use and kept together take at most a quarter more than the most that was in use at one time.
 void set_most_kept_bytes(int64_t bytes);
 
 // Gives the kept blocks back to the system: between stages whose tensors differ in size.
@@ -24,5 +24,9 @@ void release_kept_blocks();
 
 // Bytes of freed blocks that are kept at this moment.
 int64_t kept_block_bytes();
+
+// Bytes of blocks in use (those of 64 KiB and more), now and the most since the last release_kept_blocks().
+int64_t used_block_bytes();
+int64_t most_used_block_bytes();
 
 }  // namespace gld

@@ -102,6 +102,23 @@ KernelSettings settings() {
   return settings;
 }
 
+AttentionGradients gradients_of(const Context& context, const AttentionInputs& inputs,
+                                const AttentionResult& result, const torch::Tensor& output_gradient) {
+  const auto gradient = with_contiguous_channels(output_gradient);
+  AttentionGradients gradients;
+  gradients.query = torch::empty_like(inputs.query, torch::MemoryFormat::Contiguous);
+  gradients.key = torch::empty_like(inputs.key, torch::MemoryFormat::Contiguous);
+  gradients.value = torch::empty_like(inputs.value, torch::MemoryFormat::Contiguous);
+  AttentionBackward arrays;
+  arrays.forward = context.arrays(inputs.query, inputs.key, inputs.value, result.output, result.log_sum_exp);
+  arrays.output_gradient = pointers<const float>(gradient);
+  arrays.query_gradient = pointers<float>(gradients.query);
+  arrays.key_gradient = pointers<float>(gradients.key);
+  arrays.value_gradient = pointers<float>(gradients.value);
+  attention_backward(arrays, settings());
+  return gradients;
+}
+
 class FusedAttention : public torch::autograd::Function<FusedAttention> {
  public:
   static torch::Tensor forward(torch::autograd::AutogradContext* graph, const torch::Tensor& query,
@@ -124,18 +141,12 @@ class FusedAttention : public torch::autograd::Function<FusedAttention> {
     }
     const auto saved = graph->get_saved_variables();
     const auto context = Context::restore(graph->saved_data["sizes"].toIntVector(), &saved[5]);
-    const auto gradient = with_contiguous_channels(gradients[0]);
-    const auto query_gradient = torch::empty_like(saved[0], torch::MemoryFormat::Contiguous);
-    const auto key_gradient = torch::empty_like(saved[1], torch::MemoryFormat::Contiguous);
-    const auto value_gradient = torch::empty_like(saved[2], torch::MemoryFormat::Contiguous);
-    AttentionBackward arrays;
-    arrays.forward = context.arrays(saved[0], saved[1], saved[2], saved[3], saved[4]);
-    arrays.output_gradient = pointers<const float>(gradient);
-    arrays.query_gradient = pointers<float>(query_gradient);
-    arrays.key_gradient = pointers<float>(key_gradient);
-    arrays.value_gradient = pointers<float>(value_gradient);
-    attention_backward(arrays, settings());
-    return {query_gradient, key_gradient, value_gradient, torch::Tensor()};
+    AttentionInputs inputs;
+    inputs.query = saved[0];
+    inputs.key = saved[1];
+    inputs.value = saved[2];
+    const auto result = gradients_of(context, inputs, {saved[3], saved[4]}, gradients[0]);
+    return {result.query, result.key, result.value, torch::Tensor()};
   }
 };
 
@@ -159,6 +170,29 @@ torch::Tensor fused_attention(const AttentionInputs& inputs) {
   const auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
   attention_forward(context.arrays(query, key, value, output, {}), settings());
   return output;
+}
+
+AttentionResult fused_attention_result(const AttentionInputs& inputs) {
+  const torch::NoGradGuard no_grad;
+  const Context context(inputs.prope, inputs.view_mask);
+  const auto query = with_contiguous_channels(inputs.query);
+  AttentionResult result;
+  result.output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
+  result.log_sum_exp = torch::empty({query.size(0), query.size(2), query.size(1)}, query.options());
+  attention_forward(context.arrays(query, with_contiguous_channels(inputs.key),
+                                   with_contiguous_channels(inputs.value), result.output, result.log_sum_exp),
+                    settings());
+  return result;
+}
+
+AttentionGradients fused_attention_gradients(const AttentionInputs& inputs, const AttentionResult& result,
+                                             const torch::Tensor& output_gradient) {
+  const torch::NoGradGuard no_grad;
+  AttentionInputs contiguous = inputs;
+  for (auto* tensor : {&contiguous.query, &contiguous.key, &contiguous.value}) {
+    *tensor = with_contiguous_channels(*tensor);
+  }
+  return gradients_of(Context(inputs.prope, inputs.view_mask), contiguous, result, output_gradient);
 }
 
 }  // namespace gld

@@ -14,4 +14,21 @@ torch::Tensor fused_attention(const AttentionInputs& inputs);
 // Whether it can take these arguments.
 bool fused_attention_applies(const AttentionInputs& inputs);
 
+// The same without a graph, for a caller that computes queries, keys and values again before the gradients
+// (models/activation_checkpoint.h).
+struct AttentionResult {
+  torch::Tensor output;       // as attention()
+  torch::Tensor log_sum_exp;  // (batch, heads, queries)
+};
+AttentionResult fused_attention_result(const AttentionInputs& inputs);
+
+// Gradients of a loss with respect to query, key and value, from that with respect to the output.
+struct AttentionGradients {
+  torch::Tensor query;
+  torch::Tensor key;
+  torch::Tensor value;
+};
+AttentionGradients fused_attention_gradients(const AttentionInputs& inputs, const AttentionResult& result,
+                                             const torch::Tensor& output_gradient);
+
 }  // namespace gld

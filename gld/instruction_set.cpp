@@ -3,11 +3,11 @@
 namespace gld {
 
 std::vector<InstructionSet> available_instruction_sets() {
-  std::vector<InstructionSet> sets = {InstructionSet::portable};
+  std::vector<InstructionSet> sets = {InstructionSet::kPortable};
 #ifdef GLD_X86_KERNELS
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) sets.push_back(InstructionSet::avx2);
+  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) sets.push_back(InstructionSet::kAvx2);
   if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq"))
-    sets.push_back(InstructionSet::avx512);
+    sets.push_back(InstructionSet::kAvx512);
 #endif
   return sets;
 }
@@ -16,9 +16,9 @@ InstructionSet best_instruction_set() { return available_instruction_sets().back
 
 std::string instruction_set_name(InstructionSet set) {
   switch (set) {
-    case InstructionSet::avx512:
+    case InstructionSet::kAvx512:
       return "AVX-512";
-    case InstructionSet::avx2:
+    case InstructionSet::kAvx2:
       return "AVX2";
     default:
       return "portable";

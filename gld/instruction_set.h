@@ -6,7 +6,7 @@
 namespace gld {
 
 // The vector instruction sets our kernels exist for, in order of width.
-enum class InstructionSet { portable, avx2, avx512 };
+enum class InstructionSet { kPortable, kAvx2, kAvx512 };
 
 // What this processor can run and this build contains, widest last; never empty (the portable kernels always
 // work).

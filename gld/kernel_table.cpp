@@ -14,8 +14,8 @@ const KernelTable& kernel_table(InstructionSet set) {
           "use " + instruction_set_name(available.back())});
   }
 #ifdef GLD_X86_KERNELS
-  if (set == InstructionSet::avx512) return avx512_kernels();
-  if (set == InstructionSet::avx2) return avx2_kernels();
+  if (set == InstructionSet::kAvx512) return avx512_kernels();
+  if (set == InstructionSet::kAvx2) return avx2_kernels();
 #endif
   return portable_kernels();
 }

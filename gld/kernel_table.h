@@ -7,8 +7,8 @@
 
 // The innermost loops, compiled once per instruction set. Plain pointers and counts only: what these files
 // share with the rest of the program is this header, so that no inline function compiled for a wider
-// processor can leak into code that runs everywhere. gld/attention_kernel.h and gld/fused_ops.h are what
-// other code calls.
+// processor can leak into code that runs everywhere. gld/attention_kernel.h, gld/matrix_product.h and
+// gld/fused_ops.h are what other code calls.
 namespace gld {
 
 // A run of consecutive keys or queries: rows first .. first + count - 1 of the packed matrices.
@@ -107,9 +107,33 @@ struct GatedSumRows {
   float* y;
 };
 
+// Rows whose channels are to lie in the lanes of tiles.
+struct PackedRows {
+  const float* x;
+  int64_t stride;
+  int64_t count;  // rows; those past it up to `width` become zeros
+  int64_t width;  // a multiple of 4
+  int64_t depth;  // channels
+  float* packed;  // (depth, width)
+};
+
+// y = a b, or y += a b, for one strip of rows and some panels of columns.
+struct ProductTile {
+  const float* a;  // packed, `depth` x KernelTable::tile_rows
+  const float* b;  // packed panels, `depth` x KernelTable::tile_lanes each, one after another
+  int64_t depth;
+  int64_t rows;       // at most tile_rows
+  int64_t columns;    // of all panels
+  bool first;         // sets y and adds the bias, instead of adding to y
+  const float* bias;  // (columns) or null
+  float* y;
+  int64_t y_stride;
+};
+
 struct KernelTable {
   InstructionSet instruction_set;
   int64_t tile_lanes;       // tiles are best a multiple of it
+  int64_t tile_rows;        // of a product
   int64_t forward_queries;  // the most queries in a forward tile
   int64_t backward_keys;    // the most keys in a backward tile
   int64_t (*forward_scratch)(int64_t head_dim);
@@ -118,6 +142,8 @@ struct KernelTable {
   void (*attention_backward)(const AttentionBackwardTile& tile);
   // y = encoded x * factor; x and y have head_dim floats and may not overlap; encoding null for a plain copy.
   void (*encode_row)(const PropeRow* encoding, int64_t head_dim, float factor, const float* x, float* y);
+  void (*pack_rows)(const PackedRows& rows);
+  void (*product)(const ProductTile& tile);
   void (*rms_norm)(const RmsNormRows& rows);
   void (*swiglu)(const SwigluRows& rows);
   void (*gated_sum)(const GatedSumRows& rows);

@@ -3,12 +3,14 @@
 #include "gld/element_tiles.h"
 #include "gld/kernel_table.h"
 #include "gld/kernel_variants.h"
+#include "gld/product_tiles.h"
 
 namespace gld {
 
 const KernelTable& avx2_kernels() {
-  static const KernelTable table = {InstructionSet::avx2,
+  static const KernelTable table = {InstructionSet::kAvx2,
                                     kTileLanes,
+                                    kTileRows,
                                     kForwardGroups * kTileLanes,
                                     kBackwardGroups * kTileLanes,
                                     forward_scratch_floats,
@@ -16,6 +18,8 @@ const KernelTable& avx2_kernels() {
                                     attention_forward_tile,
                                     attention_backward_tile,
                                     encode_packed_row,
+                                    pack_rows_transposed,
+                                    product_tile,
                                     rms_norm_rows,
                                     swiglu_rows,
                                     gated_sum_rows,

@@ -1,5 +1,7 @@
 #include "gld/stage_record.h"
 
+#include "gld/block_memory.h"
+
 #include <fstream>
 
 #include <fmt/format.h>
@@ -29,6 +31,7 @@ class RecordOnExit {
     record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
     record.peak_bytes = peak_resident_bytes();
     records_.push_back(record);
+    release_kept_blocks();  // the next stage's tensors have other sizes
   }
   RecordOnExit(const RecordOnExit&) = delete;
   RecordOnExit& operator=(const RecordOnExit&) = delete;

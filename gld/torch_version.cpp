@@ -61,6 +61,9 @@ void enable_autocast(torch::DeviceType device, bool enabled) {
 #define GLD_ALLOCATE_CONST const
 #endif
 
+// Above that of LibTorch's own.
+constexpr uint8_t kAllocatorPriority = 1;
+
 class BlockAllocator final : public c10::Allocator {
  public:
   c10::DataPtr allocate(size_t bytes) GLD_ALLOCATE_CONST override {
@@ -139,7 +142,13 @@ BFloat16Autocast::~BFloat16Autocast() {
 void keep_freed_tensor_memory(int64_t most_kept_bytes) {
   set_most_kept_bytes(most_kept_bytes);
   static auto* allocator = new BlockAllocator;  // never destroyed: tensors outlive main
-  c10::SetCPUAllocator(allocator, /*priority=*/1);
+  c10::SetCPUAllocator(allocator, kAllocatorPriority);
 }
+
+LibraryTensorMemory::LibraryTensorMemory() : before_(c10::GetCPUAllocator()) {
+  c10::SetCPUAllocator(c10::GetDefaultCPUAllocator(), kAllocatorPriority);
+}
+
+LibraryTensorMemory::~LibraryTensorMemory() { c10::SetCPUAllocator(before_, kAllocatorPriority); }
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <string>
 
+#include <c10/core/Allocator.h>
 #include <torch/types.h>
 
 // The only place that knows LibTorch versions (1.13 to 2.x).
@@ -22,6 +23,18 @@ int thread_count();
 // Lets CPU tensors take their memory from block_memory.h, which keeps up to that many freed bytes. Tensors of before
 // stay valid.
 void keep_freed_tensor_memory(int64_t most_kept_bytes);
+
+// LibTorch's own CPU allocator for new tensors, for as long as it lives: what a plain LibTorch program has.
+class LibraryTensorMemory {
+ public:
+  LibraryTensorMemory();
+  ~LibraryTensorMemory();
+  LibraryTensorMemory(const LibraryTensorMemory&) = delete;
+  LibraryTensorMemory& operator=(const LibraryTensorMemory&) = delete;
+
+ private:
+  c10::Allocator* before_;
+};
 
 // Whether LibTorch brings a fused attention for that kind of device which beats composing it (2.0 and newer, CUDA).
 bool has_library_attention(torch::Device device);

@@ -12,7 +12,7 @@
 #include "gld/run_folder.h"
 #include "gld/sgemm_peak.h"
 #include "gld/torch_version.h"
-#include "infer/timing.h"
+#include "gld/timing.h"
 
 #include <algorithm>
 #include <functional>
@@ -193,7 +193,7 @@ AttentionBenchmarkRow row_from(const Problem& problem, const Variant& variant, A
 void measure(const Problem& problem, int64_t repeats, std::vector<AttentionBenchmarkRow>& rows) {
   KernelVariant ours("ours", problem, best_instruction_set());
   ComposedVariant composed(problem);
-  KernelVariant portable("portable", problem, InstructionSet::portable);
+  KernelVariant portable("portable", problem, InstructionSet::kPortable);
   const std::vector<Variant*> variants = {&ours, &composed, &portable};
   std::vector<Samples> forward(variants.size()), backward(variants.size());
   PeakMeasurement peak;
@@ -321,6 +321,8 @@ Table attention_benchmark_table(const std::vector<AttentionBenchmarkRow>& rows, 
 
 int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench attention", options);
+  const ThreadCountScope restore;
+  set_thread_count(static_cast<int>(thread_counts(options).back()));
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   const double multiply_add = measure_multiply_add_peak(peak);

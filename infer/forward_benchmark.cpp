@@ -1,6 +1,7 @@
 #include "infer/forward_benchmark.h"
 
 #include "gld/atomic_file.h"
+#include "gld/block_memory.h"
 #include "gld/configuration.h"
 #include "gld/cpu_peak.h"
 #include "gld/error.h"
@@ -11,14 +12,18 @@
 #include "gld/sgemm_peak.h"
 #include "gld/torch_version.h"
 #include "infer/composed_dit.h"
-#include "infer/timing.h"
+#include "gld/timing.h"
 #include "models/bundle.h"
 #include "models/cost_model.h"
 
+#include <algorithm>
 #include <cmath>
-#include <functional>
 #include <iostream>
 #include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -63,8 +68,6 @@ struct Setting {
   DitScene scene;
   DitTimeRow time;
   torch::Tensor noisy;
-  DitNoisyTokens tokens;
-  torch::Tensor condition;
 };
 
 Setting make_setting(const ForwardBenchmarkOptions& options) {
@@ -89,64 +92,83 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
   setting.scene = setting.model->prepare_scene(inputs);
   setting.time = setting.model->time_rows({kFlowTime}).front();
   setting.noisy = torch::randn({options.views, tokens, channels});
-  setting.tokens = setting.model->embed_noisy(setting.scene, setting.noisy);
   return setting;
+}
+
+// One evaluation in the order of DitDh::velocity, timed in two parts that add up to it.
+struct Evaluation {
+  double encoder_seconds = 0;
+  double decoder_seconds = 0;  // with the embedding of the noisy latent and the last layer
+  double peak = 0;             // multiply-adds, measured just before
+  torch::Tensor condition;
+  torch::Tensor velocity;
+};
+
+template <class Model>
+Evaluation evaluate(const Setting& setting, const Model& model) {
+  Evaluation result;
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  result.peak = measure_multiply_add_peak(peak);
+  const DitBranch branch = DitBranch::kConditional;
+  DitNoisyTokens tokens;
+  result.decoder_seconds +=
+      seconds_of([&] { tokens = setting.model->embed_noisy(setting.scene, setting.noisy); });
+  result.encoder_seconds = seconds_of(
+      [&] { result.condition = model.condition_encoder(setting.scene, tokens, setting.time, branch); });
+  result.decoder_seconds += seconds_of([&] {
+    result.velocity = setting.model->velocity_from_features(
+        model.velocity_features(setting.scene, tokens, result.condition, setting.time, branch));
+  });
+  return result;
+}
+
+// The repeats of one variant.
+struct Samples {
+  std::string variant;
+  std::vector<Evaluation> evaluations;
+};
+
+double relative_difference(const torch::Tensor& x, const torch::Tensor& reference) {
+  return ((x - reference).abs().max() / reference.abs().max()).item<double>();
 }
 
 struct Part {
   std::string name;
   Cost cost;
-  std::function<torch::Tensor()> ours;
-  std::function<torch::Tensor()> composed;
+  double (*seconds)(const Evaluation&);
+  const torch::Tensor& (*result)(const Evaluation&);
 };
 
-std::vector<Part> parts_of(const Setting& setting, const ComposedDit& composed) {
-  const DitDh& model = *setting.model;
-  const DitBranch branch = DitBranch::kConditional;
-  const auto& options = model.options();
-  return {
-      {"condition_encoder", condition_encoder_cost(options, setting.scene.grid),
-       [&, branch] { return model.condition_encoder(setting.scene, setting.tokens, setting.time, branch); },
-       [&, branch] {
-         return composed.condition_encoder(setting.scene, setting.tokens, setting.time, branch);
-       }},
-      {"velocity_decoder", velocity_decoder_cost(options, setting.scene.grid),
-       [&, branch] {
-         return model.velocity_from_features(
-             model.velocity_features(setting.scene, setting.tokens, setting.condition, setting.time, branch));
-       },
-       [&, branch] {
-         return model.velocity_from_features(composed.velocity_features(
-             setting.scene, setting.tokens, setting.condition, setting.time, branch));
-       }},
-      {"evaluation", dit_cost(options, setting.scene.grid),
-       [&, branch] { return model.velocity(setting.scene, setting.noisy, setting.time, branch); },
-       [&, branch] {
-         const auto tokens = model.embed_noisy(setting.scene, setting.noisy);
-         const auto condition = composed.condition_encoder(setting.scene, tokens, setting.time, branch);
-         return model.velocity_from_features(
-             composed.velocity_features(setting.scene, tokens, condition, setting.time, branch));
-       }}};
+std::vector<Part> parts_of(const Setting& setting) {
+  const auto& options = setting.model->options();
+  const auto velocity = [](const Evaluation& e) -> const torch::Tensor& { return e.velocity; };
+  return {{"condition_encoder", condition_encoder_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.encoder_seconds; },
+           [](const Evaluation& e) -> const torch::Tensor& { return e.condition; }},
+          {"velocity_decoder", velocity_decoder_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.decoder_seconds; }, velocity},
+          {"evaluation", dit_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.encoder_seconds + e.decoder_seconds; }, velocity}};
 }
 
-struct Samples {
-  std::vector<double> seconds;
-  std::vector<double> fractions;
-  torch::Tensor result;
-};
-
-ForwardBenchmarkRow row_from(const Part& part, const std::string& variant, const Samples& samples,
-                             const torch::Tensor& reference) {
+ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Samples& reference) {
+  std::vector<double> seconds, fractions;
+  for (const auto& evaluation : samples.evaluations) {
+    seconds.push_back(part.seconds(evaluation));
+    fractions.push_back(part.cost.flop() / seconds.back() / evaluation.peak);
+  }
   ForwardBenchmarkRow row;
   row.part = part.name;
-  row.variant = variant;
-  const Spread seconds = spread_of(samples.seconds);
-  row.seconds = seconds.median;
-  row.seconds_low = seconds.low;
-  row.seconds_high = seconds.high;
+  row.variant = samples.variant;
+  const Spread spread = spread_of(seconds);
+  row.seconds = spread.median;
+  row.seconds_low = spread.low;
+  row.seconds_high = spread.high;
   row.tflop = part.cost.flop() * 1e-12;
-  row.fraction_of_peak = spread_of(samples.fractions).median;
-  row.relative_difference = ((samples.result - reference).abs().max() / reference.abs().max()).item<double>();
+  row.fraction_of_peak = spread_of(fractions).median;
+  row.relative_difference =
+      relative_difference(part.result(samples.evaluations.back()), part.result(reference.evaluations.back()));
   return row;
 }
 
@@ -184,6 +206,7 @@ void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"sources", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size, width x height in pixels"}, size);
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
+  visitor.integer({"threads", "computing threads; 0 for all processors"}, threads, {0, 4096});
 }
 
 void ForwardBenchmarkOptions::check() const {
@@ -194,31 +217,26 @@ void ForwardBenchmarkOptions::check() const {
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options) {
   const torch::NoGradGuard no_grad;
-  Setting setting = make_setting(options);
+  const Setting setting = make_setting(options);
   const ComposedDit composed(*setting.model);
-  setting.condition =
-      composed.condition_encoder(setting.scene, setting.tokens, setting.time, DitBranch::kConditional);
-  const auto parts = parts_of(setting, composed);
-  PeakMeasurement peak;
-  peak.settings.threads = thread_count();
+  Samples ours = {"ours", {}}, plain = {"composed", {}};
+  Progress progress("bench forward", 2 * options.repeats);
+  const auto sample = [&](Samples& samples, Evaluation evaluation) {
+    samples.evaluations.push_back(std::move(evaluation));
+    progress.update(static_cast<int64_t>(ours.evaluations.size() + plain.evaluations.size()),
+                    samples.variant);
+    stop_if_interrupted("nothing was written yet");
+  };
+  for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
+    sample(ours, evaluate(setting, *setting.model));
+    release_kept_blocks();
+    const LibraryTensorMemory library_memory;
+    sample(plain, evaluate(setting, composed));
+  }
   std::vector<ForwardBenchmarkRow> rows;
-  Progress progress("bench forward", static_cast<int64_t>(parts.size()));
-  for (std::size_t i = 0; i < parts.size(); ++i) {
-    Samples ours, plain;
-    const auto sample = [&](const std::function<torch::Tensor()>& run, Samples& samples) {
-      const double peak_before = measure_multiply_add_peak(peak);
-      const double seconds = seconds_of([&] { samples.result = run(); });
-      samples.seconds.push_back(seconds);
-      samples.fractions.push_back(parts[i].cost.flop() / seconds / peak_before);
-      stop_if_interrupted(fmt::format("{} rows", rows.size()));
-    };
-    for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
-      sample(parts[i].ours, ours);
-      sample(parts[i].composed, plain);
-    }
-    rows.push_back(row_from(parts[i], "ours", ours, plain.result));
-    rows.push_back(row_from(parts[i], "composed", plain, plain.result));
-    progress.update(static_cast<int64_t>(i) + 1, parts[i].name);
+  for (const Part& part : parts_of(setting)) {
+    rows.push_back(row_from(part, ours, plain));
+    rows.push_back(row_from(part, plain, plain));
   }
   progress.finish();
   return rows;
@@ -235,16 +253,23 @@ Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
 
 int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench forward", options);
+  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
+                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   const double multiply_add = measure_multiply_add_peak(peak);
   const double sgemm = measure_sgemm_peak();
   const auto rows = forward_benchmark_rows(options);
+  const double speedup = rows[5].seconds / rows[4].seconds;
   const std::string text = fmt::format(
       "# One evaluation of M1, {} views of {}\n\nWith {} threads the multiply-add peak is {:.0f} GFLOP/s and "
-      "a large "
-      "matrix product ({}) reaches {:.0f}.\n\n{}",
-      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9,
+      "a "
+      "large matrix product ({}) reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own "
+      "memory, "
+      "in turns with ours; both start from a scene prepared once. The parts add up to the evaluation, which "
+      "is "
+      "{:.2f} times as fast.\n\n{}",
+      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
       overview(rows).markdown());
   write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());
   write_file_atomically(folder.path() / "forward.md", text);
@@ -253,8 +278,10 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   write_png(figure, folder.path() / "forward.png");
   folder.write_report({{"command", "bench forward"},
                        {"options", to_json(options)},
+                       {"threads", thread_count()},
                        {"multiply_add_peak", multiply_add},
                        {"sgemm_peak", sgemm},
+                       {"speedup", speedup},
                        {"blas", blas_name()}});
   std::cout << text << "\n";
   folder.note("parts", "forward.csv");

@@ -16,7 +16,8 @@ struct ForwardBenchmarkOptions : OptionsGroup {
   int64_t views = 8;
   int64_t sources = 4;
   std::string size = "252x140";
-  int64_t repeats = 5;
+  int64_t repeats = 3;
+  int64_t threads = 0;  // all processors
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

@@ -1,5 +1,7 @@
 #include "models/adaptive_norm.h"
 
+#include "gld/transposed_product.h"
+
 #include <algorithm>
 
 #include <torch/types.h>
@@ -48,8 +50,7 @@ std::vector<torch::Tensor> AdaptiveNorm::parts(const Modulation& modulation, con
     const auto activation = modulation.activation.narrow(0, group.first, group.count);
     const auto weight = linear_->weight.narrow(0, first * channels_, count * channels_);
     const auto bias = linear_->bias.narrow(0, first * channels_, count * channels_);
-    vectors = torch::addmm(bias, activation.reshape({-1, channels_}), weight.t())
-                  .view({group.count, activation.size(1), count * channels_});
+    vectors = times_transposed(activation, weight, bias);
   }
   return vectors.chunk(count, -1);
 }

@@ -57,7 +57,8 @@ torch::Tensor DitBlock::modulation_rows(const torch::Tensor& activation) const {
   return adaptive_norm_->rows(activation);
 }
 
-torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& context) const {
+std::vector<AttentionInputs> DitBlock::attention_inputs(const torch::Tensor& x,
+                                                        const DitBlockContext& context) const {
   const int64_t views = x.size(0), tokens = x.size(1), heads = sizes_.num_heads;
   const auto branches = static_cast<int64_t>(context.prope.size());
   const int64_t head_dim = sizes_.channels / heads;
@@ -75,27 +76,33 @@ torch::Tensor DitBlock::attend(const torch::Tensor& x, const DitBlockContext& co
     inputs.key = key_norm_->forward(inputs.key);
   }
   inputs.view_mask = context.view_mask;
-  const auto query = inputs.query, key = inputs.key, value = inputs.value;
-  std::vector<torch::Tensor> attended;
+  std::vector<AttentionInputs> result;
   for (int64_t branch = 0; branch < branches; ++branch) {
-    inputs.query = query.narrow(0, branch, 1);
-    inputs.key = key.narrow(0, branch, 1);
-    inputs.value = value.narrow(0, branch, 1);
-    inputs.prope = context.prope[static_cast<size_t>(branch)];
-    attended.push_back(attention(inputs));
+    result.push_back(inputs);
+    for (auto* tensor : {&result.back().query, &result.back().key, &result.back().value}) {
+      *tensor = tensor->narrow(0, branch, 1);
+    }
+    result.back().prope = context.prope[static_cast<size_t>(branch)];
   }
-  return (branches == 1 ? attended.front() : torch::cat(attended)).view({views, tokens, sizes_.channels});
+  return result;
 }
 
-torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {
-  const auto attended = attend(x, context);
+torch::Tensor DitBlock::finish(const torch::Tensor& x, const torch::Tensor& attended,
+                               const DitBlockContext& context) const {
+  const auto tokens = attended.view(x.sizes());
   return by_view_groups(x, [&](const ViewGroup& group) {
     const auto gate = adaptive_norm_->parts(context.modulation, group, kAttentionGate, 1);
     const auto middle = gated_sum(x.narrow(0, group.first, group.count), gate[0],
-                                  projection_->forward(attended.narrow(0, group.first, group.count)));
+                                  projection_->forward(tokens.narrow(0, group.first, group.count)));
     const auto vectors = adaptive_norm_->parts(context.modulation, group, kFeedForwardShift, 3);
     return gated_sum(middle, vectors[2], feed_forward_->forward(modulated(*norm2_, middle, vectors)));
   });
+}
+
+torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {
+  std::vector<torch::Tensor> attended;
+  for (const auto& inputs : attention_inputs(x, context)) attended.push_back(attention(inputs));
+  return finish(x, attended.size() == 1 ? attended.front() : torch::cat(attended), context);
 }
 
 DitFinalLayer::DitFinalLayer(const DitFinalLayerSizes& sizes, const ParameterPlacement& placement) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/attention.h"
 #include "gld/prope.h"
 #include "models/adaptive_norm.h"
 #include "models/layers.h"
@@ -38,12 +39,15 @@ class DitBlock : public torch::nn::Module {
 
   // x: (branches * views, tokens, channels) -> the same shape.
   torch::Tensor forward(const torch::Tensor& x, const DitBlockContext& context) const;
+  // Its two parts: what attends in each branch, and from the attention's outputs (branches, tokens of all views, heads,
+  // head_dim) the rest.
+  std::vector<AttentionInputs> attention_inputs(const torch::Tensor& x, const DitBlockContext& context) const;
+  torch::Tensor finish(const torch::Tensor& x, const torch::Tensor& attended,
+                       const DitBlockContext& context) const;
   // SiLU of one condition a row, (rows, channels) -> rows of a Modulation for this block.
   torch::Tensor modulation_rows(const torch::Tensor& activation) const;
 
  private:
-  torch::Tensor attend(const torch::Tensor& x, const DitBlockContext& context) const;
-
   DitBlockSizes sizes_;
   std::shared_ptr<RmsNorm> norm1_, norm2_, query_norm_, key_norm_;
   std::shared_ptr<Linear> qkv_, projection_;

@@ -166,18 +166,30 @@ torch::Tensor DitDh::run_block(const DitBlock& block, const torch::Tensor& x,
     return block.forward(x, context);
   }
   // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
-  std::vector<PropeTables> copies;
-  for (const PropeTables* tables : context.prope) copies.push_back(*tables);
+  const auto copies = std::make_shared<std::vector<PropeTables>>();
+  for (const PropeTables* tables : context.prope) copies->push_back(*tables);
   const bool rows = context.modulation.rows.defined();
-  const BlockFunction again = [&block, rows, copies, mask = context.view_mask](
-                                  const torch::Tensor& tokens, const torch::Tensor& conditioning) {
+  const auto inner = [rows, copies, mask = context.view_mask](const torch::Tensor& conditioning) {
     DitBlockContext inner;
     (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
-    for (const PropeTables& tables : copies) inner.prope.push_back(&tables);
+    for (const PropeTables& tables : *copies) inner.prope.push_back(&tables);
     inner.view_mask = mask;
-    return block.forward(tokens, inner);
+    return inner;
   };
-  return checkpointed(again, x, rows ? context.modulation.rows : context.modulation.activation);
+  const auto& conditioning = rows ? context.modulation.rows : context.modulation.activation;
+  if (copies->size() > 1) {
+    const BlockFunction again = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
+      return block.forward(tokens, inner(c));
+    };
+    return checkpointed(again, x, conditioning);
+  }
+  AttentionBlock parts;
+  parts.inputs = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
+    return block.attention_inputs(tokens, inner(c)).front();
+  };
+  parts.finish = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& attended,
+                                 const torch::Tensor& c) { return block.finish(tokens, attended, inner(c)); };
+  return checkpointed(parts, x, conditioning);
 }
 
 torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,

@@ -16,8 +16,8 @@
 
 namespace gld {
 
-// What the backward pass of training finds: every intermediate tensor, or only the blocks' inputs, from which the rest
-// is computed again (models/activation_checkpoint.h). The same gradients.
+// What the backward pass of training finds: every intermediate tensor, or only the blocks' inputs and the outputs of
+// attention, from which the rest is computed again (models/activation_checkpoint.h). The same gradients.
 enum class ActivationStorage { kKeep, kRecompute };
 
 // DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder

@@ -1,16 +1,11 @@
 #include "models/dit_embedder.h"
 
+#include "gld/transposed_product.h"
+
 #include <torch/types.h>
 
 namespace gld {
 namespace {
-
-// x (..., inputs) times weight^T, (outputs, inputs) -> (..., outputs).
-torch::Tensor times_transposed(const torch::Tensor& x, const torch::Tensor& weight) {
-  auto shape = x.sizes().vec();
-  shape.back() = weight.size(0);
-  return torch::mm(x.reshape({-1, x.size(-1)}), weight.t()).view(shape);
-}
 
 // Zeros for the target views behind the source views' rows.
 torch::Tensor with_target_zeros(const torch::Tensor& source, int64_t views) {

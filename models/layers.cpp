@@ -1,11 +1,12 @@
 #include "models/layers.h"
 
-#include <torch/autograd.h>
+#include "gld/error.h"
+#include "gld/fused_ops.h"
+#include "gld/transposed_product.h"
 
 #include <string>
 
-#include "gld/error.h"
-#include "gld/fused_ops.h"
+#include <torch/autograd.h>
 
 namespace gld {
 namespace {
@@ -26,15 +27,11 @@ Linear::Linear(const LinearSizes& sizes, const ParameterPlacement& placement) {
 
 torch::Tensor Linear::forward(const torch::Tensor& x) const {
   require_channels(x, weight.size(1), "linear layer");
-  // at::linear on LibTorch 1.13 sends (n > 2)-dimensional input through a slower route than one flat addmm.
-  const auto flat = x.reshape({-1, weight.size(1)});
-  auto y = bias.defined() ? torch::addmm(bias, flat, weight.t()) : torch::mm(flat, weight.t());
-  auto shape = x.sizes().vec();
-  shape.back() = weight.size(0);
-  return y.view(shape);
+  return times_transposed(x, weight, bias);
 }
 
-LayerNorm::LayerNorm(int64_t channels, double epsilon, const ParameterPlacement& placement) : epsilon_(epsilon) {
+LayerNorm::LayerNorm(int64_t channels, double epsilon, const ParameterPlacement& placement)
+    : epsilon_(epsilon) {
   weight = register_parameter("weight", torch::empty({channels}, placement.options()));
   bias = register_parameter("bias", torch::empty({channels}, placement.options()));
 }
@@ -60,15 +57,16 @@ torch::Tensor RmsNorm::forward(const torch::Tensor& x) const {
 PatchEmbed::PatchEmbed(const PatchEmbedSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
   auto proj = std::make_shared<torch::nn::Module>();
   weight = proj->register_parameter(
-      "weight",
-      torch::empty({sizes.embed_dim, sizes.in_channels, sizes.patch_size, sizes.patch_size}, placement.options()));
+      "weight", torch::empty({sizes.embed_dim, sizes.in_channels, sizes.patch_size, sizes.patch_size},
+                             placement.options()));
   bias = proj->register_parameter("bias", torch::empty({sizes.embed_dim}, placement.options()));
   register_module("proj", proj);
 }
 
 torch::Tensor PatchEmbed::forward_image(const torch::Tensor& image) const {
   const int64_t p = sizes_.patch_size;
-  if (image.dim() != 4 || image.size(1) != sizes_.in_channels || image.size(2) % p != 0 || image.size(3) % p != 0) {
+  if (image.dim() != 4 || image.size(1) != sizes_.in_channels || image.size(2) % p != 0 ||
+      image.size(3) % p != 0) {
     fail({"patch embedding",
           "(views, " + std::to_string(sizes_.in_channels) + ", height, width) with sides divisible by " +
               std::to_string(p),
@@ -78,7 +76,7 @@ torch::Tensor PatchEmbed::forward_image(const torch::Tensor& image) const {
   const auto patches = image.reshape({views, sizes_.in_channels, rows, p, columns, p})
                            .permute({0, 2, 4, 1, 3, 5})
                            .reshape({views * rows * columns, sizes_.in_channels * p * p});
-  return torch::addmm(bias, patches, weight.flatten(1).t()).view({views, rows * columns, sizes_.embed_dim});
+  return times_transposed(patches, weight.flatten(1), bias).view({views, rows * columns, sizes_.embed_dim});
 }
 
 torch::Tensor PatchEmbed::forward_tokens(const torch::Tensor& tokens) const {
@@ -87,8 +85,7 @@ torch::Tensor PatchEmbed::forward_tokens(const torch::Tensor& tokens) const {
           "set patch_size: 1 in the model's configuration"});
   }
   require_channels(tokens, sizes_.in_channels, "patch embedding");
-  const auto flat = tokens.reshape({-1, sizes_.in_channels});
-  return torch::addmm(bias, flat, weight.flatten(1).t()).view({tokens.size(0), tokens.size(1), sizes_.embed_dim});
+  return times_transposed(tokens, weight.flatten(1), bias);
 }
 
 }  // namespace gld

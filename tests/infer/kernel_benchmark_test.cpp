@@ -1,6 +1,6 @@
 #include "infer/attention_benchmark.h"
 #include "infer/forward_benchmark.h"
-#include "infer/timing.h"
+#include "gld/timing.h"
 #include "models/random_bundle.h"
 #include "tests/support/shared_data.h"
 

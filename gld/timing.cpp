@@ -1,4 +1,4 @@
-#include "infer/timing.h"
+#include "gld/timing.h"
 
 #include <algorithm>
 #include <chrono>
