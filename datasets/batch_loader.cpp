@@ -60,7 +60,7 @@ LoadedBatch BatchLoader::load(uint64_t number) const {
   return batch;
 }
 
-LoadedScene BatchLoader::try_scene(const SampleKey& key, const TrainedSize& size) const {
+LoadedScene BatchLoader::try_scene(const SampleKey& key, const ImageSize& size) const {
   const SampleChoice choice = mixture_.choose(key);
   const MixturePart& part = mixture_.parts()[choice.part];
   const Scene scene = part.dataset->scene(choice.scene);
@@ -84,7 +84,7 @@ LoadedScene BatchLoader::try_scene(const SampleKey& key, const TrainedSize& size
   return loaded;
 }
 
-LoadedScene BatchLoader::load_scene(uint64_t batch, int64_t slot, const TrainedSize& size) const {
+LoadedScene BatchLoader::load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const {
   SampleKey key;
   key.seed = static_cast<uint64_t>(options_.seed);
   key.epoch = batch;

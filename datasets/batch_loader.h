@@ -33,7 +33,7 @@ struct LoadedScene {
 
 struct LoadedBatch {
   uint64_t number = 0;
-  TrainedSize size;
+  ImageSize size;
   std::vector<LoadedScene> scenes;
 };
 
@@ -58,8 +58,8 @@ class BatchLoader {
   LoadingReport report() const;
 
  private:
-  LoadedScene load_scene(uint64_t batch, int64_t slot, const TrainedSize& size) const;
-  LoadedScene try_scene(const SampleKey& key, const TrainedSize& size) const;
+  LoadedScene load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const;
+  LoadedScene try_scene(const SampleKey& key, const ImageSize& size) const;
 
   Mixture mixture_;
   std::vector<WeightedSize> sizes_;

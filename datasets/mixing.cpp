@@ -60,7 +60,7 @@ SampleChoice Mixture::choose(const SampleKey& key) const {
   return choice;
 }
 
-TrainedSize choose_size(const std::vector<WeightedSize>& sizes, uint64_t seed, uint64_t batch) {
+ImageSize choose_size(const std::vector<WeightedSize>& sizes, uint64_t seed, uint64_t batch) {
   if (sizes.empty()) fail({"sizes", "at least one size", "none", "list the sizes to train at"});
   std::vector<double> cumulative;
   for (const WeightedSize& size : sizes) {

@@ -21,7 +21,7 @@ struct MixturePart {
 
 // One size of a mixture of resolutions; all samples of a batch have the same size.
 struct WeightedSize {
-  TrainedSize size;
+  ImageSize size;
   double weight = 1;
 };
 
@@ -49,6 +49,6 @@ class Mixture {
 };
 
 // The size of batch number `batch`; a pure function of its arguments.
-TrainedSize choose_size(const std::vector<WeightedSize>& sizes, uint64_t seed, uint64_t batch);
+ImageSize choose_size(const std::vector<WeightedSize>& sizes, uint64_t seed, uint64_t batch);
 
 }  // namespace gld

@@ -35,7 +35,7 @@ struct Tally {
   std::vector<double> depths;  // of points that agree as read
 };
 
-TrainedSize working_size(const Camera& camera) {
+ImageSize working_size(const Camera& camera) {
   const int64_t larger = std::max(camera.width, camera.height);
   if (larger <= kWorkingSide) return {camera.width, camera.height};
   const double scale = static_cast<double>(kWorkingSide) / static_cast<double>(larger);

@@ -43,23 +43,23 @@ std::vector<Value> sampled(const std::vector<Value>& source, const ResizeCrop& p
 
 }  // namespace
 
-std::vector<TrainedSize> published_sizes() { return {{504, 504}, {504, 378}, {504, 336}, {504, 280}}; }
+std::vector<ImageSize> published_sizes() { return {{504, 504}, {504, 378}, {504, 336}, {504, 280}}; }
 
-TrainedSize nearest_trained_size(int64_t width, int64_t height, const std::vector<TrainedSize>& sizes) {
+ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes) {
   if (sizes.empty()) fail({"trained sizes", "at least one size", "none", "list the model's sizes"});
   if (width < 1 || height < 1) {
     fail({"trained sizes", "a picture", std::to_string(width) + "x" + std::to_string(height), {}});
   }
   const double aspect = std::log(static_cast<double>(width) / static_cast<double>(height));
-  return *std::min_element(sizes.begin(), sizes.end(), [&](const TrainedSize& a, const TrainedSize& b) {
-    const auto distance = [&](const TrainedSize& size) {
+  return *std::min_element(sizes.begin(), sizes.end(), [&](const ImageSize& a, const ImageSize& b) {
+    const auto distance = [&](const ImageSize& size) {
       return std::abs(std::log(static_cast<double>(size.width) / static_cast<double>(size.height)) - aspect);
     };
     return distance(a) < distance(b);
   });
 }
 
-ResizeCrop plan_resize_crop(int64_t width, int64_t height, const TrainedSize& target) {
+ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target) {
   if (width < 2 || height < 2 || target.width < 2 || target.height < 2) {
     fail({"resize and crop",
           "sizes of at least 2 pixels",
@@ -129,7 +129,7 @@ ValidityMask resize_crop(const ValidityMask& mask, const ResizeCrop& plan) {
   return result;
 }
 
-SizedFrame load_sized(const Frame& frame, const TrainedSize& target, FrameParts parts) {
+SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts) {
   const ResizeCrop plan = plan_resize_crop(frame.camera.width, frame.camera.height, target);
   SizedFrame sized;
   sized.camera = resize_crop(frame.camera, plan);

@@ -3,23 +3,18 @@
 #include "datasets/image.h"
 #include "datasets/scene.h"
 #include "gld/camera.h"
+#include "gld/image_size.h"
 
 #include <cstdint>
 #include <vector>
 
 namespace gld {
 
-// A size that a model was trained at, in pixels.
-struct TrainedSize {
-  int64_t width = 0;
-  int64_t height = 0;
-};
-
 // 504x504, 504x378, 504x336, 504x280 (paper A.3).
-std::vector<TrainedSize> published_sizes();
+std::vector<ImageSize> published_sizes();
 
 // The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
-TrainedSize nearest_trained_size(int64_t width, int64_t height, const std::vector<TrainedSize>& sizes);
+ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
 
 // A uniform resize that covers the target (up to rounding the other side to whole pixels), then a centred crop.
 struct ResizeCrop {
@@ -29,9 +24,9 @@ struct ResizeCrop {
   int64_t resized_height = 0;
   int64_t left = 0;
   int64_t top = 0;
-  TrainedSize target;
+  ImageSize target;
 };
-ResizeCrop plan_resize_crop(int64_t width, int64_t height, const TrainedSize& target);
+ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target);
 
 // The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
 Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
@@ -49,6 +44,6 @@ struct SizedFrame {
   ValidityMask validity;
 };
 enum class FrameParts { kImage, kImageAndDepth };
-SizedFrame load_sized(const Frame& frame, const TrainedSize& target, FrameParts parts);
+SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts);
 
 }  // namespace gld

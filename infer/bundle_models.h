@@ -14,7 +14,4 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
 // for several threads at once.
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device);
 
-// "cpu", "cuda" or "cuda:N". Throws Error for another text and for a device that LibTorch does not have.
-torch::Device device_from_text(const std::string& text);
-
 }  // namespace gld

@@ -4,6 +4,7 @@
 #include "datasets/dataset.h"
 #include "datasets/image_file.h"
 #include "gld/atomic_file.h"
+#include "gld/device.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/progress.h"
@@ -192,10 +193,8 @@ SceneTensors load_scene(const Scene& scene, const EvaluationOptions& options, co
     fail({"scene " + scene.name, "at least " + std::to_string(options.views.views) + " frames",
           std::to_string(scene.frames.size()), "ask for fewer views or leave the scene out"});
   }
-  std::vector<TrainedSize> sizes;
-  for (const auto& size : model.image_sizes()) sizes.push_back({size.width, size.height});
   const Camera& first = scene.frames.front().camera;
-  const TrainedSize size = nearest_trained_size(first.width, first.height, sizes);
+  const ImageSize size = nearest_trained_size(first.width, first.height, model.image_sizes());
   LoadedScene loaded;
   loaded.scene = scene.name;
   loaded.num_sources = chosen->num_sources;

@@ -249,7 +249,7 @@ Eigen::Vector3d robust_centre(const std::vector<Ray>& rays, double& origin_error
 
 }  // namespace
 
-RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confidence, const PictureSize& size,
+RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confidence, const ImageSize& size,
                                  PrincipalPoint principal_point) {
   if (!confidence.empty() && (confidence.width != map.width || confidence.height != map.height)) {
     fail({"camera from rays",

@@ -18,7 +18,7 @@ RayMap to_ray_map(const torch::Tensor& rays) {
   return map;
 }
 
-std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const PictureSize& picture) {
+std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const ImageSize& picture) {
   std::vector<Camera> cameras;
   for (int64_t i = 0; i < geometry.rays.size(0); ++i) {
     cameras.push_back(camera_from_rays(to_ray_map(geometry.rays[i]),

@@ -18,6 +18,6 @@ RayMap to_ray_map(const torch::Tensor& rays);
 
 // The cameras that fit the DPT head's rays best, one a view of geometry.rays, principal point in the middle: where the
 // model thinks the views stand, in its own frame and unit. Throws Error when no camera fits one of them.
-std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const PictureSize& picture);
+std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const ImageSize& picture);
 
 }  // namespace gld

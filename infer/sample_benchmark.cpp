@@ -3,6 +3,7 @@
 #include "datasets/synthetic_scene.h"
 #include "gld/atomic_file.h"
 #include "gld/configuration.h"
+#include "gld/device.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/plot.h"
@@ -201,7 +202,7 @@ class BenchmarkScenes {
     SceneReading reading = options_.reading;
     if (!location.part.empty()) reading.part = location.part;
     const Scene scene = open_scene(location.path, reading);
-    const auto size = choose_size(options_.size, scene, trained_sizes(bundle_), bundle_.backbone.patch_size);
+    const auto size = choose_size(options_.size, scene, bundle_.image_sizes(), bundle_.backbone.patch_size);
     return load_sampling_scene(scene, options_.views, size);
   }
 

@@ -2,6 +2,7 @@
 
 #include "datasets/scene_reader.h"
 #include "gld/configuration.h"
+#include "gld/device.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/progress.h"
@@ -103,8 +104,8 @@ PreparedSampling prepare(const SampleOptions& options) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
   const Scene found = open_scene(options.scene, options.reading);
-  const TrainedSize size =
-      choose_size(options.size, found, trained_sizes(bundle.options()), bundle.options().backbone.patch_size);
+  const ImageSize size =
+      choose_size(options.size, found, bundle.options().image_sizes(), bundle.options().backbone.patch_size);
   return {device, bundle, found, load_sampling_scene(found, options.views, size)};
 }
 

@@ -28,13 +28,6 @@ DepthMap depth_map(const torch::Tensor& depth) {
   return to_depth_map(depth.to(torch::kCPU, torch::kFloat32).contiguous());
 }
 
-PictureSize picture_of(const TrainedSize& size) {
-  PictureSize picture;
-  picture.width = size.width;
-  picture.height = size.height;
-  return picture;
-}
-
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
@@ -123,7 +116,7 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
   }
   try {
     CameraList list;
-    for (const Camera& camera : predicted_cameras(result.geometry, picture_of(scene_.size))) {
+    for (const Camera& camera : predicted_cameras(result.geometry, scene_.size)) {
       CameraRecord record;
       record.name =
           view_name(first_geometry_view_ + static_cast<int64_t>(list.records.size()), scene_.views.size());
@@ -141,7 +134,7 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
 // tell the true distances between them.
 std::optional<double> SamplingOutputs::depth_scale(const PipelineResult& result) {
   try {
-    const auto predicted = predicted_cameras(result.geometry, picture_of(scene_.size));
+    const auto predicted = predicted_cameras(result.geometry, scene_.size);
     const auto& cameras = scene_.views.cameras;
     const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
     findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},

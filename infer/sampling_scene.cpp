@@ -22,7 +22,7 @@ const Frame& frame_of(const Scene& scene, int64_t number, const char* flag) {
   return scene.frames[static_cast<size_t>(number)];
 }
 
-void add_target_frames(const Scene& scene, const ViewSelection& selection, const TrainedSize& size,
+void add_target_frames(const Scene& scene, const ViewSelection& selection, const ImageSize& size,
                        SamplingScene& sampling) {
   for (const int64_t number : selection.targets) {
     const Frame& frame = frame_of(scene, number, "--targets");
@@ -90,8 +90,7 @@ void ViewSelection::check() const {
   }
 }
 
-SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection,
-                                  const TrainedSize& size) {
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
   SamplingScene sampling;
   sampling.name = scene.name;
   sampling.metric = scene.metric;
@@ -115,9 +114,9 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selec
   return sampling;
 }
 
-TrainedSize choose_size(const std::string& text, const Scene& scene,
-                        const std::vector<TrainedSize>& trained_sizes, int64_t patch_size) {
-  TrainedSize size;
+ImageSize choose_size(const std::string& text, const Scene& scene,
+                      const std::vector<ImageSize>& trained_sizes, int64_t patch_size) {
+  ImageSize size;
   if (text == "auto") {
     const Camera& camera = scene.frames.front().camera;
     size = nearest_trained_size(camera.width, camera.height, trained_sizes);

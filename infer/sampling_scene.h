@@ -28,7 +28,7 @@ struct ViewSelection : OptionsGroup {
 struct SamplingScene {
   std::string name;
   bool metric = false;  // poses and depth are in metres
-  TrainedSize size;
+  ImageSize size;
   Views views;
   std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path
   std::vector<Image> source_images;     // one a source view
@@ -39,12 +39,11 @@ struct SamplingScene {
 
 // Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
 // numbers that the scene does not have and for cameras that make no sense (gld/camera_checks.h).
-SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection,
-                                  const TrainedSize& size);
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
 
 // "504x280" -> that size; "auto" -> the trained size whose aspect is nearest to the first frame's. Sides must be
 // whole patches. Throws Error otherwise.
-TrainedSize choose_size(const std::string& text, const Scene& scene,
-                        const std::vector<TrainedSize>& trained_sizes, int64_t patch_size);
+ImageSize choose_size(const std::string& text, const Scene& scene,
+                      const std::vector<ImageSize>& trained_sizes, int64_t patch_size);
 
 }  // namespace gld

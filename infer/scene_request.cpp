@@ -5,12 +5,6 @@
 
 namespace gld {
 
-std::vector<TrainedSize> trained_sizes(const BundleOptions& bundle) {
-  std::vector<TrainedSize> sizes;
-  for (const auto& size : bundle.image_sizes()) sizes.push_back({size.width, size.height});
-  return sizes;
-}
-
 torch::Tensor stacked(const std::vector<Image>& images) {
   std::vector<torch::Tensor> tensors;
   tensors.reserve(images.size());

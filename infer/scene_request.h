@@ -1,7 +1,6 @@
 #pragma once
 
 #include "datasets/image.h"
-#include "datasets/resize_crop.h"
 #include "infer/sampling_pipeline.h"
 #include "infer/sampling_scene.h"
 #include "models/bundle_options.h"
@@ -12,9 +11,6 @@
 #include <torch/types.h>
 
 namespace gld {
-
-// The image sizes that a bundle was trained at.
-std::vector<TrainedSize> trained_sizes(const BundleOptions& bundle);
 
 // Images of one size -> (images, 3, height, width) in [0, 1].
 torch::Tensor stacked(const std::vector<Image>& images);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/image_size.h"
 #include "gld/options.h"
 #include "models/da3_backbone.h"
 #include "models/dit_options.h"
@@ -11,11 +12,6 @@
 #include <vector>
 
 namespace gld {
-
-struct ImageSize {
-  int64_t width = 0;   // pixels
-  int64_t height = 0;  // pixels
-};
 
 // Reads "504x280" (width x height); Error naming where otherwise.
 ImageSize image_size_from_text(const std::string& text, const std::string& where);

@@ -31,8 +31,7 @@ Mixture mixture_of(const TrainingDataOptions& options) {
   return Mixture(std::move(parts));
 }
 
-std::vector<WeightedSize> weighted(const std::vector<TrainedSize>& sizes,
-                                   const std::vector<double>& weights) {
+std::vector<WeightedSize> weighted(const std::vector<ImageSize>& sizes, const std::vector<double>& weights) {
   if (!weights.empty() && weights.size() != sizes.size()) {
     fail({"data.size_weights", std::to_string(sizes.size()) + " weights, one a trained size of the model",
           std::to_string(weights.size()), "give as many or none"});
@@ -105,7 +104,7 @@ void TrainingDataOptions::check() const {
   }
 }
 
-LoadedBatches::LoadedBatches(const TrainingDataOptions& options, const std::vector<TrainedSize>& sizes,
+LoadedBatches::LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes,
                              FrameParts parts)
     : loader_(mixture_of(options), weighted(sizes, options.size_weights), with_parts(options.loading, parts)),
       distinct_(options.distinct_batches) {
@@ -136,7 +135,7 @@ TrainingBatch LoadedBatches::batch(int64_t index) const {
   return batch;
 }
 
-TrainingScene training_scene(const Scene& scene, const SampledViews& views, const TrainedSize& size,
+TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
                              FrameParts parts) {
   LoadedScene loaded;
   loaded.scene = scene.name;
@@ -149,7 +148,7 @@ TrainingScene training_scene(const Scene& scene, const SampledViews& views, cons
   return to_training_scene(loaded);
 }
 
-std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const TrainedSize& size,
+std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
                                              FrameParts parts) {
   if (options.validation_scenes == 0) return {};
   std::shared_ptr<const Dataset> dataset;

@@ -36,7 +36,7 @@ struct TrainingDataOptions : OptionsGroup {
 // Micro-batches of loading.batch_size scenes, sources first. depth: whether scenes carry it.
 class LoadedBatches : public BatchSource {
  public:
-  LoadedBatches(const TrainingDataOptions& options, const std::vector<TrainedSize>& sizes, FrameParts parts);
+  LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
   TrainingBatch batch(int64_t index) const override;
   LoadingReport report() const { return loader_.report(); }
 
@@ -50,11 +50,11 @@ class LoadedBatches : public BatchSource {
 };
 
 // The validation scenes: views spread by views.longest_interval, the first and the last ones are sources.
-std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const TrainedSize& size,
+std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
                                              FrameParts parts);
 
 // Views of one scene as tensors: frames[0 .. num_sources) are the sources.
-TrainingScene training_scene(const Scene& scene, const SampledViews& views, const TrainedSize& size,
+TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
                              FrameParts parts);
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #include "train/training_stage.h"
 
+#include "gld/device.h"
 #include "gld/error.h"
 #include "gld/interrupt.h"
 #include "gld/run_folder.h"
@@ -46,27 +47,9 @@ void TrainOptions::check() const {
   }
 }
 
-torch::Device training_device(const std::string& text) {
-  try {
-    const torch::Device device(text);
-    // Creating something there is what fails when LibTorch or the machine does not have the device.
-    torch::zeros({1}, torch::TensorOptions().device(device));
-    return device;
-  } catch (const c10::Error&) {
-    fail({"--device", "a device that this LibTorch and this machine have", "'" + text + "'",
-          "use cpu, or cuda on a machine with a GPU"});
-  }
-}
-
 void use_training_threads(int64_t threads) {
   const auto available = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
   set_thread_count(static_cast<int>(threads > 0 ? threads : available));
-}
-
-std::vector<TrainedSize> trained_sizes_of(const BundleOptions& model) {
-  std::vector<TrainedSize> sizes;
-  for (const ImageSize& size : model.image_sizes()) sizes.push_back({size.width, size.height});
-  return sizes;
 }
 
 // Parts of the bundle that the run did not make itself.
@@ -86,11 +69,11 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   use_training_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;
-  placement.device = training_device(options.device);
+  placement.device = device_from_text(options.device);
   const auto start = options.resume ? TrainingStart::kResume : TrainingStart::kFresh;
   check_training_start(options.out, start);
   const auto objective = stage.objective(bundle, placement);
-  const auto sizes = trained_sizes_of(bundle.options());
+  const auto sizes = bundle.options().image_sizes();
   const auto data = std::make_shared<LoadedBatches>(options.data, sizes, stage.parts);
 
   RunFolder folder(options.out, stage.command, all_options);

@@ -50,11 +50,8 @@ struct TrainingStage {
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw);
 
-// Throws Error for a text that is no device, or one that LibTorch or the machine does not have.
-torch::Device training_device(const std::string& text);
 // 0 is one thread a processor.
 void use_training_threads(int64_t threads);
-std::vector<TrainedSize> trained_sizes_of(const BundleOptions& model);
 // Copies the parts that a run did not make itself.
 void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
                       const std::vector<BundlePart>& made);

@@ -33,7 +33,7 @@ TEST(ResizeCrop, ChoosesTheNearestAspect) {
 // A small white disc is drawn where a point projects; after resizing, its centre of mass must lie where the changed
 // camera projects the same point.
 TEST(ResizeCrop, IntrinsicsFollowThePixels) {
-  for (const auto& size : {TrainedSize{504, 280}, TrainedSize{112, 112}, TrainedSize{1000, 700}}) {
+  for (const auto& size : {ImageSize{504, 280}, ImageSize{112, 112}, ImageSize{1000, 700}}) {
     const Camera camera = camera_of(801, 599);
     const Eigen::Vector3d point(0.05, -0.04, 1.0);
     const Eigen::Vector2d pixel = (camera.intrinsics * point).hnormalized();

@@ -15,7 +15,7 @@ namespace gld {
 namespace {
 
 constexpr double kUnit = 0.37;  // of the model's depth, in world units
-const PictureSize kPicture{56, 42};
+const ImageSize kPicture{56, 42};
 
 Camera camera_at(const Eigen::Vector3d& centre) {
   Camera camera;

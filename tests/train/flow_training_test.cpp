@@ -89,7 +89,7 @@ TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
   EXPECT_EQ(statistics.channels(), 64);
   EXPECT_GE(statistics.variance.min().item<float>(), 0.0F);
   // The same scenes again have mean 0 and variance 1 in every channel.
-  const LoadedBatches data(test::small_data(), test::sizes_of(test::small_model()), FrameParts::kImage);
+  const LoadedBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
   const torch::NoGradGuard no_grad;
   const auto backbone = bundle.load_backbone();
   std::vector<torch::Tensor> latents;

@@ -24,9 +24,9 @@ TrainingRun run_of(const std::filesystem::path& folder, Objective& objective) {
   run.folder = folder;
   run.objective = &objective;
   run.data =
-      std::make_shared<LoadedBatches>(test::small_data(), test::sizes_of(model), FrameParts::kImageAndDepth);
+      std::make_shared<LoadedBatches>(test::small_data(), model.image_sizes(), FrameParts::kImageAndDepth);
   run.validation_scenes =
-      validation_scenes(test::small_data(), test::sizes_of(model).front(), FrameParts::kImageAndDepth);
+      validation_scenes(test::small_data(), model.image_sizes().front(), FrameParts::kImageAndDepth);
   return run;
 }
 

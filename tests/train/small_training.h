@@ -54,12 +54,6 @@ inline TrainingDataOptions small_data() {
   return data;
 }
 
-inline std::vector<TrainedSize> sizes_of(const BundleOptions& model) {
-  std::vector<TrainedSize> sizes;
-  for (const ImageSize& size : model.image_sizes()) sizes.push_back({size.width, size.height});
-  return sizes;
-}
-
 inline TrainingLoopOptions two_steps() {
   TrainingLoopOptions options;
   options.steps = 2;
