@@ -17,6 +17,8 @@ constexpr uint64_t kValidationSeed = 20240607;
 }  // namespace
 
 void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
+  visit_choice(visitor, {"start", "random weights, or those of the bundle (fine-tuning)"}, start,
+               {"random", "bundle"});
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
@@ -47,6 +49,14 @@ FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, 
 }
 
 std::vector<NamedParameter> FlowObjective::parameters() const { return named_parameters(*dit_); }
+
+void FlowObjective::start_from(const DitDh& trained) {
+  const torch::NoGradGuard no_grad;
+  const auto from = trained.named_parameters();
+  for (auto& item : dit_->named_parameters()) item.value().copy_(from[item.key()]);
+  const auto buffers = trained.named_buffers();
+  for (auto& item : dit_->named_buffers()) item.value().copy_(buffers[item.key()]);
+}
 
 LatentGrid FlowObjective::grid_of(const TrainingScene& scene) const {
   return model_.backbone.grid_of(scene.views.size(), scene.height(), scene.width());

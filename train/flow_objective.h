@@ -13,7 +13,13 @@
 
 namespace gld {
 
+enum class FlowStart {
+  kRandom,  // from nothing
+  kBundle,  // from the model that the bundle holds: fine-tuning
+};
+
 struct FlowObjectiveOptions : OptionsGroup {
+  FlowStart start = FlowStart::kRandom;
   double camera_dropout = 0.1;
   int64_t validation_evaluations = 8;
   bool checkpoint_blocks = false;
@@ -40,6 +46,8 @@ class FlowObjective : public Objective {
   // Recomputed activations write gradients where the parameters are.
   bool concurrent() const override { return !options_.checkpoint_blocks; }
   std::vector<NamedParameter> parameters() const override;
+  // Takes over the weights of a trained model of the same architecture.
+  void start_from(const DitDh& trained);
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   Validation validate(const std::vector<TrainingScene>& scenes) override;
 

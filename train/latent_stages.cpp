@@ -47,8 +47,12 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
             std::to_string(bundle.options().boundary_level) + ", the boundary_level of " + options.model,
             std::to_string(options.level), "change boundary_level in model.yaml and compute its statistics"});
     }
-    return std::make_unique<LevelObjective>(bundle.options(), options.objective,
-                                            frozen_parts(bundle, placement), placement, options.loop.seed);
+    auto objective = std::make_unique<LevelObjective>(
+        bundle.options(), options.objective, frozen_parts(bundle, placement), placement, options.loop.seed);
+    if (options.objective.start == FlowStart::kBundle) {
+      objective->start_from(*bundle.load_level1(placement));
+    }
+    return objective;
   };
   return run_training_stage(options, options, stage, draw);
 }
@@ -60,8 +64,12 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     FrozenParts frozen = frozen_parts(bundle, placement);
     frozen.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0).to(placement.device);
-    return std::make_unique<CascadeObjective>(bundle.options(), options.objective, std::move(frozen),
-                                              placement, options.loop.seed);
+    auto objective = std::make_unique<CascadeObjective>(bundle.options(), options.objective,
+                                                        std::move(frozen), placement, options.loop.seed);
+    if (options.objective.flow.start == FlowStart::kBundle) {
+      objective->start_from(*bundle.load_cascade(placement));
+    }
+    return objective;
   };
   return run_training_stage(options, options, stage, draw);
 }

@@ -150,6 +150,31 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
             1e-5 * gradients[0].abs().max().item<double>());
 }
 
+TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
+  // Steps at a learning rate of almost nothing leave the bundle's weights as they are.
+  const auto weights = [&](const std::string& model) {
+    std::vector<torch::Tensor> parts;
+    for (const auto& tensor : ModelBundle::open(path(model)).load_level1()->parameters()) {
+      parts.push_back(tensor.flatten());
+    }
+    return torch::cat(parts);
+  };
+  auto options = stage_options<TrainLevelOptions>(path("level/model"), path("tuned"));
+  options.objective.start = FlowStart::kBundle;
+  options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
+  options.loop.seed = 99;
+  train_level(options, {});
+  EXPECT_LT((weights("tuned/model") - weights("level/model")).abs().max().item<double>(), 1e-6);
+  options.out = path("fresh").string();
+  options.objective.start = FlowStart::kRandom;
+  train_level(options, {});
+  EXPECT_GT((weights("fresh/model") - weights("level/model")).abs().max().item<double>(), 1e-2);
+  options.model = path("stats/model").string();
+  options.out = path("without").string();
+  options.objective.start = FlowStart::kBundle;
+  EXPECT_THROW(train_level(options, {}), Error);
+}
+
 TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
   auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
   options.loop.checkpoint_every = 1000;
