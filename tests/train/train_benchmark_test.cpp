@@ -25,7 +25,9 @@ TrainBenchmarkOptions without_full_width(const std::filesystem::path& folder) {
 
 TEST(TrainBenchmark, MeasuresTheSmallModelAndTheOptimiser) {
   const test::TemporaryFolder folder;
-  write_random_bundle(folder.path() / "model", small_bundle_options(), 1);
+  auto bundle = small_bundle_options();
+  bundle.trained_sizes = {"56x42"};
+  write_random_bundle(folder.path() / "model", bundle, 1);
   const auto options = without_full_width(folder.path());
   const auto rows = train_benchmark_rows(options);
   ASSERT_EQ(rows.size(), 4U);
