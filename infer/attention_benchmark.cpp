@@ -11,8 +11,8 @@
 #include "gld/progress.h"
 #include "gld/run_folder.h"
 #include "gld/sgemm_peak.h"
-#include "gld/torch_version.h"
 #include "gld/timing.h"
+#include "gld/torch_version.h"
 
 #include <algorithm>
 #include <functional>

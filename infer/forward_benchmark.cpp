@@ -10,9 +10,9 @@
 #include "gld/progress.h"
 #include "gld/run_folder.h"
 #include "gld/sgemm_peak.h"
+#include "gld/timing.h"
 #include "gld/torch_version.h"
 #include "infer/composed_dit.h"
-#include "gld/timing.h"
 #include "models/bundle.h"
 #include "models/cost_model.h"
 
