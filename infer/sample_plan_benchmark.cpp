@@ -216,8 +216,10 @@ Figure plan_figure(const std::vector<PlanRow>& rows) {
   return figure;
 }
 
+// reference_error, of what errors refer to, is added to every bound.
 PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bundle,
-                        const SamplePlanBenchmarkOptions& options, const LatentGrid& grid) {
+                        const SamplePlanBenchmarkOptions& options, const LatentGrid& grid,
+                        double reference_error) {
   PlanErrors table;
   table.model_hash = bundle.content_hash();
   table.scenes = static_cast<int64_t>(rows.front().samples.size());
@@ -229,7 +231,8 @@ PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bun
     if (row.variant.method.approximate.view_pairs != ViewPairs::kAll) continue;
     std::vector<double> errors;
     for (const auto& sample : row.samples) errors.push_back(sample.error());
-    table.methods.push_back({row.variant.method, row.mean_error, row.largest_error, error_bound(errors)});
+    table.methods.push_back(
+        {row.variant.method, row.mean_error, row.largest_error, error_bound(errors) + reference_error});
   }
   return table;
 }
@@ -495,7 +498,7 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
 
   summarise(rows);
   const BoundCheck bounds = check_bounds(rows);
-  const PlanErrors table = errors_table(rows, bundle, options, grid);
+  const PlanErrors table = errors_table(rows, bundle, options, grid, of_reference);
   const std::string table_text = plan_errors_json(table).dump(1) + "\n";
   const std::string text =
       fmt::format(
