@@ -224,6 +224,9 @@ std::string summary_table(const nlohmann::ordered_json& summary) {
 EvaluationOptions::EvaluationOptions() {
   views = held_out_views();
   solver.schedule.shift = 0;  // the model's
+  // PSNR rewards the mean of what could be there, and one evaluation of each flow predicts it. More evaluations draw
+  // one of the possibilities: sharper, and at a lower PSNR.
+  solver.evaluations = 1;
   guidance.guidance_scale = 1.0;
 }
 

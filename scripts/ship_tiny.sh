@@ -25,8 +25,9 @@ rm -rf "$tiny/training" "$tiny/evaluation"
 for stage in backbone decoder level cascade; do
   mkdir -p "$tiny/training/$stage"
   cp "$runs/$stage"/{config.yaml,loss.png,metrics.jsonl,report.json} "$tiny/training/$stage/"
-  last=$(find "$runs/$stage/validation" -name 'step_*.png' | sort | tail -1)
-  if [ -n "$last" ]; then cp "$last" "$tiny/training/$stage/validation.png"; fi
+  if [ -d "$runs/$stage/validation" ]; then  # M1 trains before there is a decoder to draw with
+    cp "$(find "$runs/$stage/validation" -name 'step_*.png' | sort | tail -1)" "$tiny/training/$stage/validation.png"
+  fi
 done
 mkdir -p "$tiny/training/stats" "$tiny/evaluation"
 cp "$runs"/stats/{config.yaml,report.json} "$tiny/training/stats/"
