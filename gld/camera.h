@@ -1,16 +1,17 @@
 #pragma once
 
-#include <Eigen/Core>
-#include <Eigen/Geometry>
 #include <cstdint>
 #include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
 
 namespace gld {
 
 // A pinhole camera in OpenCV convention (x right, y down, z forward). Pixel (0, 0) has its centre at (0.5, 0.5).
 struct Camera {
-  int64_t width = 0;   // pixels
-  int64_t height = 0;  // pixels
+  int64_t width = 0;                                         // pixels
+  int64_t height = 0;                                        // pixels
   Eigen::Matrix3d intrinsics = Eigen::Matrix3d::Identity();  // pixels, zero skew
   Eigen::Isometry3d world_from_camera = Eigen::Isometry3d::Identity();
 

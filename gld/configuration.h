@@ -1,11 +1,12 @@
 #pragma once
 
+#include "gld/options.h"
+
 #include <filesystem>
-#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
-#include "gld/options.h"
+#include <nlohmann/json.hpp>
 
 namespace gld {
 

@@ -64,7 +64,8 @@ class FieldVisitor {
 
 // A choice held as an enum class whose enumerators are numbered 0, 1, ... in the order of names.
 template <class Enum>
-void visit_choice(FieldVisitor& visitor, const Field& field, Enum& value, const std::vector<std::string>& names) {
+void visit_choice(FieldVisitor& visitor, const Field& field, Enum& value,
+                  const std::vector<std::string>& names) {
   int index = static_cast<int>(value);
   visitor.choice(field, index, names);
   value = static_cast<Enum>(index);

@@ -24,7 +24,8 @@ std::vector<double> uniform_times(int64_t steps, double last) {
 
 void shift_all(std::vector<double>& times, double shift) {
   if (!(shift >= 1)) {
-    fail({"shift", "a time shift of at least 1", fmt::format("{}", shift), "name one; 0 needs a model that has one"});
+    fail({"shift", "a time shift of at least 1", fmt::format("{}", shift),
+          "name one; 0 needs a model that has one"});
   }
   for (double& time : times) time = shifted_time(time, shift);
 }
@@ -105,7 +106,8 @@ const std::vector<std::string>& schedule_names() {
 void ScheduleOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor, {"schedule", "how flow time runs from noise (1) to data (0)"}, schedule,
                schedule_names());
-  visitor.real({"shift", "time shift of the schedules published and shifted; 0: the model's"}, shift, {0, 1e6});
+  visitor.real({"shift", "time shift of the schedules published and shifted; 0: the model's"}, shift,
+               {0, 1e6});
   visitor.real({"last_time", "end of the published grid before it is shifted"}, last_time, {0, 0.999});
   visitor.real({"first_time", "first time below 1 of logsnr and karras; 0 for the rule"}, first_time,
                {0, 1 - 1e-9});

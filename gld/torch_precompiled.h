@@ -2,11 +2,6 @@
 
 // The one precompiled header of everything that includes LibTorch: its headers cost 25 s a file otherwise.
 // Sources still include what they use.
-#include <torch/autograd.h>
-#include <torch/nn/module.h>
-#include <torch/types.h>
-
-#include <ATen/Parallel.h>
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -17,3 +12,8 @@
 #include <string>
 #include <utility>
 #include <vector>
+
+#include <ATen/Parallel.h>
+#include <torch/autograd.h>
+#include <torch/nn/module.h>
+#include <torch/types.h>

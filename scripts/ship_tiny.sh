@@ -32,4 +32,6 @@ done
 mkdir -p "$tiny/training/stats" "$tiny/evaluation"
 cp "$runs"/stats/{config.yaml,report.json} "$tiny/training/stats/"
 cp "$runs"/eval/{config.yaml,eval.csv,report.json} "$tiny/evaluation/"
+# The records name the runs where others will have them.
+grep -rl -- "$runs/" "$tiny/training" "$tiny/evaluation" | xargs -r sed -i "s#$runs/#runs/tiny/#g"
 echo "ship_tiny: $bytes bytes of weights are in $tiny"

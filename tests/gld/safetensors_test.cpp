@@ -242,9 +242,8 @@ TEST(WeightFile, NamesASimilarTensor) {
   const auto weights = WeightFile::open(file);
   EXPECT_EQ(weights->format(), "safetensors");
   EXPECT_EQ(weights->find("block.bias"), nullptr);
-  EXPECT_EQ(
-      error_of([&] { weights->entry("block.wieght"); }),
-      file.string() + ": expected a tensor named block.wieght, found none; did you mean block.weight?");
+  EXPECT_EQ(error_of([&] { weights->entry("block.wieght"); }),
+            file.string() + ": expected a tensor named block.wieght, found none; did you mean block.weight?");
 }
 
 TEST(WeightFile, RefusesOtherFiles) {

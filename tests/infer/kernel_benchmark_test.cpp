@@ -1,6 +1,6 @@
+#include "gld/timing.h"
 #include "infer/attention_benchmark.h"
 #include "infer/forward_benchmark.h"
-#include "gld/timing.h"
 #include "models/random_bundle.h"
 #include "tests/support/shared_data.h"
 

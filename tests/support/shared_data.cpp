@@ -1,11 +1,11 @@
 #include "tests/support/shared_data.h"
 
-#include <gtest/gtest.h>
+#include "gld/error.h"
 
 #include <cstdlib>
 #include <stdexcept>
 
-#include "gld/error.h"
+#include <gtest/gtest.h>
 
 namespace gld::test {
 
