@@ -7,24 +7,14 @@
 #include <fmt/format.h>
 
 namespace gld {
-namespace {
-
-// Pictures of a row whose name is "image" or "source" are given; the others are what the model made.
-bool is_given(const std::string& name) { return name == "image" || name == "source"; }
-
-}  // namespace
 
 void draw_validation_sheet(const Validation& validation, const std::filesystem::path& file_without_ending) {
-  std::vector<SheetView> views;
+  std::vector<SheetSection> sections;
   for (const PictureRow& row : validation.rows) {
-    for (const auto& [name, picture] : row.pictures) {
-      SheetView view;
-      view.name = name;
-      view.note = row.name;
-      view.role = is_given(name) ? SheetRole::kSource : SheetRole::kTarget;
-      view.image = to_image(picture);
-      views.push_back(std::move(view));
-    }
+    SheetSection section;
+    section.heading = row.name;
+    for (const auto& [name, picture] : row.pictures) section.pictures.emplace_back(name, to_image(picture));
+    sections.push_back(std::move(section));
   }
   SheetText text;
   text.title = file_without_ending.filename().string();
@@ -33,7 +23,7 @@ void draw_validation_sheet(const Validation& validation, const std::filesystem::
   }
   SheetLimits limits;
   limits.picture = 160;
-  write_png(file_without_ending.string() + ".png", make_contact_sheet(views, text, limits));
+  write_png(file_without_ending.string() + ".png", make_picture_sheet(sections, text, limits));
 }
 
 }  // namespace gld

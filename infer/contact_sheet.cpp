@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 
 namespace gld {
 namespace {
@@ -41,6 +42,7 @@ struct Section {
 };
 
 struct Layout {
+  int64_t labels = 0;  // width of the column at the left that says what rows are
   int64_t columns = 1;
   int64_t pitch = 0;  // width of a column without the gap
   int64_t picture_width = 0;
@@ -98,26 +100,33 @@ Overhead overhead(const std::vector<Section>& sections, const SheetText& text, i
   return result;
 }
 
-double aspect_of(const std::vector<SheetView>& views) {
-  for (const SheetView& view : views) {
-    for (const Image* picture : {&view.image, &view.truth, &view.depth}) {
-      if (!picture->empty())
-        return static_cast<double>(picture->width) / static_cast<double>(picture->height);
+double aspect_of(const std::vector<Section>& sections) {
+  for (const Section& section : sections) {
+    for (const SheetView* view : section.views) {
+      for (const Image* picture : {&view->image, &view->truth, &view->depth}) {
+        if (!picture->empty())
+          return static_cast<double>(picture->width) / static_cast<double>(picture->height);
+      }
     }
   }
   fail({"contact sheet", "at least one picture", "none", "decode images or depth"});
 }
 
 // The number of columns that makes the pictures largest; of equals the one with fewest lines.
-Layout choose_layout(const std::vector<Section>& sections, const SheetText& text, const SheetLimits& limits,
-                     double aspect) {
-  int64_t most = 1;
-  for (const Section& section : sections) most = std::max(most, static_cast<int64_t>(section.views.size()));
+Layout choose_layout(const std::vector<Section>& sections, const SheetText& text, const SheetLimits& limits) {
+  const double aspect = aspect_of(sections);
   Layout best;
+  int64_t most = 1;
+  for (const Section& section : sections) {
+    most = std::max(most, static_cast<int64_t>(section.views.size()));
+    for (const Row& row : section.rows) {
+      if (!row.label.empty()) best.labels = kLabelColumn;
+    }
+  }
   double best_width = 0;
   for (int64_t columns = 1; columns <= most; ++columns) {
     const Overhead fixed = overhead(sections, text, columns);
-    const int64_t across = limits.width - 2 * kMargin - kLabelColumn - (columns - 1) * kGap;
+    const int64_t across = limits.width - 2 * kMargin - best.labels - (columns - 1) * kGap;
     const int64_t down = (limits.height - fixed.pixels) / fixed.picture_rows;
     const auto longest = static_cast<double>(limits.picture);
     double width = std::min(static_cast<double>(across) / static_cast<double>(columns),
@@ -179,9 +188,8 @@ int64_t draw_section(Image& sheet, const Section& section, const Layout& layout,
     const int64_t last = std::min(first + layout.columns, count);
     for (int64_t i = first; i < last; ++i) {
       const SheetView& view = *section.views[static_cast<size_t>(i)];
-      const int64_t x = kMargin + kLabelColumn + (i - first) * (layout.pitch + kGap) +
-                        (layout.pitch - layout.picture_width) / 2;
-      const int64_t name_x = kMargin + kLabelColumn + (i - first) * (layout.pitch + kGap);
+      const int64_t name_x = kMargin + layout.labels + (i - first) * (layout.pitch + kGap);
+      const int64_t x = name_x + (layout.pitch - layout.picture_width) / 2;
       draw_name(sheet, view, {name_x, y, layout.pitch, kNameLine});
       for (size_t row = 0; row < section.rows.size(); ++row) {
         const int64_t top = y + kNameLine + static_cast<int64_t>(row) * (layout.picture_height + kGap);
@@ -200,24 +208,15 @@ int64_t draw_section(Image& sheet, const Section& section, const Layout& layout,
   return y;
 }
 
-}  // namespace
-
-Image make_contact_sheet(const std::vector<SheetView>& views, const SheetText& text,
-                         const SheetLimits& limits) {
-  const double aspect = aspect_of(views);
-  std::vector<Section> sections;
-  for (const SheetRole role : {SheetRole::kSource, SheetRole::kTarget}) {
-    Section section = make_section(views, role);
-    if (!section.rows.empty()) sections.push_back(std::move(section));
-  }
-  const Layout layout = choose_layout(sections, text, limits, aspect);
+Image draw_sheet(const std::vector<Section>& sections, const SheetText& text, const SheetLimits& limits) {
+  const Layout layout = choose_layout(sections, text, limits);
   int64_t columns_used = 1;
   for (const Section& section : sections) {
     columns_used =
         std::max(columns_used, std::min(layout.columns, static_cast<int64_t>(section.views.size())));
   }
   const Overhead fixed = overhead(sections, text, layout.columns);
-  const int64_t content = kLabelColumn + columns_used * (layout.pitch + kGap) - kGap;
+  const int64_t content = layout.labels + columns_used * (layout.pitch + kGap) - kGap;
   const TextStyle title{22, kInk, TextWeight::kBold};
   const TextStyle subtitle{14, kFaintInk, TextWeight::kRegular};
   const int64_t widest_text = std::max(text_width(text.title, title), text_width(text.subtitle, subtitle));
@@ -242,6 +241,36 @@ Image make_contact_sheet(const std::vector<SheetView>& views, const SheetText& t
           kMargin + kLabelColumn - 12, y + 6);
   }
   return sheet;
+}
+
+}  // namespace
+
+Image make_contact_sheet(const std::vector<SheetView>& views, const SheetText& text,
+                         const SheetLimits& limits) {
+  std::vector<Section> sections;
+  for (const SheetRole role : {SheetRole::kSource, SheetRole::kTarget}) {
+    Section section = make_section(views, role);
+    if (!section.rows.empty()) sections.push_back(std::move(section));
+  }
+  return draw_sheet(sections, text, limits);
+}
+
+Image make_picture_sheet(const std::vector<SheetSection>& sections, const SheetText& text,
+                         const SheetLimits& limits) {
+  std::deque<SheetView> views;  // what the drawn sections point to must stay where it is
+  std::vector<Section> drawn;
+  for (const SheetSection& section : sections) {
+    if (section.pictures.empty()) continue;
+    drawn.push_back({section.heading, kFaintInk, {}, {{"", &SheetView::image}}});
+    for (const auto& [name, picture] : section.pictures) {
+      SheetView view;
+      view.name = name;
+      view.image = picture;
+      views.push_back(std::move(view));
+      drawn.back().views.push_back(&views.back());
+    }
+  }
+  return draw_sheet(drawn, text, limits);
 }
 
 }  // namespace gld

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace gld {
@@ -39,6 +40,16 @@ struct SheetLimits {
 // All pictures of a scene on one page: the sources, then the targets; under each other what belongs to one view, with
 // the rows labelled at the left. Error when there is no view or no picture.
 Image make_contact_sheet(const std::vector<SheetView>& views, const SheetText& text,
+                         const SheetLimits& limits = {});
+
+// Pictures that stand beside each other below a heading, each under its name.
+struct SheetSection {
+  std::string heading;
+  std::vector<std::pair<std::string, Image>> pictures;
+};
+
+// Sections of pictures on one page. Error when there is no picture.
+Image make_picture_sheet(const std::vector<SheetSection>& sections, const SheetText& text,
                          const SheetLimits& limits = {});
 
 }  // namespace gld

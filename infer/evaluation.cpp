@@ -20,7 +20,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <memory>
 #include <thread>
 
 #include <torch/autograd.h>
@@ -171,34 +170,16 @@ Image scene_sheet(const SceneTensors& scene, const Evaluator::Result& result) {
   return make_contact_sheet(views, text);
 }
 
-std::unique_ptr<Dataset> dataset_of(const EvaluationOptions& options) {
-  if (!options.scenes.empty()) {
-    SceneReading reading;
-    reading.broken_frames = BrokenFrames::kSkip;
-    return std::make_unique<FolderDataset>(options.scenes, reading);
-  }
-  SyntheticOptions generator = options.generator;
-  generator.seed = options.synthetic_seed;
-  generator.scenes = options.synthetic;
-  return std::make_unique<SyntheticDataset>(generator);
-}
-
 SceneTensors load_scene(const Scene& scene, const EvaluationOptions& options, const BundleOptions& model,
                         int64_t index) {
-  SampleKey key;
-  key.seed = static_cast<uint64_t>(options.synthetic_seed);
-  key.index = static_cast<uint64_t>(index);
-  const auto chosen = sample_views(options.views, static_cast<int64_t>(scene.frames.size()), key);
-  if (!chosen) {
-    fail({"scene " + scene.name, "at least " + std::to_string(options.views.views) + " frames",
-          std::to_string(scene.frames.size()), "ask for fewer views or leave the scene out"});
-  }
+  const SampledViews chosen =
+      held_out_sample(scene, options.views, held_out_key(options.synthetic_seed, index));
   const Camera& first = scene.frames.front().camera;
   const ImageSize size = nearest_trained_size(first.width, first.height, model.image_sizes());
   LoadedScene loaded;
   loaded.scene = scene.name;
-  loaded.num_sources = chosen->num_sources;
-  for (const int64_t frame : chosen->frames) {
+  loaded.num_sources = chosen.num_sources;
+  for (const int64_t frame : chosen.frames) {
     const Frame& source = scene.frames[static_cast<size_t>(frame)];
     loaded.frame_names.push_back(source.name);
     loaded.views.push_back(
@@ -321,7 +302,8 @@ std::string evaluate(const EvaluationOptions& options) {
   set_thread_count(static_cast<int>(options.threads > 0 ? options.threads : processors));
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
-  const auto dataset = dataset_of(options);
+  const auto dataset =
+      held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder folder(options.out, "eval", options);
   const Evaluator evaluator(options, bundle, device);
 

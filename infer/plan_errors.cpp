@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include <fmt/format.h>
+#include <unsupported/Eigen/SpecialFunctions>
 
 namespace gld {
 namespace {
@@ -40,21 +41,42 @@ PlanErrors from_json(const nlohmann::json& document, const std::string& where) {
   return errors;
 }
 
+// The t that Student's distribution exceeds with this probability (below 1/2).
+double student_quantile(double degrees_of_freedom, double probability) {
+  const auto exceeded = [&](double t) {
+    return 0.5 * Eigen::numext::betainc(0.5 * degrees_of_freedom, 0.5,
+                                        degrees_of_freedom / (degrees_of_freedom + t * t));
+  };
+  double low = 0, high = 1;
+  while (exceeded(high) > probability) high *= 2;
+  constexpr int kHalvings = 60;
+  for (int i = 0; i < kHalvings; ++i) {
+    const double middle = 0.5 * (low + high);
+    (exceeded(middle) > probability ? low : high) = middle;
+  }
+  return high;
+}
+
 }  // namespace
 
 double error_bound(const std::vector<double>& errors) {
-  constexpr double kSafety = 1.25, kDeviations = 3;
+  constexpr double kSafety = 1.25, kExceeded = 1e-3;
+  constexpr double kExpectedDeviation = 0.4, kExpectedDegrees = 8;
   const auto count = static_cast<double>(errors.size());
-  double largest = 0, sum = 0, squares = 0;
+  double largest = 0, mean = 0, squares = 0;
   for (const double error : errors) {
-    const double log_error = std::log(std::max(error, 1e-300));
     largest = std::max(largest, error);
-    sum += log_error;
-    squares += log_error * log_error;
+    mean += std::log(std::max(error, 1e-300)) / count;
   }
-  const double mean = sum / count;
-  const double variance = count > 1 ? std::max(0.0, (squares - sum * mean) / (count - 1)) : 0;
-  return std::max(kSafety * largest, std::exp(mean + kDeviations * std::sqrt(variance)));
+  for (const double error : errors) {
+    const double difference = std::log(std::max(error, 1e-300)) - mean;
+    squares += difference * difference;
+  }
+  const double degrees = kExpectedDegrees + count - 1;
+  const double deviation =
+      std::sqrt((kExpectedDegrees * kExpectedDeviation * kExpectedDeviation + squares) / degrees);
+  const double predicted = mean + student_quantile(degrees, kExceeded) * std::sqrt(1 + 1 / count) * deviation;
+  return std::max(kSafety * largest, std::exp(predicted));
 }
 
 nlohmann::ordered_json plan_errors_json(const PlanErrors& errors) {

@@ -193,9 +193,7 @@ class BenchmarkScenes {
 
   SamplingScene load(int64_t index) const {
     if (options_.scene.empty()) {
-      SampleKey key;
-      key.seed = static_cast<uint64_t>(options_.synthetic_seed);
-      key.index = static_cast<uint64_t>(index);
+      const SampleKey key = held_out_key(options_.synthetic_seed, index);
       return load_held_out_scene(make_synthetic_scene(generator_, index), held_out_views(), key, bundle_);
     }
     const auto& location = locations_[static_cast<size_t>(index)];

@@ -3,32 +3,39 @@
 #include "gld/attention.h"
 
 #include <functional>
+#include <vector>
 
 #include <torch/types.h>
 
 namespace gld {
 
-// Parts of a block whose intermediate tensors are not kept for the backward pass but computed again there: memory for
-// time. The same values and gradients as computing them once. Only backward() is supported through them, not gradients
-// of gradients; parameters used inside receive their gradients as usual.
+// Parts of a model whose intermediate tensors are not kept for the backward pass but computed again there: memory for
+// time. The same values and gradients as computing them once, up to the order of summation. Only backward() is
+// supported through them, not gradients of gradients; parameters used inside receive their gradients as usual.
 
-// What a block computes from the tokens and the conditioning; the conditioning may be undefined.
-using BlockFunction = std::function<torch::Tensor(const torch::Tensor& x, const torch::Tensor& conditioning)>;
-torch::Tensor checkpointed(const BlockFunction& block, const torch::Tensor& x,
+// What a part computes from the tokens and the conditioning; the conditioning may be undefined.
+using PartFunction = std::function<torch::Tensor(const torch::Tensor& x, const torch::Tensor& conditioning)>;
+torch::Tensor checkpointed(const PartFunction& part, const torch::Tensor& x,
                            const torch::Tensor& conditioning = {});
 
+// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for a few views at a time,
+// so that what the part makes on the way is never there for all of them. conditioning: of each view, or, where its
+// first dimension is 1, of all.
+torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tensor& x,
+                                    const torch::Tensor& conditioning = {});
+
 // A block around attention: what attends, computed from tokens and conditioning, and what is made of the attention's
-// output (batch, tokens, heads, head_dim).
+// output, which is handed over in the shape of x. finish treats views alone, as in checkpointed_by_views.
 struct AttentionBlock {
   std::function<AttentionInputs(const torch::Tensor& x, const torch::Tensor& conditioning)> inputs;
   std::function<torch::Tensor(const torch::Tensor& x, const torch::Tensor& attended,
                               const torch::Tensor& conditioning)>
       finish;
+  torch::Tensor conditioning;  // may be undefined
 };
-// finish(x, attention(inputs(x, conditioning)), conditioning), of which the output and the log-sum-exp of attention
-// are kept, as they are dear to compute and small. Everything is computed again where the CPU kernels cannot
-// take the inputs.
-torch::Tensor checkpointed(const AttentionBlock& block, const torch::Tensor& x,
-                           const torch::Tensor& conditioning);
+// Blocks one after the other, each x = finish(x, attention(inputs(x, conditioning)), conditioning). Kept are the input
+// of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small. Everything
+// is computed again where the CPU kernels cannot take the inputs. blocks: at least one.
+torch::Tensor checkpointed(const std::vector<AttentionBlock>& blocks, const torch::Tensor& x);
 
 }  // namespace gld

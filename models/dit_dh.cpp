@@ -1,7 +1,6 @@
 #include "models/dit_dh.h"
 
 #include "gld/configuration.h"
-#include "models/activation_checkpoint.h"
 #include "models/position_embedding.h"
 
 #include <string>
@@ -10,6 +9,10 @@
 
 namespace gld {
 namespace {
+
+// How many blocks share one kept input where activations are computed again: 2 keep three tensors for two blocks in the
+// place of four, for one more feed-forward part in two blocks.
+constexpr size_t kBlocksAKeptInput = 2;
 
 // The tokens of every branch, one after the other, with the branch's camera embedding where this part takes it.
 torch::Tensor branch_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
@@ -160,36 +163,49 @@ DitNoisyTokens DitDh::embed_noisy(const DitScene& scene, const torch::Tensor& no
   return {encoder_tokens(scene, noisy), decoder_tokens(scene, noisy)};
 }
 
-torch::Tensor DitDh::run_block(const DitBlock& block, const torch::Tensor& x,
-                               const DitBlockContext& context) const {
-  if (activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled()) {
-    return block.forward(x, context);
+torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x,
+                                const torch::Tensor& conditioning) const {
+  return activation_storage_ == ActivationStorage::kKeep ? part(x, conditioning)
+                                                         : checkpointed_by_views(part, x, conditioning);
+}
+
+torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
+                                DitBlockContext context, const std::vector<Modulation>& modulations) const {
+  const bool keep = activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled();
+  if (keep || context.prope.size() > 1) {
+    for (size_t i = 0; i < blocks.size(); ++i) {
+      context.modulation = modulations[i];
+      x = blocks[i]->forward(x, context);
+    }
+    return x;
   }
   // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
-  const auto copies = std::make_shared<std::vector<PropeTables>>();
-  for (const PropeTables* tables : context.prope) copies->push_back(*tables);
-  const bool rows = context.modulation.rows.defined();
-  const auto inner = [rows, copies, mask = context.view_mask](const torch::Tensor& conditioning) {
-    DitBlockContext inner;
-    (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
-    for (const PropeTables& tables : *copies) inner.prope.push_back(&tables);
-    inner.view_mask = mask;
-    return inner;
-  };
-  const auto& conditioning = rows ? context.modulation.rows : context.modulation.activation;
-  if (copies->size() > 1) {
-    const BlockFunction again = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
-      return block.forward(tokens, inner(c));
+  const auto tables = std::make_shared<const PropeTables>(*context.prope.front());
+  std::vector<AttentionBlock> chain;
+  for (size_t i = 0; i < blocks.size(); ++i) {
+    const bool rows = modulations[i].rows.defined();
+    const auto inner = [rows, tables, mask = context.view_mask](const torch::Tensor& conditioning) {
+      DitBlockContext inner;
+      (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
+      inner.prope.push_back(tables.get());
+      inner.view_mask = mask;
+      return inner;
     };
-    return checkpointed(again, x, conditioning);
+    const DitBlock& block = *blocks[i];
+    chain.push_back(
+        {[&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
+           return block.attention_inputs(tokens, inner(c)).front();
+         },
+         [&block, inner](const torch::Tensor& tokens, const torch::Tensor& attended, const torch::Tensor& c) {
+           return block.finish(tokens, attended, inner(c));
+         },
+         rows ? modulations[i].rows : modulations[i].activation});
+    if (chain.size() == kBlocksAKeptInput || i + 1 == blocks.size()) {
+      x = checkpointed(chain, x);
+      chain.clear();
+    }
   }
-  AttentionBlock parts;
-  parts.inputs = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
-    return block.attention_inputs(tokens, inner(c)).front();
-  };
-  parts.finish = [&block, inner](const torch::Tensor& tokens, const torch::Tensor& attended,
-                                 const torch::Tensor& c) { return block.finish(tokens, attended, inner(c)); };
-  return checkpointed(parts, x, conditioning);
+  return x;
 }
 
 torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
@@ -212,27 +228,36 @@ torch::Tensor DitDh::condition_encoder_batch(const DitScene& scene, const DitNoi
   DitBlockContext context;
   for (const auto& branch : cameras) context.prope.push_back(&branch.encoder_prope);
   context.view_mask = scene.view_mask;
-  for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
-    context.modulation.rows = branch_rows(time.encoder_modulation[i], branches.size());
-    x = run_block(*encoder_blocks_[i], x, context);
+  std::vector<Modulation> modulations;
+  for (const auto& rows : time.encoder_modulation) {
+    modulations.push_back({branch_rows(rows, branches.size()), {}});
   }
-  return x;
+  return run_blocks(encoder_blocks_, x, context, modulations);
 }
 
 torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
                                              const torch::Tensor& condition, const DitTimeRow& time,
                                              const std::vector<DitBranch>& branches) const {
   const auto cameras = evaluation_cameras(scene, branches);
-  auto s = torch::silu(condition + branch_rows(time.embedding, branches.size()).unsqueeze(1));
-  if (condition_projection_) s = condition_projection_->forward(s);
+  const auto condition_activation = [this](const torch::Tensor& tokens, const torch::Tensor& time_rows) {
+    auto s = torch::silu(tokens + time_rows);
+    if (condition_projection_) s = condition_projection_->forward(s);
+    return torch::silu(s);
+  };
+  Modulation modulation;
+  modulation.activation =
+      by_storage(condition_activation, condition, branch_rows(time.embedding, branches.size()).unsqueeze(1));
   DitBlockContext context;
-  context.modulation.activation = torch::silu(s);
   for (const auto& branch : cameras) context.prope.push_back(&branch.decoder_prope);
   context.view_mask = scene.view_mask;
   auto x = branch_tokens(tokens.decoder, cameras,
                          options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
-  for (const auto& block : decoder_blocks_) x = run_block(*block, x, context);
-  return final_layer_->features(x, context.modulation);
+  x = run_blocks(decoder_blocks_, x, context, std::vector<Modulation>(decoder_blocks_.size(), modulation));
+  return by_storage(
+      [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
+        return final_layer_->features(tokens, {{}, activation});
+      },
+      x, modulation.activation);
 }
 
 torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features) const {

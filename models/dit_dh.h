@@ -1,5 +1,6 @@
 #pragma once
 
+#include "models/activation_checkpoint.h"
 #include "models/dit_block.h"
 #include "models/dit_embedder.h"
 #include "models/dit_options.h"
@@ -16,8 +17,8 @@
 
 namespace gld {
 
-// What the backward pass of training finds: every intermediate tensor, or only the blocks' inputs and the outputs of
-// attention, from which the rest is computed again (models/activation_checkpoint.h). The same gradients.
+// What the backward pass of training finds: every intermediate tensor, or only the outputs of attention and the input
+// of every second block, from which the rest is computed again (models/activation_checkpoint.h). The same gradients.
 enum class ActivationStorage { kKeep, kRecompute };
 
 // DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder
@@ -72,8 +73,12 @@ class DitDh : public torch::nn::Module {
   void set_activation_storage(ActivationStorage storage) { activation_storage_ = storage; }
 
  private:
-  torch::Tensor run_block(const DitBlock& block, const torch::Tensor& x,
-                          const DitBlockContext& context) const;
+  // One after the other; modulations: one a block, in the place of the context's.
+  torch::Tensor run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
+                           DitBlockContext context, const std::vector<Modulation>& modulations) const;
+  // A part without attention, kept or computed again as the blocks are.
+  torch::Tensor by_storage(const PartFunction& part, const torch::Tensor& x,
+                           const torch::Tensor& conditioning) const;
   void check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
                     int64_t views) const;
   torch::TensorOptions tensor_options() const;

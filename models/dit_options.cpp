@@ -90,6 +90,17 @@ int64_t DitOptions::prope_pixels() const {
   return prope_image_size == "image" || !read_pixels(prope_image_size, pixels) ? 0 : pixels;
 }
 
+std::string narrow_decoder_note(const DitOptions& options) {
+  if (options.decoder_width() >= options.in_channels) return {};
+  const double floor =
+      1.0 - static_cast<double>(options.decoder_width()) / static_cast<double>(options.in_channels);
+  return fmt::format(
+      "hidden_size[1] is {}, below in_channels of {}: at least {:.3f} of the loss cannot be learnt, because "
+      "the "
+      "velocity holds the noise of every channel; widen it to {} or more",
+      options.decoder_width(), options.in_channels, floor, options.in_channels);
+}
+
 void apply_published_conventions(DitOptions& options) {
   options.prope_inverse = PropeInverse::kPublished;
   options.prope_frame = PropeFrame::kWorld;

@@ -9,6 +9,8 @@
 #include "models/imagenet.h"
 #include "train/level_objective.h"
 
+#include <iostream>
+
 #include <torch/autograd.h>
 
 #include <nlohmann/json.hpp>
@@ -22,6 +24,11 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const ParameterPlacement& pl
   frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1).to(placement.device);
   if (bundle.has(BundlePart::kRgbDecoder)) frozen.rgb_decoder = bundle.load_rgb_decoder(placement);
   return frozen;
+}
+
+void tell_narrow_decoder(const char* model, const DitOptions& options) {
+  const auto note = narrow_decoder_note(options);
+  if (!note.empty()) std::cerr << "note: " << model << '.' << note << '\n';
 }
 
 }  // namespace
@@ -47,6 +54,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
             std::to_string(bundle.options().boundary_level) + ", the boundary_level of " + options.model,
             std::to_string(options.level), "change boundary_level in model.yaml and compute its statistics"});
     }
+    tell_narrow_decoder("level1", bundle.options().level1);
     auto objective = std::make_unique<LevelObjective>(
         bundle.options(), options.objective, frozen_parts(bundle, placement), placement, options.loop.seed);
     if (options.objective.start == FlowStart::kBundle) {
@@ -62,6 +70,7 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
   stage.command = "train cascade";
   stage.made = {BundlePart::kCascade};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    tell_narrow_decoder("cascade", bundle.options().cascade);
     FrozenParts frozen = frozen_parts(bundle, placement);
     frozen.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0).to(placement.device);
     auto objective = std::make_unique<CascadeObjective>(bundle.options(), options.objective,

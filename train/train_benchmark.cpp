@@ -306,11 +306,14 @@ double optimiser_share(const std::vector<TrainBenchmarkRow>& rows) {
   return optimiser / (seconds + optimiser);
 }
 
+TableCell if_measured(double value) { return value > 0 ? TableCell(value) : TableCell(std::string()); }
+
 Table overview(const std::vector<TrainBenchmarkRow>& rows) {
   Table table({"case", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak", "memory"});
   for (const auto& row : rows) {
-    table.add_row({row.name, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
-                   row.fraction_of_peak, bytes_text(row.peak_bytes)});
+    table.add_row({row.name, row.variant, if_measured(row.seconds), if_measured(row.seconds_low),
+                   if_measured(row.seconds_high), if_measured(row.tflop), if_measured(row.fraction_of_peak),
+                   bytes_text(row.peak_bytes)});
   }
   return table;
 }
@@ -402,7 +405,8 @@ std::vector<TrainBenchmarkRow> train_benchmark_rows(const TrainBenchmarkOptions&
 Table train_benchmark_table(const std::vector<TrainBenchmarkRow>& rows) {
   Table table({"case", "variant", "seconds", "tflop", "fraction_of_peak", "peak_bytes"});
   for (const auto& row : rows) {
-    table.add_row({row.name, row.variant, row.seconds, row.tflop, row.fraction_of_peak, row.peak_bytes});
+    table.add_row({row.name, row.variant, if_measured(row.seconds), if_measured(row.tflop),
+                   if_measured(row.fraction_of_peak), row.peak_bytes});
   }
   return table;
 }

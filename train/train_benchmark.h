@@ -30,10 +30,12 @@ struct TrainBenchmarkOptions : OptionsGroup {
   void check() const override;
 };
 
+// One case. Numbers that were not measured are 0, and empty cells in tables: extrapolated memory takes no time, and the
+// optimiser is not compared with the peak.
 struct TrainBenchmarkRow {
   std::string name;  // the CSV's "case"
   std::string variant;
-  double seconds = 0;  // median of one step; 0 where nothing was timed
+  double seconds = 0;  // median of one step
   double seconds_low = 0;
   double seconds_high = 0;
   double tflop = 0;             // three forward passes by the cost model

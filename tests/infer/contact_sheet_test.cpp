@@ -106,6 +106,25 @@ TEST(ContactSheet, ShowsEveryPictureOnceAtItsAspect) {
   }
 }
 
+TEST(ContactSheet, SectionsOfPicturesStandBelowEachOther) {
+  std::vector<SheetSection> sections(2);
+  for (size_t i = 0; i < 5; ++i) {
+    sections[i < 3 ? 0 : 1].pictures.emplace_back("decoded", flat(112, 112, colour_of(i, 0)));
+  }
+  sections[0].heading = "room_0";
+  sections.emplace_back();  // nothing to show
+  const std::map<Rgb, Place> found = places(make_picture_sheet(sections, {"title", "", {}, ""}));
+  ASSERT_EQ(found.size(), 5U);
+  const auto at = [&](size_t picture) { return found.at(colour_of(picture, 0)); };
+  for (const size_t i : {0U, 1U, 3U}) {
+    EXPECT_EQ(at(i).top, at(i + 1).top);
+    EXPECT_LT(at(i).right, at(i + 1).left);
+  }
+  EXPECT_LT(at(0).bottom, at(3).top);
+  EXPECT_EQ(at(0).left, at(3).left);
+  EXPECT_EQ(at(0).left, 24);  // no column of labels
+}
+
 TEST(ContactSheet, StaysInsideItsLimitsForEightViews) {
   const Image sheet = make_contact_sheet(views_of(2, 6, 504, 280), {"title", "subtitle", {}, ""});
   EXPECT_LE(sheet.width, 1920);
@@ -142,6 +161,8 @@ TEST(ContactSheet, TheSameInputGivesTheSamePixels) {
 
 TEST(ContactSheet, RefusesNothing) {
   EXPECT_EQ(test::error_of([] { make_contact_sheet({}, {}); }),
+            "contact sheet: expected at least one picture, found none; decode images or depth.");
+  EXPECT_EQ(test::error_of([] { make_picture_sheet({SheetSection()}, {}); }),
             "contact sheet: expected at least one picture, found none; decode images or depth.");
   EXPECT_EQ(test::error_of([] { make_contact_sheet({SheetView()}, {}); }),
             "contact sheet: expected at least one picture, found none; decode images or depth.");

@@ -51,11 +51,19 @@ TEST(PlanErrors, TheCheapestWithinTheToleranceIsPicked) {
 }
 
 TEST(PlanErrors, TheBoundCoversWhatWasMeasuredAndLeavesRoom) {
-  EXPECT_DOUBLE_EQ(error_bound({0.1}), 0.125);
-  EXPECT_DOUBLE_EQ(error_bound({0.1, 0.1, 0.1}), 0.125);
-  // Errors that spread by a factor of e around 0.1: three standard deviations are more than a quarter.
+  const auto over = [](const std::vector<double>& errors, double typical) {
+    return std::log(error_bound(errors) / typical);
+  };
+  // Student's quantiles at 0.001: 4.50079, 4.14370 and 3.09 of 8, 10 and (nearly) infinitely many degrees of freedom.
+  EXPECT_NEAR(over({0.1}, 0.1), 4.50079 * std::sqrt(2.0) * 0.4, 1e-4);
+  EXPECT_NEAR(over({0.1, 0.1, 0.1}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * 8 * 0.16 / 10), 1e-4);
   const double e = std::exp(1.0);
-  EXPECT_NEAR(error_bound({0.1 / e, 0.1, 0.1 * e}), 0.1 * e * e * e, 1e-12);
+  EXPECT_NEAR(over({0.1 / e, 0.1, 0.1 * e}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * (8 * 0.16 + 2) / 10), 1e-4);
+  std::vector<double> many;
+  for (int i = 0; i < 4000; ++i) many.push_back(0.1 * (i % 2 == 0 ? e : 1 / e));
+  EXPECT_NEAR(over(many, 0.1), 3.092, 0.01);
+  many.push_back(7);
+  EXPECT_GE(error_bound(many), 1.25 * 7);  // never below what was seen
 }
 
 TEST(PlanErrors, AreReadAsTheyWereWritten) {

@@ -2,6 +2,8 @@
 
 #include "datasets/scene_writer.h"
 #include "gld/atomic_file.h"
+#include "infer/plan_errors.h"
+#include "infer/sample_plan_table.h"
 #include "infer/sampling.h"
 #include "models/random_bundle.h"
 #include "tests/support/shared_data.h"

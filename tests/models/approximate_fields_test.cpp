@@ -16,6 +16,7 @@ namespace {
 
 using test::random_dit;
 using test::random_dit_scene;
+using test::small_cascade_options;
 using test::small_dit_options;
 
 SolverOptions default_solver(int64_t evaluations) {
@@ -88,11 +89,6 @@ class ApproximateFields : public testing::Test {
     model_->named_parameters()["t_embedder.W"].mul_(0.3);
     scene_ = random_dit_scene(options, {3, 1, 28, 28});
   }
-  static DitOptions cascade_options() {
-    auto options = small_dit_options();
-    options.conditioning = DitConditioning::kDeeperLevel;
-    return options;
-  }
   DitScene prepared() const {
     const torch::NoGradGuard no_grad;
     return model_->prepare_scene(scene_.inputs);
@@ -108,7 +104,7 @@ class ApproximateFields : public testing::Test {
 };
 
 TEST_F(ApproximateFields, NodesConvergeToTheExactEncoder) {
-  build(cascade_options());
+  build(small_cascade_options());
   const auto solver = default_solver(20);
   DitField exact(*model_, prepared());
   const auto expected = solved(exact, solver);
@@ -127,7 +123,7 @@ TEST_F(ApproximateFields, NodesConvergeToTheExactEncoder) {
 }
 
 TEST_F(ApproximateFields, NodesServeBatchedBranchesAndIntervals) {
-  build(cascade_options());
+  build(small_cascade_options());
   const auto solver = default_solver(12);
   GuidanceOptions guidance;
   guidance.guidance_interval = {0.9, 1};
@@ -140,7 +136,7 @@ TEST_F(ApproximateFields, NodesServeBatchedBranchesAndIntervals) {
 }
 
 TEST_F(ApproximateFields, NodesServeAdaptiveSolvers) {
-  build(cascade_options());
+  build(small_cascade_options());
   SolverOptions solver;
   solver.solver = SolverKind::kDormandPrince;
   solver.tolerance = 1e-3;

@@ -18,6 +18,7 @@ namespace {
 using test::random_dit;
 using test::random_dit_scene;
 using test::relative_difference;
+using test::small_cascade_options;
 using test::small_dit_options;
 
 struct Configuration {
@@ -293,9 +294,7 @@ TEST(DitDh, RefusesScenesThatDoNotFit) {
             "noisy latent: expected shape (3 views, 4 tokens, 24 channels), found shape [2, 4, 24]; check "
             "the model's "
             "configuration and the size of the images.");
-  auto options = small_dit_options();
-  options.conditioning = DitConditioning::kDeeperLevel;
-  EXPECT_EQ(test::error_of([&] { random_dit(options)->prepare_scene(scene.inputs); }),
+  EXPECT_EQ(test::error_of([&] { random_dit(small_cascade_options())->prepare_scene(scene.inputs); }),
             "deeper level: expected shape (3 views, 4 tokens, 24 channels), found nothing; check the model's "
             "configuration and the size of the images.");
 }
@@ -327,6 +326,16 @@ TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
               o.depth = {28};
             }).find("expected two values, [condition encoder, velocity decoder], found 1; give two."),
             std::string::npos);
+}
+
+TEST(DitOptions, NoteAVelocityDecoderThatIsNarrowerThanTheLatent) {
+  EXPECT_EQ(narrow_decoder_note(DitOptions()), "");
+  DitOptions options = small_dit_options();
+  options.in_channels = 64;
+  EXPECT_EQ(narrow_decoder_note(options),
+            "hidden_size[1] is 48, below in_channels of 64: at least 0.250 of the loss cannot be learnt, "
+            "because the "
+            "velocity holds the noise of every channel; widen it to 64 or more");
 }
 
 TEST(DitOptions, SwigluWidthsOfThePublishedModels) {

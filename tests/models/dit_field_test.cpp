@@ -17,13 +17,8 @@ namespace {
 using test::random_dit;
 using test::random_dit_scene;
 using test::relative_difference;
+using test::small_cascade_options;
 using test::small_dit_options;
-
-DitOptions cascade_options() {
-  auto options = small_dit_options();
-  options.conditioning = DitConditioning::kDeeperLevel;
-  return options;
-}
 
 class DitFieldTest : public testing::Test {
  protected:
@@ -41,7 +36,7 @@ class DitFieldTest : public testing::Test {
 };
 
 TEST_F(DitFieldTest, GuidanceCombinesTheBranches) {
-  for (const auto& options : {small_dit_options(), cascade_options()}) {
+  for (const auto& options : {small_dit_options(), small_cascade_options()}) {
     build(options);
     auto dit = field();
     const auto conditional = dit.conditional(scene_.noisy, 0.4);
@@ -78,7 +73,7 @@ TEST_F(DitFieldTest, IntervalEndsAreIncluded) {
 }
 
 TEST_F(DitFieldTest, CascadeUsesItsConditionAgainAtAnEqualTime) {
-  build(cascade_options());
+  build(small_cascade_options());
   auto dit = field();
   const auto first = dit.guided(scene_.noisy, 0.4, 1.5);
   const auto again = dit.guided(scene_.noisy, 0.4, 1.5);
@@ -98,7 +93,7 @@ TEST_F(DitFieldTest, CascadeUsesItsConditionAgainAtAnEqualTime) {
 }
 
 TEST_F(DitFieldTest, ConditionThatSeesTheNoisyLatentIsNeverReused) {
-  auto special = cascade_options();
+  auto special = small_cascade_options();
   special.num_special_tokens = 2;
   special.in_channels = 48;
   for (const auto& options : {small_dit_options(), special}) {
@@ -112,7 +107,7 @@ TEST_F(DitFieldTest, ConditionThatSeesTheNoisyLatentIsNeverReused) {
 }
 
 TEST_F(DitFieldTest, SamplingIsTheSameWithEverySavingOff) {
-  for (const auto& options : {small_dit_options(), cascade_options()}) {
+  for (const auto& options : {small_dit_options(), small_cascade_options()}) {
     build(options);
     SolverOptions solver;
     solver.solver = SolverKind::kEuler;
@@ -151,10 +146,10 @@ std::vector<DitOptions> varied_options() {
   auto late_cameras = small_dit_options();
   late_cameras.camera_embedding_input = CameraEmbeddingInput::kVelocityDecoder;
   late_cameras.qk_norm = true;
-  auto released = cascade_options();
+  auto released = small_cascade_options();
   released.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
   released.split_embedders = false;
-  return {small_dit_options(), cascade_options(), special, special_cascade, late_cameras, released};
+  return {small_dit_options(), small_cascade_options(), special, special_cascade, late_cameras, released};
 }
 
 struct BatchComparison {
@@ -216,7 +211,7 @@ TEST_F(DitFieldTest, BatchedBranchesEqualSequentialOnes) {
 }
 
 TEST_F(DitFieldTest, ABatchTakesTheBranchThatIsThereAlready) {
-  build(cascade_options());
+  build(small_cascade_options());
   auto sequential = field(), batched = field();
   batched.set_batched(true);
   batched.conditional(scene_.noisy, 0.4);
@@ -241,7 +236,7 @@ class HalvedCondition : public DitField {
 };
 
 TEST_F(DitFieldTest, ABatchGoesThroughAnOverriddenCondition) {
-  for (const auto& options : {small_dit_options(), cascade_options()}) {
+  for (const auto& options : {small_dit_options(), small_cascade_options()}) {
     build(options);
     const auto scene = model_->prepare_scene(scene_.inputs);
     HalvedCondition sequential(*model_, scene), batched(*model_, scene);

@@ -21,6 +21,13 @@ inline DitOptions small_dit_options() {
   return options;
 }
 
+// The same as a cascade.
+inline DitOptions small_cascade_options() {
+  auto options = small_dit_options();
+  options.conditioning = DitConditioning::kDeeperLevel;
+  return options;
+}
+
 inline std::shared_ptr<DitDh> random_dit(const DitOptions& options, uint64_t seed = 1) {
   auto model = std::make_shared<DitDh>(options, ParameterPlacement{});
   const torch::NoGradGuard no_grad;

@@ -5,7 +5,11 @@
 #include "models/discriminator.h"
 #include "models/perceptual_standin.h"
 #include "models/weight_loading.h"
+#include "tests/models/small_dit.h"
 #include "tests/support/shared_data.h"
+
+#include <algorithm>
+#include <map>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -147,7 +151,7 @@ TEST(ActivationCheckpoint, GivesTheSameValuesAndGradients) {
   const auto draw = [](uint64_t seed) { return torch::randn({5, 5}, generator(seed), torch::kFloat32); };
   auto weight = draw(1).requires_grad_(true);
   auto input = draw(2).requires_grad_(true), conditioning = draw(3).requires_grad_(true);
-  const BlockFunction block = [&weight](const torch::Tensor& x, const torch::Tensor& c) {
+  const PartFunction block = [&weight](const torch::Tensor& x, const torch::Tensor& c) {
     return torch::tanh(torch::mm(x, weight)) * c + x;
   };
   std::vector<torch::Tensor> plain, again;
@@ -165,7 +169,7 @@ TEST(ActivationCheckpoint, GivesTheSameValuesAndGradients) {
 
 TEST(ActivationCheckpoint, WorksWithoutConditioningAndWithoutGradients) {
   auto weight = torch::full({2, 2}, 0.5F).requires_grad_(true);
-  const BlockFunction block = [&weight](const torch::Tensor& x, const torch::Tensor& /*c*/) {
+  const PartFunction block = [&weight](const torch::Tensor& x, const torch::Tensor& /*c*/) {
     return torch::mm(x, weight);
   };
   auto input = torch::ones({2, 2}).requires_grad_(true);
@@ -173,6 +177,63 @@ TEST(ActivationCheckpoint, WorksWithoutConditioningAndWithoutGradients) {
   EXPECT_EQ(weight.grad().sum().item<float>(), 8.0F);
   const torch::NoGradGuard no_grad;
   EXPECT_FALSE(checkpointed(block, input).requires_grad());
+}
+
+TEST(ActivationCheckpoint, PartsThatTreatViewsAloneMeetFewOfThemAtATime) {
+  constexpr int64_t kViews = 5, kTokens = 500;
+  auto weight = torch::randn({4, 4}, generator(1), torch::kFloat32).requires_grad_(true);
+  auto input = torch::randn({kViews, kTokens, 4}, generator(2), torch::kFloat32).requires_grad_(true);
+  int64_t most = 0;
+  const PartFunction part = [&](const torch::Tensor& x, const torch::Tensor& c) {
+    if (torch::GradMode::is_enabled()) most = std::max(most, x.size(0));
+    return torch::tanh(torch::matmul(x, weight)) * c;
+  };
+  for (const int64_t rows : {int64_t{1}, kViews}) {
+    auto conditioning = torch::randn({rows, 1, 4}, generator(3), torch::kFloat32).requires_grad_(true);
+    const std::vector<torch::Tensor*> all{&weight, &input, &conditioning};
+    const auto gradients = [&](const torch::Tensor& y) {
+      for (auto* tensor : all) tensor->mutable_grad() = torch::Tensor();
+      y.square().sum().backward();
+      std::vector<torch::Tensor> result;
+      for (const auto* tensor : all) result.push_back(tensor->grad().clone());
+      return result;
+    };
+    const auto plain = gradients(part(input, conditioning));
+    most = 0;
+    const auto again = gradients(checkpointed_by_views(part, input, conditioning));
+    EXPECT_EQ(most, 2);  // of 500 tokens each
+    for (size_t i = 0; i < plain.size(); ++i) {
+      EXPECT_LT(test::relative_difference(again[i], plain[i]), 1e-6) << i << " with " << rows << " rows";
+    }
+  }
+}
+
+TEST(ActivationCheckpoint, ADiffusionModelGetsTheSameGradients) {
+  auto options = test::small_dit_options();
+  options.depth = {3, 2};  // two blocks that share a kept input, and one that has its own
+  const auto model = test::random_dit(options);
+  for (auto& parameter : model->parameters()) parameter.set_requires_grad(true);
+  // 3 views of 400 tokens: more than one group of views.
+  const auto scene = test::random_dit_scene(options, {3, 1, 280, 280});
+  for (const int64_t rows : {1, 3}) {
+    std::vector<std::map<std::string, torch::Tensor>> gradients;
+    for (const auto storage : {ActivationStorage::kKeep, ActivationStorage::kRecompute}) {
+      model->set_activation_storage(storage);
+      for (auto& parameter : model->parameters()) parameter.mutable_grad() = torch::Tensor();
+      const auto time = model->time_rows({0.4}, rows).front();
+      model->velocity(model->prepare_scene(scene.inputs), scene.noisy, time).square().mean().backward();
+      auto& stored = gradients.emplace_back();
+      for (const auto& item : model->named_parameters()) {
+        if (item.value().grad().defined()) stored[item.key()] = item.value().grad().clone();
+      }
+    }
+    ASSERT_EQ(gradients[0].size(), gradients[1].size());
+    EXPECT_GT(gradients[0].size(), 40U);
+    for (const auto& [name, kept] : gradients[0]) {
+      const double scale = std::max(1e-6, kept.abs().max().item<double>());
+      EXPECT_LT((gradients[1].at(name) - kept).abs().max().item<double>(), 2e-5 * scale) << name;
+    }
+  }
 }
 
 }  // namespace

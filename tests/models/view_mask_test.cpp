@@ -16,13 +16,8 @@ namespace {
 using test::random_dit;
 using test::random_dit_scene;
 using test::relative_difference;
+using test::small_cascade_options;
 using test::small_dit_options;
-
-DitOptions cascade_options() {
-  auto options = small_dit_options();
-  options.conditioning = DitConditioning::kDeeperLevel;
-  return options;
-}
 
 torch::Tensor guided(const DitDh& model, const test::DitTestScene& scene, bool batched) {
   const torch::NoGradGuard no_grad;
@@ -32,7 +27,7 @@ torch::Tensor guided(const DitDh& model, const test::DitTestScene& scene, bool b
 }
 
 TEST(ViewMask, AllPairsAreTheUnmaskedModelBitForBit) {
-  for (const auto& options : {small_dit_options(), cascade_options()}) {
+  for (const auto& options : {small_dit_options(), small_cascade_options()}) {
     const auto model = random_dit(options);
     auto scene = random_dit_scene(options, {4, 2, 70, 56});
     auto masked = scene;

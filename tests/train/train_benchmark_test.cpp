@@ -46,6 +46,24 @@ TEST(TrainBenchmark, MeasuresTheSmallModelAndTheOptimiser) {
   EXPECT_EQ(header, "case,variant,seconds,tflop,fraction_of_peak,peak_bytes");
 }
 
+TEST(TrainBenchmark, WhatIsNotMeasuredIsAnEmptyCell) {
+  TrainBenchmarkRow step;
+  step.name = "full_width";
+  step.variant = "keep";
+  step.seconds = 2;
+  step.tflop = 1.5;
+  step.fraction_of_peak = 0.5;
+  step.peak_bytes = 1000;
+  TrainBenchmarkRow extrapolated;
+  extrapolated.name = "extrapolated_504x504x8";
+  extrapolated.variant = "keep_stored";
+  extrapolated.peak_bytes = 44000;
+  EXPECT_EQ(train_benchmark_table({step, extrapolated}).csv(),
+            "case,variant,seconds,tflop,fraction_of_peak,peak_bytes\n"
+            "full_width,keep,2,1.5,0.5,1000\n"
+            "extrapolated_504x504x8,keep_stored,,,,44000\n");
+}
+
 TEST(TrainBenchmark, RefusesADepthOfOneNumber) {
   TrainBenchmarkOptions options;
   options.depth = {5};
