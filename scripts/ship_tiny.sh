@@ -22,7 +22,7 @@ fi
 
 cp "$runs"/model/*.safetensors "$tiny/"
 rm -rf "$tiny/training" "$tiny/evaluation"
-for stage in backbone decoder level cascade; do
+for stage in backbone decoder level cascade head; do
   mkdir -p "$tiny/training/$stage"
   cp "$runs/$stage"/{config.yaml,loss.png,metrics.jsonl,report.json} "$tiny/training/$stage/"
   if [ -d "$runs/$stage/validation" ]; then  # M1 trains before there is a decoder to draw with

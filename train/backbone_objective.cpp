@@ -3,12 +3,16 @@
 #include "gld/error.h"
 #include "models/imagenet.h"
 #include "models/initialisation.h"
+#include "train/feature_noise.h"
 #include "train/scene_pixels.h"
 
 #include <algorithm>
+#include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 
@@ -21,6 +25,8 @@ void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
                 pixel_weights, {0.0, 1e6});
   visitor.real({"all_views_probability", "probability of showing all views; otherwise the first 1..V-1"},
                all_views_probability, {0.0, 1.0});
+  visitor.real({"feature_noise", "head_only: strength of noise on the features, in deviations of a channel"},
+               feature_noise, {0.0, 100.0});
 }
 
 BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
@@ -31,6 +37,10 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
   if (static_cast<int64_t>(options_.pixel_weights.size()) > model_.backbone.levels()) {
     fail({"objective.pixel_weights", "at most " + std::to_string(model_.backbone.levels()) + " levels",
           std::to_string(options_.pixel_weights.size()), "leave out the last ones"});
+  }
+  if (options_.feature_noise > 0 && !head_only()) {
+    fail({"objective.feature_noise", "0 while the backbone is trained, whose features have to be exact",
+          fmt::format("{:g}", options_.feature_noise), "set objective.training to head_only"});
   }
   if (head_only()) {
     if (!trained.backbone || !trained.head) {
@@ -65,7 +75,8 @@ std::vector<NamedParameter> BackboneObjective::parameters() const {
   return result;
 }
 
-BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& scene, int64_t views) const {
+BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& scene, int64_t views,
+                                                           torch::Generator* noisy) const {
   TrainingScene shown = scene.to(placement_.device);
   shown.images = shown.images.narrow(0, 0, views);
   if (shown.depth.defined()) shown.depth = shown.depth.narrow(0, 0, views);
@@ -80,6 +91,8 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
       levels.push_back(backbone_->decodable(level).patches);
     }
   }
+
+  if (noisy != nullptr) levels = with_feature_noise(std::move(levels), options_.feature_noise, *noisy);
 
   SceneResult result;
   result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
@@ -110,7 +123,7 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
       views =
           1 + std::min(static_cast<int64_t>(draws[1].item<double>() * static_cast<double>(all - 1)), all - 2);
     }
-    const SceneResult result = evaluate(scene, views);
+    const SceneResult result = evaluate(scene, views, &generator);
     torch::Tensor total = result.geometry.total;
     for (size_t level = 0; level < result.pixel_errors.size(); ++level) {
       total = total + options_.pixel_weights[level] * result.pixel_errors[level];

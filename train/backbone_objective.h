@@ -23,6 +23,8 @@ struct BackboneObjectiveOptions : OptionsGroup {
   GeometryLossOptions loss;
   std::vector<double> pixel_weights = {1.0, 0.5};  // of levels 0, 1, ...
   double all_views_probability = 0.5;
+  // kHeadOnly: of the noise on what the head reads, in deviations of a channel (feature_noise.h).
+  double feature_noise = 0;
 
   void visit(FieldVisitor& visitor) override;
 };
@@ -63,7 +65,8 @@ class BackboneObjective : public Objective {
     GeometryOutput output;
     torch::Tensor shallow_image;  // (views, 3, height, width), what level 0 still shows
   };
-  SceneResult evaluate(const TrainingScene& scene, int64_t views) const;
+  // noisy: where feature_noise is drawn from; none for validation.
+  SceneResult evaluate(const TrainingScene& scene, int64_t views, torch::Generator* noisy = nullptr) const;
   bool head_only() const { return options_.training == GeometryTraining::kHeadOnly; }
 
   BundleOptions model_;

@@ -3,10 +3,12 @@
 #include "gld/error.h"
 #include "models/imagenet.h"
 #include "models/weight_loading.h"
+#include "train/feature_noise.h"
 #include "train/scene_pixels.h"
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -151,18 +153,10 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
     auto kept = torch::rand({static_cast<int64_t>(levels.size())}, generator, torch::kFloat64)
                     .ge(options_.level_dropout);
     if (!kept.any().item<bool>()) kept[0] = true;
-    const double strength =
-        std::abs(torch::randn({1}, generator, torch::kFloat64).item<double>()) * options_.latent_noise;
     for (size_t level = 0; level < levels.size(); ++level) {
-      if (!kept[static_cast<int64_t>(level)].item<bool>()) {
-        levels[level] = torch::zeros_like(levels[level]);
-      } else if (strength > 0.0) {
-        const auto noise =
-            torch::randn(levels[level].sizes(), generator, torch::kFloat32).to(placement_.device);
-        levels[level] =
-            levels[level] + strength * levels[level].flatten(0, 1).std(0, /*unbiased=*/false) * noise;
-      }
+      if (!kept[static_cast<int64_t>(level)].item<bool>()) levels[level] = torch::zeros_like(levels[level]);
     }
+    levels = with_feature_noise(std::move(levels), options_.latent_noise, generator);
     features.push_back(torch::cat(levels, 2));
   }
   // The decoder works on single views, so scenes of one resolution are one batch for it.

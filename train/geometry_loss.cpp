@@ -24,6 +24,7 @@ torch::Tensor gradient_error(const torch::Tensor& error, const torch::Tensor& ma
 
 void GeometryLossOptions::visit(FieldVisitor& visitor) {
   visitor.real({"depth_weight", "weight of the depth error"}, depth_weight, {0.0, 1e6});
+  visitor.real({"relative_weight", "weight of the relative depth error"}, relative_weight, {0.0, 1e6});
   visitor.real({"gradient_weight", "weight of the error of depth differences between neighbours"},
                gradient_weight, {0.0, 1e6});
   visitor.real({"ray_weight", "weight of the ray error"}, ray_weight, {0.0, 1e6});
@@ -52,10 +53,13 @@ GeometryLosses geometry_losses(const GeometryOutput& predicted, const GeometryTa
   const auto true_point =
       targets.rays.narrow(3, 0, 3) * targets.ray_depth.unsqueeze(3) + targets.rays.narrow(3, 3, 3);
   losses.point = masked_mean((point - true_point).abs().mean(3), targets.ray_valid);
+  losses.absolute_relative = masked_mean(depth_error.abs() / targets.depth.clamp_min(1e-6), targets.valid);
   losses.total = options.depth_weight * losses.depth + options.gradient_weight * losses.gradient +
                  options.ray_weight * losses.ray + options.point_weight * losses.point;
-  losses.absolute_relative =
-      masked_mean(depth_error.detach().abs() / targets.depth.clamp_min(1e-6), targets.valid);
+  if (options.relative_weight > 0) {
+    losses.total = losses.total + options.relative_weight * losses.absolute_relative;
+  }
+  losses.absolute_relative = losses.absolute_relative.detach();
   return losses;
 }
 

@@ -5,6 +5,8 @@
 #include "train/backbone_objective.h"
 #include "train/checkpoint.h"
 #include "train/decoder_objective.h"
+#include "train/feature_noise.h"
+#include "train/geometry_loss.h"
 #include "train/metrics_log.h"
 #include "train/scene_pixels.h"
 
@@ -102,6 +104,47 @@ TEST(GeometryTargets, RaysTimesDepthAreThePointsInTheFirstCamera) {
         (ray[axis] * targets.ray_depth[1][2][5] + ray[axis + 3]).item<double>() * targets.scale;
     EXPECT_NEAR(point, expected[axis], 1e-4);
   }
+}
+
+TEST(GeometryLoss, TheRelativeErrorIsAddedWithItsWeight) {
+  GeometryTargets targets;
+  targets.depth = torch::tensor({1.0F, 2.0F, 4.0F, 9.0F}).view({1, 2, 2});
+  targets.valid = torch::tensor({true, true, true, false}).view({1, 2, 2});
+  targets.rays = torch::zeros({1, 1, 1, 6});
+  targets.ray_depth = torch::ones({1, 1, 1});
+  targets.ray_valid = torch::ones({1, 1, 1}, torch::kBool);
+  GeometryOutput predicted;
+  predicted.depth = torch::tensor({1.5F, 2.5F, 3.0F, 1.0F}).view({1, 2, 2}).requires_grad_(true);
+  predicted.depth_confidence = torch::ones({1, 2, 2});
+  predicted.rays = torch::zeros({1, 1, 1, 6});
+  predicted.ray_confidence = torch::ones({1, 1, 1});
+  GeometryLossOptions options;
+  const auto without = geometry_losses(predicted, targets, options);
+  options.relative_weight = 3;
+  const auto with = geometry_losses(predicted, targets, options);
+  const double relative = (0.5 + 0.25 + 0.25) / 3;
+  EXPECT_NEAR(with.absolute_relative.item<double>(), relative, 1e-6);
+  EXPECT_NEAR((with.total - without.total).item<double>(), 3 * relative, 1e-6);
+  (with.total - without.total).backward();
+  // 3 / (3 pixels * true depth), towards the truth; nothing where it is unknown.
+  const auto expected = torch::tensor({1.0F, 0.5F, -0.25F, 0.0F}).view({1, 2, 2});
+  EXPECT_LT((predicted.depth.grad() - expected).abs().max().item<double>(), 1e-6);
+}
+
+TEST(FeatureNoise, HasTheDeviationOfEachChannelTimesOneStrength) {
+  auto generator = at::detail::createCPUGenerator(5), same = at::detail::createCPUGenerator(5);
+  const auto scales = torch::tensor({0.1F, 1.0F, 20.0F});
+  const std::vector<torch::Tensor> levels{torch::randn({4, 2000, 3}) * scales + 7,
+                                          torch::randn({4, 2000, 3})};
+  const auto noisy = with_feature_noise(levels, 0.5, generator);
+  const double strength = std::abs(torch::randn({1}, same, torch::kFloat64).item<double>()) * 0.5;
+  for (size_t level = 0; level < levels.size(); ++level) {
+    const auto added =
+        (noisy[level] - levels[level]).flatten(0, 1).std(0) / levels[level].flatten(0, 1).std(0);
+    EXPECT_LT((added - strength).abs().max().item<double>(), 0.05 * strength) << level;
+  }
+  const auto untouched = with_feature_noise(levels, 0, generator);
+  EXPECT_TRUE(untouched[0].is_same(levels[0]));
 }
 
 DecoderObjectiveOptions small_decoder() {
