@@ -152,10 +152,15 @@ class FusedAttention : public torch::autograd::Function<FusedAttention> {
 
 }  // namespace
 
+bool fused_attention_applies(const torch::Tensor& like, int64_t head_dim) {
+  return like.is_cpu() && like.scalar_type() == torch::kFloat32 && head_dim >= 1 &&
+         head_dim <= kLargestHeadDim;
+}
+
 bool fused_attention_applies(const AttentionInputs& inputs) {
-  const auto suits = [](const torch::Tensor& x) { return x.is_cpu() && x.scalar_type() == torch::kFloat32; };
-  return suits(inputs.query) && suits(inputs.key) && suits(inputs.value) && inputs.query.size(3) >= 1 &&
-         inputs.query.size(3) <= kLargestHeadDim;
+  const int64_t head_dim = inputs.query.size(3);
+  return fused_attention_applies(inputs.query, head_dim) && fused_attention_applies(inputs.key, head_dim) &&
+         fused_attention_applies(inputs.value, head_dim);
 }
 
 torch::Tensor fused_attention(const AttentionInputs& inputs) {

@@ -2,6 +2,8 @@
 
 #include "gld/attention.h"
 
+#include <cstdint>
+
 #include <torch/types.h>
 
 namespace gld {
@@ -11,8 +13,9 @@ namespace gld {
 // probabilities from the stored log-sum-exp.
 torch::Tensor fused_attention(const AttentionInputs& inputs);
 
-// Whether it can take these arguments.
+// Whether it can take these arguments, or any of this tensor's kind with heads of this size.
 bool fused_attention_applies(const AttentionInputs& inputs);
+bool fused_attention_applies(const torch::Tensor& like, int64_t head_dim);
 
 // The same without a graph, for a caller that computes queries, keys and values again before the gradients
 // (models/activation_checkpoint.h).

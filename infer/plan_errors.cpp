@@ -63,15 +63,13 @@ double error_bound(const std::vector<double>& errors) {
   constexpr double kSafety = 1.25, kExceeded = 1e-3;
   constexpr double kExpectedDeviation = 0.4, kExpectedDegrees = 8;
   const auto count = static_cast<double>(errors.size());
-  double largest = 0, mean = 0, squares = 0;
-  for (const double error : errors) {
-    largest = std::max(largest, error);
-    mean += std::log(std::max(error, 1e-300)) / count;
-  }
-  for (const double error : errors) {
-    const double difference = std::log(std::max(error, 1e-300)) - mean;
-    squares += difference * difference;
-  }
+  const double largest = *std::max_element(errors.begin(), errors.end());
+  if (largest == 0) return 0;
+  // A scene where a method happens to be exact says nothing about the spread of the others.
+  const auto log_of = [&](double error) { return std::log(std::max(error, 1e-3 * largest)); };
+  double mean = 0, squares = 0;
+  for (const double error : errors) mean += log_of(error) / count;
+  for (const double error : errors) squares += (log_of(error) - mean) * (log_of(error) - mean);
   const double degrees = kExpectedDegrees + count - 1;
   const double deviation =
       std::sqrt((kExpectedDegrees * kExpectedDeviation * kExpectedDeviation + squares) / degrees);

@@ -87,7 +87,7 @@ std::vector<torch::Tensor> gradients_of(const GroupFunction& function,
       const torch::AutoGradMode with_gradients(true);
       result = function(leaves);
     }
-    torch::autograd::backward({result}, {known.narrow(0, group.first, group.count)});
+    torch::autograd::backward({result}, {size == views ? known : known.narrow(0, group.first, group.count)});
     for (size_t i = 0; i < leaves.size(); ++i) sums[i].add(group, views, gradient_of(leaves[i]));
   }
   std::vector<torch::Tensor> gradients;
@@ -119,18 +119,19 @@ class Recompute : public torch::autograd::Function<Recompute> {
                                                  const torch::autograd::variable_list& gradients) {
     const auto saved = context->get_saved_variables();
     const auto held = c10::static_intrusive_pointer_cast<HeldPart>(context->saved_data["part"].toCapsule());
-    std::optional<BFloat16Autocast> autocast;
-    if (held->autocast) autocast.emplace(saved[0].device().type());
-    const auto inner =
-        gradients_of([&](const std::vector<torch::Tensor>& t) { return held->part(t[0], t[1]); },
-                     {saved[0], undefined_if_empty(saved[1])}, gradients[0], held->dependence);
+    const auto inner = gradients_of(
+        [&](const std::vector<torch::Tensor>& t) {
+          std::optional<BFloat16Autocast> autocast;
+          if (held->autocast) autocast.emplace(t[0].device().type());
+          return held->part(t[0], t[1]);
+        },
+        {saved[0], undefined_if_empty(saved[1])}, gradients[0], held->dependence);
     return {inner[0], inner[1], torch::Tensor()};
   }
 };
 
 struct HeldBlocks : torch::CustomClassHolder {
   std::vector<AttentionBlock> blocks;  // without their conditioning, which is saved
-  bool autocast = false;
 };
 
 class RecomputeBlocks : public torch::autograd::Function<RecomputeBlocks> {
@@ -159,8 +160,6 @@ class RecomputeBlocks : public torch::autograd::Function<RecomputeBlocks> {
     const size_t count = held->blocks.size();
     const auto conditioning = [&](size_t i) { return undefined_if_empty(saved[1 + 3 * i]); };
     const auto attended = [&](size_t i) { return AttentionResult{saved[2 + 3 * i], saved[3 + 3 * i]}; };
-    std::optional<BFloat16Autocast> autocast;
-    if (held->autocast) autocast.emplace(saved[0].device().type());
 
     // The inputs of all blocks, from the first one's.
     std::vector<torch::Tensor> tokens{saved[0]};
@@ -217,8 +216,6 @@ torch::Tensor recomputed(const PartFunction& part, const torch::Tensor& x, const
   return Recompute::apply(x, saveable(conditioning, x), held);
 }
 
-bool kernels_apply(const torch::Tensor& x) { return x.is_cpu() && x.scalar_type() == torch::kFloat32; }
-
 torch::Tensor whole_block(const AttentionBlock& block, const torch::Tensor& x,
                           const torch::Tensor& conditioning) {
   return block.finish(x, attention(block.inputs(x, conditioning)).view(x.sizes()), conditioning);
@@ -237,24 +234,27 @@ torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tenso
 }
 
 torch::Tensor checkpointed(const std::vector<AttentionBlock>& blocks, const torch::Tensor& x) {
-  bool recorded = false;
-  for (const auto& block : blocks) recorded = recorded || records(x, block.conditioning);
-  if (!recorded || !kernels_apply(x)) {
+  bool kernels = !bfloat16_autocast_active(x.device().type()), recorded = false;
+  for (const auto& block : blocks) {
+    kernels = kernels && fused_attention_applies(x, block.head_dim);
+    recorded = recorded || records(x, block.conditioning);
+  }
+  if (!recorded || !kernels) {
     torch::Tensor tokens = x;
     for (const auto& block : blocks) {
-      const PartFunction whole = [block](const torch::Tensor& t, const torch::Tensor& c) {
-        return whole_block(block, t, c);
+      const AttentionBlock functions{block.head_dim, block.inputs, block.finish, {}};
+      const PartFunction whole = [functions](const torch::Tensor& t, const torch::Tensor& c) {
+        return whole_block(functions, t, c);
       };
       tokens = checkpointed(whole, tokens, block.conditioning);
     }
     return tokens;
   }
   auto held = c10::make_intrusive<HeldBlocks>();
-  held->autocast = bfloat16_autocast_active(x.device().type());
   std::vector<torch::Tensor> conditioning;
   for (const auto& block : blocks) {
     conditioning.push_back(saveable(block.conditioning, x));
-    held->blocks.push_back({block.inputs, block.finish, {}});
+    held->blocks.push_back({block.head_dim, block.inputs, block.finish, {}});
   }
   // A TensorList, not a vector: only that is searched for tensors with gradients.
   return RecomputeBlocks::apply(x, at::TensorList(conditioning), held);

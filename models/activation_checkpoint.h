@@ -2,6 +2,7 @@
 
 #include "gld/attention.h"
 
+#include <cstdint>
 #include <functional>
 #include <vector>
 
@@ -27,6 +28,7 @@ torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tenso
 // A block around attention: what attends, computed from tokens and conditioning, and what is made of the attention's
 // output, which is handed over in the shape of x. finish treats views alone, as in checkpointed_by_views.
 struct AttentionBlock {
+  int64_t head_dim = 0;
   std::function<AttentionInputs(const torch::Tensor& x, const torch::Tensor& conditioning)> inputs;
   std::function<torch::Tensor(const torch::Tensor& x, const torch::Tensor& attended,
                               const torch::Tensor& conditioning)>
@@ -34,8 +36,8 @@ struct AttentionBlock {
   torch::Tensor conditioning;  // may be undefined
 };
 // Blocks one after the other, each x = finish(x, attention(inputs(x, conditioning)), conditioning). Kept are the input
-// of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small. Everything
-// is computed again where the CPU kernels cannot take the inputs. blocks: at least one.
+// of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small. Where
+// the CPU kernels cannot take the inputs, every block's input is kept and all else is computed again. blocks: at least one.
 torch::Tensor checkpointed(const std::vector<AttentionBlock>& blocks, const torch::Tensor& x);
 
 }  // namespace gld

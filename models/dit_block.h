@@ -39,6 +39,7 @@ class DitBlock : public torch::nn::Module {
 
   // x: (branches * views, tokens, channels) -> the same shape.
   torch::Tensor forward(const torch::Tensor& x, const DitBlockContext& context) const;
+  int64_t head_dim() const { return sizes_.channels / sizes_.num_heads; }
   // Its two parts: what attends in each branch, and from the attention's outputs (branches, tokens of all views, heads,
   // head_dim) the rest.
   std::vector<AttentionInputs> attention_inputs(const torch::Tensor& x, const DitBlockContext& context) const;

@@ -4,6 +4,7 @@
 #include "models/position_embedding.h"
 
 #include <string>
+#include <utility>
 
 #include <torch/types.h>
 
@@ -172,6 +173,7 @@ torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x
 torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
                                 DitBlockContext context, const std::vector<Modulation>& modulations) const {
   const bool keep = activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled();
+  // Several branches at once are for sampling, where nothing is recorded.
   if (keep || context.prope.size() > 1) {
     for (size_t i = 0; i < blocks.size(); ++i) {
       context.modulation = modulations[i];
@@ -184,22 +186,25 @@ torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& bl
   std::vector<AttentionBlock> chain;
   for (size_t i = 0; i < blocks.size(); ++i) {
     const bool rows = modulations[i].rows.defined();
-    const auto inner = [rows, tables, mask = context.view_mask](const torch::Tensor& conditioning) {
-      DitBlockContext inner;
-      (rows ? inner.modulation.rows : inner.modulation.activation) = conditioning;
-      inner.prope.push_back(tables.get());
-      inner.view_mask = mask;
-      return inner;
+    const auto context_of = [rows, tables, mask = context.view_mask](const torch::Tensor& conditioning) {
+      DitBlockContext own;
+      (rows ? own.modulation.rows : own.modulation.activation) = conditioning;
+      own.prope.push_back(tables.get());
+      own.view_mask = mask;
+      return own;
     };
     const DitBlock& block = *blocks[i];
-    chain.push_back(
-        {[&block, inner](const torch::Tensor& tokens, const torch::Tensor& c) {
-           return block.attention_inputs(tokens, inner(c)).front();
-         },
-         [&block, inner](const torch::Tensor& tokens, const torch::Tensor& attended, const torch::Tensor& c) {
-           return block.finish(tokens, attended, inner(c));
-         },
-         rows ? modulations[i].rows : modulations[i].activation});
+    AttentionBlock parts;
+    parts.head_dim = block.head_dim();
+    parts.inputs = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& conditioning) {
+      return block.attention_inputs(tokens, context_of(conditioning)).front();
+    };
+    parts.finish = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& attended,
+                                        const torch::Tensor& conditioning) {
+      return block.finish(tokens, attended, context_of(conditioning));
+    };
+    parts.conditioning = rows ? modulations[i].rows : modulations[i].activation;
+    chain.push_back(std::move(parts));
     if (chain.size() == kBlocksAKeptInput || i + 1 == blocks.size()) {
       x = checkpointed(chain, x);
       chain.clear();

@@ -18,7 +18,8 @@
 namespace gld {
 
 // What the backward pass of training finds: every intermediate tensor, or only the outputs of attention and the input
-// of every second block, from which the rest is computed again (models/activation_checkpoint.h). The same gradients.
+// of every second block, from which the rest is computed again (models/activation_checkpoint.h; without the CPU kernels
+// the input of every block alone). The same gradients.
 enum class ActivationStorage { kKeep, kRecompute };
 
 // DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder

@@ -67,8 +67,8 @@ struct DitOptions : OptionsGroup {
 
 // What to tell whoever trains a velocity decoder that is narrower than the latent; empty where it is not. The velocity
 // holds the noise of every channel (Zheng et al. 2025, RAE, section 4), but the last linear layer only reaches
-// hidden_size[1] directions: whatever is learnt, at least 1 - hidden_size[1] / in_channels of the loss stays, and a
-// sample keeps the noise that was not predicted.
+// hidden_size[1] directions: whatever is learnt, the loss stays above 1 - hidden_size[1] / in_channels (the noise
+// has variance 1), and a sample keeps the noise that was not predicted.
 std::string narrow_decoder_note(const DitOptions& options);
 
 // The conventions of the released checkpoints that their weights cannot tell: the published inverse in PRoPE, its

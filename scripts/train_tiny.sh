@@ -32,19 +32,29 @@ else
   "$gld" stats --config configs/tiny/stats.yaml --model "$runs/backbone/model" --out "$runs/stats" --device "$device"
 fi
 
-# Processes of few threads each keep the cores busier than one of many: the models are small.
+# Processes of one thread each keep the cores busier than one of several: the models are small.
 level() { stage level level "$runs/stats/model" --threads 1; }
 beside_level() {
   stage decoder decoder "$runs/stats/model" --threads 1
   stage cascade cascade "$runs/decoder/model" --threads 1
   stage head backbone "$runs/decoder/model" --threads 1
 }
+# With its own process group, so that the training it has started stops with it (gld writes a checkpoint).
+set -m
 beside_level >"$runs/beside_level.log" 2>&1 &
 beside=$!
-trap 'kill "$beside" 2>/dev/null || true' EXIT
+set +m
+stop_beside() {
+  kill -TERM -- "-$beside" 2>/dev/null || true
+  wait "$beside" 2>/dev/null || true
+}
+trap stop_beside EXIT
 level
 echo "train_tiny: M1 is done; waiting for decoder, cascade and head ($runs/beside_level.log)"
-wait "$beside"
+if ! wait "$beside"; then
+  echo "train_tiny: expected decoder, cascade and head to train, found a failure; see $runs/beside_level.log." >&2
+  exit 1
+fi
 trap - EXIT
 
 rm -rf "$runs/model"

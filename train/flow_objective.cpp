@@ -24,7 +24,7 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
                   validation_evaluations, {1, 1000});
   visitor.boolean(
-      {"checkpoint_blocks", "keep no activations inside blocks but compute them again: memory for time"},
+      {"checkpoint_blocks", "keep few activations of blocks and compute the others again: memory for time"},
       checkpoint_blocks);
   visitor.real({"kept_latents_gib",
                 "memory for the latents of scenes that come again (data.distinct_batches), in float16; 0 "

@@ -64,6 +64,8 @@ TEST(PlanErrors, TheBoundCoversWhatWasMeasuredAndLeavesRoom) {
   EXPECT_NEAR(over(many, 0.1), 3.092, 0.01);
   many.push_back(7);
   EXPECT_GE(error_bound(many), 1.25 * 7);  // never below what was seen
+  EXPECT_EQ(error_bound({0, 0}), 0);
+  EXPECT_LT(error_bound({0, 0.1, 0.1, 0.1, 0.1, 0.1}), 1e7);
 }
 
 TEST(PlanErrors, AreReadAsTheyWereWritten) {

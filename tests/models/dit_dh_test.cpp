@@ -332,10 +332,10 @@ TEST(DitOptions, NoteAVelocityDecoderThatIsNarrowerThanTheLatent) {
   EXPECT_EQ(narrow_decoder_note(DitOptions()), "");
   DitOptions options = small_dit_options();
   options.in_channels = 64;
-  EXPECT_EQ(narrow_decoder_note(options),
-            "hidden_size[1] is 48, below in_channels of 64: at least 0.250 of the loss cannot be learnt, "
-            "because the "
-            "velocity holds the noise of every channel; widen it to 64 or more");
+  EXPECT_EQ(
+      narrow_decoder_note(options),
+      "hidden_size[1] is 48, below in_channels of 64: the loss cannot fall below 0.250, because the velocity "
+      "holds the noise of every channel; widen it to 64 or more");
 }
 
 TEST(DitOptions, SwigluWidthsOfThePublishedModels) {
