@@ -43,7 +43,7 @@ mkdir -p "$tiny/training/stats" "$tiny/evaluation"
 cp "$runs"/stats/{config.yaml,report.json} "$tiny/training/stats/"
 cp "$runs"/eval/{config.yaml,eval.csv,report.json} "$tiny/evaluation/"
 # The records name the runs where others will have them.
-grep -rl -- "$runs/" "$tiny/training" "$tiny/evaluation" | xargs -r sed -i "s#$runs/#runs/tiny/#g"
+{ grep -rl -- "$runs/" "$tiny/training" "$tiny/evaluation" || true; } | xargs -r sed -i "s#$runs/#runs/tiny/#g"
 # Its errors were those of other weights.
 rm -f "$tiny/plan_errors.json"
 echo "ship_tiny: $bytes bytes of weights are in $tiny; measure their sampling errors with gld bench sample-plan" \
