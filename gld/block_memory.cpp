@@ -7,6 +7,7 @@
 #include <mutex>
 #include <new>
 
+#include <malloc.h>
 #include <sys/mman.h>
 
 namespace gld {
@@ -83,6 +84,8 @@ class KeptBlocks {
       most_in_use_ = in_use_;
     }
     for (const auto& [capacity, block] : blocks) std::free(block);
+    // glibc keeps freed memory of up to 32 MiB a block for itself: 1.8 of M1's 2.1 GB stayed with the process.
+    malloc_trim(0);
   }
 
   struct Sizes {

@@ -55,6 +55,15 @@ std::shared_ptr<const MappedFile> MappedFile::open(const std::filesystem::path& 
   return mapped;
 }
 
+void MappedFile::drop_pages(ByteView bytes) const {
+  // Addresses as numbers: pointers into different objects have no order.
+  const auto start = reinterpret_cast<uintptr_t>(bytes.data), mapped = reinterpret_cast<uintptr_t>(data_);
+  if (start < mapped || start - mapped > size_ || bytes.size > size_ - (start - mapped)) return;
+  const auto page = static_cast<uintptr_t>(::sysconf(_SC_PAGESIZE));
+  const uintptr_t first = (start + page - 1) / page * page, last = (start + bytes.size) / page * page;
+  if (first < last) ::madvise(data_ + (first - mapped), last - first, MADV_DONTNEED);
+}
+
 MappedFile::~MappedFile() {
   if (data_ != nullptr) ::munmap(data_, size_);
 }

@@ -25,6 +25,10 @@ class MappedFile {
 
   ByteView bytes() const { return {data_, size_}; }
 
+  // Gives the whole pages among these bytes back to the system; the file is read again when they are touched. What was
+  // written to them is lost. Bytes outside the mapping are left alone.
+  void drop_pages(ByteView bytes) const;
+
  private:
   MappedFile() = default;
   uint8_t* data_ = nullptr;

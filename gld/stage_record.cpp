@@ -23,6 +23,7 @@ class RecordOnExit {
  public:
   RecordOnExit(std::vector<StageRecord>& records, std::string name)
       : records_(records), name_(std::move(name)), start_(std::chrono::steady_clock::now()) {
+    release_kept_blocks();  // of what ran between two stages
     reset_peak_resident_bytes();
   }
   ~RecordOnExit() {

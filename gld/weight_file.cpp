@@ -100,8 +100,12 @@ std::shared_ptr<const WeightFile> WeightFile::open(const std::filesystem::path& 
   weights->scalars_ = std::move(parsed.scalars);
   weights->metadata_ = std::move(parsed.metadata);
   weights->owners_ = std::move(parsed.owners);
-  weights->owners_.push_back(mapping);
+  weights->mapping_ = mapping;
   return weights;
+}
+
+void WeightFile::drop_pages(const TensorEntry& entry) const {
+  if (entry.contiguous()) mapping_->drop_pages({entry.data, static_cast<size_t>(entry.byte_count())});
 }
 
 const TensorEntry* WeightFile::find(const std::string& name) const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/dtype.h"
+#include "gld/mapped_file.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -42,6 +43,9 @@ class WeightFile : public std::enable_shared_from_this<WeightFile> {
   const TensorEntry* find(const std::string& name) const;               // null when absent
   // Throws Error naming the tensor and, where there is one, a similar name.
   const TensorEntry& entry(const std::string& name) const;
+  // Gives the memory of that tensor's pages back to the system: after it was copied, so that a file is not held twice.
+  // They are read again when they are touched; what was written to a tensor that shares them is lost.
+  void drop_pages(const TensorEntry& entry) const;
   // Numbers and strings beside the tensors (PyTorch files), and the "__metadata__" of safetensors files.
   const std::map<std::string, ScalarEntry>& scalars() const { return scalars_; }
   const std::map<std::string, std::string>& metadata() const { return metadata_; }
@@ -53,7 +57,8 @@ class WeightFile : public std::enable_shared_from_this<WeightFile> {
   std::vector<TensorEntry> entries_;
   std::map<std::string, ScalarEntry> scalars_;
   std::map<std::string, std::string> metadata_;
-  std::vector<std::shared_ptr<const void>> owners_;  // the mapping, and storages that had to be decompressed
+  std::shared_ptr<const MappedFile> mapping_;
+  std::vector<std::shared_ptr<const void>> owners_;  // storages that had to be decompressed
 };
 
 // Product of the sizes times the element size; -1 when it does not fit 63 bits or a size is negative.

@@ -5,8 +5,10 @@
 #include "models/cost_model.h"
 #include "models/dit_dh.h"
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
+#include <limits>
 
 #include <torch/types.h>
 
@@ -45,23 +47,18 @@ Views cameras_in_a_row(const LatentGrid& grid, int64_t patch_size) {
   return views;
 }
 
-// The median of some runs after one that warms up.
-double typical_seconds(const std::function<void()>& run) {
+// The fastest of some runs after one that warms up: what disturbs one of a few runs must not slow down a forecast.
+double fastest_seconds(const std::function<void()>& run) {
   constexpr double kEnough = 0.2;
-  constexpr size_t kMostRuns = 15;
-  double sum = seconds_of(run);
-  std::vector<double> seconds;
-  do {
-    seconds.push_back(seconds_of(run));
-    sum += seconds.back();
-  } while (sum < kEnough && seconds.size() < kMostRuns);
-  return spread_of(seconds).median;
+  constexpr int kFewestRuns = 2, kMostRuns = 15;
+  double sum = seconds_of(run), fastest = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < kFewestRuns || (sum < kEnough && i < kMostRuns); ++i) {
+    const double seconds = seconds_of(run);
+    sum += seconds;
+    fastest = std::min(fastest, seconds);
+  }
+  return fastest;
 }
-
-double predicted(const Cost& cost, const MachineSpeed& speed) {
-  return cost.linear_flop / speed.linear + cost.attention_flop / speed.attention;
-}
-
 }  // namespace
 
 DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request, const MachineSpeed& speed) {
@@ -92,15 +89,16 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const std::vector<DitBranch> encoded = nodes ? std::vector<DitBranch>{DitBranch::kConditional} : branches;
   DitSpeed result;
   result.condition_encoder =
-      typical_seconds([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
+      fastest_seconds([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
   const auto condition = model.condition_encoder_batch(scene, embedded, time, branches);
-  result.velocity_decoder = typical_seconds([&] {
+  result.velocity_decoder = fastest_seconds([&] {
     const auto own = model.embed_noisy(scene, noisy);
     model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches));
   });
   const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
     whole.attention_flop *= request.attention_share();
-    seconds *= predicted(whole, speed) / predicted(measured, speed) / static_cast<double>(runs);
+    seconds *=
+        computing_seconds(whole, speed) / computing_seconds(measured, speed) / static_cast<double>(runs);
   };
   scale(result.condition_encoder, encoded.size(), condition_encoder_cost(options, grid),
         condition_encoder_cost(probe, part));

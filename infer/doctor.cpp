@@ -47,11 +47,11 @@ std::vector<std::string> complaints(const Machine& machine) {
   if (machine.blas == "reference") {
     list.emplace_back(
         "libblas.so.3 is the reference BLAS, tens of times too slow: install libopenblas0-pthread.");
-  } else if (machine.speed.linear < 0.4 * machine.speed.multiply_add_peak) {
+  } else if (machine.speed.matrix_product < 0.4 * machine.speed.multiply_add_peak) {
     list.push_back(fmt::format(
         "Matrix products reach {:.0f} % of the multiply-add peak; a good BLAS reaches 75 % or more: install "
         "libopenblas0-pthread, or stop what else is running.",
-        100 * machine.speed.linear / machine.speed.multiply_add_peak));
+        100 * machine.speed.matrix_product / machine.speed.multiply_add_peak));
   }
   if (machine.threads < machine.cores) {
     list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
@@ -121,8 +121,10 @@ nlohmann::ordered_json machine_json(const Machine& machine) {
           {"total_memory_bytes", machine.total_memory},
           {"available_memory_bytes", machine.available_memory},
           {"multiply_add_gflops", machine.speed.multiply_add_peak / 1e9},
-          {"sgemm_gflops", machine.speed.linear / 1e9},
-          {"attention_gflops", machine.speed.attention / 1e9}};
+          {"sgemm_gflops", machine.speed.matrix_product / 1e9},
+          {"linear_gflops", machine.speed.linear / 1e9},
+          {"attention_gflops", machine.speed.attention / 1e9},
+          {"loading_gigabytes_per_second", machine.speed.loading / 1e9}};
 }
 
 std::string machine_text(const Machine& machine) {
@@ -132,12 +134,15 @@ std::string machine_text(const Machine& machine) {
       "processor        {} cores, {} threads in use, {} vectors\n"
       "memory           {} of {} free\n"
       "multiply-adds    {:.0f} GFLOP/s (the peak)\n"
-      "matrix products  {:.0f} GFLOP/s, {:.0f} % of the peak\n"
-      "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n",
+      "BLAS products    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "linear layers    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "loading weights  {:.1f} GB/s\n",
       machine.torch, machine.blas, machine.cores, machine.threads, machine.instruction_set,
       bytes_text(machine.available_memory), bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9,
-      speed.linear / 1e9, 100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
-      100 * speed.attention / speed.multiply_add_peak);
+      speed.matrix_product / 1e9, 100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
+      100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
+      100 * speed.attention / speed.multiply_add_peak, speed.loading / 1e9);
 }
 
 }  // namespace

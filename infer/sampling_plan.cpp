@@ -1,11 +1,14 @@
 #include "infer/sampling_plan.h"
 
 #include "gld/attention.h"
+#include "gld/block_memory.h"
 #include "gld/cpu_peak.h"
 #include "gld/progress.h"
 #include "gld/sgemm_peak.h"
 #include "gld/stage_record.h"
+#include "gld/timing.h"
 #include "gld/torch_version.h"
+#include "gld/transposed_product.h"
 #include "infer/dit_speed.h"
 #include "infer/stage_speed.h"
 #include "models/branch_choice.h"
@@ -13,7 +16,7 @@
 
 #include <algorithm>
 #include <array>
-#include <chrono>
+#include <functional>
 #include <limits>
 
 #include <ATen/ops/randn.h>
@@ -24,26 +27,40 @@ namespace gld {
 namespace {
 
 constexpr int64_t kFloatBytes = 4;
-// The program, LibTorch's libraries and its allocator before any model is loaded, measured.
-constexpr int64_t kProgramBytes = 260'000'000;
+
+// The fastest of some runs after one that warms up, in seconds.
+double fastest_seconds(const std::function<void()>& run) {
+  constexpr int kRepeats = 3;
+  run();
+  double best = std::numeric_limits<double>::infinity();
+  for (int i = 0; i < kRepeats; ++i) best = std::min(best, seconds_of(run));
+  return best;
+}
+
+// A linear layer of DA3-Base's feed-forward part on one 504x504 image.
+double measure_linear_speed() {
+  constexpr int64_t kRows = 1296, kInputs = 768, kOutputs = 3072;
+  const torch::NoGradGuard no_gradients;
+  const auto x = at::randn({kRows, kInputs}), weight = at::randn({kOutputs, kInputs});
+  return 2.0 * kRows * kInputs * kOutputs / fastest_seconds([&] { times_transposed(x, weight); });
+}
+
+double measure_loading_speed() {
+  constexpr int64_t kCount = 16'000'000;
+  const auto stored = at::zeros({kCount}, at::kHalf);
+  release_kept_blocks();
+  return static_cast<double>(kCount * kFloatBytes) / seconds_of([&] { stored.to(at::kFloat); });
+}
 
 // Operations a second of softmax attention at head size 64: between the 48 and 128 of the published models.
 double measure_attention_speed() {
   constexpr int64_t kTokens = 1440, kHeads = 4, kHeadDim = 64;
-  constexpr int kRepeats = 3;
   AttentionInputs inputs;
   inputs.query = at::randn({1, kTokens, kHeads, kHeadDim});
   inputs.key = at::randn({1, kTokens, kHeads, kHeadDim});
   inputs.value = at::randn({1, kTokens, kHeads, kHeadDim});
   const torch::NoGradGuard no_gradients;
-  attention(inputs);
-  double best = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < kRepeats; ++i) {
-    const auto start = std::chrono::steady_clock::now();
-    attention(inputs);
-    best = std::min(best, std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
-  }
-  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / best;
+  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / fastest_seconds([&] { attention(inputs); });
 }
 
 bool guided_at(double t, const GuidanceOptions& guidance) {
@@ -103,6 +120,10 @@ int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& so
          options.encoder_width() * kFloatBytes;
 }
 
+int64_t latent_bytes(int64_t channels, const LatentGrid& grid) {
+  return grid.views * grid.tokens_per_view() * channels * kFloatBytes;
+}
+
 PlannedStage flow_stage(const std::string& name, const DitOptions& options, const SolverOptions& solver,
                         const PlanRequest& request) {
   PlannedStage stage;
@@ -119,13 +140,13 @@ PlannedStage flow_stage(const std::string& name, const DitOptions& options, cons
   const double kept = request.attention_share();
   stage.cost.attention_flop =
       kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
-  const int64_t state_bytes = request.grid.views *
-                              (request.grid.tokens_per_view() + options.num_special_tokens) *
-                              options.in_channels * kFloatBytes;
   const bool batched =
       stage.with_unconditional > 0 && choose_branches(request.guidance, options, request.grid).batched;
-  stage.peak_bytes = kProgramBytes + once.weight_bytes + (batched ? 2 : 1) * once.working_bytes +
-                     6 * state_bytes + kept_conditions_bytes(options, solver, request);
+  // Noise and latents of both levels, source features, the state, its next, and what the solver remembers.
+  constexpr int64_t kLatents = 8;
+  stage.memory.held = kLatents * latent_bytes(options.in_channels, request.grid) +
+                      kept_conditions_bytes(options, solver, request);
+  stage.memory.working = (batched ? 2 : 1) * once.working_bytes;
   stage.reason = fmt::format("{} evaluations, {} with the unconditional branch{}", stage.evaluations,
                              stage.with_unconditional, batched ? " in the same pass" : "");
   if (stage.parts.condition_encoder < stage.parts.velocity_decoder) {
@@ -142,8 +163,8 @@ PlannedStage single_stage(const std::string& name, const Cost& cost, const std::
   PlannedStage stage;
   stage.name = name;
   stage.cost = cost;
+  stage.memory.working = cost.working_bytes;
   stage.reason = reason;
-  stage.peak_bytes = kProgramBytes + cost.weight_bytes + cost.working_bytes;
   return stage;
 }
 
@@ -154,6 +175,33 @@ PlannedStage left_out(const std::string& name, const std::string& reason) {
   stage.evaluations = 0;
   stage.reason = reason;
   return stage;
+}
+
+// What each stage loads, and the latents that are there while a stage outside the flows runs.
+void predict_memory(std::vector<PlannedStage>& stages, const BundleOptions& bundle,
+                    const PlanRequest& request) {
+  struct Entry {
+    const char* stage;
+    BundlePart part;
+    int64_t latents;  // of all views: noise and latents of both levels, source features, levels to decode
+  };
+  constexpr Entry kEntries[] = {{"source encoding", BundlePart::kBackbone, 2},
+                                {"view pairs", BundlePart::kDptHead, 3},
+                                {"M1", BundlePart::kLevel1, 0},
+                                {"cascade", BundlePart::kCascade, 0},
+                                {"propagation", BundlePart::kBackbone, 6},
+                                {"RGB decoding", BundlePart::kRgbDecoder, 10},
+                                {"geometry", BundlePart::kDptHead, 10}};
+  const int64_t latent = latent_bytes(bundle.backbone.level_channels(), request.grid);
+  for (auto& stage : stages) {
+    if (!stage.runs) continue;
+    for (const auto& entry : kEntries) {
+      if (stage.name != entry.stage) continue;
+      stage.memory.weights = weight_bytes_of(entry.part, bundle);
+      stage.memory.held += entry.latents * latent;
+    }
+    stage.peak_bytes = predicted_peak_bytes(stage.memory);
+  }
 }
 
 LatentGrid with_views(LatentGrid grid, int64_t views) {
@@ -197,9 +245,16 @@ MachineSpeed measure_machine_speed() {
   measurement.settings.threads = thread_count();
   MachineSpeed speed;
   speed.multiply_add_peak = measure_multiply_add_peak(measurement);
-  speed.linear = measure_sgemm_peak();
+  speed.matrix_product = measure_sgemm_peak();
+  speed.linear = measure_linear_speed();
   speed.attention = measure_attention_speed();
+  speed.loading = measure_loading_speed();
   return speed;
+}
+
+double computing_seconds(const Cost& cost, const MachineSpeed& speed) {
+  return cost.linear_flop / speed.linear + cost.convolution_flop / speed.matrix_product +
+         cost.attention_flop / speed.attention;
 }
 
 double SamplingPlan::flop() const {
@@ -272,6 +327,7 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   } else {
     plan.stages.push_back(left_out("geometry", "no depth, rays or points were asked for"));
   }
+  predict_memory(plan.stages, bundle, request);
   return plan;
 }
 
@@ -286,10 +342,11 @@ void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
           measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
       stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
                       static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
-      continue;
+    } else {
+      stage.seconds = computing_seconds(stage.cost, speed);
+      if (stage.seconds < kShort) stage.seconds = measure_stage_seconds(stage.name, bundle, request);
     }
-    stage.seconds = stage.cost.linear_flop / speed.linear + stage.cost.attention_flop / speed.attention;
-    if (stage.seconds < kShort) stage.seconds = measure_stage_seconds(stage.name, bundle, request);
+    stage.seconds += static_cast<double>(stage.memory.weights) / speed.loading;
   }
 }
 

@@ -5,6 +5,7 @@
 #include "gld/stage_record.h"
 #include "infer/sample_options.h"
 #include "infer/sampling_method.h"
+#include "infer/stage_memory.h"
 #include "models/bundle_options.h"
 #include "models/cost_model.h"
 #include "models/dpt_head.h"
@@ -20,11 +21,14 @@ namespace gld {
 // How fast this machine computes, in floating-point operations a second, measured.
 struct MachineSpeed {
   double multiply_add_peak = 0;  // independent multiply-adds in registers: what fractions of peak refer to
-  double linear = 0;             // large matrix products
+  double matrix_product = 0;     // large products by BLAS; LibTorch's convolutions are about as fast
+  double linear = 0;             // linear layers as sampling computes them (gld/transposed_product.h)
   double attention = 0;          // softmax attention of the models' head sizes
+  double loading = 0;            // bytes a second of float32 weights made from float16 ones in fresh memory
 };
 // Takes about a second, with the present thread setting.
 MachineSpeed measure_machine_speed();
+double computing_seconds(const Cost& cost, const MachineSpeed& speed);
 
 // What sampling is planned for.
 struct PlanRequest {
@@ -61,9 +65,10 @@ struct PlannedStage {
   int64_t evaluations = 1;         // forward passes of the conditional branch
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
   PlannedRuns parts;               // how often a flow's parts run
-  Cost cost;                       // linear_flop and attention_flop of all passes together
-  double seconds = 0;              // predicted; 0 without a measured speed
-  int64_t peak_bytes = 0;          // predicted resident memory
+  Cost cost;                       // operations of all passes together
+  StageMemory memory;
+  double seconds = 0;      // predicted; 0 without a measured speed
+  int64_t peak_bytes = 0;  // predicted resident memory
 };
 
 struct SamplingPlan {
@@ -76,7 +81,7 @@ struct SamplingPlan {
 
 // The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
-// Fills in PlannedStage::seconds: of flows from runs of their models' parts (infer/dit_speed.h), of other stages from
+// Fills in PlannedStage::seconds, loading included: of flows from runs of their models' parts (infer/dit_speed.h), of other stages from
 // their operations and the machine's speed where they are long, otherwise from a run (infer/stage_speed.h). Takes a few
 // seconds at full size.
 void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,

@@ -1,5 +1,7 @@
 #include "models/cost_model.h"
 
+#include "models/adaptive_norm.h"
+
 #include <algorithm>
 #include <cmath>
 
@@ -34,8 +36,6 @@ Cost dit_stack_cost(const DitOptions& options, int64_t tokens, const StackShape&
   cost.attention_flop = blocks * attention_products(rows, rows, width);
   const auto parameters = blocks * (4 * width * width + 3 * width * hidden + 6 * width * width);
   cost.weight_bytes = static_cast<int64_t>(parameters) * kFloatBytes;
-  // Residual stream, its normalised copy, qkv and attention output.
-  cost.working_bytes = tokens * stack.width * 6 * kFloatBytes;
   return cost;
 }
 
@@ -46,7 +46,21 @@ void add_linear(Cost& cost, double rows, double inputs, double outputs) {
 
 // A k x k convolution on a map of that many pixels.
 void add_convolution(Cost& cost, double pixels, double inputs, double outputs, double kernel) {
-  add_linear(cost, pixels, inputs * kernel * kernel, outputs);
+  cost.convolution_flop += product(pixels, inputs * kernel * kernel, outputs);
+  cost.weight_bytes += static_cast<int64_t>(inputs * kernel * kernel * outputs) * kFloatBytes;
+}
+
+int64_t bytes_of_floats(double count) { return static_cast<int64_t>(count) * kFloatBytes; }
+
+// The most of a block, in floats: x, qkv and the attention's output; or x, that output, the result, and of a group of
+// tokens (by_view_groups) the modulation and what the feed-forward part makes.
+double block_floats(const DitOptions& options, int64_t width, const LatentGrid& grid) {
+  const int64_t per_view = grid.tokens_per_view() + options.num_special_tokens;
+  const auto tokens = static_cast<double>(grid.views * per_view);
+  const auto group =
+      static_cast<double>(std::min(grid.views, std::max<int64_t>(1, kTokensPerGroup / per_view)) * per_view);
+  const auto channels = static_cast<double>(width), hidden = static_cast<double>(options.swiglu_width(width));
+  return std::max(5 * tokens * channels, 3 * tokens * channels + group * (8 * channels + 3 * hidden));
 }
 
 }  // namespace
@@ -81,7 +95,15 @@ Cost dit_cost(const DitOptions& options, const LatentGrid& grid) {
   cost.linear_flop += encoder.linear_flop;
   cost.attention_flop += encoder.attention_flop;
   cost.weight_bytes += encoder.weight_bytes;
-  cost.working_bytes = std::max(cost.working_bytes, encoder.working_bytes);
+  // What a scene keeps (source halves of both embeddings, camera embedding), the embedded latent, and then a block of
+  // the condition encoder, or its output, its activation and a block of the velocity decoder.
+  const auto tokens = static_cast<double>(tokens_of(options, grid));
+  const auto encoder_width = static_cast<double>(options.encoder_width());
+  const auto decoder_width = static_cast<double>(options.decoder_width());
+  cost.working_bytes = bytes_of_floats(tokens * (3 * encoder_width + 2 * decoder_width) +
+                                       std::max(block_floats(options, options.encoder_width(), grid),
+                                                tokens * (encoder_width + decoder_width) +
+                                                    block_floats(options, options.decoder_width(), grid)));
   return cost;
 }
 
@@ -105,7 +127,8 @@ Cost backbone_cost(const Da3BackboneOptions& options, const LatentGrid& grid, in
     const auto patch_values = static_cast<double>(3 * options.patch_size * options.patch_size);
     add_linear(cost, rows, patch_values, width);
   }
-  cost.working_bytes = static_cast<int64_t>(rows * (width * 8 + hidden)) * kFloatBytes;
+  // The levels raw, contiguous and normalised (2 widths each), and a block: x, qkv, attention's output, hidden layer.
+  cost.working_bytes = bytes_of_floats(rows * (width * 22 + hidden));
   return cost;
 }
 
@@ -123,9 +146,9 @@ Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) 
   }
   add_linear(cost, rows, static_cast<double>(options.in_channels), width);
   add_linear(cost, rows, width, static_cast<double>(options.patch_values()));
+  // The levels of these views, one after the other and side by side, and a block.
   cost.working_bytes =
-      static_cast<int64_t>(rows * (width * 6 + hidden + static_cast<double>(options.in_channels))) *
-      kFloatBytes;
+      bytes_of_floats(rows * (width * 6 + hidden + 2 * static_cast<double>(options.in_channels)));
   return cost;
 }
 
@@ -157,10 +180,22 @@ Cost dpt_head_cost(const DptHeadOptions& options, const LatentGrid& grid, Geomet
                     features * static_cast<double>(options.aux_out1_conv_num) / 2, 3);
     add_convolution(cost, tokens * 64, features / 2, 32, 3);
   }
-  // One chunk of views at full resolution.
-  cost.working_bytes = static_cast<int64_t>(tokens / static_cast<double>(std::max<int64_t>(1, grid.views)) *
-                                            (patch_pixels * 96 + 64 * features * 4)) *
-                       kFloatBytes;
+  // Of a chunk of views: pyramid and fused maps, then the depth decoder's maps at full resolution, enlarged and with
+  // positions, or beside its hidden maps. Of all views the maps, and the chunks' maps that they are made of.
+  const double fused = 53 * features, enlarged = patch_pixels * features / 2;
+  const double ray_maps = 149 * features;
+  const double depth_maps =
+      fused + enlarged + std::max(2 * enlarged, 2 * patch_pixels * DptHead::kHiddenChannels);
+  const double outputs = 2 * ((maps != GeometryMaps::kRays ? 2 * patch_pixels : 0) +
+                              (maps != GeometryMaps::kDepth ? 7 * 64 : 0));
+  const auto per_view = static_cast<double>(grid.tokens_per_view());
+  const double chunk_tokens =
+      per_view * std::min(static_cast<double>(grid.views),
+                          std::max(1.0, std::floor(static_cast<double>(DptHead::kPixelsPerChunk) /
+                                                   (per_view * patch_pixels))));
+  cost.working_bytes = bytes_of_floats(
+      chunk_tokens * (maps == GeometryMaps::kRays ? ray_maps : std::max(ray_maps, depth_maps)) +
+      tokens * outputs);
   return cost;
 }
 

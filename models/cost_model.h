@@ -13,12 +13,13 @@ namespace gld {
 // Floating point operations (a multiplication and an addition are two) and memory of one forward pass of each part
 // (NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work is not.
 struct Cost {
-  double linear_flop = 0;     // matrix products with weights
-  double attention_flop = 0;  // q k^T and p v
-  int64_t weight_bytes = 0;   // in float32
-  int64_t working_bytes = 0;  // largest activations alive at one time, roughly
+  double linear_flop = 0;       // matrix products with weights
+  double convolution_flop = 0;  // of more than one pixel
+  double attention_flop = 0;    // q k^T and p v
+  int64_t weight_bytes = 0;     // of these products, in float32
+  int64_t working_bytes = 0;    // activations alive at one time while sampling, at most; roughly
 
-  double flop() const { return linear_flop + attention_flop; }
+  double flop() const { return linear_flop + convolution_flop + attention_flop; }
 };
 
 Cost condition_encoder_cost(const DitOptions& options, const LatentGrid& grid);

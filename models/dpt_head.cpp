@@ -12,11 +12,8 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kHiddenChannels = 32;  // of the last convolution of both decoders
-constexpr int64_t kDepthChannels = 2;    // depth, confidence
-constexpr int64_t kRayChannels = 7;      // direction, moment, confidence
-// One 504x504 image's depth decoder holds about 300 MB of maps.
-constexpr int64_t kPixelsPerChunk = 504 * 504;
+constexpr int64_t kDepthChannels = 2;  // depth, confidence
+constexpr int64_t kRayChannels = 7;    // direction, moment, confidence
 
 using Container = std::shared_ptr<torch::nn::Module>;
 

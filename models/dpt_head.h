@@ -51,13 +51,16 @@ class DptHead : public torch::nn::Module {
   // exp(+-80) is inside float32's normal range, with room for products with coordinates; no trained head
   // comes near it.
   static constexpr double kLargestLogit = 80;
+  static constexpr int64_t kHiddenChannels = 32;  // of the last convolution of both decoders
+  // Views are processed together up to this many pixels, whose depth decoder holds about 300 MB of maps.
+  static constexpr int64_t kPixelsPerChunk = 504 * 504;
 
   DptHead(const DptHeadOptions& options, const ParameterPlacement& placement);
 
   const DptHeadOptions& options() const { return options_; }
 
   // levels: the four decodable levels, (views, tokens, dim_in) each, patch tokens only. Views are processed
-  // in chunks of about one 504x504 image, so memory does not grow with them.
+  // in chunks of about one 504x504 image, so that only the maps it returns grow with them.
   GeometryOutput forward(const std::vector<torch::Tensor>& levels, const LatentGrid& grid,
                          GeometryMaps maps) const;
 

@@ -109,6 +109,8 @@ LoadReport load_strict(torch::nn::Module& module, const WeightFile& file, const 
   for (const auto& matched : match_strict(module, file, selection, report)) {
     set_tensor(matched.target, read_tensor(file, *matched.source),
                file.path().string() + ": tensor " + matched.source->name, report);
+    const bool shares_the_file = matched.target.is_cpu() && matched.target.data_ptr() == matched.source->data;
+    if (!shares_the_file) file.drop_pages(*matched.source);
   }
   return report;
 }
