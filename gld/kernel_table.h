@@ -122,6 +122,7 @@ struct ProductTile {
   const float* a;  // packed, `depth` x KernelTable::tile_rows
   const float* b;  // packed panels, `depth` x KernelTable::tile_lanes each, one after another
   int64_t depth;
+  int64_t summed;     // inputs that are summed up before they are added to y
   int64_t rows;       // at most tile_rows
   int64_t columns;    // of all panels
   bool first;         // sets y and adds the bias, instead of adding to y

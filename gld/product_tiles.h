@@ -38,15 +38,12 @@ GLD_INLINE void prefetch_tile(const ProductTile& tile, const float* y) {
   }
 }
 
-GLD_INLINE void product_panel(const ProductTile& tile, int64_t first_column) {
+// Adds a sum over some inputs to the tile's columns; the first one sets them, with the bias.
+GLD_INLINE void add_to_panel(const ProductTile& tile, int64_t first_column,
+                             const Vector (&c)[kTileRows][kTileVectors], bool first) {
   float* y = tile.y + first_column;
   const float* bias = tile.bias == nullptr ? nullptr : tile.bias + first_column;
   const int64_t left = tile.columns - first_column;
-  prefetch_tile(tile, y);
-  Vector c[kTileRows][kTileVectors];
-  clear_tile(c);
-  multiply_tile<kTileRows, kTileVectors>(tile.depth, tile.a, kTileRows, 1, tile.b + first_column * tile.depth,
-                                         kTileLanes, c);
   if (tile.rows == kTileRows && left >= kTileLanes) {
 #pragma GCC unroll 8
     for (int m = 0; m < kTileRows; ++m) {
@@ -54,8 +51,8 @@ GLD_INLINE void product_panel(const ProductTile& tile, int64_t first_column) {
       for (int n = 0; n < kTileVectors; ++n) {
         float* place = y + m * tile.y_stride + n * Simd::lanes;
         Vector sum = c[m][n];
-        if (!tile.first) sum = Simd::add(Simd::load(place), sum);
-        if (tile.first && bias != nullptr) sum = Simd::add(sum, Simd::load(bias + n * Simd::lanes));
+        if (!first) sum = Simd::add(Simd::load(place), sum);
+        if (first && bias != nullptr) sum = Simd::add(sum, Simd::load(bias + n * Simd::lanes));
         Simd::store(place, sum);
       }
     }
@@ -71,10 +68,23 @@ GLD_INLINE void product_panel(const ProductTile& tile, int64_t first_column) {
   for (int64_t m = 0; m < tile.rows; ++m) {
     for (int64_t n = 0; n < columns; ++n) {
       float sum = sums[m * kTileLanes + n];
-      if (!tile.first) sum = y[m * tile.y_stride + n] + sum;
-      if (tile.first && bias != nullptr) sum += bias[n];
+      if (!first) sum = y[m * tile.y_stride + n] + sum;
+      if (first && bias != nullptr) sum += bias[n];
       y[m * tile.y_stride + n] = sum;
     }
+  }
+}
+
+GLD_INLINE void product_panel(const ProductTile& tile, int64_t first_column) {
+  prefetch_tile(tile, tile.y + first_column);
+  const float* b = tile.b + first_column * tile.depth;
+  for (int64_t k = 0; k < tile.depth; k += tile.summed) {
+    Vector c[kTileRows][kTileVectors];
+    clear_tile(c);
+    const int64_t left = tile.depth - k, count = left < tile.summed ? left : tile.summed;
+    multiply_tile<kTileRows, kTileVectors>(count, tile.a + k * kTileRows, kTileRows, 1, b + k * kTileLanes,
+                                           kTileLanes, c);
+    add_to_panel(tile, first_column, c, tile.first && k == 0);
   }
 }
 

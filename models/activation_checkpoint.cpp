@@ -75,7 +75,7 @@ std::vector<torch::Tensor> gradients_of(const GroupFunction& function,
   const int64_t tokens = x.dim() > 2 ? x.size(1) : 1;
   const int64_t size = dependence == ViewDependence::kTogether
                            ? views
-                           : std::clamp<int64_t>(kTokensPerGroup / std::max<int64_t>(1, tokens), 1,
+                           : std::clamp<int64_t>(kTokensRecomputedAtOnce / std::max<int64_t>(1, tokens), 1,
                                                  std::max<int64_t>(1, views));
   std::vector<GradientOfGroups> sums(tensors.begin(), tensors.end());
   for (int64_t first = 0; first < views; first += size) {

@@ -19,8 +19,10 @@ using PartFunction = std::function<torch::Tensor(const torch::Tensor& x, const t
 torch::Tensor checkpointed(const PartFunction& part, const torch::Tensor& x,
                            const torch::Tensor& conditioning = {});
 
-// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for a few views at a time,
-// so that what the part makes on the way is never there for all of them. conditioning: of each view, or, where its
+constexpr int64_t kTokensRecomputedAtOnce = 1024;
+
+// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for about this many tokens
+// at a time, so that what the part makes on the way is never there for all of them. conditioning: of each view, or, where its
 // first dimension is 1, of all.
 torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tensor& x,
                                     const torch::Tensor& conditioning = {});

@@ -8,12 +8,17 @@
 
 namespace gld {
 
+int64_t views_per_group(int64_t views, int64_t tokens_per_view) {
+  constexpr int64_t kMostTokens = 1536;
+  const int64_t most = std::max<int64_t>(1, kMostTokens / std::max<int64_t>(1, tokens_per_view));
+  const int64_t groups = std::max<int64_t>(1, (views + most - 1) / most);
+  return std::max<int64_t>(1, (views + groups - 1) / groups);
+}
+
 torch::Tensor by_view_groups(const torch::Tensor& x,
                              const std::function<torch::Tensor(const ViewGroup&)>& part) {
   const int64_t views = x.size(0);
-  const int64_t size = torch::GradMode::is_enabled()
-                           ? views
-                           : std::max<int64_t>(1, kTokensPerGroup / std::max<int64_t>(1, x.size(1)));
+  const int64_t size = torch::GradMode::is_enabled() ? views : views_per_group(views, x.size(1));
   if (size >= views) return part({0, views});
   torch::Tensor whole;
   for (int64_t first = 0; first < views; first += size) {

@@ -1,6 +1,5 @@
 #include "models/branch_choice.h"
 
-#include "models/adaptive_norm.h"
 #include "models/cost_model.h"
 
 #include <fmt/format.h>
@@ -10,6 +9,7 @@ namespace gld {
 BranchChoice choose_branches(const GuidanceOptions& guidance, const DitOptions& model,
                              const LatentGrid& grid) {
   constexpr double kMegabyte = 1e6;
+  constexpr int64_t kTokensOfAFullPass = 1024;
   BranchChoice choice;
   choice.working_bytes = 2 * dit_cost(model, grid).working_bytes;
   const int64_t tokens = grid.views * (grid.tokens_per_view() + model.num_special_tokens);
@@ -23,7 +23,7 @@ BranchChoice choose_branches(const GuidanceOptions& guidance, const DitOptions& 
       choice.reason = "as asked";
       break;
     case BranchEvaluation::kAutomatic:
-      if (tokens >= kTokensPerGroup) {
+      if (tokens >= kTokensOfAFullPass) {
         choice.reason = fmt::format("{} tokens a branch: a batch would gain nothing", tokens);
         break;
       }

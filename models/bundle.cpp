@@ -1,6 +1,7 @@
 #include "models/bundle.h"
 
 #include "gld/atomic_file.h"
+#include "gld/block_memory.h"
 #include "gld/configuration.h"
 #include "gld/error.h"
 #include "gld/sha256.h"
@@ -106,6 +107,9 @@ std::shared_ptr<Module> ModelBundle::loaded(BundlePart part, const Options& opti
                                             const ParameterPlacement& placement) const {
   auto module = std::make_shared<Module>(options, placement);
   load_into(*module, part);
+  // The module's first parameters were replaced by those of the file; kept, their blocks would let later tensors take
+  // that much more memory.
+  release_kept_blocks();
   return module;
 }
 

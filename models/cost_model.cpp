@@ -57,8 +57,7 @@ int64_t bytes_of_floats(double count) { return static_cast<int64_t>(count) * kFl
 double block_floats(const DitOptions& options, int64_t width, const LatentGrid& grid) {
   const int64_t per_view = grid.tokens_per_view() + options.num_special_tokens;
   const auto tokens = static_cast<double>(grid.views * per_view);
-  const auto group =
-      static_cast<double>(std::min(grid.views, std::max<int64_t>(1, kTokensPerGroup / per_view)) * per_view);
+  const auto group = static_cast<double>(views_per_group(grid.views, per_view) * per_view);
   const auto channels = static_cast<double>(width), hidden = static_cast<double>(options.swiglu_width(width));
   return std::max(5 * tokens * channels, 3 * tokens * channels + group * (8 * channels + 3 * hidden));
 }

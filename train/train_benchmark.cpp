@@ -200,7 +200,7 @@ Stored stored_at_full_depth(const Size& size, ActivationStorage storage) {
 }
 
 // M1 at full depth, 8 views of 504x504, on the line through two smaller numbers of tokens. Both are more than the
-// backward pass meets at a time (kTokensPerGroup), so that what it needs for these is in the part that stays.
+// backward pass meets at a time (kTokensRecomputedAtOnce), so that what it needs for these is in the part that stays.
 void extrapolate_storage(std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
   const Size fewer = {4, 2, {252, 252}}, more = {6, 3, {252, 252}}, full = {8, 4, {504, 504}};

@@ -75,8 +75,9 @@ struct Shape {
 class MatrixProduct : public testing::TestWithParam<InstructionSet> {};
 
 TEST_P(MatrixProduct, AgreesWithDouble) {
-  const std::vector<Shape> shapes = {{1, 1, 1},    {7, 3, 5},      {8, 64, 48},     {49, 257, 193},
-                                     {64, 5, 400}, {130, 531, 95}, {1160, 40, 100}, {300, 300, 60}};
+  const std::vector<Shape> shapes = {{1, 1, 1},       {7, 3, 5},      {8, 64, 48},
+                                     {49, 257, 193},  {64, 5, 400},   {130, 531, 95},
+                                     {1160, 40, 100}, {300, 300, 60}, {61, 1701, 101}};
   for (const Shape& shape : shapes) {
     for (const int threads : {1, 3}) {
       for (const bool with_bias : {false, true}) {
