@@ -228,8 +228,8 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
     stop_if_interrupted("nothing was written yet");
   };
   for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
+    // Its blocks are kept for its next one, as between the evaluations of a flow.
     sample(ours, evaluate(setting, *setting.model));
-    release_kept_blocks();
     const LibraryTensorMemory library_memory;
     sample(plain, evaluate(setting, composed));
   }
