@@ -39,7 +39,8 @@ Command make_train_command() {
       "which the "
       "next kind takes. Order: backbone, decoder, then gld stats, level, cascade. --resume continues a run.";
   command.subcommands = {
-      stage_command("backbone", "A geometric backbone and its DPT head, from scratch on scenes with depth",
+      stage_command("backbone",
+                    "A geometric backbone and its DPT head on scenes with depth, or the head alone",
                     train_backbone),
       stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder),
       stage_command("level", "M_L, which generates the boundary level from noise", train_level),

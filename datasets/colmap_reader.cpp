@@ -20,17 +20,23 @@ std::filesystem::path find_colmap_image(const std::filesystem::path& folder, con
 
 }  // namespace
 
-ColmapView colmap_view(const ColmapModel& model, const ColmapImage& image, const std::string& where) {
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where) {
   const auto camera = model.cameras.find(image.camera_id);
   if (camera == model.cameras.end()) {
     fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
           "export the model again"});
   }
-  ColmapView view;
-  view.camera = &camera->second;
-  view.lens = colmap_lens(camera->second, where);
-  view.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
-  return view;
+  const ColmapLens lens = colmap_lens(camera->second, where);
+  FrameRecord record;
+  record.name = image_file.stem().string();
+  record.image_file = image_file;
+  record.camera_width = camera->second.width;
+  record.camera_height = camera->second.height;
+  record.intrinsics = lens.intrinsics;
+  record.lens = lens.lens;
+  record.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
+  return record;
 }
 
 bool ColmapReader::recognises(const std::filesystem::path& path) const {
@@ -53,20 +59,12 @@ Scene ColmapReader::read(const std::filesystem::path& path, const SceneReading& 
   for (const ColmapImage& image : model.images) {
     const std::string where = location.folder.string() + " " + image.name;
     builder.add(where, [&]() -> std::optional<Frame> {
-      FrameRecord record;
-      record.image_file = find_colmap_image(images, image.name, where);
-      if (record.image_file.empty()) {
+      const auto file = find_colmap_image(images, image.name, where);
+      if (file.empty()) {
         builder.add_missing(images / image.name);
         return std::nullopt;
       }
-      const ColmapView view = colmap_view(model, image, where);
-      record.name = record.image_file.stem().string();
-      record.camera_width = view.camera->width;
-      record.camera_height = view.camera->height;
-      record.intrinsics = view.lens.intrinsics;
-      record.lens = view.lens.lens;
-      record.world_from_camera = view.world_from_camera;
-      return maker.make(record);
+      return maker.make(colmap_record(model, image, file, where));
     });
   }
   builder.scene().points_in_world = model.points_in_world;

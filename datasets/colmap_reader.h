@@ -1,7 +1,11 @@
 #pragma once
 
 #include "datasets/colmap_model.h"
+#include "datasets/frame_pixels.h"
 #include "datasets/scene_reader.h"
+
+#include <filesystem>
+#include <string>
 
 namespace gld {
 
@@ -15,12 +19,8 @@ class ColmapReader : public SceneReader {
   Scene read(const std::filesystem::path& path, const SceneReading& reading) const override;
 };
 
-// The image's pose and camera; Error when its camera is not in the model.
-struct ColmapView {
-  Eigen::Isometry3d world_from_camera = Eigen::Isometry3d::Identity();
-  const ColmapCamera* camera = nullptr;
-  ColmapLens lens;
-};
-ColmapView colmap_view(const ColmapModel& model, const ColmapImage& image, const std::string& where);
+// What the model says of an image whose file was found: pose, lens and size. Error when its camera is not in the model.
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where);
 
 }  // namespace gld

@@ -35,10 +35,6 @@ Calibration choose_calibration(const std::filesystem::path& path) {
   return {};
 }
 
-LensCamera lens_camera(const ColmapView& view) {
-  return {view.camera->width, view.camera->height, view.lens.intrinsics, view.lens.lens};
-}
-
 // Cameras of the distorted images by the file name of their image.
 using LensesByName = std::map<std::string, LensCamera>;
 
@@ -49,8 +45,9 @@ LensesByName distorted_lenses(const std::filesystem::path& path) {
   const ColmapModel model = read_colmap_model(folder, ColmapForm::kText);
   for (const ColmapImage& image : model.images) {
     const std::string where = folder.string() + " " + image.name;
-    lenses[std::filesystem::path(image.name).filename().string()] =
-        lens_camera(colmap_view(model, image, where));
+    const auto file = std::filesystem::path(image.name).filename();
+    const FrameRecord record = colmap_record(model, image, file, where);
+    lenses[file.string()] = {record.camera_width, record.camera_height, record.intrinsics, record.lens};
   }
   return lenses;
 }
@@ -74,30 +71,23 @@ Scene Eth3dReader::read(const std::filesystem::path& path, const SceneReading& r
   for (const ColmapImage& image : model.images) {
     const std::string where = calibration.model.string() + " " + image.name;
     builder.add(where, [&]() -> std::optional<Frame> {
-      FrameRecord record;
-      record.image_file = inside(path / "images", image.name, where);
-      if (!std::filesystem::is_regular_file(record.image_file)) {
-        builder.add_missing(record.image_file);
+      const auto file = inside(path / "images", image.name, where);
+      if (!std::filesystem::is_regular_file(file)) {
+        builder.add_missing(file);
         return std::nullopt;
       }
-      const ColmapView view = colmap_view(model, image, where);
-      record.name = record.image_file.stem().string();
-      record.camera_width = view.camera->width;
-      record.camera_height = view.camera->height;
-      record.intrinsics = view.lens.intrinsics;
-      record.lens = view.lens.lens;
-      record.world_from_camera = view.world_from_camera;
-      const auto depth = depth_folder / record.image_file.filename();
-      const auto lens = distorted.find(record.image_file.filename().string());
+      FrameRecord record = colmap_record(model, image, file, where);
+      const auto depth = depth_folder / file.filename();
+      const auto lens = distorted.find(file.filename().string());
       if (std::filesystem::is_regular_file(depth) && calibration.distorted) {
-        record.load_depth = [depth, width = view.camera->width, height = view.camera->height] {
+        record.load_depth = [depth, width = record.camera_width, height = record.camera_height] {
           return read_depth_raw(depth, width, height);
         };
       } else if (std::filesystem::is_regular_file(depth) && lens != distorted.end()) {
         Camera ideal;
-        ideal.width = view.camera->width;
-        ideal.height = view.camera->height;
-        ideal.intrinsics = view.lens.intrinsics;
+        ideal.width = record.camera_width;
+        ideal.height = record.camera_height;
+        ideal.intrinsics = record.intrinsics;
         const auto undistorter = make_undistorter(ideal, lens->second);
         record.load_depth = [depth, undistorter, width = lens->second.width, height = lens->second.height] {
           return undistorter->depth(read_depth_raw(depth, width, height));

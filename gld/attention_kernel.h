@@ -50,6 +50,8 @@ struct ViewMask {
 struct KernelSettings {
   int threads = 1;
   InstructionSet instruction_set = best_instruction_set();
+  int64_t second_level_cache =
+      second_level_cache_bytes();  // decides how products are cut up, not what they give
 };
 
 struct AttentionForward {

@@ -1,5 +1,7 @@
 #include "gld/instruction_set.h"
 
+#include <unistd.h>
+
 namespace gld {
 
 std::vector<InstructionSet> available_instruction_sets() {
@@ -13,6 +15,17 @@ std::vector<InstructionSet> available_instruction_sets() {
 }
 
 InstructionSet best_instruction_set() { return available_instruction_sets().back(); }
+
+int64_t second_level_cache_bytes() {
+  static const int64_t bytes = [] {
+    int64_t known = 0;
+#ifdef _SC_LEVEL2_CACHE_SIZE
+    known = ::sysconf(_SC_LEVEL2_CACHE_SIZE);
+#endif
+    return known > 0 ? known : int64_t{256} << 10;
+  }();
+  return bytes;
+}
 
 std::string instruction_set_name(InstructionSet set) {
   switch (set) {

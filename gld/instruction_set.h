@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -13,6 +14,9 @@ enum class InstructionSet { kPortable, kAvx2, kAvx512 };
 std::vector<InstructionSet> available_instruction_sets();
 // The widest of them.
 InstructionSet best_instruction_set();
+
+// Bytes of the second-level cache of a core; 256 KiB where the system does not say.
+int64_t second_level_cache_bytes();
 
 // "portable", "AVX2" or "AVX-512".
 std::string instruction_set_name(InstructionSet set);

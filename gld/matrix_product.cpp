@@ -8,7 +8,6 @@
 #include <string>
 
 #include <omp.h>
-#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -23,15 +22,10 @@ constexpr int64_t kPartsAThread = 2;
 int64_t parts(int64_t count, int64_t most) { return (count + most - 1) / most; }
 
 // How many of these sums a block of packed weights takes. It stays in the second-level cache while all rows pass, as y
-// does in the first between its sums: 3 are 6 % faster than 1 with 1 MiB, where they take 576 KiB; 1 is for 256 KiB. The
-// result is the same.
-int64_t sums_a_block() {
-  static const int64_t sums = [] {
-    constexpr int64_t kBytes = kSummedInputs * kColumns * int64_t{sizeof(float)};
-    const int64_t cache = ::sysconf(_SC_LEVEL2_CACHE_SIZE);  // 0 or less where it is not known
-    return std::clamp<int64_t>(cache * 9 / 16 / kBytes, 1, 3);
-  }();
-  return sums;
+// does in the first between its sums: 3 are 6 % faster than 1 with 1 MiB, where they take 576 KiB; 1 is for 256 KiB.
+int64_t sums_a_block(int64_t cache) {
+  constexpr int64_t kBytes = kSummedInputs * kColumns * int64_t{sizeof(float)};
+  return std::clamp<int64_t>(cache / 16 * 9 / kBytes, 1, 3);
 }
 
 // Equal shares of count, none above most, rounded up to a multiple of step.
@@ -63,15 +57,15 @@ struct Plan {
   int64_t rows_a_part;
 };
 
-Plan make_plan(const LinearProduct& product, const KernelTable& kernels, int threads) {
+Plan make_plan(const LinearProduct& product, const KernelTable& kernels, const KernelSettings& settings) {
   Plan plan = {};
   plan.summed = share(product.inputs, kSummedInputs, 4);
-  plan.depth = plan.summed * sums_a_block();
+  plan.depth = std::min(plan.summed * sums_a_block(settings.second_level_cache), product.inputs);
   plan.columns = share(product.outputs, std::max(kColumns, kernels.tile_lanes), kernels.tile_lanes);
   plan.column_blocks = parts(product.outputs, plan.columns);
   plan.rows = share(product.rows, kRows, kernels.tile_rows);
-  const int64_t wanted = parts(kPartsAThread * threads, plan.column_blocks);
-  plan.row_parts = threads == 1 ? 1 : std::clamp<int64_t>(wanted, 1, parts(plan.rows, kRowsAPart));
+  const int64_t wanted = parts(kPartsAThread * settings.threads, plan.column_blocks);
+  plan.row_parts = settings.threads == 1 ? 1 : std::clamp<int64_t>(wanted, 1, parts(plan.rows, kRowsAPart));
   plan.rows_a_part = share(plan.rows, parts(plan.rows, plan.row_parts), kernels.tile_rows);
   return plan;
 }
@@ -112,7 +106,7 @@ void linear_product(const LinearProduct& product, const KernelSettings& settings
   check(product, settings);
   if (product.rows == 0) return;
   const KernelTable& kernels = kernel_table(settings.instruction_set);
-  const Plan plan = make_plan(product, kernels, settings.threads);
+  const Plan plan = make_plan(product, kernels, settings);
   const AlignedFloats packed_rows(plan.rows * product.inputs);
   const AlignedFloats packed_columns(settings.threads * plan.columns * plan.depth);
   for (int64_t first_row = 0; first_row < product.rows; first_row += plan.rows) {

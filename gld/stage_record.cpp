@@ -22,9 +22,10 @@ int64_t proc_bytes(const char* file, const std::string& name) {
 class RecordOnExit {
  public:
   RecordOnExit(std::vector<StageRecord>& records, std::string name)
-      : records_(records), name_(std::move(name)), start_(std::chrono::steady_clock::now()) {
+      : records_(records), name_(std::move(name)) {
     release_kept_blocks();  // of what ran between two stages
     reset_peak_resident_bytes();
+    start_ = std::chrono::steady_clock::now();
   }
   ~RecordOnExit() {
     StageRecord record;

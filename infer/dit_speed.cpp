@@ -5,10 +5,7 @@
 #include "models/cost_model.h"
 #include "models/dit_dh.h"
 
-#include <algorithm>
 #include <cmath>
-#include <functional>
-#include <limits>
 
 #include <torch/types.h>
 
@@ -47,18 +44,6 @@ Views cameras_in_a_row(const LatentGrid& grid, int64_t patch_size) {
   return views;
 }
 
-// The fastest of some runs after one that warms up: what disturbs one of a few runs must not slow down a forecast.
-double fastest_seconds(const std::function<void()>& run) {
-  constexpr double kEnough = 0.2;
-  constexpr int kFewestRuns = 2, kMostRuns = 15;
-  double sum = seconds_of(run), fastest = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < kFewestRuns || (sum < kEnough && i < kMostRuns); ++i) {
-    const double seconds = seconds_of(run);
-    sum += seconds;
-    fastest = std::min(fastest, seconds);
-  }
-  return fastest;
-}
 }  // namespace
 
 DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request, const MachineSpeed& speed) {
@@ -89,9 +74,9 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const std::vector<DitBranch> encoded = nodes ? std::vector<DitBranch>{DitBranch::kConditional} : branches;
   DitSpeed result;
   result.condition_encoder =
-      fastest_seconds([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
+      fastest_seconds_of([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
   const auto condition = model.condition_encoder_batch(scene, embedded, time, branches);
-  result.velocity_decoder = fastest_seconds([&] {
+  result.velocity_decoder = fastest_seconds_of([&] {
     const auto own = model.embed_noisy(scene, noisy);
     model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches));
   });

@@ -49,7 +49,7 @@ std::vector<std::string> complaints(const Machine& machine) {
         "libblas.so.3 is the reference BLAS, tens of times too slow: install libopenblas0-pthread.");
   } else if (machine.speed.matrix_product < 0.4 * machine.speed.multiply_add_peak) {
     list.push_back(fmt::format(
-        "Matrix products reach {:.0f} % of the multiply-add peak; a good BLAS reaches 75 % or more: install "
+        "BLAS products reach {:.0f} % of the multiply-add peak; a good BLAS reaches 75 % or more: install "
         "libopenblas0-pthread, or stop what else is running.",
         100 * machine.speed.matrix_product / machine.speed.multiply_add_peak));
   }

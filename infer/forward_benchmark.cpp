@@ -1,7 +1,6 @@
 #include "infer/forward_benchmark.h"
 
 #include "gld/atomic_file.h"
-#include "gld/block_memory.h"
 #include "gld/configuration.h"
 #include "gld/cpu_peak.h"
 #include "gld/error.h"

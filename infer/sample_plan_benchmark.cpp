@@ -192,7 +192,8 @@ SamplePlanBenchmarkOptions::SamplePlanBenchmarkOptions() : views(held_out_views(
 
 void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
-  visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {2, 100000});
+  visitor.integer({"synthetic", "number of generated scenes; with --scenes the most that are taken of them"},
+                  synthetic, {2, 100000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
   visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
@@ -221,6 +222,11 @@ void SamplePlanBenchmarkOptions::check() const {
   if (counts.size() < 2) {
     fail({"--counts", "at least two numbers of evaluations, to compare at equal work",
           std::to_string(counts.size()), "write for example 8,16"});
+  }
+  const auto repeated = std::adjacent_find(counts.begin(), counts.end(), std::greater_equal<>());
+  if (repeated != counts.end()) {
+    fail({"--counts", "each number once, in rising order",
+          fmt::format("{} before {}", *repeated, *std::next(repeated)), "write for example 8,16"});
   }
   if (views.most_sources >= views.views) {
     fail({"views.most_sources", "fewer sources than views", std::to_string(views.most_sources),

@@ -16,10 +16,9 @@
 
 #include <algorithm>
 #include <array>
-#include <functional>
-#include <limits>
 
 #include <ATen/ops/randn.h>
+#include <ATen/ops/zeros.h>
 
 #include <fmt/format.h>
 
@@ -28,21 +27,12 @@ namespace {
 
 constexpr int64_t kFloatBytes = 4;
 
-// The fastest of some runs after one that warms up, in seconds.
-double fastest_seconds(const std::function<void()>& run) {
-  constexpr int kRepeats = 3;
-  run();
-  double best = std::numeric_limits<double>::infinity();
-  for (int i = 0; i < kRepeats; ++i) best = std::min(best, seconds_of(run));
-  return best;
-}
-
 // A linear layer of DA3-Base's feed-forward part on one 504x504 image.
 double measure_linear_speed() {
   constexpr int64_t kRows = 1296, kInputs = 768, kOutputs = 3072;
   const torch::NoGradGuard no_gradients;
   const auto x = at::randn({kRows, kInputs}), weight = at::randn({kOutputs, kInputs});
-  return 2.0 * kRows * kInputs * kOutputs / fastest_seconds([&] { times_transposed(x, weight); });
+  return 2.0 * kRows * kInputs * kOutputs / fastest_seconds_of([&] { times_transposed(x, weight); });
 }
 
 double measure_loading_speed() {
@@ -60,7 +50,7 @@ double measure_attention_speed() {
   inputs.key = at::randn({1, kTokens, kHeads, kHeadDim});
   inputs.value = at::randn({1, kTokens, kHeads, kHeadDim});
   const torch::NoGradGuard no_gradients;
-  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / fastest_seconds([&] { attention(inputs); });
+  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / fastest_seconds_of([&] { attention(inputs); });
 }
 
 bool guided_at(double t, const GuidanceOptions& guidance) {
@@ -186,7 +176,7 @@ void predict_memory(std::vector<PlannedStage>& stages, const BundleOptions& bund
     int64_t latents;  // of all views: noise and latents of both levels, source features, levels to decode
   };
   constexpr Entry kEntries[] = {{"source encoding", BundlePart::kBackbone, 2},
-                                {"view pairs", BundlePart::kDptHead, 3},
+                                {"view pairs", BundlePart::kDptHead, 5},
                                 {"M1", BundlePart::kLevel1, 0},
                                 {"cascade", BundlePart::kCascade, 0},
                                 {"propagation", BundlePart::kBackbone, 6},
@@ -197,7 +187,8 @@ void predict_memory(std::vector<PlannedStage>& stages, const BundleOptions& bund
     if (!stage.runs) continue;
     for (const auto& entry : kEntries) {
       if (stage.name != entry.stage) continue;
-      stage.memory.weights = weight_bytes_of(entry.part, bundle);
+      // Without operations nothing is loaded: view pairs by the cameras alone.
+      stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(entry.part, bundle) : 0;
       stage.memory.held += entry.latents * latent;
     }
     stage.peak_bytes = predicted_peak_bytes(stage.memory);
@@ -344,7 +335,8 @@ void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
                       static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
     } else {
       stage.seconds = computing_seconds(stage.cost, speed);
-      if (stage.seconds < kShort) stage.seconds = measure_stage_seconds(stage.name, bundle, request);
+      if (stage.seconds < kShort && stage.cost.flop() > 0)
+        stage.seconds = measure_stage_seconds(stage.name, bundle, request);
     }
     stage.seconds += static_cast<double>(stage.memory.weights) / speed.loading;
   }

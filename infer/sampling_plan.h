@@ -18,7 +18,7 @@
 
 namespace gld {
 
-// How fast this machine computes, in floating-point operations a second, measured.
+// How fast this machine is, measured: floating-point operations a second, but for loading.
 struct MachineSpeed {
   double multiply_add_peak = 0;  // independent multiply-adds in registers: what fractions of peak refer to
   double matrix_product = 0;     // large products by BLAS; LibTorch's convolutions are about as fast
@@ -28,6 +28,7 @@ struct MachineSpeed {
 };
 // Takes about a second, with the present thread setting.
 MachineSpeed measure_machine_speed();
+// What these operations take at these speeds.
 double computing_seconds(const Cost& cost, const MachineSpeed& speed);
 
 // What sampling is planned for.
@@ -81,9 +82,9 @@ struct SamplingPlan {
 
 // The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
-// Fills in PlannedStage::seconds, loading included: of flows from runs of their models' parts (infer/dit_speed.h), of other stages from
-// their operations and the machine's speed where they are long, otherwise from a run (infer/stage_speed.h). Takes a few
-// seconds at full size.
+// Fills in PlannedStage::seconds, loading included: of flows from runs of their models' parts (infer/dit_speed.h), of
+// other stages from their operations and the machine's speed where they are long, otherwise from a run
+// (infer/stage_speed.h). Takes a few seconds at full size.
 void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed);
 

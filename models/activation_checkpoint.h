@@ -21,9 +21,9 @@ torch::Tensor checkpointed(const PartFunction& part, const torch::Tensor& x,
 
 constexpr int64_t kTokensRecomputedAtOnce = 1024;
 
-// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for about this many tokens
-// at a time, so that what the part makes on the way is never there for all of them. conditioning: of each view, or, where its
-// first dimension is 1, of all.
+// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for about
+// kTokensRecomputedAtOnce tokens at a time, so that what the part makes on the way is never there for all of them.
+// conditioning: of each view, or, where its first dimension is 1, of all.
 torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tensor& x,
                                     const torch::Tensor& conditioning = {});
 

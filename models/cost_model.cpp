@@ -126,7 +126,8 @@ Cost backbone_cost(const Da3BackboneOptions& options, const LatentGrid& grid, in
     const auto patch_values = static_cast<double>(3 * options.patch_size * options.patch_size);
     add_linear(cost, rows, patch_values, width);
   }
-  // The levels raw, contiguous and normalised (2 widths each), and a block: x, qkv, attention's output, hidden layer.
+  // The levels raw, contiguous and normalised (2 widths each) and a block's x, qkv, attention's output and hidden
+  // layer: 22 widths are what runs took with two and with four levels, to a fifth.
   cost.working_bytes = bytes_of_floats(rows * (width * 22 + hidden));
   return cost;
 }
@@ -145,9 +146,14 @@ Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) 
   }
   add_linear(cost, rows, static_cast<double>(options.in_channels), width);
   add_linear(cost, rows, width, static_cast<double>(options.patch_values()));
-  // The levels of these views, one after the other and side by side, and a block.
+  // The levels side by side, a block of a chunk of views, and the pixels of all: logits in parts and together, images
+  // before and after they are denormalised.
+  const double chunk_rows =
+      per_view *
+      std::min(views, std::max(1.0, std::floor(static_cast<double>(RgbDecoder::kTokensPerChunk) / per_view)));
   cost.working_bytes =
-      bytes_of_floats(rows * (width * 6 + hidden + 2 * static_cast<double>(options.in_channels)));
+      bytes_of_floats(rows * (static_cast<double>(options.in_channels + 3 * options.patch_values())) +
+                      chunk_rows * (width * 6 + hidden));
   return cost;
 }
 
@@ -159,7 +165,7 @@ Cost dpt_head_cost(const DptHeadOptions& options, const LatentGrid& grid, Geomet
   const double scales[] = {16, 4, 1, 0.25};
   for (size_t level = 0; level < options.out_channels.size(); ++level) {
     const auto channels = static_cast<double>(options.out_channels[level]);
-    add_linear(cost, tokens, static_cast<double>(options.dim_in), channels);
+    add_convolution(cost, tokens, static_cast<double>(options.dim_in), channels, 1);
     add_convolution(cost, tokens * scales[level], channels, features, 3);
   }
   const double branches = maps == GeometryMaps::kDepthAndRays ? 2 : 1;

@@ -14,7 +14,7 @@ namespace gld {
 // (NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work is not.
 struct Cost {
   double linear_flop = 0;       // matrix products with weights
-  double convolution_flop = 0;  // of more than one pixel
+  double convolution_flop = 0;  // those that LibTorch runs as such
   double attention_flop = 0;    // q k^T and p v
   int64_t weight_bytes = 0;     // of these products, in float32
   int64_t working_bytes = 0;    // activations alive at one time while sampling, at most; roughly

@@ -13,10 +13,6 @@
 namespace gld {
 namespace {
 
-// Views attend within themselves, so they can be decoded in groups; the widest activation of a group of this
-// many tokens is about 60 MB in the released decoder.
-constexpr int64_t kTokensPerChunk = 4096;
-
 // Sine-cosine positions of a square grid (ViT-MAE): (grid^2, channels), the first half of the channels from
 // the column, the second from the row, each sines then cosines at base 10000.
 torch::Tensor sine_cosine_positions(int64_t grid, int64_t channels) {

@@ -39,6 +39,9 @@ class RgbDecoderLayer;
 class RgbDecoder : public torch::nn::Module {
  public:
   static constexpr const char* kPrefix = "decoder.";
+  // Views attend within themselves, so they are decoded in groups; the widest activation of a group of this many tokens
+  // is about 60 MB in the released decoder.
+  static constexpr int64_t kTokensPerChunk = 4096;
 
   RgbDecoder(const RgbDecoderOptions& options, const ParameterPlacement& placement);
 

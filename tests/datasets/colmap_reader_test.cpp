@@ -41,8 +41,8 @@ TEST(Colmap, RealTextEqualsBinary) {
     EXPECT_EQ(text.images[i].name, binary.images[i].name);
     EXPECT_EQ(text.images[i].translation, binary.images[i].translation);
     // The text has quaternions of length 1 +- 1e-6, the binary file those of length 1.
-    const ColmapView a = colmap_view(text, text.images[i], "text");
-    const ColmapView b = colmap_view(binary, binary.images[i], "binary");
+    const FrameRecord a = colmap_record(text, text.images[i], "a.jpg", "text");
+    const FrameRecord b = colmap_record(binary, binary.images[i], "a.jpg", "binary");
     EXPECT_LT((a.world_from_camera.matrix() - b.world_from_camera.matrix()).cwiseAbs().maxCoeff(), 1e-13);
   }
 }

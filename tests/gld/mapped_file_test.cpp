@@ -3,10 +3,11 @@
 #include "gld/atomic_file.h"
 #include "tests/support/shared_data.h"
 
+#include <cstdint>
+#include <memory>
 #include <string>
 
 #include <gtest/gtest.h>
-#include <sys/mman.h>
 #include <unistd.h>
 
 namespace gld {

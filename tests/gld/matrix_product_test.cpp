@@ -90,6 +90,22 @@ TEST_P(MatrixProduct, AgreesWithDouble) {
   }
 }
 
+TEST_P(MatrixProduct, GivesTheSameBitsForAnyCache) {
+  Case small(60, 1701, 210, true), large(60, 1701, 210, true);
+  KernelSettings settings;
+  settings.instruction_set = GetParam();
+  settings.second_level_cache = int64_t{256} << 10;
+  linear_product(small.product, settings);
+  settings.second_level_cache = int64_t{2} << 20;
+  linear_product(large.product, settings);
+  for (int64_t row = 0; row < 60; ++row) {
+    for (int64_t output = 0; output < 210; ++output) {
+      const auto place = static_cast<std::size_t>(row * small.product.y_stride + output);
+      ASSERT_EQ(small.y[place], large.y[place]);
+    }
+  }
+}
+
 TEST_P(MatrixProduct, GivesTheSameBitsForAnyThreadsAndRows) {
   Case all(200, 300, 130, true), some(200, 300, 130, true);
   linear_product(all.product, {1, GetParam()});

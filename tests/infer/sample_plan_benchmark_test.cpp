@@ -34,6 +34,17 @@ PlanRow row_of(const std::string& family, const std::string& name, double flop, 
   return row;
 }
 
+TEST(SamplePlanBenchmark, WantsEachCountOnce) {
+  SamplePlanBenchmarkOptions options;
+  options.out = "run";
+  options.counts = {8, 8};
+  EXPECT_EQ(
+      error_of([&] { options.check(); }),
+      "--counts: expected each number once, in rising order, found 8 before 8; write for example 8,16.");
+  options.counts = {8, 16};
+  options.check();
+}
+
 TEST(SamplePlanBenchmark, ErrorsAreComparedAtEqualWork) {
   // A second-order method: four times the work, a sixteenth of the error.
   const std::vector<std::pair<double, double>> points{{4, 0.01}, {1, 0.16}, {2, 0.04}};

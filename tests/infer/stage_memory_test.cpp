@@ -56,7 +56,10 @@ int64_t tensor_bytes_of(const std::function<void()>& work) {
 
 class StageMemoryPrediction : public testing::Test {
  protected:
-  static void SetUpTestSuite() { keep_freed_tensor_memory(int64_t{1} << 30); }
+  static void SetUpTestSuite() {
+    keep_freed_tensor_memory(int64_t{1} << 30);
+    set_thread_count(1);  // every thread has scratch of its own
+  }
 };
 
 TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {

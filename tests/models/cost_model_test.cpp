@@ -1,5 +1,6 @@
 #include "models/cost_model.h"
 
+#include "models/adaptive_norm.h"
 #include "models/bundle_options.h"
 
 #include <gtest/gtest.h>
@@ -46,6 +47,17 @@ TEST(CostModel, WeightsAreThoseOfThePublishedModels) {
               0.03);
   EXPECT_NEAR(static_cast<double>(dit_cost(published(2), grid(8, 36, 36)).weight_bytes) / 4 / cascade, 1,
               0.03);
+}
+
+TEST(CostModel, GroupsOfViewsAreEqual) {
+  EXPECT_EQ(views_per_group(8, 180), 8);  // 1440 tokens
+  EXPECT_EQ(views_per_group(8, 360), 4);
+  EXPECT_EQ(views_per_group(10, 360), 4);  // three groups, of 4, 4 and 2
+  EXPECT_EQ(views_per_group(9, 500), 3);
+  EXPECT_EQ(views_per_group(8, 1296), 1);
+  EXPECT_EQ(views_per_group(8, 5000), 1);
+  EXPECT_EQ(views_per_group(1, 0), 1);
+  EXPECT_EQ(views_per_group(0, 64), 1);
 }
 
 TEST(CostModel, CostGrowsWithViewsAndDepth) {

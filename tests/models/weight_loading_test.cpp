@@ -59,6 +59,24 @@ class WeightLoading : public testing::Test {
   std::filesystem::path file_ = folder_.path() / "w.safetensors";
 };
 
+// A tensor of the file's memory is changed before loading: where it still is changed afterwards, its pages were kept.
+TEST_F(WeightLoading, GivesBackThePagesOfConvertedTensorsAlone) {
+  constexpr int64_t kChannels = 1 << 15, kMiddle = kChannels / 2;
+  const auto weights = saved({{"weight", torch::ones({kChannels}, torch::kFloat16)},
+                              {"bias", torch::ones({kChannels}, torch::kFloat32)}});
+  const auto middle = [&](const char* name) { return read_tensor(*weights, name)[kMiddle]; };
+  middle("weight").fill_(2);
+  middle("bias").fill_(2);
+  LayerNorm module(kChannels, 1e-6, ParameterPlacement{});
+  const auto report = load_strict(module, *weights);
+  EXPECT_EQ(report.shared, 1);
+  EXPECT_EQ(report.converted, 1);
+  EXPECT_EQ(module.weight[kMiddle].item<float>(), 2);
+  EXPECT_EQ(module.bias[kMiddle].item<float>(), 2);
+  EXPECT_EQ(middle("weight").item<float>(), 1);
+  EXPECT_EQ(middle("bias").item<float>(), 2);
+}
+
 TEST_F(WeightLoading, SetsEveryTensorWithoutACopy) {
   SmallModule module{ParameterPlacement{}};
   auto weights = saved(good_tensors());
