@@ -13,7 +13,7 @@ namespace {
 // images_N may hold another file type than the model names.
 std::filesystem::path find_colmap_image(const std::filesystem::path& folder, const std::string& name,
                                         const std::string& where) {
-  const auto file = inside(folder, name, where);
+  auto file = inside(folder, name, where);
   if (std::filesystem::is_regular_file(file)) return file;
   return find_image(file.parent_path(), file.stem().string());
 }

@@ -6,6 +6,8 @@
 
 #include <torch/autograd.h>
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -44,16 +46,19 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
       continue;
     }
     std::vector<std::string> known;
+    known.reserve(targets.size());
     for (const auto& target : targets) known.push_back(target.first);
     const auto similar = nearest_name(offer.first, known);
     fail({where, "no tensor beside the model's own", "the unexpected tensor " + printable_name(offer.first),
-          kCheckConfiguration + (similar.empty() ? "" : " (the model's nearest tensor is " + similar + ")")});
+          similar.empty()
+              ? kCheckConfiguration
+              : fmt::format("{} (the model's nearest tensor is {})", kCheckConfiguration, similar)});
   }
   for (const auto& [name, target] : targets) {
     const auto offer = offers.find(name);
     const std::string full = selection.prefix + name;
     if (offer == offers.end()) fail({where, "a tensor named " + full, "none", kCheckConfiguration});
-    check_offer(target, offer->second, where + ": tensor " + full);
+    check_offer(target, offer->second, fmt::format("{}: tensor {}", where, full));
   }
 }
 
@@ -62,7 +67,7 @@ const char* stripped(const std::string& name, const std::string& prefix) {
   return name.compare(0, prefix.size(), prefix) == 0 ? name.c_str() + prefix.size() : nullptr;
 }
 
-void set_tensor(torch::Tensor target, const torch::Tensor& value, const std::string& where,
+void set_tensor(const torch::Tensor& target, const torch::Tensor& value, const std::string& where,
                 LoadReport& report) {
   if (target.is_meta()) {
     fail({where, "a module with memory", "one on the meta device", "construct the module on the CPU or GPU"});
@@ -97,6 +102,7 @@ std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const W
   const auto targets = named_tensors(module);
   check_offers(targets, offers, file.path().string(), selection, report);
   std::vector<MatchedTensor> matched;
+  matched.reserve(targets.size());
   for (const auto& [name, target] : targets) {
     matched.push_back({name, target, &file.entry(selection.prefix + name)});
   }
@@ -122,15 +128,15 @@ LoadReport load_strict(torch::nn::Module& module, const std::map<std::string, to
   for (const auto& [full, tensor] : tensors) {
     const char* name = stripped(full, selection.prefix);
     if (name == nullptr) continue;
-    offers.emplace(
-        name, Offered{file_dtype(tensor.scalar_type(), where + ": tensor " + full), tensor.sizes().vec()});
+    offers.emplace(name, Offered{file_dtype(tensor.scalar_type(), fmt::format("{}: tensor {}", where, full)),
+                                 tensor.sizes().vec()});
   }
   const auto targets = named_tensors(module);
   LoadReport report;
   check_offers(targets, offers, where, selection, report);
   for (const auto& [name, target] : targets) {
     const std::string full = selection.prefix + name;
-    set_tensor(target, tensors.at(full), where + ": tensor " + full, report);
+    set_tensor(target, tensors.at(full), fmt::format("{}: tensor {}", where, full), report);
   }
   return report;
 }
