@@ -17,7 +17,7 @@ struct Cost {
   double convolution_flop = 0;  // those that LibTorch runs as such
   double attention_flop = 0;    // q k^T and p v
   int64_t weight_bytes = 0;     // of these products, in float32
-  int64_t working_bytes = 0;    // activations alive at one time while sampling, at most; roughly
+  int64_t working_bytes = 0;    // activations alive at one time while sampling, roughly; of a DiT only as a whole
 
   double flop() const { return linear_flop + convolution_flop + attention_flop; }
 };
