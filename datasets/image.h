@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -34,6 +35,9 @@ struct DepthMap {
   float& at(int64_t x, int64_t y) { return metres[static_cast<size_t>(y * width + x)]; }
   float at(int64_t x, int64_t y) const { return metres[static_cast<size_t>(y * width + x)]; }
 };
+
+// A value of a depth map that says something: positive and finite.
+inline bool is_known_depth(float depth) { return depth > 0 && std::isfinite(depth); }
 
 // Which pixels of an image show the scene: 1 valid, 0 not (borders left by undistortion, masked people).
 struct ValidityMask {

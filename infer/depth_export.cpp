@@ -30,8 +30,6 @@ double rounded_up(double value) {
 
 }  // namespace
 
-bool is_known_depth(float depth) { return depth > 0 && std::isfinite(depth); }
-
 double choose_depth_unit(const std::vector<DepthMap>& maps) {
   std::vector<float> known;
   for (const DepthMap& map : maps) {

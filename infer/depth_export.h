@@ -10,9 +10,6 @@
 
 namespace gld {
 
-// A value of a depth map that says something: positive and finite.
-bool is_known_depth(float depth);
-
 // Length of one step of 16-bit depth files that fits all maps of a run: 1, 2 or 5 times a power of ten, at least the
 // depth that all but outliers stay below, over 65535. Outliers are values more than four times the 99.5th
 // percentile, such as the overflow of an exponential; they saturate. 0.001 when no value is known.

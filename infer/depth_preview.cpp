@@ -1,7 +1,6 @@
 #include "infer/depth_preview.h"
 
 #include "infer/colour_map.h"
-#include "infer/depth_export.h"
 #include "infer/drawing.h"
 
 #include <algorithm>

@@ -1,7 +1,6 @@
 #include "infer/point_cloud.h"
 
 #include "gld/error.h"
-#include "infer/depth_export.h"
 
 #include <algorithm>
 #include <cmath>
