@@ -1,13 +1,13 @@
 #include "cli/bench_command.h"
 
-#include "infer/attention_benchmark.h"
-#include "infer/extremes_benchmark.h"
-#include "infer/forward_benchmark.h"
-#include "infer/sample_benchmark.h"
-#include "infer/sample_plan_benchmark.h"
-#include "infer/solver_benchmark.h"
-#include "infer/stiff_benchmark.h"
-#include "train/train_benchmark.h"
+#include "infer/bench/attention_benchmark.h"
+#include "infer/bench/extremes_benchmark.h"
+#include "infer/bench/forward_benchmark.h"
+#include "infer/bench/sample_benchmark.h"
+#include "infer/bench/sample_plan_benchmark.h"
+#include "infer/bench/solver_benchmark.h"
+#include "infer/bench/stiff_benchmark.h"
+#include "train/bench/train_benchmark.h"
 
 #include <memory>
 #include <string>

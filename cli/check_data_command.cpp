@@ -1,6 +1,6 @@
 #include "cli/check_data_command.h"
 
-#include "datasets/data_check.h"
+#include "datasets/check/data_check.h"
 
 namespace gld {
 

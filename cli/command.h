@@ -1,6 +1,6 @@
 #pragma once
 
-#include "gld/options.h"
+#include "gld/base/options.h"
 
 #include <functional>
 #include <memory>

@@ -1,6 +1,6 @@
 #include "cli/command.h"
-#include "gld/configuration.h"
-#include "gld/error.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
 
 #include <algorithm>
 #include <iostream>

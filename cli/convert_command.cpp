@@ -1,6 +1,6 @@
 #include "cli/convert_command.h"
 
-#include "models/conversion.h"
+#include "models/bundle/conversion.h"
 
 #include <iostream>
 #include <memory>

@@ -1,6 +1,6 @@
 #include "cli/doctor_command.h"
 
-#include "infer/doctor.h"
+#include "infer/forecast/doctor.h"
 
 #include <iostream>
 

@@ -1,6 +1,6 @@
 #include "cli/eval_command.h"
 
-#include "infer/evaluation.h"
+#include "infer/evaluate/evaluation.h"
 
 #include <iostream>
 #include <memory>

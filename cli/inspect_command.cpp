@@ -1,6 +1,6 @@
 #include "cli/inspect_command.h"
 
-#include "models/inspection.h"
+#include "models/bundle/inspection.h"
 
 #include <iostream>
 #include <memory>

@@ -1,6 +1,6 @@
 #include "cli/command.h"
 #include "cli/commands.h"
-#include "gld/torch_version.h"
+#include "gld/tensors/torch_version.h"
 
 #include <cstdint>
 #include <string>

@@ -1,6 +1,6 @@
 #include "cli/plan_command.h"
 
-#include "infer/sampling.h"
+#include "infer/sample/sampling.h"
 
 #include <iostream>
 

@@ -1,8 +1,8 @@
 #include "cli/reference_training.h"
 
-#include "infer/reference_dit.h"
-#include "infer/reference_runners.h"
-#include "train/diffusion_replay.h"
+#include "infer/verify/reference_dit.h"
+#include "infer/verify/reference_runners.h"
+#include "train/objectives/diffusion_replay.h"
 
 namespace gld {
 namespace {

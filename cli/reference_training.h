@@ -1,6 +1,6 @@
 #pragma once
 
-#include "infer/reference_case.h"
+#include "infer/verify/reference_case.h"
 
 namespace gld {
 

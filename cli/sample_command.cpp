@@ -1,6 +1,6 @@
 #include "cli/sample_command.h"
 
-#include "infer/sampling.h"
+#include "infer/sample/sampling.h"
 
 namespace gld {
 

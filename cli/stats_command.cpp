@@ -1,6 +1,6 @@
 #include "cli/stats_command.h"
 
-#include "train/latent_stages.h"
+#include "train/stages/latent_stages.h"
 
 #include <iostream>
 #include <memory>

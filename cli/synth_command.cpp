@@ -1,6 +1,6 @@
 #include "cli/synth_command.h"
 
-#include "datasets/synth.h"
+#include "datasets/synthetic/synth.h"
 
 namespace gld {
 

@@ -1,8 +1,8 @@
 #include "cli/train_command.h"
 
 #include "cli/validation_sheet.h"
-#include "train/feature_stages.h"
-#include "train/latent_stages.h"
+#include "train/stages/feature_stages.h"
+#include "train/stages/latent_stages.h"
 
 #include <iostream>
 #include <memory>

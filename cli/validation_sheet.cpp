@@ -1,8 +1,8 @@
 #include "cli/validation_sheet.h"
 
-#include "datasets/batching.h"
-#include "datasets/image_file.h"
-#include "infer/contact_sheet.h"
+#include "datasets/images/image_file.h"
+#include "datasets/loading/batching.h"
+#include "datasets/pictures/contact_sheet.h"
 
 #include <fmt/format.h>
 

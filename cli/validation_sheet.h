@@ -1,6 +1,6 @@
 #pragma once
 
-#include "train/objective.h"
+#include "train/loop/objective.h"
 
 #include <filesystem>
 

@@ -1,7 +1,7 @@
 #include "cli/verify_command.h"
 
 #include "cli/reference_training.h"
-#include "infer/verification.h"
+#include "infer/verify/verification.h"
 
 #include <algorithm>
 #include <iostream>

@@ -1,6 +1,6 @@
 #include "cli/command.h"
-#include "gld/atomic_file.h"
-#include "gld/error.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
 #include "tests/support/shared_data.h"
 
 #include <stdexcept>

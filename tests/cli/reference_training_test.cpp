@@ -1,6 +1,6 @@
 #include "cli/reference_training.h"
 
-#include "infer/verification.h"
+#include "infer/verify/verification.h"
 #include "tests/support/shared_data.h"
 
 #include <gtest/gtest.h>

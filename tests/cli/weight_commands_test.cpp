@@ -1,7 +1,7 @@
 #include "cli/convert_command.h"
 #include "cli/inspect_command.h"
-#include "gld/weight_tensors.h"
-#include "models/bundle.h"
+#include "gld/tensors/weight_tensors.h"
+#include "models/bundle/bundle.h"
 #include "tests/support/shared_data.h"
 
 #include <string>

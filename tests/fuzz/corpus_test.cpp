@@ -1,6 +1,6 @@
 // Replays the fuzzers' corpus, and every file of it cut short and with single bytes changed.
 
-#include "gld/atomic_file.h"
+#include "gld/base/atomic_file.h"
 #include "tests/fuzz/readers.h"
 #include "tests/support/shared_data.h"
 

@@ -1,10 +1,10 @@
 #include "tests/fuzz/readers.h"
 
-#include "gld/error.h"
-#include "gld/npy.h"
-#include "gld/safetensors.h"
-#include "gld/torch_archive.h"
-#include "gld/zip_archive.h"
+#include "gld/base/error.h"
+#include "gld/files/npy.h"
+#include "gld/files/safetensors.h"
+#include "gld/files/torch_archive.h"
+#include "gld/files/zip_archive.h"
 
 #include <string>
 #include <vector>

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "gld/attention_kernel.h"
+#include "gld/kernels/attention_kernel.h"
 
 #include <cstdint>
 #include <vector>

@@ -1,7 +1,7 @@
 #pragma once
 
-#include "gld/dtype.h"
-#include "gld/zip_archive.h"
+#include "gld/files/dtype.h"
+#include "gld/files/zip_archive.h"
 
 #include <cstdint>
 #include <map>

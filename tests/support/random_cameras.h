@@ -1,6 +1,6 @@
 #pragma once
 
-#include "gld/camera.h"
+#include "gld/cameras/camera.h"
 
 #include <cmath>
 #include <random>

@@ -1,6 +1,6 @@
 #include "tests/support/shared_data.h"
 
-#include "gld/error.h"
+#include "gld/base/error.h"
 
 #include <cstdlib>
 #include <stdexcept>

@@ -1,8 +1,8 @@
 // gld_write_random_bundle FOLDER small|released|MODEL.yaml [SEED]: a model bundle with random weights, for
 // measurements and tests. "released" has the published sizes: 7.5 GB, written tensor by tensor.
 
-#include "gld/configuration.h"
-#include "models/random_bundle.h"
+#include "gld/base/configuration.h"
+#include "models/bundle/random_bundle.h"
 
 #include <exception>
 #include <iostream>

@@ -1,8 +1,8 @@
 #pragma once
 
-#include "models/bundle_options.h"
-#include "train/training_data.h"
-#include "train/training_loop.h"
+#include "models/bundle/bundle_options.h"
+#include "train/data/training_data.h"
+#include "train/loop/training_loop.h"
 
 namespace gld::test {
 

@@ -1,0 +1,259 @@
+#include "datasets/check/data_check.h"
+
+#include "datasets/check/depth_warp.h"
+#include "datasets/images/image_probe.h"
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+using Eigen::Vector2d;
+using Eigen::Vector3d;
+
+constexpr double kDegrees = 180 / 3.14159265358979323846;
+
+void widen(Span& span, double value, bool first) {
+  span.low = first ? value : std::min(span.low, value);
+  span.high = first ? value : std::max(span.high, value);
+}
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+Vector3d position(const Frame& frame) { return frame.camera.world_from_camera.translation(); }
+
+void measure_cameras(const Scene& scene, DataCheck& check) {
+  Vector3d centre = Vector3d::Zero();
+  std::vector<double> steps;
+  for (size_t i = 0; i < scene.frames.size(); ++i) {
+    const Camera& camera = scene.frames[i].camera;
+    const Eigen::Matrix3d& k = camera.intrinsics;
+    const bool first = i == 0;
+    widen(check.width, static_cast<double>(camera.width), first);
+    widen(check.height, static_cast<double>(camera.height), first);
+    widen(check.focal_x, k(0, 0), first);
+    widen(check.focal_y, k(1, 1), first);
+    widen(check.field_of_view, 2 * std::atan(0.5 * static_cast<double>(camera.width) / k(0, 0)) * kDegrees,
+          first);
+    centre += position(scene.frames[i]) / static_cast<double>(scene.frames.size());
+    check.largest_norm = std::max(check.largest_norm, position(scene.frames[i]).norm());
+    if (!first) steps.push_back((position(scene.frames[i]) - position(scene.frames[i - 1])).norm());
+  }
+  for (const Frame& frame : scene.frames)
+    check.extent = std::max(check.extent, (position(frame) - centre).norm());
+  check.median_step = median(steps);
+}
+
+bool sees(const Camera& camera, const Vector3d& point) {
+  const Vector3d in_camera = camera.camera_from_world() * point;
+  if (in_camera.z() <= 0) return false;
+  const Vector2d pixel = (camera.intrinsics * in_camera).hnormalized();
+  return pixel.x() >= 0 && pixel.y() >= 0 && pixel.x() < static_cast<double>(camera.width) &&
+         pixel.y() < static_cast<double>(camera.height);
+}
+
+// Share of a's view that b sees: of points, or of a grid at one distance.
+double overlap_by_points(const Camera& a, const Camera& b, const std::vector<Vector3d>& points) {
+  int64_t in_a = 0;
+  int64_t in_both = 0;
+  for (const Vector3d& point : points) {
+    if (!sees(a, point)) continue;
+    ++in_a;
+    in_both += sees(b, point) ? 1 : 0;
+  }
+  return in_a > 0 ? static_cast<double>(in_both) / static_cast<double>(in_a) : 0;
+}
+
+std::vector<Vector3d> grid_at(const Camera& camera, double distance) {
+  std::vector<Vector3d> points;
+  const Eigen::Matrix3d ray_from_pixel = camera.intrinsics.inverse();
+  for (int y = 0; y < 12; ++y) {
+    for (int x = 0; x < 12; ++x) {
+      const Vector3d pixel((x + 0.5) / 12 * static_cast<double>(camera.width),
+                           (y + 0.5) / 12 * static_cast<double>(camera.height), 1);
+      points.push_back(camera.world_from_camera * (distance * (ray_from_pixel * pixel)));
+    }
+  }
+  return points;
+}
+
+void measure_overlap(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
+  const size_t count = scene.frames.size();
+  if (count < 2) return;
+  const bool depth = check.frames_with_depth == check.frames;
+  const double distance = check.poses.median_depth;
+  if (!depth && scene.points_in_world.empty() && distance <= 0) return;
+  check.overlap_method = depth                            ? "by depth"
+                         : !scene.points_in_world.empty() ? "by sparse points"
+                                                          : "at the depth of matched points";
+  const size_t pairs = std::min<size_t>(count - 1, static_cast<size_t>(depth ? options.most_pairs : 100));
+  double sum = 0;
+  for (size_t i = 0; i < pairs; ++i) {
+    const Frame& a = scene.frames[i * (count - 1) / pairs];
+    const Frame& b = scene.frames[i * (count - 1) / pairs + 1];
+    if (depth) {
+      sum += warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.05).share_in_view;
+    } else {
+      sum += overlap_by_points(
+          a.camera, b.camera,
+          scene.points_in_world.empty() ? grid_at(a.camera, distance) : scene.points_in_world);
+    }
+  }
+  check.mean_overlap = sum / static_cast<double>(pairs);
+}
+
+// Decodes some frames evenly spread over the scene.
+void load_some(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
+  const size_t count = scene.frames.size();
+  const size_t wanted = std::min<size_t>(count, static_cast<size_t>(options.most_images));
+  bool any_depth = false;
+  for (size_t i = 0; i < wanted; ++i) {
+    const Frame& frame = scene.frames[i * count / wanted];
+    try {
+      if (frame.has_image()) frame.image();
+      if (!frame.has_depth()) continue;
+      for (float value : frame.depth().metres) {
+        if (value <= 0) continue;
+        widen(check.depth, value, !any_depth);
+        any_depth = true;
+      }
+    } catch (const Error& error) {
+      check.problems.emplace_back(error.what());
+    }
+  }
+}
+
+void look_for_turned_images(const Scene& scene, DataCheck& check) {
+  std::map<int, int64_t> orientations;
+  std::string example;
+  for (const Frame& frame : scene.frames) {
+    if (frame.image_file.empty() || frame.image_file.extension() == ".hdf5") continue;
+    const ImageFileInfo info = probe_image_file(frame.image_file);
+    if (info.orientation == 1) continue;
+    ++orientations[info.orientation];
+    ++check.turned_images;
+    const bool applied = info.turned() && info.width != frame.camera.width;
+    example = fmt::format("{} is stored as {}x{} and the camera is {}x{}, so the rotation is {}",
+                          frame.image_file.filename().string(), info.width, info.height, frame.camera.width,
+                          frame.camera.height, applied ? "applied" : "ignored");
+  }
+  for (const auto& [orientation, count] : orientations) {
+    check.notes.push_back(fmt::format("{} of {} images ask for a rotation by EXIF (orientation {}): {}.",
+                                      count, check.frames, orientation, example));
+  }
+}
+
+void look_at_principal_point(const Scene& scene, DataCheck& check) {
+  int64_t turned = 0;
+  for (const Frame& frame : scene.frames) {
+    const Camera& camera = frame.camera;
+    const auto width = static_cast<double>(camera.width);
+    const auto height = static_cast<double>(camera.height);
+    if (std::abs(width - height) < 0.1 * width) continue;
+    const Vector2d principal(camera.intrinsics(0, 2), camera.intrinsics(1, 2));
+    const double to_middle = (principal - Vector2d(0.5 * width, 0.5 * height)).norm();
+    const double to_turned = (principal - Vector2d(0.5 * height, 0.5 * width)).norm();
+    if (to_turned < 0.05 * width && to_turned < 0.3 * to_middle) ++turned;
+  }
+  if (2 * turned <= check.frames) return;
+  const Camera& camera = scene.frames.front().camera;
+  check.problems.push_back(
+      fmt::format("The intrinsics seem to belong to images turned by a quarter: the principal point ({:.1f}, "
+                  "{:.1f}) is the middle of "
+                  "{}x{}, not of {}x{}; rotate the images (EXIF) or the intrinsics.",
+                  camera.intrinsics(0, 2), camera.intrinsics(1, 2), camera.height, camera.width, camera.width,
+                  camera.height));
+}
+
+void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
+  const int64_t outliers = std::count_if(scene.frames.begin(), scene.frames.end(), [&](const Frame& frame) {
+    return position(frame).norm() > options.max_translation_norm;
+  });
+  if (outliers > 0) {
+    check.problems.push_back(
+        fmt::format("{} of {} cameras are farther from the origin than {} (max_translation_norm), the "
+                    "farthest at {:.4g}; "
+                    "training refuses them.",
+                    outliers, check.frames, options.max_translation_norm, check.largest_norm));
+  }
+  if (check.frames > 1 && check.extent < 1e-9) {
+    check.problems.emplace_back(
+        "All cameras are at the same place: without parallax there is no geometry to learn.");
+    return;
+  }
+  check.poses = test_pose_meanings(scene, options.most_pairs);
+  const PoseMeaning best = check.poses.best();
+  if (best == PoseMeaning::kAsRead) return;
+  check.problems.push_back(
+      fmt::format("The poses look like {}: {:.0f} % of {} comparisons ({}) agree then, {:.0f} % as read; "
+                  "convert them or choose "
+                  "another format.",
+                  pose_meaning_text(best), 100 * check.poses.evidence[static_cast<size_t>(best)].agreement,
+                  check.poses.comparisons, check.poses.method, 100 * check.poses.evidence.front().agreement));
+}
+
+}  // namespace
+
+DataCheckOptions::DataCheckOptions() { scene.broken_frames = BrokenFrames::kSkip; }
+
+void DataCheckOptions::visit(FieldVisitor& visitor) {
+  visitor.group({"scene", "how the scene is read"}, scene);
+  visitor.text({"out", "run folder for report.json and pictures; empty: only text"}, out);
+  visitor.integer({"most_scenes", "checked in a folder of scenes"}, most_scenes, {1, 1'000'000});
+  visitor.integer({"most_images", "decoded in each scene"}, most_images, {0, 1'000'000});
+  visitor.integer({"most_pairs", "of neighbouring frames compared"}, most_pairs, {1, 1000});
+  visitor.real({"max_translation_norm", "cameras farther from the origin are reported"}, max_translation_norm,
+               {0});
+}
+
+DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
+  DataCheck check;
+  check.scene = scene.name;
+  check.format = scene.format;
+  check.frames = static_cast<int64_t>(scene.frames.size());
+  check.missing_files = scene.missing_files;
+  check.broken_frames = scene.broken_frames;
+  check.notes = scene.warnings;
+  check.frames_with_depth = std::count_if(scene.frames.begin(), scene.frames.end(),
+                                          [](const Frame& frame) { return frame.has_depth(); });
+  measure_cameras(scene, check);
+  load_some(scene, options, check);
+  look_for_turned_images(scene, check);
+  look_at_principal_point(scene, check);
+  if (!check.problems.empty()) return check;  // comparing pixels of images that cannot be loaded helps nobody
+  look_at_poses(scene, options, check);
+  measure_overlap(scene, options, check);
+  if (check.mean_overlap >= 0 && check.mean_overlap < 0.3 && check.poses.best() == PoseMeaning::kAsRead) {
+    check.notes.push_back(
+        fmt::format("Neighbouring frames share only {:.0f} % of what they see.", 100 * check.mean_overlap));
+  }
+  return check;
+}
+
+DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options) {
+  SceneReading reading = options.scene;
+  reading.part = location.part;
+  try {
+    return check_scene(open_scene(location.path, reading), options);
+  } catch (const Error& error) {
+    DataCheck check;
+    check.scene = location.path.string();
+    check.format = "unreadable";
+    check.problems.emplace_back(error.what());
+    return check;
+  }
+}
+
+}  // namespace gld

@@ -1,0 +1,122 @@
+#include "datasets/check/data_check.h"
+#include "datasets/images/image_file.h"
+#include "datasets/pictures/camera_layout_picture.h"
+#include "gld/report/run_folder.h"
+
+#include <algorithm>
+#include <iostream>
+#include <memory>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+std::string span_text(const Span& span, const char* unit) {
+  if (span.high - span.low <= 1e-9 * span.high) return fmt::format("{:.6g}{}", span.low, unit);
+  return fmt::format("{:.6g} to {:.6g}{}", span.low, span.high, unit);
+}
+
+nlohmann::ordered_json span_json(const Span& span) { return {span.low, span.high}; }
+
+// Only one scene is asked for when the path is one.
+std::vector<SceneLocation> scenes_at(const std::filesystem::path& path, const DataCheckOptions& options) {
+  if (!options.scene.part.empty()) return {{path, options.scene.part}};
+  std::vector<SceneLocation> scenes = list_scenes(path, options.scene);
+  scenes.resize(std::min<size_t>(scenes.size(), static_cast<size_t>(options.most_scenes)));
+  return scenes;
+}
+
+}  // namespace
+
+std::string data_check_text(const DataCheck& check) {
+  std::string text = fmt::format("{} ({})\n", check.scene, check.format);
+  const auto line = [&](const char* name, const std::string& value) {
+    text += fmt::format("  {:<14} {}\n", name, value);
+  };
+  if (check.frames > 0) {
+    line("frames", fmt::format("{} ({} listed files missing, {} broken)", check.frames, check.missing_files,
+                               check.broken_frames));
+    line("size", span_text(check.width, "") + " x " + span_text(check.height, " pixels"));
+    line("focal length", span_text(check.focal_x, "") + " / " + span_text(check.focal_y, " pixels") +
+                             ", field of view " + span_text(check.field_of_view, " degrees"));
+    line("cameras", fmt::format("within {:.4g} of their middle, {:.4g} apart, at most {:.4g} from the origin",
+                                check.extent, check.median_step, check.largest_norm));
+    line("depth", check.frames_with_depth == 0
+                      ? std::string("none")
+                      : fmt::format("{} frames, {}", check.frames_with_depth, span_text(check.depth, "")));
+    line("overlap", check.mean_overlap < 0 ? std::string("unknown")
+                                           : fmt::format("{:.0f} % between neighbours ({})",
+                                                         100 * check.mean_overlap, check.overlap_method));
+    for (const PoseEvidence& evidence : check.poses.evidence) {
+      line(evidence.meaning == PoseMeaning::kAsRead ? "poses" : "",
+           fmt::format("{:3.0f} % agree as {}", 100 * evidence.agreement,
+                       pose_meaning_text(evidence.meaning)));
+    }
+    if (!check.poses.method.empty()) {
+      line("", fmt::format("({} comparisons: {})", check.poses.comparisons, check.poses.method));
+    }
+  }
+  for (const std::string& note : check.notes) line("note", note);
+  for (const std::string& problem : check.problems) line("PROBLEM", problem);
+  if (check.problems.empty()) line("result", "no mistakes found");
+  return text;
+}
+
+nlohmann::ordered_json data_check_json(const DataCheck& check) {
+  nlohmann::ordered_json object;
+  object["scene"] = check.scene;
+  object["format"] = check.format;
+  object["frames"] = check.frames;
+  object["missing_files"] = check.missing_files;
+  object["broken_frames"] = check.broken_frames;
+  object["frames_with_depth"] = check.frames_with_depth;
+  object["width"] = span_json(check.width);
+  object["height"] = span_json(check.height);
+  object["focal_x"] = span_json(check.focal_x);
+  object["focal_y"] = span_json(check.focal_y);
+  object["field_of_view"] = span_json(check.field_of_view);
+  object["depth"] = span_json(check.depth);
+  object["extent"] = check.extent;
+  object["largest_norm"] = check.largest_norm;
+  object["median_step"] = check.median_step;
+  if (check.mean_overlap >= 0) object["mean_overlap"] = check.mean_overlap;
+  object["turned_images"] = check.turned_images;
+  object["pose_method"] = check.poses.method;
+  object["pose_comparisons"] = check.poses.comparisons;
+  for (const PoseEvidence& evidence : check.poses.evidence) {
+    object["pose_agreement"][pose_meaning_text(evidence.meaning)] = evidence.agreement;
+  }
+  object["notes"] = check.notes;
+  object["problems"] = check.problems;
+  return object;
+}
+
+int run_data_check(const std::filesystem::path& path, const DataCheckOptions& options) {
+  const auto scenes = scenes_at(path, options);
+  std::unique_ptr<RunFolder> run;
+  if (!options.out.empty()) run = std::make_unique<RunFolder>(options.out, "check-data", options);
+  nlohmann::ordered_json report;
+  report["scenes"] = nlohmann::ordered_json::array();
+  size_t with_problems = 0;
+  for (size_t i = 0; i < scenes.size(); ++i) {
+    const DataCheck check = check_scene(scenes[i], options);
+    std::cout << data_check_text(check) << std::flush;
+    with_problems += check.problems.empty() ? 0 : 1;
+    report["scenes"].push_back(data_check_json(check));
+    if (run == nullptr || check.frames == 0) continue;
+    SceneReading reading = options.scene;
+    reading.part = scenes[i].part;
+    const std::string name = fmt::format("cameras_{:03}.png", i);
+    write_png(run->path() / name, draw_camera_layout(open_scene(scenes[i].path, reading)));
+    run->note("cameras of " + check.scene, name);
+  }
+  if (run != nullptr) {
+    run->write_report(report);
+    run->note("report", "report.json");
+    std::cout << run->closing_box();
+  }
+  return with_problems == 0 ? 0 : 1;
+}
+
+}  // namespace gld

@@ -1,0 +1,62 @@
+#include "datasets/formats/cameras_json_reader.h"
+
+#include "datasets/formats/cameras_json.h"
+#include "datasets/formats/depth_files.h"
+#include "datasets/formats/file_listing.h"
+#include "datasets/formats/frame_pixels.h"
+#include "gld/base/error.h"
+
+#include <optional>
+
+namespace gld {
+namespace {
+
+std::filesystem::path list_file(const std::filesystem::path& path) {
+  const auto file = path.filename() == "cameras.json" ? path : path / "cameras.json";
+  return std::filesystem::is_regular_file(file) ? file : std::filesystem::path();
+}
+
+}  // namespace
+
+bool CamerasJsonReader::recognises(const std::filesystem::path& path) const {
+  return !list_file(path).empty();
+}
+
+Scene CamerasJsonReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
+  const auto file = list_file(path);
+  if (file.empty())
+    fail({path.string(), "cameras.json", "none", "check the folder or choose another format"});
+  const auto folder = file.parent_path();
+  const CameraList cameras = read_cameras_json(file);
+  SceneBuilder builder(name(), folder, reading);
+  FrameMaker maker;
+  for (const CameraRecord& record : cameras.records) {
+    const std::string where = file.string() + " " + record.name;
+    builder.add(where, [&]() -> std::optional<Frame> {
+      if (record.image.empty())
+        fail({where, "an image", "a camera without one", "use the file as a camera path"});
+      FrameRecord frame;
+      frame.name = record.name;
+      frame.image_file = inside(folder, record.image, where);
+      if (!std::filesystem::is_regular_file(frame.image_file)) {
+        builder.add_missing(frame.image_file);
+        return std::nullopt;
+      }
+      frame.camera_width = record.camera.width;
+      frame.camera_height = record.camera.height;
+      frame.intrinsics = record.camera.intrinsics;
+      frame.world_from_camera = record.camera.world_from_camera;
+      if (!record.depth.empty()) {
+        const auto depth = inside(folder, record.depth, where);
+        frame.load_depth = [depth, unit = record.depth_unit] {
+          return is_image_name(depth) ? read_depth_png(depth, unit) : read_depth_npy(depth);
+        };
+      }
+      return maker.make(frame);
+    });
+  }
+  builder.scene().metric = cameras.metric;
+  return builder.finish();
+}
+
+}  // namespace gld

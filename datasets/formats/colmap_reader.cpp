@@ -1,0 +1,74 @@
+#include "datasets/formats/colmap_reader.h"
+
+#include "datasets/formats/file_listing.h"
+#include "datasets/formats/frame_pixels.h"
+#include "datasets/scenes/frame_checks.h"
+#include "gld/base/error.h"
+
+#include <optional>
+
+namespace gld {
+namespace {
+
+// images_N may hold another file type than the model names.
+std::filesystem::path find_colmap_image(const std::filesystem::path& folder, const std::string& name,
+                                        const std::string& where) {
+  auto file = inside(folder, name, where);
+  if (std::filesystem::is_regular_file(file)) return file;
+  return find_image(file.parent_path(), file.stem().string());
+}
+
+}  // namespace
+
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where) {
+  const auto camera = model.cameras.find(image.camera_id);
+  if (camera == model.cameras.end()) {
+    fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
+          "export the model again"});
+  }
+  const ColmapLens lens = colmap_lens(camera->second, where);
+  FrameRecord record;
+  record.name = image_file.stem().string();
+  record.image_file = image_file;
+  record.camera_width = camera->second.width;
+  record.camera_height = camera->second.height;
+  record.intrinsics = lens.intrinsics;
+  record.lens = lens.lens;
+  record.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
+  return record;
+}
+
+bool ColmapReader::recognises(const std::filesystem::path& path) const {
+  return !find_colmap_model(path).folder.empty();
+}
+
+Scene ColmapReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
+  const ColmapLocation location = find_colmap_model(path);
+  if (location.folder.empty()) {
+    fail({path.string(), marker(), "none", "check the folder or choose another format"});
+  }
+  const ColmapModel model = read_colmap_model(location.folder, location.form);
+  const auto images = find_image_folder(path, reading.image_folder);
+  if (images.empty()) {
+    fail({path.string(), "a folder of images beside the model (images or images_N)", "none",
+          "put the images there or name their folder with image_folder"});
+  }
+  SceneBuilder builder(name(), path, reading);
+  FrameMaker maker;
+  for (const ColmapImage& image : model.images) {
+    const std::string where = location.folder.string() + " " + image.name;
+    builder.add(where, [&]() -> std::optional<Frame> {
+      const auto file = find_colmap_image(images, image.name, where);
+      if (file.empty()) {
+        builder.add_missing(images / image.name);
+        return std::nullopt;
+      }
+      return maker.make(colmap_record(model, image, file, where));
+    });
+  }
+  builder.scene().points_in_world = model.points_in_world;
+  return builder.finish();
+}
+
+}  // namespace gld

@@ -1,0 +1,26 @@
+#pragma once
+
+#include "datasets/formats/colmap_model.h"
+#include "datasets/formats/frame_pixels.h"
+#include "datasets/formats/scene_reader.h"
+
+#include <filesystem>
+#include <string>
+
+namespace gld {
+
+// A COLMAP model in text or binary form (sparse/0 beside images or images_N, as Mip-NeRF 360 has them). Distortion is
+// undone on loading; intrinsics follow images_N. Images of the model that have no file are counted as missing.
+class ColmapReader : public SceneReader {
+ public:
+  std::string name() const override { return "colmap"; }
+  std::string marker() const override { return "sparse/0 with cameras.bin or cameras.txt"; }
+  bool recognises(const std::filesystem::path& path) const override;
+  Scene read(const std::filesystem::path& path, const SceneReading& reading) const override;
+};
+
+// What the model says of an image whose file was found: pose, lens and size. Error when its camera is not in the model.
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where);
+
+}  // namespace gld

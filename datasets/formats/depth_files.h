@@ -1,0 +1,22 @@
+#pragma once
+
+#include "datasets/images/image.h"
+
+#include <filesystem>
+
+namespace gld {
+
+// Depth as the layouts store it. Values that are not positive and finite become 0 (unknown).
+
+// (height, width) or (height, width, 1) of any floating type.
+DepthMap read_depth_npy(const std::filesystem::path& file);
+void write_depth_npy(const std::filesystem::path& file, const DepthMap& depth);  // float32
+
+// ETH3D: raw little-endian float32 without a header; Error when the file's size is not width * height * 4.
+DepthMap read_depth_raw(const std::filesystem::path& file, int64_t width, int64_t height);
+void write_depth_raw(const std::filesystem::path& file, const DepthMap& depth);
+
+// Replaces what is no depth by 0.
+void clear_unknown(DepthMap& depth);
+
+}  // namespace gld

@@ -1,0 +1,108 @@
+#include "datasets/formats/frame_pixels.h"
+
+#include "datasets/scenes/frame_checks.h"
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+namespace gld {
+namespace {
+
+// Two cameras with the same bytes undistort alike.
+std::string undistorter_key(const LensCamera& camera) {
+  const auto append = [](std::string& key, const auto& value) {
+    key.append(reinterpret_cast<const char*>(&value), sizeof(value));
+  };
+  std::string key;
+  append(key, camera.width);
+  append(key, camera.height);
+  for (int i = 0; i < 9; ++i) append(key, camera.intrinsics.data()[i]);
+  const LensDistortion& lens = camera.lens;
+  append(key, lens.model);
+  for (double value :
+       {lens.k1, lens.k2, lens.k3, lens.k4, lens.k5, lens.k6, lens.p1, lens.p2, lens.sx1, lens.sy1}) {
+    append(key, value);
+  }
+  return key;
+}
+
+template <class Value>
+std::vector<Value> nearest(const std::vector<Value>& source, const Undistorter::Size& from,
+                           const Undistorter::Size& to) {
+  std::vector<Value> result;
+  result.reserve(static_cast<size_t>(to.width * to.height));
+  for (int64_t y = 0; y < to.height; ++y) {
+    const int64_t row = (2 * y + 1) * from.height / (2 * to.height);
+    for (int64_t x = 0; x < to.width; ++x) {
+      result.push_back(
+          source[static_cast<size_t>(row * from.width + (2 * x + 1) * from.width / (2 * to.width))]);
+    }
+  }
+  return result;
+}
+
+void fit(std::vector<float>& values, int64_t& width, int64_t& height, const Undistorter::Size& to) {
+  if (width == to.width && height == to.height) return;
+  values = nearest(values, {width, height}, to);
+  width = to.width;
+  height = to.height;
+}
+
+}  // namespace
+
+Frame FrameMaker::make(const FrameRecord& record) {
+  const FittedImage fitted = fit_image(record.image_file, record.camera_width, record.camera_height);
+  if (!record.lens.finite()) {
+    fail({record.image_file.string(), "finite lens distortion", "a value that is not a number or infinite",
+          "check the camera model"});
+  }
+  Frame frame;
+  frame.name = record.name;
+  frame.image_file = record.image_file;
+  frame.camera.width = fitted.width;
+  frame.camera.height = fitted.height;
+  frame.camera.intrinsics = scaled_intrinsics(record.intrinsics, fitted);
+  frame.camera.world_from_camera = record.world_from_camera;
+  check_frame_camera(frame.camera, record.image_file.string());
+
+  std::shared_ptr<const Undistorter> undistorter;
+  if (!record.lens.ideal()) {
+    const LensCamera source{fitted.width, fitted.height, frame.camera.intrinsics, record.lens};
+    auto& shared = undistorters_[undistorter_key(source)];
+    if (!shared) shared = make_undistorter(frame.camera, source);
+    undistorter = shared;
+  }
+
+  const auto file = record.image_file;
+  const auto orientation = fitted.orientation;
+  frame.load_image = [file, orientation, undistorter] {
+    Image image = read_image(file, orientation);
+    return undistorter ? undistorter->image(image) : image;
+  };
+  const Undistorter::Size size{fitted.width, fitted.height};
+  if (record.load_depth) {
+    frame.load_depth = [load = record.load_depth, size, undistorter] {
+      DepthMap depth = load();
+      fit(depth.metres, depth.width, depth.height, size);
+      return undistorter ? undistorter->depth(depth) : depth;
+    };
+  }
+  if (record.load_validity) {
+    frame.load_validity = [load = record.load_validity, size, undistorter] {
+      ValidityMask mask = load();
+      if (mask.width != size.width || mask.height != size.height) {
+        mask.valid = nearest(mask.valid, {mask.width, mask.height}, size);
+        mask.width = size.width;
+        mask.height = size.height;
+      }
+      return undistorter ? undistorter->validity(mask) : mask;
+    };
+  } else if (undistorter) {
+    frame.load_validity = [undistorter] { return undistorter->validity(); };
+  }
+  return frame;
+}
+
+}  // namespace gld

@@ -1,0 +1,36 @@
+#pragma once
+
+#include "datasets/images/image.h"
+
+#include <filesystem>
+
+namespace gld {
+
+// What to do with the rotation that EXIF metadata asks for. Cameras belong to one of the two pictures; the scene
+// readers choose the one whose size is the camera's (datasets/formats/scene_builder.h).
+enum class ImageOrientation {
+  kAsStored,  // ignore EXIF
+  kUpright,   // turn as EXIF says
+};
+
+// A PNG or JPEG file as 8-bit RGB. 16-bit values are divided by 257, grey is repeated, transparent pixels are laid
+// over white. Throws Error when the file is missing, damaged, ends early or is one pixel wide or high.
+Image read_image(const std::filesystem::path& file,
+                 ImageOrientation orientation = ImageOrientation::kAsStored);
+
+// A 16-bit single-channel PNG times metres_per_unit; 0 stays 0 (unknown).
+DepthMap read_depth_png(const std::filesystem::path& file, double metres_per_unit);
+
+// A mask image: pixels above half brightness are valid.
+ValidityMask read_mask(const std::filesystem::path& file);
+
+// Lossless; the file appears whole or not at all.
+void write_png(const std::filesystem::path& file, const Image& image);
+
+// For writing photographs in a layout that wants JPEG; quality from 1 to 100.
+void write_jpeg(const std::filesystem::path& file, const Image& image, int quality);
+
+// 16-bit PNG of round(metres / metres_per_unit), saturating.
+void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit);
+
+}  // namespace gld

@@ -1,0 +1,165 @@
+#include "datasets/images/image_probe.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <fstream>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kLargestSide = 65535;
+constexpr std::streamsize kHeaderBytes =
+    1 << 18;  // more than most headers have; otherwise the whole file is read
+
+// How much of a file is looked at.
+enum class Extent { kHeader, kWhole };
+
+[[noreturn]] void fail_truncated(const std::string& where) {
+  fail({where, "a whole image file", "one that ends early", "copy or download it again"});
+}
+
+class Bytes {
+ public:
+  Bytes(const std::string& bytes, const std::string& where) : bytes_(bytes), where_(where) {}
+  size_t size() const { return bytes_.size(); }
+  uint8_t at(size_t offset) const {
+    if (offset >= bytes_.size()) fail_truncated(where_);
+    return static_cast<uint8_t>(bytes_[offset]);
+  }
+  uint32_t big16(size_t offset) const { return at(offset) << 8 | at(offset + 1); }
+  uint32_t big32(size_t offset) const { return big16(offset) << 16 | big16(offset + 2); }
+  uint32_t little16(size_t offset) const { return at(offset) | at(offset + 1) << 8; }
+  uint32_t little32(size_t offset) const { return little16(offset) | little16(offset + 2) << 16; }
+
+ private:
+  const std::string& bytes_;
+  const std::string& where_;
+};
+
+constexpr uint32_t kOrientationTag = 0x0112;
+
+// The orientation in a TIFF structure at [begin, end), 1 when it has none or is damaged: a picture with broken
+// metadata is still a picture.
+int tiff_orientation(const Bytes& bytes, size_t begin, size_t end) {
+  if (end > bytes.size() || end - begin < 8) return 1;
+  const bool little = bytes.at(begin) == 'I';
+  const auto read16 = [&](size_t offset) { return little ? bytes.little16(offset) : bytes.big16(offset); };
+  const auto read32 = [&](size_t offset) { return little ? bytes.little32(offset) : bytes.big32(offset); };
+  const size_t directory = begin + read32(begin + 4);
+  if (directory + 2 > end) return 1;
+  const size_t entries = read16(directory);
+  for (size_t i = 0; i < entries; ++i) {
+    const size_t entry = directory + 2 + 12 * i;
+    if (entry + 12 > end) return 1;
+    if (read16(entry) != kOrientationTag) continue;
+    const uint32_t value = read16(entry + 8);
+    return value >= 1 && value <= 8 ? static_cast<int>(value) : 1;
+  }
+  return 1;
+}
+
+ImageFileInfo probe_png(const Bytes& bytes, Extent extent, const std::string& where) {
+  ImageFileInfo info;
+  info.width = bytes.big32(16);
+  info.height = bytes.big32(20);
+  size_t offset = 8;
+  while (true) {
+    const size_t length = bytes.big32(offset);
+    const uint32_t type = bytes.big32(offset + 4);
+    const size_t next = offset + 12 + length;
+    if (type == 0x49444154 && extent == Extent::kHeader) return info;  // IDAT
+    if (next > bytes.size()) fail_truncated(where);
+    if (type == 0x65584966) {  // eXIf
+      info.orientation = tiff_orientation(bytes, offset + 8, offset + 8 + length);
+    }
+    if (type == 0x49454E44) return info;  // IEND
+    offset = next;
+  }
+}
+
+bool is_frame_header(uint8_t marker) {
+  // C4, C8 and CC share the number range but are tables and extensions.
+  return marker >= 0xC0 && marker <= 0xCF && marker != 0xC4 && marker != 0xC8 && marker != 0xCC;
+}
+
+// An end-of-image marker cannot occur inside compressed data, where 0xFF is always followed by 0.
+bool has_end_marker(const std::string& bytes, size_t scan) {
+  const char marker[] = {'\xFF', '\xD9'};
+  return std::search(bytes.begin() + static_cast<std::ptrdiff_t>(scan), bytes.end(), marker, marker + 2) !=
+         bytes.end();
+}
+
+ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent extent,
+                         const std::string& where) {
+  ImageFileInfo info;
+  size_t offset = 2;
+  while (true) {
+    while (bytes.at(offset) != 0xFF) ++offset;
+    while (bytes.at(offset) == 0xFF) ++offset;  // fill bytes
+    const uint8_t marker = bytes.at(offset++);
+    if (marker == 0x00 || marker == 0x01 || (marker >= 0xD0 && marker <= 0xD8)) continue;
+    if (marker == 0xD9) fail_truncated(where);
+    const size_t length = bytes.big16(offset);
+    if (length < 2 || offset + length > bytes.size()) fail_truncated(where);
+    if (is_frame_header(marker)) {
+      info.height = bytes.big16(offset + 3);
+      info.width = bytes.big16(offset + 5);
+    }
+    if (marker == 0xE1 && length >= 16 && text.compare(offset + 2, 6, std::string("Exif\0\0", 6)) == 0) {
+      info.orientation = tiff_orientation(bytes, offset + 8, offset + length);
+    }
+    if (marker == 0xDA) {
+      if (extent == Extent::kWhole && !has_end_marker(text, offset)) fail_truncated(where);
+      return info;
+    }
+    offset += length;
+  }
+}
+
+ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& where) {
+  const Bytes reader(bytes, where);
+  ImageFileInfo info;
+  if (bytes.compare(0, 8, "\x89PNG\r\n\x1A\n") == 0) {
+    info = probe_png(reader, extent, where);
+  } else if (bytes.compare(0, 2, "\xFF\xD8") == 0) {
+    info = probe_jpeg(reader, bytes, extent, where);
+  } else {
+    fail({where, "a PNG or JPEG image", bytes.empty() ? "an empty file" : "something else", "convert it"});
+  }
+  if (info.width < 2 || info.height < 2) {
+    fail({where, "an image at least 2 pixels wide and high",
+          std::to_string(info.width) + "x" + std::to_string(info.height), "leave it out"});
+  }
+  if (info.width > kLargestSide || info.height > kLargestSide) {
+    fail({where, "an image at most " + std::to_string(kLargestSide) + " pixels wide and high",
+          std::to_string(info.width) + "x" + std::to_string(info.height), "check the file"});
+  }
+  return info;
+}
+
+}  // namespace
+
+ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where) {
+  return probe(bytes, Extent::kWhole, where);
+}
+
+ImageFileInfo probe_image_file(const std::filesystem::path& file) {
+  std::error_code error;
+  const auto size = std::filesystem::file_size(file, error);
+  if (!error && size > static_cast<uintmax_t>(kHeaderBytes)) {
+    std::string start(static_cast<size_t>(kHeaderBytes), '\0');
+    std::ifstream stream(file, std::ios::binary);
+    if (stream.read(start.data(), kHeaderBytes)) {
+      try {
+        return probe(start, Extent::kHeader, file.string());
+      } catch (const Error&) {
+        // Either wrong or a longer header: the whole file tells.
+      }
+    }
+  }
+  return probe(read_file(file), Extent::kHeader, file.string());
+}
+
+}  // namespace gld

@@ -1,0 +1,16 @@
+#pragma once
+
+#include "datasets/images/image.h"
+
+#include <filesystem>
+
+namespace gld {
+
+// Portable float map, one channel, little-endian, rows from bottom to top as the format wants them. Values that are
+// not positive and finite are written as 0 (unknown). Atomic; Error when the map is not width x height.
+void write_pfm(const std::filesystem::path& file, const DepthMap& depth);
+
+// Throws Error when it is no one-channel PFM file or its size does not fit its header.
+DepthMap read_pfm(const std::filesystem::path& file);
+
+}  // namespace gld

@@ -1,0 +1,28 @@
+#pragma once
+
+#include "datasets/images/image.h"
+#include "gld/report/provenance.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// 16-bit grey pixels, row by row, (height, width).
+struct Grey16 {
+  int64_t width = 0;
+  int64_t height = 0;
+  std::vector<uint16_t> values;
+};
+
+// The bytes of a lossless PNG file with the texts as chunks behind its header (tEXt, or iTXt where a text is not
+// ASCII). Equal input gives equal bytes. Throws Error when the pixels are not width x height, or there are none.
+std::string encode_png(const Image& image, const TextItems& texts);
+std::string encode_png(const Grey16& image, const TextItems& texts);
+
+// All text chunks of a PNG file. Throws Error when it is no PNG, ends early, or a checksum is wrong.
+TextItems read_png_texts(const std::filesystem::path& file);
+
+}  // namespace gld

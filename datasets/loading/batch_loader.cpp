@@ -1,0 +1,113 @@
+#include "datasets/loading/batch_loader.h"
+
+#include "gld/base/error.h"
+
+#include <cmath>
+#include <sstream>
+#include <utility>
+
+namespace gld {
+namespace {
+
+// Why a sample was not taken; the kind decides which counter it goes to.
+struct Refusal {
+  enum class Kind { kShort, kOutlier } kind;
+  std::string sentence;
+};
+
+void check_positions(const Scene& scene, const SampledViews& sampled, double limit) {
+  for (int64_t index : sampled.frames) {
+    const Frame& frame = scene.frames[static_cast<size_t>(index)];
+    const double norm = frame.camera.world_from_camera.translation().norm();
+    if (std::isfinite(norm) && norm <= limit) continue;
+    std::ostringstream text;
+    text << scene.name << " " << frame.name << ": expected a camera within " << limit
+         << " of the origin (max_translation_norm), found one at " << norm << ".";
+    throw Refusal{Refusal::Kind::kOutlier, text.str()};
+  }
+}
+
+}  // namespace
+
+void BatchLoading::visit(FieldVisitor& visitor) {
+  visitor.integer({"batch_size", "scenes in a batch"}, batch_size, {1, 100'000});
+  visitor.integer({"seed", "of the choice of scenes, views and sizes"}, seed, {0});
+  visitor.real(
+      {"max_translation_norm",
+       "largest distance of a camera from the origin, in the scene's unit; samples beyond are refused"},
+      max_translation_norm, {0});
+  visitor.integer({"most_attempts", "to replace a sample that cannot be used"}, most_attempts, {1, 10'000});
+  visit_choice(visitor, {"parts", "what is loaded of each frame"}, parts, {"image", "image_and_depth"});
+}
+
+BatchLoader::BatchLoader(Mixture mixture, std::vector<WeightedSize> sizes, const BatchLoading& options)
+    : mixture_(std::move(mixture)), sizes_(std::move(sizes)), options_(options) {
+  choose_size(sizes_, 0, 0);  // refuses bad sizes now rather than in a thread
+}
+
+LoadingReport BatchLoader::report() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return report_;
+}
+
+LoadedBatch BatchLoader::load(uint64_t number) const {
+  LoadedBatch batch;
+  batch.number = number;
+  batch.size = choose_size(sizes_, static_cast<uint64_t>(options_.seed), number);
+  for (int64_t slot = 0; slot < options_.batch_size; ++slot) {
+    batch.scenes.push_back(load_scene(number, slot, batch.size));
+  }
+  return batch;
+}
+
+LoadedScene BatchLoader::try_scene(const SampleKey& key, const ImageSize& size) const {
+  const SampleChoice choice = mixture_.choose(key);
+  const MixturePart& part = mixture_.parts()[choice.part];
+  const Scene scene = part.dataset->scene(choice.scene);
+  const auto sampled = sample_views(part.views, static_cast<int64_t>(scene.frames.size()), key);
+  if (!sampled) {
+    throw Refusal{Refusal::Kind::kShort, scene.name + ": expected at least " +
+                                             std::to_string(part.views.views) + " frames, found " +
+                                             std::to_string(scene.frames.size()) + "."};
+  }
+  check_positions(scene, *sampled, options_.max_translation_norm);
+  LoadedScene loaded;
+  loaded.dataset = part.name;
+  loaded.scene = scene.name;
+  loaded.num_sources = sampled->num_sources;
+  loaded.metric = scene.metric;
+  for (int64_t index : sampled->frames) {
+    const Frame& frame = scene.frames[static_cast<size_t>(index)];
+    loaded.views.push_back(load_sized(frame, size, options_.parts));
+    loaded.frame_names.push_back(frame.name);
+  }
+  return loaded;
+}
+
+LoadedScene BatchLoader::load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const {
+  SampleKey key;
+  key.seed = static_cast<uint64_t>(options_.seed);
+  key.epoch = batch;
+  key.index = static_cast<uint64_t>(slot);
+  std::string problem;
+  for (int64_t attempt = 0; attempt < options_.most_attempts; ++attempt) {
+    key.attempt = static_cast<uint64_t>(attempt);
+    int64_t LoadingReport::*counter = &LoadingReport::broken_samples;
+    try {
+      return try_scene(key, size);
+    } catch (const Refusal& refusal) {
+      counter = refusal.kind == Refusal::Kind::kShort ? &LoadingReport::short_scenes
+                                                      : &LoadingReport::pose_outliers;
+      problem = refusal.sentence;
+    } catch (const Error& error) {
+      problem = error.what();
+    }
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++(report_.*counter);
+    report_.last_problem = problem;
+  }
+  fail({"data loading", "a usable sample within " + std::to_string(options_.most_attempts) + " attempts",
+        "none, the last because of: " + problem, "run gld check-data on the dataset"});
+}
+
+}  // namespace gld

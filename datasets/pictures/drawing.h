@@ -1,0 +1,46 @@
+#pragma once
+
+#include "datasets/images/image.h"
+#include "datasets/pictures/colour_map.h"
+
+#include <cstdint>
+#include <string>
+
+namespace gld {
+
+// Simple drawing on 8-bit images for previews and contact sheets. Everything is clipped to the image.
+
+struct PixelRect {
+  int64_t x = 0;
+  int64_t y = 0;
+  int64_t width = 0;
+  int64_t height = 0;
+};
+
+enum class TextWeight { kRegular, kBold };
+
+struct TextStyle {
+  int64_t size = 14;  // height of a capital letter in pixels, times 1.4
+  Rgb colour{235, 235, 235};
+  TextWeight weight = TextWeight::kRegular;
+};
+
+Image filled_image(int64_t width, int64_t height, const Rgb& colour);
+void fill_rect(Image& image, const PixelRect& rect, const Rgb& colour);
+
+// Copies picture with its top left corner at (x, y).
+void paste(Image& image, const Image& picture, int64_t x, int64_t y);
+
+// The picture at another size: averaged when smaller, cubic when larger.
+Image resized(const Image& picture, int64_t width, int64_t height);
+
+// Characters that are not printable ASCII are drawn as a question mark.
+int64_t text_width(const std::string& text, const TextStyle& style);
+
+// y is the top of a line of the style's size.
+void draw_text(Image& image, int64_t x, int64_t y, const std::string& text, const TextStyle& style);
+
+// The longest beginning of text that fits, with ".." behind it where something was cut off.
+std::string fitted_text(const std::string& text, int64_t width, const TextStyle& style);
+
+}  // namespace gld

@@ -1,0 +1,49 @@
+#pragma once
+
+#include "datasets/images/image.h"
+#include "datasets/scenes/scene.h"
+#include "gld/cameras/camera.h"
+#include "gld/cameras/image_size.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// 504x504, 504x378, 504x336, 504x280 (paper A.3).
+std::vector<ImageSize> published_sizes();
+
+// The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
+ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
+
+// A uniform resize that covers the target (up to rounding the other side to whole pixels), then a centred crop.
+struct ResizeCrop {
+  int64_t source_width = 0;
+  int64_t source_height = 0;
+  int64_t resized_width = 0;
+  int64_t resized_height = 0;
+  int64_t left = 0;
+  int64_t top = 0;
+  ImageSize target;
+};
+ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target);
+
+// The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
+Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
+// Area averaging when shrinking, bicubic when growing.
+Image resize_crop(const Image& image, const ResizeCrop& plan);
+// Nearest pixel centre: depth is never averaged over an edge.
+DepthMap resize_crop(const DepthMap& depth, const ResizeCrop& plan);
+ValidityMask resize_crop(const ValidityMask& mask, const ResizeCrop& plan);
+
+// A frame loaded at a trained size. depth and validity are empty when not asked for or not there.
+struct SizedFrame {
+  Camera camera;
+  Image image;
+  DepthMap depth;
+  ValidityMask validity;
+};
+enum class FrameParts { kImage, kImageAndDepth };
+SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts);
+
+}  // namespace gld

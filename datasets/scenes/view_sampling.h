@@ -1,0 +1,51 @@
+#pragma once
+
+#include "gld/base/options.h"
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+namespace gld {
+
+enum class SourceChoice {
+  kRandom,       // training: a random number of sources, chosen at random among the views
+  kInterpolate,  // evaluation: sources spread evenly from the first view to the last, targets between them
+  kPrefix,       // evaluation: the first views are the sources
+};
+
+// Which frames of a video make a training scene (paper A.3): a random start, then independent uniform intervals.
+struct ViewSampling : OptionsGroup {
+  int64_t views = 8;
+  int64_t shortest_interval = 1;  // frames between neighbouring views
+  int64_t longest_interval = 20;
+  int64_t fewest_sources = 1;
+  int64_t most_sources = 4;
+  SourceChoice sources = SourceChoice::kRandom;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Everything random in a choice follows from these numbers.
+struct SampleKey {
+  uint64_t seed = 0;
+  uint64_t epoch = 0;
+  uint64_t index = 0;
+  uint64_t attempt = 0;  // counts up when a choice could not be loaded
+};
+
+struct SampledViews {
+  std::vector<int64_t> frames;  // sources first; within each part in the order of the video
+  int64_t num_sources = 0;
+};
+
+// Nothing when the video has fewer frames than views. In a short video the longest interval shrinks so that all
+// views fit, as in the published loader. The evaluation modes take most_sources sources.
+std::optional<SampledViews> sample_views(const ViewSampling& sampling, int64_t num_frames,
+                                         const SampleKey& key);
+
+// The views of an evaluation: `views` frames evenly spread over the whole video instead of a random start.
+std::optional<SampledViews> spread_views(const ViewSampling& sampling, int64_t num_frames);
+
+}  // namespace gld

@@ -1,0 +1,36 @@
+#pragma once
+
+#include "datasets/scenes/seeded_random.h"
+#include "datasets/synthetic/synthetic_world.h"
+#include "gld/cameras/camera.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+struct ObjectCount {
+  int64_t minimum = 3;
+  int64_t maximum = 8;
+};
+
+// A furnished room: textured walls with pictures, one or two lamps, and that many things (boxes, balls, columns,
+// tables, stacks) standing on the floor without touching each other.
+SyntheticWorld draw_world(SeededRandom& random, const ObjectCount& objects);
+
+struct PathDraw {
+  int64_t frames = 24;
+  int64_t width = 112;
+  int64_t height = 112;
+  double field_of_view_low = 50;   // degrees, across the larger side
+  double field_of_view_high = 75;  // degrees
+};
+
+// A smooth camera path through the free space of the room that looks at its middle: an arc around it, a walk towards
+// it, or a walk past it. Neighbours see mostly the same things. At least 0.3 m from everything.
+std::vector<Camera> draw_camera_path(SeededRandom& random, const SyntheticWorld& world, const PathDraw& path);
+
+// A camera at eye that looks at target, upright in a world whose z axis points up.
+Eigen::Isometry3d look_at(const Eigen::Vector3d& eye, const Eigen::Vector3d& target);
+
+}  // namespace gld

@@ -1,0 +1,35 @@
+#pragma once
+
+#include "datasets/scenes/seeded_random.h"
+
+#include <cstdint>
+
+#include <Eigen/Core>
+
+namespace gld {
+
+enum class Pattern { kPlain, kChecker, kStripes, kBricks, kTiles, kDots, kMarble, kWood, kPainting };
+
+// A procedural texture over surface coordinates in metres (a painting: over [0, 1] x [0, 1]).
+struct Material {
+  Pattern pattern = Pattern::kPlain;
+  Eigen::Vector3d first = Eigen::Vector3d::Ones();   // linear RGB in [0, 1]
+  Eigen::Vector3d second = Eigen::Vector3d::Zero();  // linear RGB in [0, 1]
+  double period = 1;                                 // metres
+  double angle = 0;                                  // radians, turns the pattern
+  uint64_t seed = 0;                                 // of the irregularities
+};
+
+// Linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.
+Eigen::Vector3d albedo(const Material& material, double u, double v, double footprint);
+
+// Linear RGB from hue in [0, 1), saturation and value in [0, 1] (the latter as seen on a screen).
+Eigen::Vector3d colour_from_hsv(double hue, double saturation, double value);
+
+// Draws of materials that suit a part of a room.
+Material draw_floor(SeededRandom& random);
+Material draw_wall(SeededRandom& random, double hue);
+Material draw_object(SeededRandom& random);
+Material draw_painting(SeededRandom& random);
+
+}  // namespace gld

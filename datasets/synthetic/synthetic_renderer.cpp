@@ -1,0 +1,251 @@
+#include "datasets/synthetic/synthetic_renderer.h"
+
+#include "datasets/scenes/frame_checks.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+namespace gld {
+namespace {
+
+using Eigen::Vector2d;
+using Eigen::Vector3d;
+
+constexpr double kOffset = 1e-4;  // metres; keeps shadow rays off the surface they start from
+constexpr int kLampPoints = 16;
+constexpr int kSubPixels = 3;  // a side
+
+// Rays through pixel positions; the direction's z in the camera is 1, so that distances are planar depth.
+class PixelRays {
+ public:
+  explicit PixelRays(const Camera& camera)
+      : origin_(camera.world_from_camera.translation()), rotation_(camera.world_from_camera.linear()) {
+    const Eigen::Matrix3d& k = camera.intrinsics;
+    inverse_focal_ = {1 / k(0, 0), 1 / k(1, 1)};
+    centre_ = {k(0, 2), k(1, 2)};
+  }
+  Ray at(double x, double y) const {
+    return {origin_, rotation_ * Vector3d((x - centre_.x()) * inverse_focal_.x(),
+                                          (y - centre_.y()) * inverse_focal_.y(), 1)};
+  }
+  double pixel_size() const { return inverse_focal_.x(); }  // at unit depth
+
+ private:
+  Vector3d origin_;
+  Eigen::Matrix3d rotation_;
+  Vector2d inverse_focal_;
+  Vector2d centre_;
+};
+
+// Evenly spread points of the unit disc (a sunflower).
+std::array<Vector2d, kLampPoints> disc_points() {
+  std::array<Vector2d, kLampPoints> points;
+  for (int i = 0; i < kLampPoints; ++i) {
+    const double radius = std::sqrt((i + 0.5) / kLampPoints);
+    const double angle = 2.399963229728653 * i;
+    points[static_cast<size_t>(i)] = {radius * std::cos(angle), radius * std::sin(angle)};
+  }
+  return points;
+}
+
+const Decal* decal_at(const SyntheticWorld& world, const Hit& hit, int& index) {
+  if (hit.solid >= 0) return nullptr;
+  for (size_t i = 0; i < world.decals.size(); ++i) {
+    const Decal& decal = world.decals[i];
+    if (decal.face == hit.room_face && hit.u >= decal.low.x() && hit.u <= decal.high.x() &&
+        hit.v >= decal.low.y() && hit.v <= decal.high.y()) {
+      index = static_cast<int>(i);
+      return &decal;
+    }
+  }
+  return nullptr;
+}
+
+class Shader {
+ public:
+  explicit Shader(const SyntheticWorld& world) : world_(world), disc_(disc_points()) {}
+
+  // Which smooth patch a hit lies on; decals count.
+  int patch(const Hit& hit) const {
+    int index = 0;
+    if (decal_at(world_, hit, index) == nullptr) return hit.surface;
+    return 6 + 6 * static_cast<int>(world_.solids.size()) + index;
+  }
+
+  // Linear RGB seen along the ray.
+  Vector3d colour(const Hit& hit, const Ray& ray, double pixel_size) const {
+    int index = 0;
+    const Decal* decal = decal_at(world_, hit, index);
+    if (decal != nullptr && decal->glow > 0) return decal->material.first * decal->glow;
+    const double facing = std::abs(hit.normal.dot(ray.direction)) / ray.direction.norm();
+    const double footprint = hit.distance * pixel_size / std::max(facing, 0.2);
+    const Vector3d surface = decal != nullptr ? decal_colour(*decal, hit) : surface_colour(hit, footprint);
+    Vector3d light = world_.ambient * ((0.8 + 0.2 * hit.normal.z()) * openness(hit));
+    for (const Lamp& lamp : world_.lamps) light += from_lamp(lamp, hit);
+    return surface.cwiseProduct(light);
+  }
+
+ private:
+  Vector3d surface_colour(const Hit& hit, double footprint) const {
+    const Material& material = hit.solid >= 0 ? world_.solids[static_cast<size_t>(hit.solid)].material
+                                              : world_.room.faces[hit.room_face];
+    return albedo(material, hit.u, hit.v, footprint);
+  }
+
+  static Vector3d decal_colour(const Decal& decal, const Hit& hit) {
+    const Vector2d size = decal.high - decal.low;
+    return albedo(decal.material, (hit.u - decal.low.x()) / size.x(), (hit.v - decal.low.y()) / size.y(), 0);
+  }
+
+  // How much of the surroundings a point sees, roughly: less in corners and next to solids.
+  double openness(const Hit& hit) const {
+    const Room& room = world_.room;
+    const double distances[] = {room.half_x - hit.point.x(),
+                                room.half_x + hit.point.x(),
+                                room.half_y - hit.point.y(),
+                                room.half_y + hit.point.y(),
+                                hit.point.z(),
+                                room.height - hit.point.z()};
+    double open = 1;
+    for (int i = 0; i < 6; ++i) {
+      if (std::abs(hit.normal[i / 2]) < 0.5) open *= 1 - 0.3 * std::exp(-std::max(distances[i], 0.0) / 0.3);
+    }
+    for (size_t i = 0; i < world_.solids.size(); ++i) {
+      if (static_cast<int>(i) == hit.solid) continue;
+      const Vector3d offset = world_.solids[i].centre - hit.point;
+      const double distance2 = offset.squaredNorm();
+      const double radius = world_.solids[i].bounding_radius();
+      const double facing = hit.normal.dot(offset);
+      if (facing <= 0 || distance2 > 9 * radius * radius) continue;
+      const double covered = facing / std::sqrt(distance2) * std::min(radius * radius / distance2, 1.0);
+      open *= 1 - 0.5 * covered * (1 - distance2 / (9 * radius * radius));
+    }
+    return open;
+  }
+
+  Vector3d from_lamp(const Lamp& lamp, const Hit& hit) const {
+    const Vector3d offset = lamp.centre - hit.point;
+    const double distance = offset.norm();
+    const double facing = hit.normal.dot(offset) / distance;
+    if (facing <= 0) return Vector3d::Zero();
+    // The fall-off is gentler than the square law: without light bouncing off walls, that would leave them black.
+    const double strength = facing / (1 + 0.18 * distance * distance);
+    return lamp.power * (strength * visible_part(lamp, hit, offset / distance));
+  }
+
+  double visible_part(const Lamp& lamp, const Hit& hit, const Vector3d& towards) const {
+    const Vector3d start = hit.point + kOffset * hit.normal;
+    const Vector3d segment = lamp.centre - start;
+    const double length2 = segment.squaredNorm();
+    std::array<const Solid*, 32> blockers{};
+    size_t count = 0;
+    for (size_t i = 0; i < world_.solids.size() && count < blockers.size(); ++i) {
+      if (static_cast<int>(i) == hit.solid) continue;
+      const Solid& solid = world_.solids[i];
+      const Vector3d offset = solid.centre - start;
+      const double along = std::clamp(offset.dot(segment) / length2, 0.0, 1.0);
+      const double reach = solid.bounding_radius() + lamp.radius * along;
+      if ((offset - along * segment).squaredNorm() < reach * reach) blockers[count++] = &solid;
+    }
+    if (count == 0) return 1;
+    const Vector3d side =
+        (std::abs(towards.z()) < 0.9 ? Vector3d::UnitZ() : Vector3d::UnitX()).cross(towards).normalized();
+    const Vector3d up = towards.cross(side);
+    int open = 0;
+    for (const Vector2d& point : disc_) {
+      const Ray shadow{start, segment + lamp.radius * (point.x() * side + point.y() * up)};
+      const bool blocked =
+          std::any_of(blockers.begin(), blockers.begin() + static_cast<std::ptrdiff_t>(count),
+                      [&](const Solid* solid) { return meets_solid(*solid, shadow); });
+      open += blocked ? 0 : 1;
+    }
+    return static_cast<double>(open) / kLampPoints;
+  }
+
+  const SyntheticWorld& world_;
+  std::array<Vector2d, kLampPoints> disc_;
+};
+
+// Screen values of linear light in steps of 1/4095; light above 0.8 is compressed so that lamps do not clip hard.
+std::vector<uint8_t> screen_table() {
+  std::vector<uint8_t> table(4096 * 2);
+  for (size_t i = 0; i < table.size(); ++i) {
+    const double light = static_cast<double>(i) / 4095;
+    const double compressed = light < 0.8 ? light : 1 - 0.2 * std::exp(-(light - 0.8) / 0.2);
+    table[i] = static_cast<uint8_t>(std::lround(255 * std::pow(compressed, 1 / 2.2)));
+  }
+  return table;
+}
+
+void store(const Vector3d& light, uint8_t* pixel) {
+  static const std::vector<uint8_t> table = screen_table();
+  for (int c = 0; c < 3; ++c) {
+    const double index = std::clamp(light[c], 0.0, 1.999) * 4095;
+    pixel[c] = table[static_cast<size_t>(index + 0.5)];
+  }
+}
+
+}  // namespace
+
+Image render_image(const SyntheticWorld& world, const Camera& camera) {
+  check_frame_camera(camera, "synthetic camera");
+  const PixelRays rays(camera);
+  const Shader shader(world);
+  const int64_t width = camera.width;
+  const int64_t height = camera.height;
+  std::vector<Hit> hits(static_cast<size_t>(width * height));
+  std::vector<int> patches(hits.size());
+  for (int64_t y = 0; y < height; ++y) {
+    for (int64_t x = 0; x < width; ++x) {
+      const auto i = static_cast<size_t>(y * width + x);
+      hits[i] = first_hit(world, rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5));
+      patches[i] = shader.patch(hits[i]);
+    }
+  }
+  const auto at_edge = [&](int64_t x, int64_t y) {
+    const int patch = patches[static_cast<size_t>(y * width + x)];
+    for (int64_t v = std::max<int64_t>(y - 1, 0); v <= std::min(y + 1, height - 1); ++v) {
+      for (int64_t u = std::max<int64_t>(x - 1, 0); u <= std::min(x + 1, width - 1); ++u) {
+        if (patches[static_cast<size_t>(v * width + u)] != patch) return true;
+      }
+    }
+    return false;
+  };
+  Image image(width, height);
+  for (int64_t y = 0; y < height; ++y) {
+    for (int64_t x = 0; x < width; ++x) {
+      Vector3d light = Vector3d::Zero();
+      if (!at_edge(x, y)) {
+        const Ray ray = rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5);
+        light = shader.colour(hits[static_cast<size_t>(y * width + x)], ray, rays.pixel_size());
+      } else {
+        for (int sub = 0; sub < kSubPixels * kSubPixels; ++sub) {
+          const double dx = (sub % kSubPixels + 0.5) / kSubPixels;
+          const double dy = (static_cast<double>(sub / kSubPixels) + 0.5) / kSubPixels;
+          const Ray ray = rays.at(static_cast<double>(x) + dx, static_cast<double>(y) + dy);
+          light += shader.colour(first_hit(world, ray), ray, rays.pixel_size() / kSubPixels).cwiseMin(1.2);
+        }
+        light /= kSubPixels * kSubPixels;
+      }
+      store(light, image.pixel(x, y));
+    }
+  }
+  return image;
+}
+
+DepthMap render_depth(const SyntheticWorld& world, const Camera& camera) {
+  check_frame_camera(camera, "synthetic camera");
+  const PixelRays rays(camera);
+  DepthMap depth(camera.width, camera.height);
+  for (int64_t y = 0; y < camera.height; ++y) {
+    for (int64_t x = 0; x < camera.width; ++x) {
+      const Ray ray = rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5);
+      depth.at(x, y) = static_cast<float>(first_hit(world, ray).distance);
+    }
+  }
+  return depth;
+}
+
+}  // namespace gld

@@ -1,0 +1,75 @@
+#include "datasets/synthetic/synthetic_scene.h"
+
+#include "datasets/synthetic/synthetic_layout.h"
+#include "datasets/synthetic/synthetic_renderer.h"
+#include "gld/base/error.h"
+
+#include <memory>
+
+#include <fmt/format.h>
+
+namespace gld {
+
+void SyntheticOptions::visit(FieldVisitor& visitor) {
+  visitor.integer({"seed", "of the generator; training and held-out scenes use different seeds"}, seed, {0});
+  visitor.integer({"first_scene", "number of the first scene"}, first_scene, {0});
+  visitor.integer({"scenes", "number of scenes"}, scenes, {1, 1'000'000'000});
+  visitor.integer({"frames", "frames on each scene's camera path"}, frames, {1, 100'000});
+  visitor.integer({"width", "of the images, pixels"}, width, {8, 8192});
+  visitor.integer({"height", "of the images, pixels"}, height, {8, 8192});
+  visitor.integer({"fewest_objects", "in a room"}, fewest_objects, {0, 30});
+  visitor.integer({"most_objects", "in a room"}, most_objects, {0, 30});
+  visitor.real({"field_of_view_low", "narrowest lens, degrees across the larger side"}, field_of_view_low,
+               {10, 120});
+  visitor.real({"field_of_view_high", "widest lens, degrees across the larger side"}, field_of_view_high,
+               {10, 120});
+}
+
+void SyntheticOptions::check() const {
+  if (most_objects < fewest_objects) {
+    fail({"most_objects", "at least fewest_objects (" + std::to_string(fewest_objects) + ")",
+          std::to_string(most_objects), "raise it"});
+  }
+  if (field_of_view_high < field_of_view_low) {
+    fail({"field_of_view_high", fmt::format("at least field_of_view_low ({})", field_of_view_low),
+          fmt::format("{}", field_of_view_high), "raise it"});
+  }
+}
+
+Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index) {
+  const int64_t number = options.first_scene + index;
+  SeededRandom world_random({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 1});
+  SeededRandom path_random({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 2});
+  const auto world = std::make_shared<const SyntheticWorld>(
+      draw_world(world_random, {options.fewest_objects, options.most_objects}));
+  PathDraw draw;
+  draw.frames = options.frames;
+  draw.width = options.width;
+  draw.height = options.height;
+  draw.field_of_view_low = options.field_of_view_low;
+  draw.field_of_view_high = options.field_of_view_high;
+
+  Scene scene;
+  scene.name = fmt::format("synthetic_{}_{:06}", options.seed, number);
+  scene.format = "synthetic";
+  scene.metric = true;
+  for (const Camera& camera : draw_camera_path(path_random, *world, draw)) {
+    Frame frame;
+    frame.name = fmt::format("frame_{:05}", scene.frames.size());
+    frame.camera = camera;
+    frame.load_image = [world, camera] { return render_image(*world, camera); };
+    frame.load_depth = [world, camera] { return render_depth(*world, camera); };
+    scene.frames.push_back(std::move(frame));
+  }
+  return scene;
+}
+
+SyntheticDataset::SyntheticDataset(const SyntheticOptions& options) : options_(options) { options_.check(); }
+
+std::string SyntheticDataset::scene_name(int64_t index) const {
+  return fmt::format("synthetic_{}_{:06}", options_.seed, options_.first_scene + index);
+}
+
+Scene SyntheticDataset::scene(int64_t index) const { return make_synthetic_scene(options_, index); }
+
+}  // namespace gld

@@ -1,0 +1,73 @@
+#include "gld/attention/attention.h"
+
+#include "gld/attention/composed_attention.h"
+#include "gld/attention/fused_attention.h"
+#include "gld/base/error.h"
+#include "gld/tensors/torch_version.h"
+
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+namespace {
+
+void require(bool condition, const std::string& expected, const std::string& found) {
+  if (!condition) fail({"attention", expected, found, "check what calls it"});
+}
+
+void check_inputs(const AttentionInputs& inputs) {
+  const auto& query = inputs.query;
+  const auto& key = inputs.key;
+  require(query.dim() == 4 && key.dim() == 4, "queries and keys of shape (batch, tokens, heads, head_dim)",
+          c10::str(query.sizes(), " and ", key.sizes()));
+  require(key.sizes() == inputs.value.sizes(), "keys and values of one shape",
+          c10::str(key.sizes(), " and ", inputs.value.sizes()));
+  require(query.size(0) == key.size(0) && query.size(2) == key.size(2) && query.size(3) == key.size(3),
+          "queries and keys with the same batch, heads and head size",
+          c10::str(query.sizes(), " and ", key.sizes()));
+  if (inputs.prope != nullptr) {
+    require(query.sizes() == key.sizes(), "as many queries as keys with a camera encoding",
+            c10::str(query.sizes(), " and ", key.sizes()));
+  }
+  if (!inputs.view_mask.defined()) return;
+  const auto& mask = inputs.view_mask;
+  require(mask.dim() == 2 && mask.size(0) == mask.size(1) && mask.scalar_type() == torch::kBool &&
+              mask.device().is_cpu(),
+          "a view mask of shape (views, views) and type bool on the CPU",
+          c10::str(mask.sizes(), " of type ", mask.scalar_type()));
+  require(mask.size(0) > 0 && query.size(1) % mask.size(0) == 0 && key.size(1) % mask.size(0) == 0,
+          "token counts that the view mask's views divide",
+          c10::str(query.size(1), " queries and ", key.size(1), " keys for ", mask.size(0), " views"));
+}
+
+// The library's own fused kernel.
+torch::Tensor library_attention(const AttentionInputs& inputs) {
+  auto query = inputs.query;
+  auto key = inputs.key;
+  auto value = inputs.value;
+  if (inputs.prope != nullptr) {
+    query = encode_query(*inputs.prope, query);
+    key = encode_key_value(*inputs.prope, key);
+    value = encode_key_value(*inputs.prope, value);
+  }
+  const auto output =
+      scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
+          .transpose(1, 2)
+          .contiguous();
+  return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);
+}
+
+}  // namespace
+
+torch::Tensor attention(const AttentionInputs& inputs) {
+  check_inputs(inputs);
+  if (fused_attention_applies(inputs)) return fused_attention(inputs);
+  // A mask would have to be dense there, which the row-blocked version saves.
+  if (has_library_attention(inputs.query.device()) && !inputs.view_mask.defined())
+    return library_attention(inputs);
+  return row_blocked_attention(inputs);
+}
+
+}  // namespace gld

@@ -1,0 +1,29 @@
+#pragma once
+
+#include "gld/cameras/prope.h"
+
+#include <optional>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Softmax attention, softmax(scale * q k^T) v, never materialising all logits at once.
+struct AttentionInputs {
+  // (batch, tokens, heads, head_dim) each; any strides with a contiguous last dimension, so that slices of one
+  // joint qkv projection need no copy. key and value may have another token count than query.
+  torch::Tensor query;
+  torch::Tensor key;
+  torch::Tensor value;
+  // Camera encoding applied to query, key, value and the output (PRoPE); none when null. The batch is then 1 scene
+  // and the tokens are views x (prefix + grid).
+  const PropeTables* prope = nullptr;
+  // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
+  torch::Tensor view_mask;
+};
+
+// Returns (batch, tokens, heads, head_dim), contiguous. scale is 1/sqrt(head_dim). A row with no key is zero.
+// Differentiable.
+torch::Tensor attention(const AttentionInputs& inputs);
+
+}  // namespace gld

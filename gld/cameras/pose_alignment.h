@@ -1,0 +1,39 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+
+#include <vector>
+
+#include <Eigen/Core>
+
+namespace gld {
+
+// x_in_b = scale * rotation * x_in_a + translation.
+struct Similarity {
+  double scale = 1;
+  Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d translation = Eigen::Vector3d::Zero();
+
+  Eigen::Vector3d operator*(const Eigen::Vector3d& x_in_a) const {
+    return scale * (rotation * x_in_a) + translation;
+  }
+};
+
+struct PoseAlignment {
+  Similarity b_from_a;
+  bool scale_known =
+      false;  // false: the cameras stand at one place in a or b (or contradict), and scale is 1
+  double rotation_error = 0;  // mean angle left between the cameras, degrees
+  double centre_error = 0;    // root mean square distance left between the centres, in b
+};
+
+// The similarity that maps the cameras of frame a (such as those recovered from rays) onto the same cameras in frame b
+// (the world). The rotation is the mean of the cameras' own rotations and not fitted to the centres, because centres
+// along a line leave it open. Its scale is the depth_scale of infer/export/point_cloud.h for depth in the frame of the rays.
+// Error unless both have the same number of cameras, at least one.
+PoseAlignment align_poses(const std::vector<Camera>& in_a, const std::vector<Camera>& in_b);
+
+// Angle of the rotation between two orientations, degrees, exact also near 0.
+double rotation_angle(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b);
+
+}  // namespace gld

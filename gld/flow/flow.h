@@ -1,0 +1,35 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+
+#include <torch/types.h>
+
+namespace gld {
+
+// The linear path between data (t = 0) and noise (t = 1) (DESIGN.md section 4, "Flow"; Lipman et al. 2023, Liu et al.
+// 2023). Shapes are any; the time shift is shifted_time of gld/flow/schedule.h.
+
+// x_t = (1 - t) data + t noise.
+torch::Tensor interpolate(const torch::Tensor& data, const torch::Tensor& noise, double t);
+// v = noise - data.
+torch::Tensor velocity_target(const torch::Tensor& data, const torch::Tensor& noise);
+
+// What a velocity v at (x, t) predicts: data = x - t v, noise = x + (1 - t) v. Exact at both ends.
+torch::Tensor data_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
+torch::Tensor noise_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
+// The inverses need a division: by t, or by 1 - t. velocity_from_data throws Error at t = 0 and velocity_from_noise at
+// t = 1, where x is already what they are given.
+torch::Tensor velocity_from_data(const torch::Tensor& x, const torch::Tensor& data, double t);
+torch::Tensor velocity_from_noise(const torch::Tensor& x, const torch::Tensor& noise, double t);
+
+// t times the score, t grad log p_t(x) = -noise, which stays finite as t goes to 0, where the score itself does not
+// exist for data on a point.
+torch::Tensor scaled_score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
+// grad log p_t(x) = -(x + (1 - t) v) / t. Throws Error at t = 0; at t = 1 it is -x.
+torch::Tensor score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
+
+// The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al. 2024):
+// 62.4 for DA3-Base at 504 x 504 with 8 views.
+double time_shift_of(const LatentGrid& grid, int64_t channels);
+
+}  // namespace gld

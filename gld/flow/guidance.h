@@ -1,0 +1,86 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/flow/velocity_field.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Classifier-free guidance of a velocity (DESIGN.md section 4): v_u + g (v_c - v_u) where the flow time lies in the
+// interval, both ends included, else v_c. With g = 1 the unconditional branch never runs.
+// How the two branches of guidance are evaluated: in one pass over the tokens of both, or one after the other. Equal
+// results up to rounding.
+enum class BranchEvaluation {
+  kAutomatic,  // batched where that is faster and its working memory stays below a limit (models/cost/branch_choice.h)
+  kBatched,
+  kSequential,
+};
+
+const std::vector<std::string>& branch_evaluation_names();
+
+struct GuidanceOptions : OptionsGroup {
+  double guidance_scale = 1.5;
+  std::vector<double> guidance_interval{0, 1};
+  // Above 0: once what guidance adds, RMS of (g - 1)(v_c - v_u) over RMS of v_c, falls below this, the unconditional
+  // branch is left out and only tried again every fourth evaluation. An approximation, off by default.
+  double guidance_tolerance = 0;
+  BranchEvaluation guidance_branches = BranchEvaluation::kAutomatic;
+  double guidance_batch_memory = 256;  // megabytes that automatic lets a batch of both branches use
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+struct BranchVelocities {
+  torch::Tensor conditional;
+  torch::Tensor unconditional;
+};
+
+// A field that guidance can steer.
+class BranchedField {
+ public:
+  virtual ~BranchedField() = default;
+  virtual torch::Tensor conditional(const torch::Tensor& state, double t) = 0;
+  virtual torch::Tensor unconditional(const torch::Tensor& state, double t) = 0;
+  // Both branches; override where one batched evaluation is cheaper than two.
+  virtual BranchVelocities both(const torch::Tensor& state, double t);
+  // v_u + g (v_c - v_u); override where the branches can be combined before the last layer.
+  virtual torch::Tensor guided(const torch::Tensor& state, double t, double scale);
+};
+
+// What a solve cost by branch, and what leaving out the unconditional one neglected.
+struct GuidanceReport {
+  int64_t evaluations = 0;       // of the guided field
+  int64_t unconditional = 0;     // of them with the unconditional branch
+  int64_t outside_interval = 0;  // without it because of the interval or a scale of 1
+  int64_t dropped = 0;           // without it because the branches agreed
+  double largest_neglected =
+      0;  // largest relative contribution of guidance measured when it was dropped or kept so
+};
+
+class GuidedField : public VelocityField {
+ public:
+  // field must outlive this object.
+  GuidedField(BranchedField& field, const GuidanceOptions& options);
+  torch::Tensor velocity(const torch::Tensor& state, double t) override;
+
+  // Whether guidance acts at this flow time.
+  bool active(double t) const;
+  const GuidanceReport& report() const { return report_; }
+
+ private:
+  torch::Tensor adaptive_velocity(const torch::Tensor& state, double t);
+
+  BranchedField& field_;
+  GuidanceOptions options_;
+  GuidanceReport report_;
+  bool agreed_ = false;
+  int64_t since_check_ = 0;
+};
+
+}  // namespace gld

@@ -1,0 +1,56 @@
+#pragma once
+
+#include "gld/flow/solvers/solver.h"
+
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Thrown inside a solve to leave it; solve() and try_solve_on() turn it into an Error or a report.
+struct SolveStopped {
+  SolveFailure failure;
+};
+
+// What every solver family works with: it counts evaluations and steps, stops at the first value that is not finite,
+// tells the observer and listens for Ctrl-C.
+class SolverRun {
+ public:
+  SolverRun(VelocityField& field, const SolverOptions& options, const SolveObserver& observer);
+
+  // The field's velocity, checked. Throws SolveStopped.
+  torch::Tensor velocity(const torch::Tensor& state, double time);
+  // The data prediction state - t velocity.
+  torch::Tensor data(const torch::Tensor& state, double time);
+
+  void start(const torch::Tensor& state, double time, int64_t steps);
+  // The step that ends here is kept. Throws SolveStopped when the state is not finite.
+  void accept(const torch::Tensor& state, double time);
+  void reject() { ++report_.rejected; }
+  [[noreturn]] void give_up(SolveFailureKind kind, const std::string& what, double time) const;
+
+  const SolverOptions& options() const { return options_; }
+  SolveReport& report() { return report_; }
+
+ private:
+  VelocityField& field_;
+  const SolverOptions& options_;
+  const SolveObserver& observer_;
+  SolveReport report_;
+  int64_t steps_ = 0;
+};
+
+bool all_finite(const torch::Tensor& tensor);
+
+// The families. Each starts from report().state at times.front() and accepts steps until times.back().
+void run_runge_kutta(SolverRun& run, const std::vector<double>& times);
+void run_adams_bashforth(SolverRun& run, const std::vector<double>& times);
+void run_dpm_solver(SolverRun& run, const std::vector<double>& times);
+void run_unipc(SolverRun& run, const std::vector<double>& times);
+void run_adaptive_runge_kutta(SolverRun& run, const std::vector<double>& times);
+void run_rodas3(SolverRun& run, const std::vector<double>& times);
+void run_stochastic(SolverRun& run, const std::vector<double>& times);
+
+}  // namespace gld

@@ -1,0 +1,80 @@
+#include "gld/machine/stage_record.h"
+
+#include "gld/machine/block_memory.h"
+
+#include <fstream>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// A "Name:   123 kB" line of a /proc file, in bytes.
+int64_t proc_bytes(const char* file, const std::string& name) {
+  std::ifstream stream(file);
+  for (std::string line; std::getline(stream, line);) {
+    if (line.rfind(name + ":", 0) == 0) return std::stoll(line.substr(name.size() + 1)) * 1024;
+  }
+  return 0;
+}
+
+// Appends the record when the stage ends, however it ends.
+class RecordOnExit {
+ public:
+  RecordOnExit(std::vector<StageRecord>& records, std::string name)
+      : records_(records), name_(std::move(name)) {
+    release_kept_blocks();  // of what ran between two stages
+    reset_peak_resident_bytes();
+    start_ = std::chrono::steady_clock::now();
+  }
+  ~RecordOnExit() {
+    StageRecord record;
+    record.name = name_;
+    record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+    record.peak_bytes = peak_resident_bytes();
+    records_.push_back(record);
+    release_kept_blocks();  // the next stage's tensors have other sizes
+  }
+  RecordOnExit(const RecordOnExit&) = delete;
+  RecordOnExit& operator=(const RecordOnExit&) = delete;
+
+ private:
+  std::vector<StageRecord>& records_;
+  std::string name_;
+  std::chrono::steady_clock::time_point start_;
+};
+
+}  // namespace
+
+void StageRecords::run(const std::string& name, const std::function<void()>& work) {
+  const RecordOnExit record(records_, name);
+  work();
+}
+
+nlohmann::ordered_json StageRecords::to_json() const {
+  auto list = nlohmann::ordered_json::array();
+  for (const auto& record : records_) {
+    list.push_back({{"stage", record.name}, {"seconds", record.seconds}, {"peak_bytes", record.peak_bytes}});
+  }
+  return list;
+}
+
+int64_t resident_bytes() { return proc_bytes("/proc/self/status", "VmRSS"); }
+int64_t peak_resident_bytes() { return proc_bytes("/proc/self/status", "VmHWM"); }
+
+void reset_peak_resident_bytes() {
+  std::ofstream stream("/proc/self/clear_refs");
+  stream << "5";  // proc(5): resets the peak resident set size
+}
+
+int64_t total_memory_bytes() { return proc_bytes("/proc/meminfo", "MemTotal"); }
+int64_t available_memory_bytes() { return proc_bytes("/proc/meminfo", "MemAvailable"); }
+
+std::string bytes_text(int64_t bytes) {
+  const auto value = static_cast<double>(bytes);
+  if (value < 1e6) return fmt::format("{:.1f} kB", value / 1e3);
+  if (value < 1e9) return fmt::format("{:.1f} MB", value / 1e6);
+  return fmt::format("{:.2f} GB", value / 1e9);
+}
+
+}  // namespace gld

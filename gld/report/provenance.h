@@ -1,0 +1,36 @@
+#pragma once
+
+#include "gld/base/options.h"
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace gld {
+
+// Named texts inside a file, in order: PNG text chunks, PLY comments. Texts are UTF-8.
+using TextItems = std::vector<std::pair<std::string, std::string>>;
+
+// Where an output comes from (DESIGN.md section 5). It holds nothing that changes between two runs of the same
+// command, so that the same command gives the same bytes.
+struct Provenance {
+  std::string program;     // "gld 0.1.0"
+  std::string command;     // "sample"
+  std::string options;     // JSON on one line
+  std::string model_hash;  // SHA-256 of the weights in hex; empty where no model took part
+  int64_t seed = 0;
+};
+
+// program is this build's; options without those named in leave_out ("out", "threads": they do not change what a
+// file shows, and an output's bytes must not depend on where it lies).
+Provenance make_provenance(const std::string& command, const OptionsGroup& options,
+                           const std::vector<std::string>& leave_out);
+
+// "Software", "gld:command", "gld:options", "gld:model", "gld:seed"; empty texts are left out.
+TextItems provenance_items(const Provenance& provenance);
+
+// The value of a name; empty when there is none.
+std::string find_text(const TextItems& items, const std::string& name);
+
+}  // namespace gld

@@ -1,0 +1,154 @@
+#include "gld/tensors/torch_version.h"
+
+#include "gld/base/error.h"
+#include "gld/machine/block_memory.h"
+
+#include <cstring>
+
+#include <ATen/Parallel.h>
+#include <ATen/autocast_mode.h>
+#include <c10/core/CPUAllocator.h>
+#include <torch/version.h>
+
+#include <dlfcn.h>
+#include <link.h>
+
+namespace gld {
+namespace {
+
+int collect_blas(dl_phdr_info* info, size_t /*size*/, void* data) {
+  auto* found = static_cast<std::string*>(data);
+  const std::string path = info->dlpi_name == nullptr ? "" : info->dlpi_name;
+  struct Pattern {
+    const char* fragment;
+    const char* name;
+  };
+  // libblas.so.3 is whatever Debian's alternatives point at, so the more specific names come first.
+  for (const Pattern& pattern :
+       {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
+        Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
+    if (found->empty() && path.find(pattern.fragment) != std::string::npos) *found = pattern.name;
+  }
+  return 0;
+}
+
+// Since 2.4 autocast takes the kind of device; before, each kind had functions of its own.
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 4)
+bool autocast_enabled(torch::DeviceType device) { return at::autocast::is_autocast_enabled(device); }
+void enable_autocast(torch::DeviceType device, bool enabled) {
+  at::autocast::set_autocast_enabled(device, enabled);
+  at::autocast::set_autocast_dtype(device, torch::kBFloat16);
+}
+#else
+bool autocast_enabled(torch::DeviceType device) {
+  return device == torch::kCPU ? at::autocast::is_cpu_enabled() : at::autocast::is_enabled();
+}
+void enable_autocast(torch::DeviceType device, bool enabled) {
+  if (device == torch::kCPU) {
+    at::autocast::set_cpu_enabled(enabled);
+    at::autocast::set_autocast_cpu_dtype(torch::kBFloat16);
+  } else {
+    at::autocast::set_enabled(enabled);
+    at::autocast::set_autocast_gpu_dtype(torch::kBFloat16);
+  }
+}
+#endif
+
+// 2.3 lets an allocator change and asks it to copy.
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 3)
+#define GLD_ALLOCATE_CONST
+#else
+#define GLD_ALLOCATE_CONST const
+#endif
+
+// Above that of LibTorch's own.
+constexpr uint8_t kAllocatorPriority = 1;
+
+class BlockAllocator final : public c10::Allocator {
+ public:
+  c10::DataPtr allocate(size_t bytes) GLD_ALLOCATE_CONST override {
+    void* data = bytes == 0 ? nullptr : take_block(bytes);
+    return {data, data, &give_block, c10::Device(c10::DeviceType::CPU)};
+  }
+  c10::DeleterFnPtr raw_deleter() const override { return &give_block; }
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 3)
+  void copy_data(void* destination, const void* source, size_t bytes) const override {
+    default_copy_data(destination, source, bytes);
+  }
+#endif
+};
+
+}  // namespace
+
+std::string torch_version() {
+  return std::to_string(TORCH_VERSION_MAJOR) + "." + std::to_string(TORCH_VERSION_MINOR) + "." +
+         std::to_string(TORCH_VERSION_PATCH);
+}
+
+std::string blas_name() {
+  std::string found;
+  dl_iterate_phdr(collect_blas, &found);
+  return found.empty() ? "unknown" : found;
+}
+
+void set_thread_count(int threads) {
+  at::set_num_threads(threads);
+  // at::set_num_threads sets OpenMP and MKL; a BLAS with a pool of its own (OpenBLAS with pthreads) has to be told.
+  using SetThreads = void (*)(int);
+  for (const char* symbol : {"openblas_set_num_threads", "bli_thread_set_num_threads"}) {
+    if (auto set = reinterpret_cast<SetThreads>(dlsym(RTLD_DEFAULT, symbol))) set(threads);
+  }
+}
+
+int thread_count() { return at::get_num_threads(); }
+
+#if TORCH_VERSION_MAJOR >= 2
+
+bool has_library_attention(torch::Device device) { return device.is_cuda(); }
+
+torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const torch::Tensor& key,
+                                           const torch::Tensor& value) {
+  return at::scaled_dot_product_attention(query, key, value);
+}
+
+#else
+
+bool has_library_attention(torch::Device /*device*/) { return false; }
+
+torch::Tensor scaled_dot_product_attention(const torch::Tensor& /*query*/, const torch::Tensor& /*key*/,
+                                           const torch::Tensor& /*value*/) {
+  fail(
+      {"scaled_dot_product_attention", "LibTorch 2.0 or newer", torch_version(), "call attention() instead"});
+}
+
+#endif
+
+bool has_bfloat16_autocast(torch::Device device) { return device.is_cuda(); }
+
+bool bfloat16_autocast_active(torch::DeviceType device) { return autocast_enabled(device); }
+
+BFloat16Autocast::BFloat16Autocast(torch::DeviceType device)
+    : device_(device), enabled_before_(autocast_enabled(device)) {
+  enable_autocast(device_, true);
+  at::autocast::increment_nesting();
+}
+
+BFloat16Autocast::~BFloat16Autocast() {
+  // The outermost scope drops the cached casts of the parameters, which the optimiser is about to change.
+  if (at::autocast::decrement_nesting() == 0) at::autocast::clear_cache();
+  enable_autocast(device_, enabled_before_);
+}
+
+void keep_freed_tensor_memory(int64_t most_kept_bytes) {
+  set_most_kept_bytes(most_kept_bytes);
+  static auto* allocator = new BlockAllocator;  // never destroyed: tensors outlive main
+  c10::SetCPUAllocator(allocator, kAllocatorPriority);
+}
+
+LibraryTensorMemory::LibraryTensorMemory() : before_(c10::GetCPUAllocator()) {
+  c10::SetCPUAllocator(c10::GetDefaultCPUAllocator(), kAllocatorPriority);
+}
+
+LibraryTensorMemory::~LibraryTensorMemory() { c10::SetCPUAllocator(before_, kAllocatorPriority); }
+
+}  // namespace gld

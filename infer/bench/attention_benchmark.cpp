@@ -1,0 +1,361 @@
+#include "infer/bench/attention_benchmark.h"
+
+#include "gld/attention/attention.h"
+#include "gld/attention/composed_attention.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/interrupt.h"
+#include "gld/kernels/attention_kernel.h"
+#include "gld/kernels/multiply_add_peak.h"
+#include "gld/machine/timing.h"
+#include "gld/report/plot.h"
+#include "gld/report/progress.h"
+#include "gld/report/run_folder.h"
+#include "gld/tensors/product_peak.h"
+#include "gld/tensors/torch_version.h"
+
+#include <algorithm>
+#include <functional>
+#include <iostream>
+#include <thread>
+
+#include <torch/autograd.h>
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// Rows whose error is computed in double.
+constexpr int64_t kCheckedRows = 64;
+
+struct Problem {
+  AttentionShape shape;
+  AttentionInputs inputs;            // slices of one joint array, as after a projection
+  torch::Tensor output_gradient;     // (1, tokens, heads, head_dim)
+  AttentionInputs inputs_with_grad;  // the same with gradients wanted
+};
+
+Problem make_problem(int64_t tokens, int64_t heads, int64_t head_dim) {
+  Problem problem;
+  problem.shape = {1, heads, tokens, tokens, head_dim};
+  torch::manual_seed(1);
+  const auto joint = torch::randn({1, tokens, 3, heads, head_dim});
+  problem.inputs.query = joint.select(2, 0);
+  problem.inputs.key = joint.select(2, 1);
+  problem.inputs.value = joint.select(2, 2);
+  problem.output_gradient = torch::randn({1, tokens, heads, head_dim});
+  problem.inputs_with_grad = problem.inputs;
+  problem.inputs_with_grad.query = problem.inputs.query.detach().requires_grad_(true);
+  problem.inputs_with_grad.key = problem.inputs.key.detach().requires_grad_(true);
+  problem.inputs_with_grad.value = problem.inputs.value.detach().requires_grad_(true);
+  return problem;
+}
+
+StridedHeads<const float> strided(const torch::Tensor& x) {
+  return {x.data_ptr<float>(), x.stride(0), x.stride(1), x.stride(2)};
+}
+
+StridedHeads<float> writable(const torch::Tensor& x) {
+  return {x.data_ptr<float>(), x.stride(0), x.stride(1), x.stride(2)};
+}
+
+// One way of computing attention; forward leaves its result in output, backward in the gradients.
+class Variant {
+ public:
+  Variant(std::string name, const Problem& problem) : name_(std::move(name)), problem_(problem) {}
+  virtual ~Variant() = default;
+  virtual void forward() = 0;
+  // Seconds of the backward pass alone.
+  virtual double backward() = 0;
+
+  const std::string& name() const { return name_; }
+  torch::Tensor output;
+  torch::Tensor query_gradient;
+
+ protected:
+  const Problem& problem() const { return problem_; }
+
+ private:
+  std::string name_;
+  const Problem& problem_;
+};
+
+class KernelVariant : public Variant {
+ public:
+  KernelVariant(const std::string& name, const Problem& problem, InstructionSet set)
+      : Variant(name, problem) {
+    settings_.threads = thread_count();
+    settings_.instruction_set = set;
+    output = torch::empty_like(problem.output_gradient);
+    query_gradient = torch::empty_like(output);
+    key_gradient_ = torch::empty_like(output);
+    value_gradient_ = torch::empty_like(output);
+    log_sum_exp_ = torch::empty({problem.shape.heads, problem.shape.queries});
+  }
+
+  void forward() override { attention_forward(arrays(), settings_); }
+
+  double backward() override {
+    AttentionBackward task;
+    task.forward = arrays();
+    task.output_gradient = strided(problem().output_gradient);
+    task.query_gradient = writable(query_gradient);
+    task.key_gradient = writable(key_gradient_);
+    task.value_gradient = writable(value_gradient_);
+    return seconds_of([&] { attention_backward(task, settings_); });
+  }
+
+ private:
+  AttentionForward arrays() {
+    AttentionForward task;
+    task.shape = problem().shape;
+    task.query = strided(problem().inputs.query);
+    task.key = strided(problem().inputs.key);
+    task.value = strided(problem().inputs.value);
+    task.output = writable(output);
+    task.log_sum_exp = log_sum_exp_.data_ptr<float>();
+    return task;
+  }
+
+  KernelSettings settings_;
+  torch::Tensor key_gradient_, value_gradient_, log_sum_exp_;
+};
+
+class ComposedVariant : public Variant {
+ public:
+  explicit ComposedVariant(const Problem& problem) : Variant("composed", problem) {}
+
+  void forward() override {
+    const torch::NoGradGuard no_grad;
+    output = composed_attention(problem().inputs);
+  }
+
+  double backward() override {
+    const torch::AutoGradMode with_gradients(true);
+    const auto& inputs = problem().inputs_with_grad;
+    const auto result = composed_attention(inputs);
+    return seconds_of([&] {
+      query_gradient = torch::autograd::grad({result}, {inputs.query, inputs.key, inputs.value},
+                                             {problem().output_gradient})[0];
+    });
+  }
+};
+
+// Output and query gradient of some rows in double; a row's own results do not depend on the other rows.
+struct CheckedRows {
+  torch::Tensor index, output, query_gradient;
+};
+
+CheckedRows check_rows(const Problem& problem) {
+  const torch::AutoGradMode with_gradients(true);
+  CheckedRows rows;
+  const int64_t tokens = problem.shape.queries;
+  rows.index = torch::arange(0, tokens, std::max<int64_t>(1, tokens / kCheckedRows), torch::kLong);
+  AttentionInputs exact;
+  exact.query = problem.inputs.query.index_select(1, rows.index).to(torch::kFloat64).requires_grad_(true);
+  exact.key = problem.inputs.key.to(torch::kFloat64);
+  exact.value = problem.inputs.value.to(torch::kFloat64);
+  rows.output = composed_attention(exact);
+  const auto gradient = problem.output_gradient.index_select(1, rows.index).to(torch::kFloat64);
+  rows.query_gradient = torch::autograd::grad({rows.output}, {exact.query}, {gradient})[0];
+  rows.output = rows.output.detach();
+  return rows;
+}
+
+double relative_error(const torch::Tensor& found, const torch::Tensor& index, const torch::Tensor& expected) {
+  const auto rows = found.detach().index_select(1, index).to(torch::kFloat64);
+  return ((rows - expected).abs().max() / expected.abs().max()).item<double>();
+}
+
+struct Samples {
+  std::vector<double> seconds;
+  std::vector<double> fractions;
+};
+
+AttentionBenchmarkRow row_from(const Problem& problem, const Variant& variant, AttentionPass pass,
+                               const Samples& samples) {
+  AttentionBenchmarkRow row;
+  row.pass = pass;
+  row.head_dim = problem.shape.head_dim;
+  row.tokens = problem.shape.queries;
+  row.threads = thread_count();
+  row.variant = variant.name();
+  const Spread seconds = spread_of(samples.seconds);
+  row.seconds = seconds.median;
+  row.seconds_low = seconds.low;
+  row.seconds_high = seconds.high;
+  row.fraction_of_peak = spread_of(samples.fractions).median;
+  return row;
+}
+
+void measure(const Problem& problem, int64_t repeats, std::vector<AttentionBenchmarkRow>& rows) {
+  KernelVariant ours("ours", problem, best_instruction_set());
+  ComposedVariant composed(problem);
+  KernelVariant portable("portable", problem, InstructionSet::kPortable);
+  const std::vector<Variant*> variants = {&ours, &composed, &portable};
+  std::vector<Samples> forward(variants.size()), backward(variants.size());
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  // The first round warms up memory and clock.
+  for (int64_t repeat = -1; repeat < repeats; ++repeat) {
+    for (std::size_t v = 0; v < variants.size(); ++v) {
+      const double peak_before = measure_multiply_add_peak(peak);
+      const double forward_seconds = seconds_of([&] { variants[v]->forward(); });
+      const double backward_seconds = variants[v]->backward();
+      stop_if_interrupted(fmt::format("{} rows", rows.size()));
+      if (repeat < 0) continue;
+      forward[v].seconds.push_back(forward_seconds);
+      forward[v].fractions.push_back(attention_forward_flops(problem.shape) / forward_seconds / peak_before);
+      backward[v].seconds.push_back(backward_seconds);
+      backward[v].fractions.push_back(attention_backward_flops(problem.shape) / backward_seconds /
+                                      peak_before);
+    }
+  }
+  const CheckedRows checked = check_rows(problem);
+  for (std::size_t v = 0; v < variants.size(); ++v) {
+    rows.push_back(row_from(problem, *variants[v], AttentionPass::kForward, forward[v]));
+    rows.back().relative_error = relative_error(variants[v]->output, checked.index, checked.output);
+    rows.push_back(row_from(problem, *variants[v], AttentionPass::kBackward, backward[v]));
+    rows.back().relative_error =
+        relative_error(variants[v]->query_gradient, checked.index, checked.query_gradient);
+  }
+}
+
+std::vector<int64_t> thread_counts(const AttentionBenchmarkOptions& options) {
+  if (!options.threads.empty()) return options.threads;
+  const auto cores = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
+  return cores == 1 ? std::vector<int64_t>{1} : std::vector<int64_t>{1, cores};
+}
+
+// Puts the thread count back.
+class ThreadCountScope {
+ public:
+  ThreadCountScope() : before_(thread_count()) {}
+  ~ThreadCountScope() { set_thread_count(before_); }
+  ThreadCountScope(const ThreadCountScope&) = delete;
+  ThreadCountScope& operator=(const ThreadCountScope&) = delete;
+
+ private:
+  int before_;
+};
+
+Figure attention_figure(const std::vector<AttentionBenchmarkRow>& rows) {
+  Figure figure;
+  figure.title = "Attention: fraction of the multiply-add peak";
+  for (const AttentionPass pass : {AttentionPass::kForward, AttentionPass::kBackward}) {
+    PlotPanel panel;
+    panel.title = pass == AttentionPass::kForward ? "forward" : "backward";
+    panel.x = {"tokens", AxisScale::kLog};
+    panel.y = {"fraction of peak", AxisScale::kLinear, 0, 1};
+    for (const auto& row : rows) {
+      if (row.pass != pass) continue;
+      const std::string name = fmt::format("{}, head size {}, {} thread{}", row.variant, row.head_dim,
+                                           row.threads, row.threads == 1 ? "" : "s");
+      auto series = std::find_if(panel.series.begin(), panel.series.end(),
+                                 [&](const PlotSeries& entry) { return entry.name == name; });
+      if (series == panel.series.end())
+        series = panel.series.insert(panel.series.end(), {name, SeriesStyle::kLine, {}});
+      series->points.emplace_back(static_cast<double>(row.tokens), row.fraction_of_peak);
+    }
+    figure.panels.push_back(panel);
+  }
+  return figure;
+}
+
+Table overview(const std::vector<AttentionBenchmarkRow>& rows) {
+  Table table({"pass", "head_dim", "tokens", "threads", "variant", "seconds", "lowest", "highest",
+               "fraction_of_peak", "relative_error"});
+  for (const auto& row : rows) {
+    table.add_row({std::string(row.pass == AttentionPass::kForward ? "forward" : "backward"), row.head_dim,
+                   row.tokens, row.threads, row.variant, row.seconds, row.seconds_low, row.seconds_high,
+                   row.fraction_of_peak, row.relative_error});
+  }
+  return table;
+}
+
+}  // namespace
+
+void AttentionBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"out", "folder to write into"}, out);
+  visitor.integers({"head_dims", "channels a head"}, head_dims, {1, 256});
+  visitor.integers({"tokens", "token counts; the composition needs 8 heads tokens^2 bytes"}, tokens,
+                   {1, 100000});
+  visitor.integers({"threads", "thread counts; 1 and all cores when empty"}, threads, {1, 4096});
+  visitor.integer({"heads", "attention heads"}, heads, {1, 1024});
+  visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
+}
+
+std::vector<AttentionBenchmarkRow> attention_benchmark_rows(const AttentionBenchmarkOptions& options) {
+  const ThreadCountScope restore;
+  std::vector<AttentionBenchmarkRow> rows;
+  const auto counts = thread_counts(options);
+  Progress progress("bench attention",
+                    static_cast<int64_t>(counts.size() * options.head_dims.size() * options.tokens.size()));
+  int64_t done = 0;
+  for (const int64_t head_dim : options.head_dims) {
+    for (const int64_t tokens : options.tokens) {
+      const Problem problem = make_problem(tokens, options.heads, head_dim);
+      for (const int64_t threads : counts) {
+        set_thread_count(static_cast<int>(threads));
+        measure(problem, options.repeats, rows);
+        progress.update(++done,
+                        fmt::format("head size {}, {} tokens, {} threads", head_dim, tokens, threads));
+      }
+    }
+  }
+  progress.finish();
+  return rows;
+}
+
+Table attention_benchmark_table(const std::vector<AttentionBenchmarkRow>& rows, AttentionPass pass) {
+  Table table({"head_dim", "tokens", "threads", "variant", "seconds", "fraction_of_peak", "relative_error"});
+  for (const auto& row : rows) {
+    if (row.pass != pass) continue;
+    table.add_row({row.head_dim, row.tokens, row.threads, row.variant, row.seconds, row.fraction_of_peak,
+                   row.relative_error});
+  }
+  return table;
+}
+
+int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
+  RunFolder folder(options.out, "bench attention", options);
+  const ThreadCountScope restore;
+  set_thread_count(static_cast<int>(thread_counts(options).back()));
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  const double multiply_add = measure_multiply_add_peak(peak);
+  const double sgemm = measure_sgemm_peak();
+  const auto rows = attention_benchmark_rows(options);
+  const std::string text = fmt::format(
+      "# Attention\n\n{} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix "
+      "product "
+      "({}) reaches {:.0f}.\n\n{}",
+      instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_name(),
+      sgemm * 1e-9, overview(rows).markdown());
+  write_file_atomically(folder.path() / "attention.csv",
+                        attention_benchmark_table(rows, AttentionPass::kForward).csv());
+  write_file_atomically(folder.path() / "attention_backward.csv",
+                        attention_benchmark_table(rows, AttentionPass::kBackward).csv());
+  write_file_atomically(folder.path() / "attention.md", text);
+  const auto figure = attention_figure(rows);
+  write_svg(figure, folder.path() / "attention.svg");
+  write_png(figure, folder.path() / "attention.png");
+  folder.write_report({{"command", "bench attention"},
+                       {"options", to_json(options)},
+                       {"multiply_add_peak", multiply_add},
+                       {"sgemm_peak", sgemm},
+                       {"blas", blas_name()},
+                       {"vectors", instruction_set_name(best_instruction_set())}});
+  std::cout << text << "\n";
+  folder.note("forward passes", "attention.csv");
+  folder.note("backward passes", "attention_backward.csv");
+  folder.note("table", "attention.md");
+  folder.note("plot", "attention.png");
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return 0;
+}
+
+}  // namespace gld

@@ -1,0 +1,165 @@
+// The whole of a small model, in single precision beside double, and on extreme pictures.
+#include "gld/base/error.h"
+#include "infer/bench/extremes_benchmark.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/bundle/bundle.h"
+#include "models/bundle/random_bundle.h"
+
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <map>
+#include <string>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kPatch = 14;  // pixels
+
+PipelineModels models_in(const ModelBundle& bundle, torch::Dtype dtype) {
+  ParameterPlacement placement;
+  placement.dtype = dtype;
+  PipelineModels models;
+  models.backbone = [=] { return bundle.load_backbone(placement); };
+  models.level1 = [=] { return bundle.load_level1(placement); };
+  models.cascade = [=] { return bundle.load_cascade(placement); };
+  models.rgb_decoder = [=] { return bundle.load_rgb_decoder(placement); };
+  models.dpt_head = [=] { return bundle.load_dpt_head(placement); };
+  models.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0);
+  models.level1_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  return models;
+}
+
+// (views, height, width) in pixels; the sources first.
+struct PictureShape {
+  int64_t views = 4;
+  int64_t sources = 2;
+  int64_t height = 42;
+  int64_t width = 70;
+};
+
+Views views_of(const PictureShape& shape) {
+  Views views;
+  views.num_sources = shape.sources;
+  for (int64_t i = 0; i < shape.views; ++i) {
+    const double angle = 0.2 * static_cast<double>(i);
+    Camera camera;
+    camera.width = shape.width;
+    camera.height = shape.height;
+    const auto side = static_cast<double>(std::max(shape.width, shape.height));
+    camera.intrinsics << side, 0, static_cast<double>(shape.width) / 2, 0, side,
+        static_cast<double>(shape.height) / 2, 0, 0, 1;
+    camera.world_from_camera.linear() =
+        Eigen::AngleAxisd(-angle, Eigen::Vector3d::UnitY()).toRotationMatrix();
+    camera.world_from_camera.translation() = Eigen::Vector3d(2 * std::sin(angle), 0.1, -2 * std::cos(angle));
+    views.cameras.push_back(camera);
+  }
+  return views;
+}
+
+// One evaluation of each flow with guidance, then everything that is decoded. images: (sources, 3, height, width).
+PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& images) {
+  PictureShape shape;
+  shape.height = images.size(2);
+  shape.width = images.size(3);
+  PipelineRequest request;
+  request.views = views_of(shape);
+  request.source_images = images;
+  const int64_t tokens = (shape.height / kPatch) * (shape.width / kPatch);
+  const auto noise = [&](uint64_t seed) {
+    return torch::randn({shape.views, tokens, bundle.level1.in_channels},
+                        at::detail::createCPUGenerator(seed), torch::TensorOptions(torch::kFloat32))
+        .to(images.scalar_type());
+  };
+  request.level1_noise = noise(1);
+  request.level0_noise = noise(2);
+  for (auto* solver : {&request.level1_solver, &request.cascade_solver}) {
+    solver->solver = SolverKind::kEuler;
+    solver->evaluations = 1;
+  }
+  request.guidance.guidance_scale = 1.5;
+  request.image_views = DecodedViews::kAll;
+  request.geometry_views = DecodedViews::kAll;
+  return request;
+}
+
+std::map<std::string, torch::Tensor> run_whole(const PipelineModels& models, const PipelineRequest& request) {
+  StageRecords stages;
+  const auto result = run_pipeline(models, request, stages);
+  return {{"level 1 after M1", result.level1},
+          {"level 0 after the cascade", result.level0},
+          {"level 2 after propagation", result.levels[2]},
+          {"level 3 after propagation", result.levels[3]},
+          {"images", result.images},
+          {"depth", result.geometry.depth},
+          {"depth confidence", result.geometry.depth_confidence},
+          {"rays", result.geometry.rays},
+          {"ray confidence", result.geometry.ray_confidence}};
+}
+
+torch::Tensor random_pictures(uint64_t seed, int64_t height, int64_t width) {
+  return torch::rand({2, 3, height, width}, at::detail::createCPUGenerator(seed),
+                     torch::TensorOptions(torch::kFloat32));
+}
+
+// How many of the three things that a message about a number that is not finite must say are missing.
+double missing_in_message(const std::function<void()>& action, const std::string& stage) {
+  try {
+    action();
+  } catch (const Error& error) {
+    const std::string text = error.what();
+    const auto missing = [&](const std::string& word) {
+      return text.find(word) == std::string::npos ? 1.0 : 0.0;
+    };
+    return missing(stage) + missing("step") + missing("flow time");
+  }
+  return 3;
+}
+
+}  // namespace
+
+std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder) {
+  const auto options = small_bundle_options();
+  write_random_bundle(folder / "model", options, 5);
+  const auto bundle = ModelBundle::open(folder / "model");
+  const auto single_models = models_in(bundle, torch::kFloat32);
+  std::vector<ExtremeRow> rows;
+
+  const auto pictures = random_pictures(3, 42, 70);
+  const auto single = run_whole(single_models, whole_request(options, pictures));
+  const auto exact =
+      run_whole(models_in(bundle, torch::kFloat64), whole_request(options, pictures.to(torch::kFloat64)));
+  for (const auto& [name, reference] : exact) {
+    const auto error = (single.at(name).to(torch::kFloat64) - reference).abs().max() / reference.abs().max();
+    rows.push_back({"whole model", name, "relative error, fp32 against double",
+                    reference.scalar_type() == torch::kFloat64 ? error.item<double>()
+                                                               : std::numeric_limits<double>::infinity(),
+                    1e-5});
+  }
+
+  const std::vector<std::pair<const char*, torch::Tensor>> extremes{
+      {"all black pictures", torch::zeros({2, 3, 42, 70})},
+      {"all white pictures", torch::ones({2, 3, 42, 70})},
+      {"pictures of 1:8", random_pictures(4, 14, 112)},
+      {"pictures of 8:1", random_pictures(5, 112, 14)}};
+  for (const auto& [situation, images] : extremes) {
+    double non_finite = 0;
+    for (const auto& [name, tensor] : run_whole(single_models, whole_request(options, images))) {
+      non_finite += torch::isfinite(tensor).logical_not().sum().item<double>();
+    }
+    rows.push_back({"whole model", situation, "numbers that are not finite", non_finite, 0});
+  }
+
+  auto broken = whole_request(options, pictures);
+  broken.level0_noise[1][2][3] = std::numeric_limits<float>::quiet_NaN();
+  rows.push_back({"whole model", "a NaN in the cascade", "of stage, step and time not named in the message",
+                  missing_in_message([&] { run_whole(single_models, broken); }, "cascade"), 0});
+  return rows;
+}
+
+}  // namespace gld

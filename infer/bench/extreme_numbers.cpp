@@ -1,0 +1,176 @@
+// Attention, norms and flows at the ends of the range of numbers.
+#include "gld/attention/attention.h"
+#include "gld/attention/composed_attention.h"
+#include "gld/flow/flow.h"
+#include "gld/flow/problems/exact_flows.h"
+#include "gld/flow/solvers/solver.h"
+#include "gld/tensors/fused_ops.h"
+#include "infer/bench/extremes_benchmark.h"
+
+#include <cmath>
+#include <limits>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kHeadDim = 64;
+// Half a unit in the last place of float32: a logit of size L is itself rounded by L times this.
+constexpr double kRounding = 0x1p-24;
+
+torch::Tensor random(c10::IntArrayRef sizes, uint64_t seed) {
+  return torch::randn(sizes, at::detail::createCPUGenerator(seed), torch::kFloat64);
+}
+
+// Infinite when a value is not a number: std::max would drop it.
+double largest(const torch::Tensor& x) {
+  const double value = x.abs().max().item<double>();
+  return std::isnan(value) ? std::numeric_limits<double>::infinity() : value;
+}
+
+AttentionInputs inputs_with_logits(double size, int64_t tokens) {
+  AttentionInputs inputs;
+  // Values on a coarse grid, so that scalar products are exact and what is measured is the softmax.
+  const auto coarse = [](const torch::Tensor& x) { return torch::round(x * 8) / 8; };
+  inputs.query = coarse(random({1, tokens, 2, kHeadDim}, 1));
+  inputs.key = coarse(random({1, tokens, 2, kHeadDim}, 2));
+  inputs.value = random({1, tokens, 2, kHeadDim}, 3);
+  const auto logits =
+      torch::einsum("bqhc,bkhc->bhqk", {inputs.query, inputs.key}) / std::sqrt(double{kHeadDim});
+  const double factor = size > 0 ? std::exp2(std::floor(std::log2(size / largest(logits)))) : 0;
+  inputs.query = inputs.query * factor;
+  return inputs;
+}
+
+AttentionInputs in_float32(AttentionInputs inputs) {
+  inputs.query = inputs.query.to(torch::kFloat32);
+  inputs.key = inputs.key.to(torch::kFloat32);
+  inputs.value = inputs.value.to(torch::kFloat32);
+  return inputs;
+}
+
+double attention_error(const AttentionInputs& inputs) {
+  const auto single = in_float32(inputs);
+  auto exact = single;
+  exact.query = single.query.to(torch::kFloat64);
+  exact.key = single.key.to(torch::kFloat64);
+  exact.value = single.value.to(torch::kFloat64);
+  const auto reference = composed_attention(exact);
+  return largest(attention(single).to(torch::kFloat64) - reference) / largest(reference);
+}
+
+double rms_norm_error(double magnitude) {
+  constexpr double kEpsilon = 1e-6;
+  constexpr int64_t kChannels = 384;
+  RmsNormInputs inputs;
+  inputs.x = (magnitude * random({16, kChannels}, 5)).to(torch::kFloat32);
+  inputs.epsilon = kEpsilon;
+  const auto y = rms_norm(inputs).to(torch::kFloat64);
+  // Squares of up to 1e60 are no difficulty in double.
+  const auto x = inputs.x.to(torch::kFloat64);
+  const auto exact = x * torch::rsqrt(x.square().mean(-1, true) + kEpsilon);
+  return largest((y - exact) / exact.abs().amax({-1}, true));
+}
+
+FlowProblem extreme_mixture() {
+  RandomMixtureOptions options;
+  options.samples = 4;
+  options.dimensions = 24;
+  options.solution_tolerance = 1e-3;
+  return random_mixture_problem(options);
+}
+
+double non_finite_values(const FlowProblem& problem, double guidance_scale, const SolverOptions& options) {
+  MixtureBranches branches(problem.mixture, problem.conditional_components);
+  GuidanceOptions guidance;
+  guidance.guidance_scale = guidance_scale;
+  GuidedField field(branches, guidance);
+  const auto report = try_solve_on(field, problem.noise, options, solver_times(options));
+  return report.failure ? static_cast<double>(problem.noise.numel()) : 0;
+}
+
+}  // namespace
+
+std::vector<ExtremeRow> attention_extremes() {
+  std::vector<ExtremeRow> rows;
+  for (const double size : {0.0, 1.0, 1e2, 1e4}) {
+    rows.push_back({"attention", size == 0 ? "all logits equal" : fmt::format("logits up to {:g}", size),
+                    "relative error, fp32 against double", attention_error(inputs_with_logits(size, 96)),
+                    2e-6 + size * kRounding});
+  }
+  rows.push_back({"attention", "one token", "relative error, fp32 against double",
+                  attention_error(inputs_with_logits(1, 1)), 2e-7});
+  // Views that see only themselves attend as if each were alone.
+  auto inputs = in_float32(inputs_with_logits(10, 96));
+  inputs.view_mask = torch::eye(4, torch::kBool);
+  const auto together = attention(inputs);
+  double difference = 0;
+  for (int64_t view = 0; view < 4; ++view) {
+    AttentionInputs alone;
+    const auto part = [&](const torch::Tensor& x) { return x.narrow(1, 24 * view, 24).contiguous(); };
+    alone.query = part(inputs.query);
+    alone.key = part(inputs.key);
+    alone.value = part(inputs.value);
+    difference = std::max(difference, largest(attention(alone) - part(together)));
+  }
+  rows.push_back({"attention", "fully separated views", "difference from each view alone", difference, 2e-6});
+  return rows;
+}
+
+std::vector<ExtremeRow> norm_extremes() {
+  std::vector<ExtremeRow> rows;
+  for (const double magnitude : {1e-30, 1e-20, 1e-10, 1e-3, 1.0, 1e10, 1e18, 1e20, 1e30}) {
+    rows.push_back({"norms", fmt::format("RMS {:g}", magnitude), "relative error, fp32 against double",
+                    rms_norm_error(magnitude), 1e-6});
+  }
+  RmsNormInputs zero;
+  zero.x = torch::zeros({2, 64});
+  zero.epsilon = 1e-6;
+  rows.push_back({"norms", "zero vector", "largest value", largest(rms_norm(zero)), 0});
+  RmsNormInputs constant = zero;
+  constant.x = torch::full({2, 64}, 56.0f);
+  rows.push_back({"norms", "constant channels", "| value - 1 |", largest(rms_norm(constant) - 1), 1e-6});
+  return rows;
+}
+
+std::vector<ExtremeRow> flow_extremes() {
+  std::vector<ExtremeRow> rows;
+  const auto data = random({64}, 7), noise = random({64}, 8);
+  for (const double t : {0.0, 1e-12, 0.5, 1 - 1e-12, 1.0}) {
+    const auto x = interpolate(data, noise, t), velocity = velocity_target(data, noise);
+    const double error = std::max(largest(data_from_velocity(x, velocity, t) - data),
+                                  largest(noise_from_velocity(x, velocity, t) - noise));
+    rows.push_back(
+        {"flow", fmt::format("t = {:.13g}", t), "error of data and noise from velocity", error, 1e-14});
+    rows.push_back({"flow", fmt::format("t = {:.13g}", t), "error of t times the score",
+                    largest(scaled_score_from_velocity(x, velocity, t) + noise), 1e-14});
+  }
+  const auto problem = extreme_mixture();
+  for (const double scale : {1.0, 5.0, 20.0}) {
+    SolverOptions options;
+    rows.push_back({"flow", fmt::format("guidance scale {:g}", scale), "non-finite numbers",
+                    non_finite_values(problem, scale, options), 0});
+  }
+  for (const double shift : {1.0, 31.18, 100.0}) {
+    SolverOptions options;
+    options.solver = SolverKind::kEuler;
+    options.evaluations = 49;
+    options.schedule.schedule = ScheduleKind::kPublished;
+    options.schedule.shift = shift;
+    rows.push_back({"flow", fmt::format("published grid, shift {:g}", shift), "non-finite numbers",
+                    non_finite_values(problem, 1.5, options), 0});
+  }
+  for (const int64_t evaluations : {1, 2, 3, 1000}) {
+    SolverOptions options;
+    options.evaluations = evaluations;
+    rows.push_back({"flow", fmt::format("{} evaluations", evaluations), "non-finite numbers",
+                    non_finite_values(problem, 1.5, options), 0});
+  }
+  return rows;
+}
+
+}  // namespace gld

@@ -1,0 +1,65 @@
+#include "infer/bench/extremes_benchmark.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/report/run_folder.h"
+
+#include <algorithm>
+#include <chrono>
+#include <iostream>
+
+#include <ATen/core/grad_mode.h>
+
+namespace gld {
+
+void ExtremesBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"out", "folder to write into"}, out);
+  visitor.integer({"camera_sets", "random extreme camera sets to try"}, camera_sets, {0, 10000000});
+}
+
+Table extremes_table(const std::vector<ExtremeRow>& rows) {
+  Table table({"area", "situation", "measured", "value", "limit", "passed"});
+  for (const auto& row : rows) {
+    table.add_row({row.area, row.situation, row.measured, row.value, row.limit,
+                   std::string(row.passed() ? "yes" : "NO")});
+  }
+  return table;
+}
+
+std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem::path& folder) {
+  std::filesystem::create_directories(folder);
+  std::vector<ExtremeRow> rows;
+  for (const auto& part :
+       {camera_extremes(camera_sets), attention_extremes(), norm_extremes(), flow_extremes(),
+        image_extremes(folder), depth_extremes(folder), forward_extremes(folder)}) {
+    rows.insert(rows.end(), part.begin(), part.end());
+  }
+  std::filesystem::remove_all(folder);
+  return rows;
+}
+
+int run_extremes_benchmark(const ExtremesBenchmarkOptions& options) {
+  const at::NoGradGuard no_grad;
+  RunFolder folder(options.out, "bench extremes", options);
+  const auto start = std::chrono::steady_clock::now();
+  const auto rows = all_extremes(options.camera_sets, folder.path() / "scratch");
+  const auto table = extremes_table(rows);
+  const auto passed =
+      std::count_if(rows.begin(), rows.end(), [](const ExtremeRow& row) { return row.passed(); });
+  write_file_atomically(folder.path() / "extremes.csv", table.csv());
+  write_file_atomically(folder.path() / "extremes.md", "# Extreme cases\n\n" + table.markdown());
+  folder.write_report(
+      {{"command", "bench extremes"},
+       {"options", to_json(options)},
+       {"rows", rows.size()},
+       {"passed", passed},
+       {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}});
+  std::cout << table.markdown() << "\n";
+  folder.note("every case", "extremes.csv");
+  folder.note("table", "extremes.md");
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return passed == static_cast<int64_t>(rows.size()) ? 0 : 1;
+}
+
+}  // namespace gld

@@ -1,0 +1,49 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/report/table.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// gld bench extremes: one table of what happens at the ends of the range of cameras, logits, norms, flows, image files,
+// depth and the whole of a small model.
+struct ExtremesBenchmarkOptions : OptionsGroup {
+  std::string out;
+  int64_t camera_sets = 10000;
+
+  void visit(FieldVisitor& visitor) override;
+};
+
+// A measured number and the limit it must not exceed.
+struct ExtremeRow {
+  std::string area;
+  std::string situation;
+  std::string measured;
+  double value = 0;
+  double limit = 0;
+
+  bool passed() const { return value <= limit; }  // NaN does not pass
+};
+
+std::vector<ExtremeRow> camera_extremes(int64_t random_sets);
+std::vector<ExtremeRow> attention_extremes();
+std::vector<ExtremeRow> norm_extremes();
+std::vector<ExtremeRow> flow_extremes();
+// These three write files into an existing folder.
+std::vector<ExtremeRow> image_extremes(const std::filesystem::path& folder);
+std::vector<ExtremeRow> depth_extremes(const std::filesystem::path& folder);
+std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder);
+// All of them; camera_sets random sets of cameras. What is written into the folder is removed again.
+std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem::path& folder);
+
+Table extremes_table(const std::vector<ExtremeRow>& rows);
+
+// Writes extremes.csv, extremes.md and report.json into options.out. Returns 0 when every row passes, else 1.
+int run_extremes_benchmark(const ExtremesBenchmarkOptions& options);
+
+}  // namespace gld

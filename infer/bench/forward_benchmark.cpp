@@ -1,0 +1,297 @@
+#include "infer/bench/forward_benchmark.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/kernels/multiply_add_peak.h"
+#include "gld/machine/timing.h"
+#include "gld/report/plot.h"
+#include "gld/report/progress.h"
+#include "gld/report/run_folder.h"
+#include "gld/tensors/product_peak.h"
+#include "gld/tensors/torch_version.h"
+#include "infer/bench/composed_dit.h"
+#include "models/bundle/bundle.h"
+#include "models/cost/cost_model.h"
+
+#include <algorithm>
+#include <cmath>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr double kFlowTime = 0.7;
+
+// Neither all equal nor growing with depth; what they are does not change the time.
+void fill_with_random_weights(torch::nn::Module& module) {
+  torch::manual_seed(1);
+  for (auto& parameter : module.parameters()) {
+    if (parameter.dim() < 2) {
+      parameter.fill_(0.5);
+      continue;
+    }
+    const double range = 1.0 / std::sqrt(static_cast<double>(parameter[0].numel()));
+    parameter.uniform_(-range, range);
+  }
+}
+
+Views cameras_in_a_row(const ForwardBenchmarkOptions& options, const ImageSize& size) {
+  Views views;
+  views.num_sources = options.sources;
+  for (int64_t i = 0; i < options.views; ++i) {
+    Camera camera;
+    camera.width = size.width;
+    camera.height = size.height;
+    const auto focal = static_cast<double>(size.width);
+    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(size.height), 0, 0, 1;
+    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
+    views.cameras.push_back(camera);
+  }
+  return views;
+}
+
+// A model, a scene and everything that exact savings compute once.
+struct Setting {
+  std::shared_ptr<DitDh> model;
+  DitScene scene;
+  DitTimeRow time;
+  torch::Tensor noisy;
+};
+
+Setting make_setting(const ForwardBenchmarkOptions& options) {
+  BundleOptions bundle;
+  Setting setting;
+  if (options.model.empty()) {
+    setting.model = std::make_shared<DitDh>(bundle.level1, ParameterPlacement{});
+    fill_with_random_weights(*setting.model);
+  } else {
+    const auto opened = ModelBundle::open(options.model);
+    bundle = opened.options();
+    setting.model = opened.load_level1();
+  }
+  const ImageSize size = image_size_from_text(options.size, "--size");
+  const LatentGrid grid = bundle.backbone.grid_of(options.views, size.height, size.width);
+  const int64_t tokens = setting.model->tokens_per_view(grid),
+                channels = setting.model->options().in_channels;
+  torch::manual_seed(2);
+  DitSceneInputs inputs;
+  inputs.views = cameras_in_a_row(options, size);
+  inputs.source_features = torch::randn({options.sources, tokens, channels});
+  setting.scene = setting.model->prepare_scene(inputs);
+  setting.time = setting.model->time_rows({kFlowTime}).front();
+  setting.noisy = torch::randn({options.views, tokens, channels});
+  return setting;
+}
+
+// One evaluation in the order of DitDh::velocity, timed in two parts that add up to it.
+struct Evaluation {
+  double encoder_seconds = 0;
+  double decoder_seconds = 0;  // with the embedding of the noisy latent and the last layer
+  double peak = 0;             // multiply-adds, measured just before
+  torch::Tensor condition;
+  torch::Tensor velocity;
+};
+
+template <class Model>
+Evaluation evaluate(const Setting& setting, const Model& model) {
+  Evaluation result;
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  result.peak = measure_multiply_add_peak(peak);
+  const DitBranch branch = DitBranch::kConditional;
+  DitNoisyTokens tokens;
+  result.decoder_seconds +=
+      seconds_of([&] { tokens = setting.model->embed_noisy(setting.scene, setting.noisy); });
+  result.encoder_seconds = seconds_of(
+      [&] { result.condition = model.condition_encoder(setting.scene, tokens, setting.time, branch); });
+  result.decoder_seconds += seconds_of([&] {
+    result.velocity = setting.model->velocity_from_features(
+        model.velocity_features(setting.scene, tokens, result.condition, setting.time, branch));
+  });
+  return result;
+}
+
+// The repeats of one variant.
+struct Samples {
+  std::string variant;
+  std::vector<Evaluation> evaluations;
+};
+
+double relative_difference(const torch::Tensor& x, const torch::Tensor& reference) {
+  return ((x - reference).abs().max() / reference.abs().max()).item<double>();
+}
+
+struct Part {
+  std::string name;
+  Cost cost;
+  double (*seconds)(const Evaluation&);
+  const torch::Tensor& (*result)(const Evaluation&);
+};
+
+std::vector<Part> parts_of(const Setting& setting) {
+  const auto& options = setting.model->options();
+  const auto velocity = [](const Evaluation& e) -> const torch::Tensor& { return e.velocity; };
+  return {{"condition_encoder", condition_encoder_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.encoder_seconds; },
+           [](const Evaluation& e) -> const torch::Tensor& { return e.condition; }},
+          {"velocity_decoder", velocity_decoder_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.decoder_seconds; }, velocity},
+          {"evaluation", dit_cost(options, setting.scene.grid),
+           [](const Evaluation& e) { return e.encoder_seconds + e.decoder_seconds; }, velocity}};
+}
+
+ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Samples& reference) {
+  std::vector<double> seconds, fractions;
+  for (const auto& evaluation : samples.evaluations) {
+    seconds.push_back(part.seconds(evaluation));
+    fractions.push_back(part.cost.flop() / seconds.back() / evaluation.peak);
+  }
+  ForwardBenchmarkRow row;
+  row.part = part.name;
+  row.variant = samples.variant;
+  const Spread spread = spread_of(seconds);
+  row.seconds = spread.median;
+  row.seconds_low = spread.low;
+  row.seconds_high = spread.high;
+  row.tflop = part.cost.flop() * 1e-12;
+  row.fraction_of_peak = spread_of(fractions).median;
+  row.relative_difference =
+      relative_difference(part.result(samples.evaluations.back()), part.result(reference.evaluations.back()));
+  return row;
+}
+
+Table overview(const std::vector<ForwardBenchmarkRow>& rows) {
+  Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
+               "relative_difference"});
+  for (const auto& row : rows) {
+    table.add_row({row.part, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
+                   row.fraction_of_peak, row.relative_difference});
+  }
+  return table;
+}
+
+Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
+  PlotPanel panel;
+  panel.title = "time and use of the processor";
+  panel.x = {"seconds", AxisScale::kLog};
+  panel.y = {"fraction of multiply-add peak", AxisScale::kLinear, 0, 1};
+  for (const auto& row : rows) {
+    panel.series.push_back(
+        {row.part + ", " + row.variant, SeriesStyle::kMarkers, {{row.seconds, row.fraction_of_peak}}});
+  }
+  Figure figure;
+  figure.title = "One evaluation of M1";
+  figure.panels = {panel};
+  return figure;
+}
+
+}  // namespace
+
+void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"out", "folder to write into"}, out);
+  visitor.text({"model", "model bundle; empty for the full-size M1 with random weights"}, model);
+  visitor.integer({"views", "source and target views"}, views, {1, 1000});
+  visitor.integer({"sources", "source views"}, sources, {1, 1000});
+  visitor.text({"size", "image size, width x height in pixels"}, size);
+  visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
+  visitor.integer({"threads", "computing threads; 0 for all processors"}, threads, {0, 4096});
+}
+
+void ForwardBenchmarkOptions::check() const {
+  if (sources > views) {
+    fail({"--sources", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
+  }
+}
+
+std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options) {
+  const torch::NoGradGuard no_grad;
+  const Setting setting = make_setting(options);
+  const ComposedDit composed(*setting.model);
+  Samples ours = {"ours", {}}, plain = {"composed", {}};
+  Progress progress("bench forward", 2 * options.repeats);
+  const auto sample = [&](Samples& samples, Evaluation evaluation) {
+    samples.evaluations.push_back(std::move(evaluation));
+    progress.update(static_cast<int64_t>(ours.evaluations.size() + plain.evaluations.size()),
+                    samples.variant);
+    stop_if_interrupted("nothing was written yet");
+  };
+  for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
+    // Its blocks are kept for its next one, as between the evaluations of a flow.
+    sample(ours, evaluate(setting, *setting.model));
+    const LibraryTensorMemory library_memory;
+    sample(plain, evaluate(setting, composed));
+  }
+  std::vector<ForwardBenchmarkRow> rows;
+  for (const Part& part : parts_of(setting)) {
+    rows.push_back(row_from(part, ours, plain));
+    rows.push_back(row_from(part, plain, plain));
+  }
+  progress.finish();
+  return rows;
+}
+
+Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
+  Table table({"part", "variant", "seconds", "tflop", "fraction_of_peak", "relative_difference"});
+  for (const auto& row : rows) {
+    table.add_row(
+        {row.part, row.variant, row.seconds, row.tflop, row.fraction_of_peak, row.relative_difference});
+  }
+  return table;
+}
+
+int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
+  RunFolder folder(options.out, "bench forward", options);
+  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
+                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  PeakMeasurement peak;
+  peak.settings.threads = thread_count();
+  double sgemm = measure_sgemm_peak();
+  double multiply_add = measure_multiply_add_peak(peak);
+  const auto rows = forward_benchmark_rows(options);
+  // And again: the first parallel regions may find all threads on one core.
+  sgemm = std::max(sgemm, measure_sgemm_peak());
+  multiply_add = std::max(multiply_add, measure_multiply_add_peak(peak));
+  const double speedup = rows[5].seconds / rows[4].seconds;
+  const std::string text = fmt::format(
+      "# One evaluation of M1, {} views of {}\n\nWith {} threads the multiply-add peak is {:.0f} GFLOP/s and "
+      "a "
+      "large matrix product ({}) reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own "
+      "memory, "
+      "in turns with ours; both start from a scene prepared once. The parts add up to the evaluation, which "
+      "is "
+      "{:.2f} times as fast.\n\n{}",
+      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
+      overview(rows).markdown());
+  write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());
+  write_file_atomically(folder.path() / "forward.md", text);
+  const auto figure = forward_figure(rows);
+  write_svg(figure, folder.path() / "forward.svg");
+  write_png(figure, folder.path() / "forward.png");
+  folder.write_report({{"command", "bench forward"},
+                       {"options", to_json(options)},
+                       {"threads", thread_count()},
+                       {"multiply_add_peak", multiply_add},
+                       {"sgemm_peak", sgemm},
+                       {"speedup", speedup},
+                       {"blas", blas_name()}});
+  std::cout << text << "\n";
+  folder.note("parts", "forward.csv");
+  folder.note("table", "forward.md");
+  folder.note("plot", "forward.png");
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return 0;
+}
+
+}  // namespace gld

@@ -1,0 +1,44 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/report/table.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// gld bench forward: one evaluation of M1 beside LibTorch's plain composition, as fractions of the multiply-add peak.
+struct ForwardBenchmarkOptions : OptionsGroup {
+  std::string out;
+  std::string model;  // a bundle; empty: DA3-Base's M1 at full size with random weights
+  int64_t views = 8;
+  int64_t sources = 4;
+  std::string size = "252x140";
+  int64_t repeats = 3;
+  int64_t threads = 0;  // all processors
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+struct ForwardBenchmarkRow {
+  std::string part;     // "condition_encoder", "velocity_decoder" or "evaluation" (both, in one)
+  std::string variant;  // "ours" or "composed"
+  double seconds = 0;   // median
+  double seconds_low = 0;
+  double seconds_high = 0;
+  double tflop = 0;             // by the cost model
+  double fraction_of_peak = 0;  // median over repeats of (operations / seconds / peak measured just before)
+  double relative_difference = 0;  // max |difference| / max |value| from the composition's result
+};
+
+std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);
+// Columns part, variant, seconds, tflop, fraction_of_peak, relative_difference.
+Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows);
+
+// Writes forward.csv, forward.md, forward.svg, forward.png and report.json into options.out. Returns the exit status.
+int run_forward_benchmark(const ForwardBenchmarkOptions& options);
+
+}  // namespace gld

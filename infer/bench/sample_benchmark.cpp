@@ -1,0 +1,470 @@
+#include "infer/bench/sample_benchmark.h"
+
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/metrics/image_metrics.h"
+#include "gld/report/plot.h"
+#include "gld/report/progress.h"
+#include "gld/report/run_folder.h"
+#include "gld/tensors/device.h"
+#include "gld/tensors/torch_version.h"
+#include "infer/pipeline/bundle_models.h"
+#include "infer/pipeline/scene_request.h"
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <iostream>
+#include <limits>
+#include <memory>
+#include <set>
+#include <thread>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kReferenceEvaluations = 20000;
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+const std::string kEverywhere = "everywhere";
+
+// What means over scenes are taken of.
+constexpr double SampleRow::*kAveraged[] = {&SampleRow::level1_error, &SampleRow::level0_error,
+                                            &SampleRow::psnr,         &SampleRow::ssim,
+                                            &SampleRow::lpips,        &SampleRow::seconds};
+
+SamplingVariant variant_of(SolverKind solver, ScheduleKind schedule, int64_t evaluations, double scale) {
+  SamplingVariant variant;
+  variant.solver.solver = solver;
+  variant.solver.evaluations = evaluations;
+  variant.solver.schedule.schedule = schedule;
+  variant.guidance.guidance_scale = scale;
+  return variant;
+}
+
+std::string guidance_text(const GuidanceOptions& guidance) {
+  if (guidance.guidance_scale == 1) return "none";
+  if (guidance.guidance_tolerance > 0) return fmt::format("dropped below {:g}", guidance.guidance_tolerance);
+  if (guidance.guidance_interval[0] > 0) return fmt::format("from t = {:g}", guidance.guidance_interval[0]);
+  return kEverywhere;
+}
+
+double mean_of(const torch::Tensor& values) { return values.mean().item<double>(); }
+
+// Null without weights.
+std::shared_ptr<Lpips> load_lpips_of(const SampleBenchmarkOptions& options) {
+  if (options.lpips_backbone.empty()) return nullptr;
+  auto lpips = std::make_shared<Lpips>(options.lpips, ParameterPlacement{});
+  load_lpips(*lpips, *WeightFile::open(options.lpips_backbone), *WeightFile::open(options.lpips_heads));
+  return lpips;
+}
+
+// Loading a model anew for each sample would hide what a small one takes; of a large one only the present stage's
+// weights fit beside each other, as in gld sample.
+PipelineModels models_of(const ModelBundle& bundle, const torch::Device& device) {
+  constexpr uintmax_t kKeptBytes = 1'000'000'000;
+  uintmax_t bytes = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(bundle.folder())) {
+    if (entry.is_regular_file()) bytes += entry.file_size();
+  }
+  return bytes <= kKeptBytes ? kept_bundle_models(bundle, device) : bundle_models(bundle, device);
+}
+
+// What all scenes share.
+struct BenchmarkModels {
+  BundleOptions bundle;
+  PipelineModels models;
+  std::shared_ptr<Lpips> lpips;  // null without weights
+};
+
+// A scene and everything that does not depend on how it is sampled.
+class SceneSampler {
+ public:
+  SceneSampler(const BenchmarkModels& models, const SamplingScene& scene, int64_t noise_seed,
+               const torch::Device& device)
+      : models_(models), name_(scene.name) {
+    request_ = scene_request(scene, models.bundle, noise_seed, device);
+    const auto& truth = scene.true_images;
+    if (!truth.empty() &&
+        std::all_of(truth.begin(), truth.end(), [](const Image& image) { return !image.empty(); })) {
+      truth_ = stacked(truth);
+    }
+  }
+
+  // The converged solution that errors refer to.
+  void solve_reference(double tolerance, double guidance_scale) {
+    SamplingVariant variant =
+        variant_of(SolverKind::kDormandPrince, ScheduleKind::kLogSnr, 1, guidance_scale);
+    variant.solver.tolerance = tolerance;
+    variant.solver.max_evaluations = kReferenceEvaluations;
+    reference_row_ = run(variant, reference_);
+    reference_row_.solver = "reference";
+    reference_row_.schedule.clear();
+    reference_row_.count = 0;
+    reference_row_.level1_error = reference_row_.level0_error = 0;
+  }
+  const SampleRow& reference_row() const { return reference_row_; }
+
+  SampleRow measure(const SamplingVariant& variant) {
+    PipelineResult result;
+    SampleRow row = run(variant, result);
+    if (row.non_finite == 0) {
+      row.level1_error = relative_error(result.level1, reference_.level1);
+      row.level0_error = relative_error(result.level0, reference_.level0);
+    }
+    return row;
+  }
+
+ private:
+  static double relative_error(const torch::Tensor& latent, const torch::Tensor& reference) {
+    return ((latent - reference).norm() / reference.norm()).item<double>();
+  }
+
+  SampleRow run(const SamplingVariant& variant, PipelineResult& result) {
+    request_.level1_solver = request_.cascade_solver = variant.solver;
+    request_.level1_solver.schedule.shift = models_.bundle.level1_time_shift.evaluation;
+    request_.cascade_solver.schedule.shift = models_.bundle.cascade_time_shift.evaluation;
+    request_.guidance = variant.guidance;
+    SampleRow row;
+    row.scene = name_;
+    row.solver = solver_names()[static_cast<size_t>(variant.solver.solver)];
+    row.schedule = schedule_names()[static_cast<size_t>(variant.solver.schedule.schedule)];
+    row.count = variant.solver.evaluations;
+    row.guidance_scale = variant.guidance.guidance_scale;
+    row.guidance = guidance_text(variant.guidance);
+    row.psnr = row.ssim = row.lpips = row.level1_error = row.level0_error = kNan;
+    StageRecords stages;
+    try {
+      result = run_pipeline(models_.models, request_, stages);
+    } catch (const Error& error) {
+      // Every stage words it like this (gld/flow/solvers/solver.h, infer/pipeline/sampling_pipeline.h); other errors end the report.
+      if (error.parts().expected != "finite numbers") throw;
+      row.non_finite = 1;
+    }
+    for (const auto& stage : stages.records()) {
+      if (stage.name == "M1" || stage.name == "cascade") row.seconds += stage.seconds;
+      row.peak_bytes = std::max(row.peak_bytes, stage.peak_bytes);
+    }
+    for (const auto& flow : result.flows) {
+      row.evaluations += flow.evaluations;
+      row.unconditional += flow.guidance.unconditional;
+    }
+    if (row.non_finite == 0 && truth_.defined()) {
+      const torch::NoGradGuard no_gradients;
+      row.psnr = mean_of(psnr(truth_, result.images));
+      row.ssim = mean_of(ssim(truth_, result.images));
+      if (models_.lpips) row.lpips = mean_of(models_.lpips->forward(truth_, result.images.clamp(0, 1)));
+    }
+    return row;
+  }
+
+  const BenchmarkModels& models_;
+  std::string name_;
+  PipelineRequest request_;
+  torch::Tensor truth_;
+  PipelineResult reference_;
+  SampleRow reference_row_;
+};
+
+// The scenes to sample, loaded one at a time.
+class BenchmarkScenes {
+ public:
+  BenchmarkScenes(const SampleBenchmarkOptions& options, const BundleOptions& bundle)
+      : options_(options), bundle_(bundle) {
+    if (options.scene.empty()) {
+      const auto size = bundle.image_sizes().front();
+      generator_.seed = options.synthetic_seed;
+      generator_.scenes = options.synthetic;
+      generator_.width = size.width;
+      generator_.height = size.height;
+      return;
+    }
+    locations_ = list_scenes(options.scene, options.reading);
+    locations_.resize(std::min(locations_.size(), static_cast<size_t>(options.max_scenes)));
+  }
+
+  int64_t size() const {
+    return options_.scene.empty() ? options_.synthetic : static_cast<int64_t>(locations_.size());
+  }
+
+  SamplingScene load(int64_t index) const {
+    if (options_.scene.empty()) {
+      const SampleKey key = held_out_key(options_.synthetic_seed, index);
+      return load_held_out_scene(make_synthetic_scene(generator_, index), held_out_views(), key, bundle_);
+    }
+    const auto& location = locations_[static_cast<size_t>(index)];
+    SceneReading reading = options_.reading;
+    if (!location.part.empty()) reading.part = location.part;
+    const Scene scene = open_scene(location.path, reading);
+    const auto size = choose_size(options_.size, scene, bundle_.image_sizes(), bundle_.backbone.patch_size);
+    return load_sampling_scene(scene, options_.views, size);
+  }
+
+ private:
+  const SampleBenchmarkOptions& options_;
+  const BundleOptions& bundle_;
+  SyntheticOptions generator_;
+  std::vector<SceneLocation> locations_;
+};
+
+// Error or quality against seconds, one line a variant, at one guidance scale.
+PlotPanel work_panel(const std::vector<SampleRow>& means, double SampleRow::*quality,
+                     const std::string& label, double guidance_scale) {
+  const bool error = quality == &SampleRow::level0_error;
+  PlotPanel panel;
+  panel.title = label + fmt::format(", guidance {:g}", guidance_scale);
+  panel.x = {"seconds for both levels", AxisScale::kLog, 0, 0};
+  panel.y = {label, error ? AxisScale::kLog : AxisScale::kLinear, 0, 0};
+  PlotSeries front{"Pareto front", SeriesStyle::kFront, {}};
+  for (const auto& row : means) {
+    if (row.guidance_scale != guidance_scale || !std::isfinite(row.*quality)) continue;
+    if (error && row.is_reference()) continue;
+    auto series = std::find_if(panel.series.begin(), panel.series.end(),
+                               [&](const PlotSeries& entry) { return entry.name == row.variant(); });
+    if (series == panel.series.end()) {
+      panel.series.push_back({row.variant(), SeriesStyle::kLine, {}});
+      series = panel.series.end() - 1;
+    }
+    series->points.emplace_back(row.seconds, row.*quality);
+    if (error ? row.on_error_front : row.on_quality_front)
+      front.points.emplace_back(row.seconds, row.*quality);
+  }
+  std::sort(front.points.begin(), front.points.end());
+  panel.series.push_back(std::move(front));
+  return panel;
+}
+
+bool has_quality(const std::vector<SampleRow>& rows) {
+  return std::any_of(rows.begin(), rows.end(), [](const SampleRow& row) { return std::isfinite(row.psnr); });
+}
+
+Figure sample_figure(const std::vector<SampleRow>& means, double guidance_scale) {
+  Figure figure;
+  figure.title = "Sampling: error and quality against time";
+  figure.panels = {work_panel(means, &SampleRow::level0_error, "relative latent error", guidance_scale)};
+  if (has_quality(means))
+    figure.panels.push_back(work_panel(means, &SampleRow::psnr, "PSNR (dB)", guidance_scale));
+  return figure;
+}
+
+}  // namespace
+
+void SampleBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
+  visitor.text({"scene", "folder of a scene, or of several; its views are --sources and --targets"}, scene);
+  visitor.integer({"max_scenes", "how many scenes of the folder to take"}, max_scenes, {1, 100000});
+  visitor.integer({"synthetic", "number of generated scenes, in the place of --scene; those of gld eval"},
+                  synthetic, {0, 100000});
+  visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
+                  synthetic_seed, {0, 1'000'000'000'000});
+  visitor.group({"reading", "how scenes are read"}, reading);
+  visitor.group({"views", "which views"}, views);
+  visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
+  visitor.integer({"seed", "seed of the first scene's noise; each next scene has the next seed"}, seed, {0});
+  visitor.integers({"counts", "function evaluations a level to try"}, counts, {1, 100000});
+  visitor.reals({"guidance_scales", "guidance scales to try; the last is plotted"}, guidance_scales,
+                {0, 1000});
+  visitor.real({"reference_tolerance", "tolerance of the adaptive reference solve"}, reference_tolerance,
+               {1e-10, 0.1});
+  visitor.text({"lpips_backbone", "classification network of LPIPS; empty leaves the lpips column empty"},
+               lpips_backbone);
+  visitor.text({"lpips_heads", "published linear heads of LPIPS"}, lpips_heads);
+  visitor.group({"lpips", "which LPIPS"}, lpips);
+  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
+  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
+  visitor.text({"out", "run folder to write"}, out);
+}
+
+void SampleBenchmarkOptions::check() const {
+  if (scene.empty() == (synthetic == 0)) {
+    fail({"--scene, --synthetic", "either a folder of images with cameras or a number of generated scenes",
+          scene.empty() ? "neither" : "both", "add for example --synthetic 4"});
+  }
+  if (!scene.empty()) views.ViewSelection::check();
+  if (lpips_backbone.empty() != lpips_heads.empty()) {
+    fail({"--lpips-backbone, --lpips-heads", "both files, or neither",
+          lpips_backbone.empty() ? "only the heads" : "only the backbone", "give both files"});
+  }
+  if (counts.empty() || guidance_scales.empty()) {
+    fail(
+        {"counts and guidance_scales", "at least one value each", "an empty list", "write for example [16]"});
+  }
+}
+
+std::vector<SamplingVariant> sampling_variants(const std::vector<int64_t>& counts, double guidance_scale) {
+  std::vector<SamplingVariant> variants;
+  for (const int64_t count : counts) {
+    for (const auto& [solver, schedule] : {std::pair{SolverKind::kEuler, ScheduleKind::kPublished},
+                                           {SolverKind::kEuler, ScheduleKind::kLogSnr},
+                                           {SolverKind::kDpmSolver2M, ScheduleKind::kLogSnr},
+                                           {SolverKind::kUniPc2, ScheduleKind::kLogSnr},
+                                           {SolverKind::kUniPc3, ScheduleKind::kLogSnr}}) {
+      variants.push_back(variant_of(solver, schedule, count, guidance_scale));
+    }
+    if (guidance_scale == 1) continue;
+    auto early = variant_of(SolverKind::kUniPc3, ScheduleKind::kLogSnr, count, guidance_scale);
+    early.guidance.guidance_interval = {0.9, 1};
+    variants.push_back(early);
+    auto adaptive = variant_of(SolverKind::kUniPc3, ScheduleKind::kLogSnr, count, guidance_scale);
+    adaptive.guidance.guidance_tolerance = 0.01;
+    variants.push_back(adaptive);
+  }
+  return variants;
+}
+
+std::string SampleRow::variant() const {
+  if (is_reference()) return solver;
+  const bool plain = guidance.empty() || guidance == kEverywhere || guidance_scale == 1;
+  return solver + ", " + schedule + (plain ? "" : ", guided " + guidance);
+}
+
+void mark_pareto_fronts(std::vector<SampleRow>& rows) {
+  // Fronts minimise; quality is better when larger.
+  const auto mark = [&](const SampleRow& first, double SampleRow::*value, double sign,
+                        bool SampleRow::*on_front) {
+    std::vector<std::pair<double, double>> points;
+    const auto takes_part = [&](const SampleRow& row) {
+      return row.scene == first.scene && row.guidance_scale == first.guidance_scale && !row.is_reference() &&
+             std::isfinite(row.*value);
+    };
+    for (const auto& row : rows) {
+      if (takes_part(row)) points.emplace_back(row.seconds, sign * row.*value);
+    }
+    const auto front = pareto_front(points);
+    for (auto& row : rows) {
+      const std::pair<double, double> point(row.seconds, sign * row.*value);
+      row.*on_front =
+          takes_part(row) ? std::find(front.begin(), front.end(), point) != front.end() : row.*on_front;
+    }
+  };
+  std::set<std::pair<std::string, double>> done;
+  for (size_t i = 0; i < rows.size(); ++i) {
+    if (!done.emplace(rows[i].scene, rows[i].guidance_scale).second) continue;
+    const SampleRow first = rows[i];
+    mark(first, &SampleRow::level0_error, 1, &SampleRow::on_error_front);
+    mark(first, &SampleRow::psnr, -1, &SampleRow::on_quality_front);
+  }
+}
+
+Table sample_table(const std::vector<SampleRow>& rows) {
+  Table table({"scene", "solver", "schedule", "count", "guidance_scale", "guidance", "evaluations",
+               "unconditional", "level1_error", "level0_error", "psnr", "ssim", "lpips", "seconds",
+               "peak_bytes", "non_finite", "pareto"});
+  for (const auto& row : rows) {
+    const std::string front = row.on_error_front && row.on_quality_front ? "error and psnr"
+                              : row.on_error_front                       ? "error"
+                              : row.on_quality_front                     ? "psnr"
+                                                                         : "";
+    table.add_row({row.scene, row.solver, row.schedule, row.count, row.guidance_scale, row.guidance,
+                   row.evaluations, row.unconditional, row.level1_error, row.level0_error, row.psnr, row.ssim,
+                   std::isnan(row.lpips) ? TableCell(std::string()) : TableCell(row.lpips), row.seconds,
+                   row.peak_bytes, row.non_finite, front});
+  }
+  return table;
+}
+
+std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows) {
+  struct Group {
+    SampleRow sum;
+    int64_t scenes = 0;
+  };
+  const auto alike = [](const SampleRow& a, const SampleRow& b) {
+    return a.solver == b.solver && a.schedule == b.schedule && a.count == b.count &&
+           a.guidance_scale == b.guidance_scale && a.guidance == b.guidance;
+  };
+  std::vector<Group> groups;
+  for (const auto& row : rows) {
+    const auto group = std::find_if(groups.begin(), groups.end(),
+                                    [&](const Group& candidate) { return alike(candidate.sum, row); });
+    if (group == groups.end()) {
+      groups.push_back({row, 1});
+      groups.back().sum.scene = "mean";
+      continue;
+    }
+    auto& sum = group->sum;
+    for (auto value : kAveraged) sum.*value += row.*value;
+    sum.evaluations += row.evaluations;
+    sum.unconditional += row.unconditional;
+    sum.peak_bytes = std::max(sum.peak_bytes, row.peak_bytes);
+    sum.non_finite += row.non_finite;
+    ++group->scenes;
+  }
+  std::vector<SampleRow> means;
+  for (auto& group : groups) {
+    auto& mean = group.sum;
+    mean.evaluations /= group.scenes;
+    mean.unconditional /= group.scenes;
+    for (auto value : kAveraged) mean.*value /= static_cast<double>(group.scenes);
+    means.push_back(mean);
+  }
+  mark_pareto_fronts(means);
+  return means;
+}
+
+int run_sample_benchmark(const SampleBenchmarkOptions& options) {
+  install_interrupt_handler();
+  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
+                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  const auto bundle = ModelBundle::open(options.model);
+  const auto device = device_from_text(options.device);
+  const BenchmarkScenes scenes(options, bundle.options());
+  const BenchmarkModels models{bundle.options(), models_of(bundle, device), load_lpips_of(options)};
+  RunFolder folder(options.out, "bench sample", options);
+  size_t total = 0;
+  for (const double scale : options.guidance_scales)
+    total += 1 + sampling_variants(options.counts, scale).size();
+  total *= static_cast<size_t>(scenes.size());
+
+  std::vector<SampleRow> rows;
+  Progress progress("bench sample", static_cast<int64_t>(total));
+  const auto keep = [&](const SampleRow& row) {
+    rows.push_back(row);
+    write_file_atomically(folder.path() / "sample.csv", sample_table(rows).csv());
+    progress.update(static_cast<int64_t>(rows.size()), row.scene + ": " + row.variant());
+    stop_if_interrupted(fmt::format("{} of {} samples are in sample.csv", rows.size(), total));
+  };
+  for (int64_t index = 0; index < scenes.size(); ++index) {
+    SceneSampler sampler(models, scenes.load(index), options.seed + index, device);
+    for (const double scale : options.guidance_scales) {
+      sampler.solve_reference(options.reference_tolerance, scale);
+      keep(sampler.reference_row());
+      for (const auto& variant : sampling_variants(options.counts, scale)) keep(sampler.measure(variant));
+    }
+  }
+  progress.finish();
+  mark_pareto_fronts(rows);
+  write_file_atomically(folder.path() / "sample.csv", sample_table(rows).csv());
+
+  const auto means = mean_over_scenes(rows);
+  const std::string text =
+      fmt::format(
+          "# Sampling: error, quality and time\n\nModel {}, {} scenes. Latent errors are relative to a "
+          "Dormand-Prince solve of the same noise at tolerance {:g}; `count` is evaluations a level; "
+          "evaluations, seconds and memory are of both levels together; `pareto` says on which front of a "
+          "guidance scale a row is: of seconds and level0_error, or of seconds and PSNR.\n\n",
+          bundle.options().name, scenes.size(), options.reference_tolerance) +
+      sample_table(means).markdown();
+  write_file_atomically(folder.path() / "sample.md", text);
+  const auto figure = sample_figure(means, options.guidance_scales.back());
+  write_svg(figure, folder.path() / "sample.svg");
+  write_png(figure, folder.path() / "sample.png");
+  folder.write_report({{"command", "bench sample"},
+                       {"options", to_json(options)},
+                       {"model_hash", bundle.content_hash()},
+                       {"scenes", scenes.size()},
+                       {"samples", rows.size()},
+                       {"threads", thread_count()}});
+  std::cout << text << "\n";
+  folder.note("every sample", "sample.csv");
+  folder.note("means", "sample.md");
+  folder.note("error and quality against time", "sample.png");
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return 0;
+}
+
+}  // namespace gld

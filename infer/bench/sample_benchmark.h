@@ -1,0 +1,95 @@
+#pragma once
+
+#include "datasets/formats/scene_reader.h"
+#include "gld/base/options.h"
+#include "gld/flow/guidance.h"
+#include "gld/flow/solvers/solver.h"
+#include "gld/report/table.h"
+#include "infer/pipeline/held_out_scenes.h"
+#include "infer/pipeline/sampling_scene.h"
+#include "models/losses/lpips.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// The views of --scene; generated scenes choose theirs.
+struct BenchmarkViews : ViewSelection {
+  void check() const override {}
+};
+
+// gld bench sample: latent error, image quality and time of sampling by solver, schedule, evaluations and guidance, of a
+// scene's views or of generated scenes that training has not seen.
+struct SampleBenchmarkOptions : OptionsGroup {
+  std::string model = "configs/tiny";
+  std::string scene;       // a scene, or a folder of scenes
+  int64_t max_scenes = 4;  // the first ones, by path
+  int64_t synthetic = 0;   // generated scenes, in the place of a folder
+  int64_t synthetic_seed = kHeldOutSeed;
+  SceneReading reading;
+  BenchmarkViews views;
+  std::string size = "auto";
+  int64_t seed = 0;
+  std::vector<int64_t> counts{6, 12, 16, 20, 49};
+  std::vector<double> guidance_scales{1, 1.5};
+  double reference_tolerance = 1e-5;
+  std::string lpips_backbone;  // torchvision's network; empty: no LPIPS
+  std::string lpips_heads;     // published linear heads
+  LpipsOptions lpips;
+  std::string device = "cpu";
+  int64_t threads = 0;
+  std::string out;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// One way to sample.
+struct SamplingVariant {
+  SolverOptions solver;
+  GuidanceOptions guidance;
+};
+
+// The published sampler, the solvers on the log-SNR grid, and the default with cheaper guidance, for one scale.
+std::vector<SamplingVariant> sampling_variants(const std::vector<int64_t>& counts, double guidance_scale);
+
+// One scene sampled one way, or means over scenes.
+struct SampleRow {
+  std::string scene;
+  std::string solver;    // "reference" for the converged solve that errors refer to
+  std::string schedule;  // empty for the reference, which chooses its steps
+  int64_t count = 0;     // function evaluations a level; 0 for the reference
+  double guidance_scale = 1;
+  std::string guidance;     // where and when the unconditional branch runs: "everywhere", "from t = 0.9", ...
+  int64_t evaluations = 0;  // of both levels together
+  int64_t unconditional = 0;  // of them with the unconditional branch
+  double level1_error = 0;    // RMS of the latent's difference from the reference, over the reference's RMS
+  double level0_error = 0;
+  double psnr = 0;  // of the target views in dB; NaN without truth
+  double ssim = 0;
+  double lpips = 0;        // NaN without weights
+  double seconds = 0;      // of M1 and the cascade
+  int64_t peak_bytes = 0;  // largest resident memory of a stage
+  int64_t non_finite = 0;  // 1 where sampling stopped at a value that was not finite
+  // On the Pareto front of seconds and level0_error, or of seconds and psnr, among the rows of its scene and scale.
+  bool on_error_front = false;
+  bool on_quality_front = false;
+
+  bool is_reference() const { return count == 0; }
+  // "unipc3, logsnr": what a plot calls it.
+  std::string variant() const;
+};
+
+// Sets on_error_front and on_quality_front. The reference, failures and rows without a truth are left out.
+void mark_pareto_fronts(std::vector<SampleRow>& rows);
+
+Table sample_table(const std::vector<SampleRow>& rows);
+// Means over scenes of the rows of one variant, guidance scale and count, with the fronts of the means.
+std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows);
+
+// Writes sample.csv, sample.md, sample.svg, sample.png and report.json into options.out. Returns the exit status.
+int run_sample_benchmark(const SampleBenchmarkOptions& options);
+
+}  // namespace gld

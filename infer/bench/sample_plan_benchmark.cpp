@@ -1,0 +1,352 @@
+#include "infer/bench/sample_plan_benchmark.h"
+
+#include "datasets/loading/dataset.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/metrics/image_metrics.h"
+#include "gld/report/progress.h"
+#include "gld/report/run_folder.h"
+#include "gld/tensors/device.h"
+#include "gld/tensors/torch_version.h"
+#include "infer/bench/sample_plan_table.h"
+#include "infer/method/plan_errors.h"
+#include "infer/pipeline/bundle_models.h"
+#include "infer/pipeline/held_out_scenes.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "infer/pipeline/scene_request.h"
+#include "models/cost/cost_model.h"
+
+#include <algorithm>
+#include <atomic>
+#include <exception>
+#include <functional>
+#include <iostream>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// What is measured is cheap to run again, and none of it fits twice beside a full-size model.
+bool small_scene(const LatentGrid& grid) {
+  constexpr int64_t kMostTokens = 1024;
+  return grid.views * grid.tokens_per_view() <= kMostTokens;
+}
+
+// A scene and everything that does not depend on how it is sampled.
+struct BenchScene {
+  std::string name;
+  PipelineRequest request;  // without the method
+  torch::Tensor truth;      // (targets, 3, height, width)
+};
+
+BenchScene load_bench_scene(const Dataset& dataset, int64_t index, const SamplePlanBenchmarkOptions& options,
+                            const BundleOptions& bundle) {
+  const SampleKey key = held_out_key(options.synthetic_seed, index);
+  const SamplingScene scene = load_held_out_scene(dataset.scene(index), options.views, key, bundle);
+  return {scene.name, scene_request(scene, bundle, options.seed + index, device_from_text(options.device)),
+          stacked(scene.true_images)};
+}
+
+// M1 and cascade, from what ran; and with visible pairs what it took to know them.
+double flop_of(const PipelineResult& result, const BundleOptions& bundle, int64_t num_sources) {
+  const double kept = result.view_pairs ? result.view_pairs->kept() : 1;
+  double flop = 0;
+  for (const auto& flow : result.flows) {
+    const DitOptions& model = flow.stage == "M1" ? bundle.level1 : bundle.cascade;
+    const auto add = [&](const Cost& cost, int64_t runs) {
+      flop += static_cast<double>(runs) * (cost.linear_flop + kept * cost.attention_flop);
+    };
+    add(condition_encoder_cost(model, result.grid), flow.counts.condition_encoder);
+    add(velocity_decoder_cost(model, result.grid), flow.counts.velocity_decoder);
+  }
+  if (result.view_pairs && num_sources > 1) {
+    LatentGrid sources = result.grid;
+    sources.views = num_sources;
+    const auto& blocks = bundle.backbone.out_layers;
+    flop += backbone_cost(bundle.backbone, sources, blocks.at(static_cast<size_t>(bundle.boundary_level)) + 1,
+                          bundle.backbone.depth)
+                .flop() +
+            dpt_head_cost(bundle.dpt_head, sources, GeometryMaps::kDepthAndRays).flop();
+  }
+  return flop;
+}
+
+struct Run {
+  PipelineResult result;
+  double seconds = 0;  // of M1 and the cascade, and of finding visible pairs
+  int64_t peak_bytes = 0;
+};
+
+class Sampler {
+ public:
+  Sampler(const BundleOptions& bundle, PipelineModels models, double guidance_scale)
+      : bundle_(bundle), models_(std::move(models)) {
+    guidance_.guidance_scale = guidance_scale;
+  }
+
+  Run run(const BenchScene& scene, const SamplingMethod& method) const {
+    PipelineRequest request = scene.request;
+    const FlowSettings settings = flow_settings(method, guidance_, bundle_);
+    request.level1_solver = settings.level1_solver;
+    request.cascade_solver = settings.cascade_solver;
+    request.guidance = settings.guidance;
+    request.approximate = settings.approximate;
+    StageRecords stages;
+    Run run;
+    run.result = run_pipeline(models_, request, stages);
+    for (const auto& stage : stages.records()) {
+      if (stage.name == "M1" || stage.name == "cascade" || stage.name == "view pairs") {
+        run.seconds += stage.seconds;
+      }
+      run.peak_bytes = std::max(run.peak_bytes, stage.peak_bytes);
+    }
+    return run;
+  }
+
+  PlanSample measure(const BenchScene& scene, const SamplingMethod& method, const Run& reference) const {
+    const auto relative = [](const torch::Tensor& latent, const torch::Tensor& exact) {
+      return ((latent - exact).norm() / exact.norm()).item<double>();
+    };
+    const auto mean_psnr = [](const torch::Tensor& truth, const torch::Tensor& images) {
+      return psnr(truth, images).mean().item<double>();
+    };
+    const Run made = run(scene, method);
+    PlanSample sample;
+    sample.scene = scene.name;
+    sample.level1_error = relative(made.result.level1, reference.result.level1);
+    sample.level0_error = relative(made.result.level0, reference.result.level0);
+    sample.psnr = mean_psnr(scene.truth, made.result.images);
+    sample.psnr_difference = sample.psnr - mean_psnr(scene.truth, reference.result.images);
+    sample.psnr_to_reference = mean_psnr(reference.result.images.clamp(0, 1), made.result.images);
+    sample.flop = flop_of(made.result, bundle_, scene.request.views.num_sources);
+    return sample;
+  }
+
+ private:
+  BundleOptions bundle_;
+  PipelineModels models_;
+  GuidanceOptions guidance_;
+};
+
+// Calls work(worker, index) for every index, several at a time; rethrows what the first failure threw.
+void for_each_index(int64_t count, int64_t workers, const std::function<void(int64_t, int64_t)>& work) {
+  std::atomic<int64_t> next{0};
+  std::mutex mutex;
+  std::exception_ptr problem;
+  const auto loop = [&](int64_t worker) {
+    for (int64_t i = next++; i < count; i = next++) {
+      try {
+        work(worker, i);
+      } catch (...) {
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (!problem) problem = std::current_exception();
+        next = count;
+      }
+    }
+  };
+  std::vector<std::thread> threads;
+  for (int64_t worker = 1; worker < workers; ++worker) threads.emplace_back(loop, worker);
+  loop(0);
+  for (auto& thread : threads) thread.join();
+  if (problem) std::rethrow_exception(problem);
+}
+
+// reference_error, of what errors refer to, is added to every bound.
+PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bundle,
+                        const SamplePlanBenchmarkOptions& options, const LatentGrid& grid,
+                        double reference_error) {
+  PlanErrors table;
+  table.model_hash = bundle.content_hash();
+  table.scenes = static_cast<int64_t>(rows.front().samples.size());
+  table.guidance_scale = options.guidance_scale;
+  table.grid = grid;
+  for (const auto& row : rows) {
+    if (errors_of(table, row.variant.method)) continue;
+    // Which pairs are left out, and what error that makes, is up to the scene: nothing to be expected of another one.
+    if (row.variant.method.approximate.view_pairs != ViewPairs::kAll) continue;
+    std::vector<double> errors;
+    for (const auto& sample : row.samples) errors.push_back(sample.error());
+    table.methods.push_back(
+        {row.variant.method, row.mean_error, row.largest_error, error_bound(errors) + reference_error});
+  }
+  return table;
+}
+
+// The error of the reference itself, on the first scene: its distance from a solve with twice the evaluations.
+double reference_error(const Sampler& sampler, const BenchScene& scene, int64_t evaluations) {
+  const Run twice = sampler.run(scene, exact_method(2 * evaluations));
+  return sampler.measure(scene, exact_method(evaluations), twice).error();
+}
+
+}  // namespace
+
+SamplePlanBenchmarkOptions::SamplePlanBenchmarkOptions() : views(held_out_views()) {}
+
+void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
+  visitor.integer({"synthetic", "number of generated scenes; with --scenes the most that are taken of them"},
+                  synthetic, {2, 100000});
+  visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
+                  synthetic_seed, {0, 1'000'000'000'000});
+  visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
+  visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
+  visitor.group({"views", "which frames are sources and targets"}, views);
+  visitor.real({"guidance_scale", "guidance scale; errors hold up to it"}, guidance_scale, {0, 1000});
+  visitor.integers({"counts", "evaluations a level of the default solver"}, counts, {2, 100000});
+  visitor.texts(
+      {"families", "kinds of methods to measure beside fewer evaluations, as the plot names them; none: all"},
+      families);
+  visitor.integer({"reference_evaluations", "evaluations a level of the solve that errors refer to"},
+                  reference_evaluations, {8, 100000});
+  visitor.integer({"repeats", "timed runs of each method, of which the shortest counts"}, repeats, {1, 100});
+  visitor.integer({"workers", "scenes measured at the same time; 0: one a thread where scenes are small"},
+                  workers, {0, 256});
+  visitor.boolean({"write_table", "put plan_errors.json into the model bundle, where --tolerance finds it"},
+                  write_table);
+  visitor.integer({"seed", "seed of the noise"}, seed, {0, 1'000'000'000'000});
+  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
+  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
+  visitor.text({"out", "run folder to write"}, out);
+}
+
+void SamplePlanBenchmarkOptions::check() const {
+  if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/plan"});
+  if (counts.size() < 2) {
+    fail({"--counts", "at least two numbers of evaluations, to compare at equal work",
+          std::to_string(counts.size()), "write for example 8,16"});
+  }
+  const auto repeated = std::adjacent_find(counts.begin(), counts.end(), std::greater_equal<>());
+  if (repeated != counts.end()) {
+    fail({"--counts", "each number once, in rising order",
+          fmt::format("{} before {}", *repeated, *std::next(repeated)), "write for example 8,16"});
+  }
+  if (views.most_sources >= views.views) {
+    fail({"views.most_sources", "fewer sources than views", std::to_string(views.most_sources),
+          "leave at least one target"});
+  }
+}
+
+int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
+  install_interrupt_handler();
+  const int threads = options.threads > 0
+                          ? static_cast<int>(options.threads)
+                          : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  set_thread_count(threads);
+  const auto bundle = ModelBundle::open(options.model);
+  const auto device = device_from_text(options.device);
+  const auto dataset =
+      held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
+  const int64_t scene_count = std::min(options.synthetic, dataset->size());
+
+  std::vector<PlanRow> rows;
+  for (auto& variant :
+       of_families(plan_variants(options.counts, bundle.options().cascade), options.families)) {
+    PlanRow row;
+    row.variant = std::move(variant);
+    row.samples.resize(static_cast<size_t>(scene_count));
+    rows.push_back(std::move(row));
+  }
+  RunFolder folder(options.out, "bench sample-plan", options);
+  const BenchScene first = load_bench_scene(*dataset, 0, options, bundle.options());
+  const LatentGrid grid =
+      bundle.options().backbone.grid_of(first.request.views.size(), first.truth.size(2), first.truth.size(3));
+  const int64_t workers = std::min<int64_t>(scene_count, options.workers > 0 ? options.workers
+                                                         : small_scene(grid) ? threads
+                                                                             : 1);
+
+  // Errors: every scene, several at a time.
+  set_thread_count(std::max(1, threads / static_cast<int>(workers)));
+  std::vector<std::unique_ptr<Sampler>> samplers;
+  for (int64_t worker = 0; worker < workers; ++worker) {
+    samplers.push_back(std::make_unique<Sampler>(bundle.options(), kept_bundle_models(bundle, device),
+                                                 options.guidance_scale));
+  }
+  Progress progress("bench sample-plan", scene_count * static_cast<int64_t>(rows.size()));
+  std::mutex mutex;
+  int64_t done = 0;
+  for_each_index(scene_count, workers, [&](int64_t worker, int64_t index) {
+    const torch::NoGradGuard no_gradients;
+    const Sampler& sampler = *samplers[static_cast<size_t>(worker)];
+    const BenchScene scene = load_bench_scene(*dataset, index, options, bundle.options());
+    const Run reference = sampler.run(scene, exact_method(options.reference_evaluations));
+    for (auto& row : rows) {
+      stop_if_interrupted("errors were being measured; nothing was written");
+      auto& sample = row.samples[static_cast<size_t>(index)];
+      sample = sampler.measure(scene, row.variant.method, reference);
+      const std::lock_guard<std::mutex> lock(mutex);
+      progress.update(++done, scene.name);
+    }
+  });
+  set_thread_count(threads);
+  progress.finish();
+
+  // Time and memory: one scene, one method after the other, with one stage's weights at a time as gld sample has them.
+  const double of_reference = reference_error(*samplers.front(), first, options.reference_evaluations);
+  samplers.clear();
+  const Sampler alone(bundle.options(), bundle_models(bundle, device), options.guidance_scale);
+  Progress timing("timing", options.repeats * static_cast<int64_t>(rows.size()));
+  done = 0;
+  for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
+    for (auto& row : rows) {
+      stop_if_interrupted("methods were being timed; nothing was written");
+      const Run run = alone.run(first, row.variant.method);
+      row.seconds = repeat == 0 ? run.seconds : std::min(row.seconds, run.seconds);
+      row.peak_bytes = std::max(row.peak_bytes, run.peak_bytes);
+      timing.update(++done, row.variant.method.name);
+    }
+  }
+  timing.finish();
+
+  summarise(rows);
+  const BoundCheck bounds = check_bounds(rows);
+  const PlanErrors table = errors_table(rows, bundle, options, grid, of_reference);
+  const std::string table_text = plan_errors_json(table).dump(1) + "\n";
+  const std::string text =
+      fmt::format(
+          "# Ways to sample\n\nModel {}, {} scenes of {} views ({}x{} tokens), guidance scale {:g}. "
+          "Errors are relative RMS differences of the normalised latents (the worse of level 1 and level 0) "
+          "from {} evaluations of the default solver with the same noise, whose own error is {:.2g} "
+          "(against twice as many). GFLOP and seconds are of M1 and the cascade of one scene. "
+          "`error_of_fewer_evaluations` is what the default solver has at the same GFLOP. Error bounds from "
+          "half of the scenes were exceeded by {} of {} samples of the other half.\n\n",
+          bundle.options().name, scene_count, grid.views, grid.width, grid.height, options.guidance_scale,
+          options.reference_evaluations, of_reference, bounds.exceeded, bounds.samples) +
+      plan_row_table(rows).markdown();
+  write_file_atomically(folder.path() / "samples.csv", plan_sample_table(rows).csv());
+  write_file_atomically(folder.path() / "sample_plan.csv", plan_row_table(rows).csv());
+  write_file_atomically(folder.path() / "sample_plan.md", text);
+  write_file_atomically(folder.path() / kPlanErrorsFile, table_text);
+  const auto figure = plan_figure(rows);
+  write_svg(figure, folder.path() / "sample_plan.svg");
+  write_png(figure, folder.path() / "sample_plan.png");
+  if (options.write_table) write_file_atomically(bundle.folder() / kPlanErrorsFile, table_text);
+  folder.write_report({{"command", "bench sample-plan"},
+                       {"options", to_json(options)},
+                       {"model_hash", table.model_hash},
+                       {"scenes", scene_count},
+                       {"methods", rows.size()},
+                       {"reference_error", of_reference},
+                       {"bound_samples", bounds.samples},
+                       {"bound_exceeded", bounds.exceeded},
+                       {"workers", workers},
+                       {"threads", threads}});
+  std::cout << text << "\n";
+  folder.note("methods", "sample_plan.csv");
+  folder.note("table", "sample_plan.md");
+  folder.note("error and quality against work and time", "sample_plan.png");
+  folder.note("every sample", "samples.csv");
+  folder.note("measured errors for --tolerance", kPlanErrorsFile);
+  folder.note("report", "report.json");
+  std::cout << folder.closing_box();
+  return 0;
+}
+
+}  // namespace gld

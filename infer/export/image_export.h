@@ -1,0 +1,23 @@
+#pragma once
+
+#include "datasets/images/image.h"
+#include "gld/report/provenance.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+namespace gld {
+
+// "view_03", the name of a view in every output folder; three digits from 100 views on.
+std::string view_name(int64_t view, int64_t num_views);
+
+// A PNG with its provenance and further texts; the file appears whole or not at all.
+void export_image(const std::filesystem::path& file, const Image& image, const Provenance& provenance,
+                  const TextItems& more = {});
+
+// 8-bit pixels of planar values, (3, height, width), 0 black and 1 white: rounded, clamped, and black where a value is
+// not a number.
+Image image_from_planes(const float* planes, int64_t width, int64_t height);
+
+}  // namespace gld

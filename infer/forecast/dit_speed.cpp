@@ -1,0 +1,95 @@
+#include "infer/forecast/dit_speed.h"
+
+#include "gld/machine/timing.h"
+#include "models/cost/branch_choice.h"
+#include "models/cost/cost_model.h"
+#include "models/dit/dit_dh.h"
+
+#include <cmath>
+
+#include <torch/types.h>
+
+namespace gld {
+namespace {
+
+constexpr double kFlowTime = 0.5;
+
+// One block a part where all of them would take long to make.
+DitOptions probe_options(const DitOptions& options, const LatentGrid& grid) {
+  constexpr int64_t kMostWeightBytes = 256'000'000;
+  DitOptions probe = options;
+  probe.conditioning = DitConditioning::kNone;
+  if (dit_cost(options, grid).weight_bytes > kMostWeightBytes) probe.depth = {1, 1};
+  return probe;
+}
+
+LatentGrid probe_grid(const DitOptions& probe, LatentGrid grid) {
+  constexpr double kMostFlop = 2e11;
+  while (grid.views > 1 && dit_cost(probe, grid).flop() > kMostFlop) --grid.views;
+  return grid;
+}
+
+Views cameras_in_a_row(const LatentGrid& grid, int64_t patch_size) {
+  Views views;
+  views.num_sources = 1;
+  for (int64_t i = 0; i < grid.views; ++i) {
+    Camera camera;
+    camera.width = grid.width * patch_size;
+    camera.height = grid.height * patch_size;
+    const auto focal = static_cast<double>(camera.width);
+    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(camera.height), 0, 0, 1;
+    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
+    views.cameras.push_back(camera);
+  }
+  return views;
+}
+
+}  // namespace
+
+DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request, const MachineSpeed& speed) {
+  const torch::NoGradGuard no_gradients;
+  const LatentGrid& grid = request.grid;
+  const DitOptions probe = probe_options(options, grid);
+  const LatentGrid part = probe_grid(probe, grid);
+  DitDh model(probe, ParameterPlacement{});
+  for (auto& parameter : model.parameters()) {
+    const double range = parameter.dim() < 2 ? 0.5 : 1 / std::sqrt(static_cast<double>(parameter.size(1)));
+    parameter.uniform_(-range, range);
+  }
+  const int64_t tokens = model.tokens_per_view(part);
+  DitSceneInputs inputs;
+  inputs.views = cameras_in_a_row(part, probe.camera_patch_size);
+  inputs.source_features = torch::randn({1, tokens, probe.in_channels});
+  const DitScene scene = model.prepare_scene(inputs);
+  const DitTimeRow time = model.time_rows({kFlowTime}).front();
+  const auto noisy = torch::randn({part.views, tokens, probe.in_channels});
+  std::vector<DitBranch> branches{DitBranch::kConditional};
+  const bool batched =
+      request.guidance.guidance_scale != 1 && choose_branches(request.guidance, options, grid).batched;
+  if (batched) branches.push_back(DitBranch::kUnconditional);
+  const DitNoisyTokens embedded = model.embed_noisy(scene, noisy);
+  // Nodes are evaluated for one branch at a time.
+  const bool nodes =
+      options.conditioning == DitConditioning::kDeeperLevel && request.approximate.cascade_encoder_nodes > 0;
+  const std::vector<DitBranch> encoded = nodes ? std::vector<DitBranch>{DitBranch::kConditional} : branches;
+  DitSpeed result;
+  result.condition_encoder =
+      fastest_seconds_of([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
+  const auto condition = model.condition_encoder_batch(scene, embedded, time, branches);
+  result.velocity_decoder = fastest_seconds_of([&] {
+    const auto own = model.embed_noisy(scene, noisy);
+    model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches));
+  });
+  const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
+    whole.attention_flop *= request.attention_share();
+    seconds *=
+        computing_seconds(whole, speed) / computing_seconds(measured, speed) / static_cast<double>(runs);
+  };
+  scale(result.condition_encoder, encoded.size(), condition_encoder_cost(options, grid),
+        condition_encoder_cost(probe, part));
+  scale(result.velocity_decoder, branches.size(), velocity_decoder_cost(options, grid),
+        velocity_decoder_cost(probe, part));
+  return result;
+}
+
+}  // namespace gld

@@ -1,0 +1,198 @@
+#include "infer/forecast/doctor.h"
+
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/machine/instruction_set.h"
+#include "gld/machine/stage_record.h"
+#include "gld/tensors/torch_version.h"
+#include "infer/forecast/sampling_plan.h"
+#include "models/bundle/bundle.h"
+
+#include <algorithm>
+#include <thread>
+#include <vector>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+struct Machine {
+  std::string torch;
+  std::string blas;
+  std::string instruction_set;
+  int cores = 1;
+  int threads = 1;
+  int64_t total_memory = 0;
+  int64_t available_memory = 0;
+  MachineSpeed speed;
+};
+
+Machine examine_machine() {
+  Machine machine;
+  machine.torch = torch_version();
+  machine.blas = blas_name();
+  machine.instruction_set = instruction_set_name(best_instruction_set());
+  machine.cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  machine.threads = thread_count();
+  machine.total_memory = total_memory_bytes();
+  machine.available_memory = available_memory_bytes();
+  machine.speed = measure_machine_speed();
+  return machine;
+}
+
+std::vector<std::string> complaints(const Machine& machine) {
+  std::vector<std::string> list;
+  if (machine.blas == "reference") {
+    list.emplace_back(
+        "libblas.so.3 is the reference BLAS, tens of times too slow: install libopenblas0-pthread.");
+  } else if (machine.speed.matrix_product < 0.4 * machine.speed.multiply_add_peak) {
+    list.push_back(fmt::format(
+        "BLAS products reach {:.0f} % of the multiply-add peak; a good BLAS reaches 75 % or more: install "
+        "libopenblas0-pthread, or stop what else is running.",
+        100 * machine.speed.matrix_product / machine.speed.multiply_add_peak));
+  }
+  if (machine.threads < machine.cores) {
+    list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
+  }
+  return list;
+}
+
+struct Forecast {
+  SamplingPlan plan;
+  std::vector<std::string> advice;
+};
+
+std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options,
+                                    const Machine& machine) {
+  std::vector<std::string> advice;
+  if (plan.peak_bytes() > machine.available_memory && machine.available_memory > 0) {
+    advice.push_back(
+        fmt::format("It needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
+                    bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory)));
+  }
+  int64_t guided = 0, evaluations = 0;
+  for (const auto& stage : plan.stages) {
+    guided += stage.with_unconditional;
+    evaluations += stage.evaluations;
+  }
+  if (guided > 0) {
+    advice.push_back(
+        fmt::format("Guidance doubles {} of {} evaluations: --guidance-scale 1 removes it, "
+                    "--guidance-interval 0.9,1 keeps it "
+                    "where it matters most.",
+                    guided, evaluations - static_cast<int64_t>(plan.stages.size()) + 2));
+  }
+  if (options.solver.evaluations > 16 && !is_adaptive(options.solver.solver)) {
+    advice.emplace_back(
+        "A second-order solver with 16 evaluations (the default) comes closer to the exact solution "
+        "than 49 Euler steps on the published grid.");
+  }
+  advice.emplace_back(
+      "Time grows with the square of views x tokens: half the views take a third of the time.");
+  return advice;
+}
+
+Forecast forecast(const DoctorOptions& options, const Machine& machine) {
+  const ModelBundle bundle = ModelBundle::open(options.model);
+  const ImageSize size = image_size_from_text(options.size, "--size");
+  PlanRequest request;
+  request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
+  request.num_sources = options.sources;
+  request.outputs.image = request.outputs.depth = request.outputs.points = true;
+  request.level1_solver = request.cascade_solver = options.solver;
+  request.level1_solver.schedule.shift = bundle.options().level1_time_shift.evaluation;
+  request.cascade_solver.schedule.shift = bundle.options().cascade_time_shift.evaluation;
+  request.guidance = options.guidance;
+  Forecast result;
+  result.plan = plan_sampling(bundle.options(), request);
+  predict_seconds(result.plan, bundle.options(), request, machine.speed);
+  result.advice = advice_for(result.plan, options, machine);
+  return result;
+}
+
+nlohmann::ordered_json machine_json(const Machine& machine) {
+  return {{"libtorch", machine.torch},
+          {"blas", machine.blas},
+          {"vectors", machine.instruction_set},
+          {"cores", machine.cores},
+          {"threads", machine.threads},
+          {"total_memory_bytes", machine.total_memory},
+          {"available_memory_bytes", machine.available_memory},
+          {"multiply_add_gflops", machine.speed.multiply_add_peak / 1e9},
+          {"sgemm_gflops", machine.speed.matrix_product / 1e9},
+          {"linear_gflops", machine.speed.linear / 1e9},
+          {"attention_gflops", machine.speed.attention / 1e9},
+          {"loading_gigabytes_per_second", machine.speed.loading / 1e9}};
+}
+
+std::string machine_text(const Machine& machine) {
+  const MachineSpeed& speed = machine.speed;
+  return fmt::format(
+      "LibTorch         {} with {} as BLAS\n"
+      "processor        {} cores, {} threads in use, {} vectors\n"
+      "memory           {} of {} free\n"
+      "multiply-adds    {:.0f} GFLOP/s (the peak)\n"
+      "BLAS products    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "linear layers    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "loading weights  {:.1f} GB/s\n",
+      machine.torch, machine.blas, machine.cores, machine.threads, machine.instruction_set,
+      bytes_text(machine.available_memory), bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9,
+      speed.matrix_product / 1e9, 100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
+      100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
+      100 * speed.attention / speed.multiply_add_peak, speed.loading / 1e9);
+}
+
+}  // namespace
+
+DoctorOptions::DoctorOptions() {
+  solver.schedule.shift = 0;  // the model's
+}
+
+void DoctorOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"model", "model bundle to forecast for; empty: examine the machine only"}, model);
+  visitor.integer({"views", "views of the forecast, sources included"}, views, {2, 1000});
+  visitor.integer({"sources", "source views among them"}, sources, {1, 999});
+  visitor.text({"size", "WIDTHxHEIGHT of the forecast, in pixels"}, size);
+  visitor.group({"solver", "how the flow is integrated"}, solver);
+  visitor.group({"guidance", "classifier-free guidance"}, guidance);
+  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
+  visitor.boolean({"json", "write JSON"}, json);
+}
+
+void DoctorOptions::check() const {
+  if (sources >= views) {
+    fail({"--sources", "fewer source views than views", fmt::format("{} of {}", sources, views),
+          "leave at least one target view"});
+  }
+}
+
+std::string doctor_report(const DoctorOptions& options) {
+  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
+                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  const Machine machine = examine_machine();
+  const auto wrong = complaints(machine);
+  if (options.json) {
+    nlohmann::ordered_json report{{"machine", machine_json(machine)}, {"complaints", wrong}};
+    if (!options.model.empty()) {
+      const Forecast made = forecast(options, machine);
+      report["forecast"] = plan_json(made.plan);
+      report["advice"] = made.advice;
+    }
+    return report.dump(2) + "\n";
+  }
+  std::string text = machine_text(machine);
+  for (const auto& complaint : wrong) text += "warning: " + complaint + "\n";
+  if (wrong.empty()) text += "Nothing is wrong.\n";
+  if (options.model.empty()) return text;
+  const Forecast made = forecast(options, machine);
+  text += fmt::format("\nForecast for {} with {} views ({} sources) at {}:\n", options.model, options.views,
+                      options.sources, options.size);
+  text += plan_text(made.plan);
+  for (const auto& line : made.advice) text += "- " + line + "\n";
+  return text;
+}
+
+}  // namespace gld

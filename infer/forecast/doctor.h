@@ -1,0 +1,31 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/flow/guidance.h"
+#include "gld/flow/solvers/solver.h"
+
+#include <cstdint>
+#include <string>
+
+namespace gld {
+
+struct DoctorOptions : OptionsGroup {
+  std::string model;
+  int64_t views = 8;
+  int64_t sources = 4;
+  std::string size = "504x280";
+  SolverOptions solver;
+  GuidanceOptions guidance;
+  int64_t threads = 0;
+  bool json = false;
+
+  DoctorOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// gld doctor: what LibTorch, BLAS, processor and memory this program found, how fast they are, what is wrong with
+// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON.
+std::string doctor_report(const DoctorOptions& options);
+
+}  // namespace gld

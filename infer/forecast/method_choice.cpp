@@ -1,0 +1,117 @@
+#include "infer/forecast/method_choice.h"
+
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+std::filesystem::path table_of(const ModelBundle& bundle) { return bundle.folder() / kPlanErrorsFile; }
+
+std::vector<double> flop_of(const PlanErrors& table, const SampleOptions& options, const ModelBundle& bundle,
+                            PlanRequest request) {
+  std::vector<double> flop;
+  for (const auto& entry : table.methods) {
+    request.set(flow_settings(entry.method, options.guidance, bundle.options()));
+    flop.push_back(plan_sampling(bundle.options(), request).flop());
+  }
+  return flop;
+}
+
+// Where the scene is unlike those that were measured.
+std::vector<std::string> notes_on(const PlanErrors& table, const PlanRequest& request,
+                                  double guidance_scale) {
+  std::vector<std::string> notes;
+  const auto size_text = [](const LatentGrid& grid) {
+    return fmt::format("{} views of {}x{} tokens", grid.views, grid.width, grid.height);
+  };
+  const std::string measured = size_text(table.grid), here = size_text(request.grid);
+  if (measured != here) {
+    notes.push_back(fmt::format("The sampling error was measured on {}, this scene has {}.", measured, here));
+  }
+  if (guidance_scale != table.guidance_scale) {
+    notes.push_back(fmt::format("The sampling error was measured with guidance scale {:g}, this is {:g}.",
+                                table.guidance_scale, guidance_scale));
+  }
+  return notes;
+}
+
+ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& bundle,
+                              const PlanRequest& request, const std::string& model_hash) {
+  const PlanErrors table = read_plan_errors(table_of(bundle));
+  if (table.model_hash != model_hash) {
+    fail({table_of(bundle).string(), "errors measured with this bundle's weights", "those of other weights",
+          "measure again: gld bench sample-plan --model " + bundle.folder().string() +
+              " --write-table --out RUN"});
+  }
+  if (options.guidance.guidance_scale > table.guidance_scale) {
+    fail({"--tolerance",
+          fmt::format("a guidance scale of at most {:g}, with which errors were measured",
+                      table.guidance_scale),
+          fmt::format("{:g}", options.guidance.guidance_scale),
+          "lower --guidance-scale, or measure with it: gld bench sample-plan --guidance-scale"});
+  }
+  const size_t best = cheapest_within(table, options.tolerance, flop_of(table, options, bundle, request));
+  ChosenMethod choice;
+  choice.method = table.methods[best].method;
+  choice.errors = table.methods[best];
+  choice.measured_scenes = table.scenes;
+  choice.reason = fmt::format("the cheapest of {} measured methods with an error below --tolerance {:g}",
+                              table.methods.size(), options.tolerance);
+  choice.notes = notes_on(table, request, options.guidance.guidance_scale);
+  return choice;
+}
+
+}  // namespace
+
+ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bundle,
+                           const PlanRequest& request, const std::function<std::string()>& model_hash) {
+  const bool measured = std::filesystem::is_regular_file(table_of(bundle));
+  if (options.tolerance > 0) {
+    return within_tolerance(options, bundle, request, measured ? model_hash() : std::string());
+  }
+  ChosenMethod choice;
+  choice.method = options.method(bundle.options().cascade);
+  choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
+                  : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
+                                                                 : "by the options";
+  if (!measured) return choice;
+  const PlanErrors table = read_plan_errors(table_of(bundle));
+  const auto errors = errors_of(table, choice.method);
+  if (!errors || table.model_hash != model_hash()) return choice;
+  choice.errors = errors;
+  choice.measured_scenes = table.scenes;
+  choice.notes = notes_on(table, request, options.guidance.guidance_scale);
+  return choice;
+}
+
+std::string choice_text(const ChosenMethod& choice) {
+  const std::string error =
+      choice.errors ? fmt::format("relative latent error at most {:.2g} (mean {:.2g}, {} scenes)",
+                                  choice.errors->bound, choice.errors->mean, choice.measured_scenes)
+                    : "its error was not measured";
+  return fmt::format("sampling: {}: {}; {}; {}\n", choice.method.name, method_text(choice.method),
+                     choice.reason, error);
+}
+
+nlohmann::ordered_json choice_json(const ChosenMethod& choice) {
+  nlohmann::ordered_json object{{"name", choice.method.name},
+                                {"in_words", method_text(choice.method)},
+                                {"reason", choice.reason},
+                                {"method", to_json(choice.method)}};
+  if (choice.errors) {
+    object["error_estimate"] = {{"largest_expected", choice.errors->bound},
+                                {"mean_measured", choice.errors->mean},
+                                {"largest_measured", choice.errors->largest},
+                                {"scenes", choice.measured_scenes}};
+  } else {
+    object["error_estimate"] = nullptr;
+  }
+  return object;
+}
+
+}  // namespace gld

@@ -1,0 +1,37 @@
+#pragma once
+
+#include "infer/forecast/sampling_plan.h"
+#include "infer/method/plan_errors.h"
+#include "infer/method/sample_options.h"
+#include "models/bundle/bundle.h"
+
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// The method that a scene is sampled with.
+struct ChosenMethod {
+  SamplingMethod method;
+  std::string reason;                  // who chose it, in words
+  std::optional<MethodErrors> errors;  // what was measured of it with this model, if anything
+  int64_t measured_scenes = 0;
+  std::vector<std::string> notes;  // where the measurement may not hold for this scene, a sentence each
+};
+
+// What options ask for: their own method, the one of --quality, or for --tolerance the one with the fewest floating
+// point operations for this request among those that the bundle's plan_errors.json measured (infer/method/plan_errors.h).
+// model_hash is only called where the bundle has that file. Throws Error for a tolerance without such a measurement of
+// these weights, at a guidance scale above the measured one, or below every measured bound.
+ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bundle,
+                           const PlanRequest& request, const std::function<std::string()>& model_hash);
+
+// One line: what was chosen, by whom, and the estimate of its error.
+std::string choice_text(const ChosenMethod& choice);
+nlohmann::ordered_json choice_json(const ChosenMethod& choice);
+
+}  // namespace gld

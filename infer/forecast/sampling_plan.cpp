@@ -1,0 +1,429 @@
+#include "infer/forecast/sampling_plan.h"
+
+#include "gld/attention/attention.h"
+#include "gld/kernels/multiply_add_peak.h"
+#include "gld/machine/block_memory.h"
+#include "gld/machine/stage_record.h"
+#include "gld/machine/timing.h"
+#include "gld/report/progress.h"
+#include "gld/tensors/product_peak.h"
+#include "gld/tensors/torch_version.h"
+#include "gld/tensors/transposed_product.h"
+#include "infer/forecast/dit_speed.h"
+#include "infer/forecast/stage_speed.h"
+#include "models/cost/branch_choice.h"
+#include "models/dit/encoder_nodes.h"
+
+#include <algorithm>
+#include <array>
+
+#include <ATen/ops/randn.h>
+#include <ATen/ops/zeros.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kFloatBytes = 4;
+
+// A linear layer of DA3-Base's feed-forward part on one 504x504 image.
+double measure_linear_speed() {
+  constexpr int64_t kRows = 1296, kInputs = 768, kOutputs = 3072;
+  const torch::NoGradGuard no_gradients;
+  const auto x = at::randn({kRows, kInputs}), weight = at::randn({kOutputs, kInputs});
+  return 2.0 * kRows * kInputs * kOutputs / fastest_seconds_of([&] { times_transposed(x, weight); });
+}
+
+double measure_loading_speed() {
+  constexpr int64_t kCount = 16'000'000;
+  const auto stored = at::zeros({kCount}, at::kHalf);
+  release_kept_blocks();
+  return static_cast<double>(kCount * kFloatBytes) / seconds_of([&] { stored.to(at::kFloat); });
+}
+
+// Operations a second of softmax attention at head size 64: between the 48 and 128 of the published models.
+double measure_attention_speed() {
+  constexpr int64_t kTokens = 1440, kHeads = 4, kHeadDim = 64;
+  AttentionInputs inputs;
+  inputs.query = at::randn({1, kTokens, kHeads, kHeadDim});
+  inputs.key = at::randn({1, kTokens, kHeads, kHeadDim});
+  inputs.value = at::randn({1, kTokens, kHeads, kHeadDim});
+  const torch::NoGradGuard no_gradients;
+  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / fastest_seconds_of([&] { attention(inputs); });
+}
+
+bool guided_at(double t, const GuidanceOptions& guidance) {
+  return guidance.guidance_scale != 1 && t >= guidance.guidance_interval[0] &&
+         t <= guidance.guidance_interval[1];
+}
+
+// The flow time that each evaluation starts its step from.
+std::vector<double> evaluation_times(const SolverOptions& solver) {
+  const auto steps = solver_times(solver);
+  const auto step_count = static_cast<int64_t>(steps.size()) - 1;
+  std::vector<double> times;
+  for (int64_t i = 0; i < solver.evaluations; ++i) {
+    times.push_back(steps[static_cast<size_t>(i * step_count / solver.evaluations)]);
+  }
+  return times;
+}
+
+int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& guidance) {
+  const auto times = evaluation_times(solver);
+  return std::count_if(times.begin(), times.end(), [&](double t) { return guided_at(t, guidance); });
+}
+
+// The runs of ExtrapolatedField (models/dit/extrapolated_field.h).
+int64_t extrapolated_runs(const SolverOptions& solver, const GuidanceOptions& guidance, int64_t every) {
+  const auto times = evaluation_times(solver);
+  int64_t runs = 0;
+  std::array<int64_t, 2> newest{-1, -1};  // evaluation that a branch was last computed at
+  for (int64_t i = 0; i < static_cast<int64_t>(times.size()); ++i) {
+    const bool refresh = i == 0 || (i - 1) % every == 0;
+    const int64_t branches = guided_at(times[static_cast<size_t>(i)], guidance) ? 2 : 1;
+    for (int64_t branch = 0; branch < branches; ++branch) {
+      auto& last = newest[static_cast<size_t>(branch)];
+      if (!refresh && last >= 0 && i - last < every) continue;
+      last = i;
+      ++runs;
+    }
+  }
+  return runs;
+}
+
+bool is_cascade(const DitOptions& options) { return options.conditioning == DitConditioning::kDeeperLevel; }
+
+// Conditions that the approximate savings keep, in bytes.
+int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& solver,
+                              const PlanRequest& request) {
+  int64_t kept = 0;
+  if (is_cascade(options) && request.approximate.cascade_encoder_nodes > 0) {
+    for (const auto& nodes :
+         encoder_nodes(solver, request.guidance, request.approximate.cascade_encoder_nodes)) {
+      kept += static_cast<int64_t>(nodes.size());
+    }
+  } else if (!is_cascade(options) && request.approximate.level1_encoder_every > 1) {
+    kept = 2 * (guided_evaluations(solver, request.guidance) > 0 ? 2 : 1);
+  }
+  return kept * request.grid.views * (request.grid.tokens_per_view() + options.num_special_tokens) *
+         options.encoder_width() * kFloatBytes;
+}
+
+int64_t latent_bytes(int64_t channels, const LatentGrid& grid) {
+  return grid.views * grid.tokens_per_view() * channels * kFloatBytes;
+}
+
+PlannedStage flow_stage(const std::string& name, const DitOptions& options, const SolverOptions& solver,
+                        const PlanRequest& request) {
+  PlannedStage stage;
+  stage.name = name;
+  stage.evaluations = solver.evaluations;
+  stage.with_unconditional = guided_evaluations(solver, request.guidance);
+  stage.parts = planned_runs(options, solver, request);
+  const Cost once = dit_cost(options, request.grid);
+  const Cost encoder = condition_encoder_cost(options, request.grid);
+  const Cost decoder = velocity_decoder_cost(options, request.grid);
+  const auto encoder_runs = static_cast<double>(stage.parts.condition_encoder);
+  const auto decoder_runs = static_cast<double>(stage.parts.velocity_decoder);
+  stage.cost.linear_flop = encoder_runs * encoder.linear_flop + decoder_runs * decoder.linear_flop;
+  const double kept = request.attention_share();
+  stage.cost.attention_flop =
+      kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
+  const bool batched =
+      stage.with_unconditional > 0 && choose_branches(request.guidance, options, request.grid).batched;
+  // Noise and latents of both levels, source features, the state, its next, and what the solver remembers.
+  constexpr int64_t kLatents = 8;
+  stage.memory.held = kLatents * latent_bytes(options.in_channels, request.grid) +
+                      kept_conditions_bytes(options, solver, request);
+  stage.memory.working = (batched ? 2 : 1) * once.working_bytes;
+  stage.reason = fmt::format("{} evaluations, {} with the unconditional branch{}", stage.evaluations,
+                             stage.with_unconditional, batched ? " in the same pass" : "");
+  if (stage.parts.condition_encoder < stage.parts.velocity_decoder) {
+    stage.reason += fmt::format("; condition encoder {} times instead of {}", stage.parts.condition_encoder,
+                                stage.parts.velocity_decoder);
+  }
+  if (kept < 1) {
+    stage.reason += fmt::format("; {:.0f} % of attention between views", 100 * kept);
+  }
+  return stage;
+}
+
+PlannedStage single_stage(const std::string& name, const Cost& cost, const std::string& reason) {
+  PlannedStage stage;
+  stage.name = name;
+  stage.cost = cost;
+  stage.memory.working = cost.working_bytes;
+  stage.reason = reason;
+  return stage;
+}
+
+PlannedStage left_out(const std::string& name, const std::string& reason) {
+  PlannedStage stage;
+  stage.name = name;
+  stage.runs = false;
+  stage.evaluations = 0;
+  stage.reason = reason;
+  return stage;
+}
+
+// What each stage loads, and the latents that are there while a stage outside the flows runs.
+void predict_memory(std::vector<PlannedStage>& stages, const BundleOptions& bundle,
+                    const PlanRequest& request) {
+  struct Entry {
+    const char* stage;
+    BundlePart part;
+    int64_t latents;  // of all views: noise and latents of both levels, source features, levels to decode
+  };
+  constexpr Entry kEntries[] = {{"source encoding", BundlePart::kBackbone, 2},
+                                {"view pairs", BundlePart::kDptHead, 5},
+                                {"M1", BundlePart::kLevel1, 0},
+                                {"cascade", BundlePart::kCascade, 0},
+                                {"propagation", BundlePart::kBackbone, 6},
+                                {"RGB decoding", BundlePart::kRgbDecoder, 10},
+                                {"geometry", BundlePart::kDptHead, 10}};
+  const int64_t latent = latent_bytes(bundle.backbone.level_channels(), request.grid);
+  for (auto& stage : stages) {
+    if (!stage.runs) continue;
+    for (const auto& entry : kEntries) {
+      if (stage.name != entry.stage) continue;
+      // Without operations nothing is loaded: view pairs by the cameras alone.
+      stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(entry.part, bundle) : 0;
+      stage.memory.held += entry.latents * latent;
+    }
+    stage.peak_bytes = predicted_peak_bytes(stage.memory);
+  }
+}
+
+LatentGrid with_views(LatentGrid grid, int64_t views) {
+  grid.views = views;
+  return grid;
+}
+
+}  // namespace
+
+GeometryMaps PlanRequest::geometry_maps() const {
+  return outputs.needs_depth() && outputs.needs_rays() ? GeometryMaps::kDepthAndRays
+         : outputs.needs_depth()                       ? GeometryMaps::kDepth
+                                                       : GeometryMaps::kRays;
+}
+
+void PlanRequest::set(const FlowSettings& settings) {
+  level1_solver = settings.level1_solver;
+  cascade_solver = settings.cascade_solver;
+  guidance = settings.guidance;
+  approximate = settings.approximate;
+}
+
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request) {
+  PlannedRuns runs;
+  runs.velocity_decoder = solver.evaluations + guided_evaluations(solver, request.guidance);
+  runs.condition_encoder = runs.velocity_decoder;
+  const auto& savings = request.approximate;
+  if (is_cascade(model) && savings.cascade_encoder_nodes > 0) {
+    runs.condition_encoder = 0;
+    for (const auto& nodes : encoder_nodes(solver, request.guidance, savings.cascade_encoder_nodes)) {
+      runs.condition_encoder += static_cast<int64_t>(nodes.size());
+    }
+  } else if (!is_cascade(model) && savings.level1_encoder_every > 1) {
+    runs.condition_encoder = extrapolated_runs(solver, request.guidance, savings.level1_encoder_every);
+  }
+  return runs;
+}
+
+MachineSpeed measure_machine_speed() {
+  PeakMeasurement measurement;
+  measurement.settings.threads = thread_count();
+  MachineSpeed speed;
+  speed.multiply_add_peak = measure_multiply_add_peak(measurement);
+  speed.matrix_product = measure_sgemm_peak();
+  speed.linear = measure_linear_speed();
+  speed.attention = measure_attention_speed();
+  speed.loading = measure_loading_speed();
+  return speed;
+}
+
+double computing_seconds(const Cost& cost, const MachineSpeed& speed) {
+  return cost.linear_flop / speed.linear + cost.convolution_flop / speed.matrix_product +
+         cost.attention_flop / speed.attention;
+}
+
+double SamplingPlan::flop() const {
+  double total = 0;
+  for (const auto& stage : stages) total += stage.cost.flop();
+  return total;
+}
+
+double SamplingPlan::seconds() const {
+  double total = 0;
+  for (const auto& stage : stages) total += stage.seconds;
+  return total;
+}
+
+int64_t SamplingPlan::peak_bytes() const {
+  int64_t largest = 0;
+  for (const auto& stage : stages) largest = std::max(largest, stage.peak_bytes);
+  return largest;
+}
+
+SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request) {
+  SamplingPlan plan;
+  const auto& blocks = bundle.backbone.out_layers;
+  const int64_t boundary_block = blocks.at(static_cast<size_t>(bundle.boundary_level)) + 1;
+  const LatentGrid source_grid = with_views(request.grid, request.num_sources);
+  const bool finds_pairs = request.approximate.view_pairs == ViewPairs::kVisible;
+  const bool source_depth = request.source_depth();
+  Cost encoding =
+      backbone_cost(bundle.backbone, source_grid, 0, source_depth ? bundle.backbone.depth : boundary_block);
+  if (request.num_sources > 1) {
+    const Cost alone = backbone_cost(bundle.backbone, with_views(request.grid, 1), 0, boundary_block);
+    encoding.linear_flop += alone.linear_flop;
+    encoding.attention_flop += alone.attention_flop;
+  }
+  plan.stages.push_back(single_stage(
+      "source encoding", encoding,
+      source_depth ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
+                   : fmt::format("{} source views up to level {}; deeper blocks are not needed",
+                                 request.num_sources, bundle.boundary_level)));
+  if (finds_pairs) {
+    plan.stages.push_back(
+        source_depth ? single_stage("view pairs",
+                                    dpt_head_cost(bundle.dpt_head, source_grid, GeometryMaps::kDepthAndRays),
+                                    "depth of the source views tells which views see common space")
+                     : single_stage("view pairs", Cost(), "by the cameras alone, one source has no scale"));
+  }
+  plan.stages.push_back(flow_stage("M1", bundle.level1, request.level1_solver, request));
+  plan.stages.push_back(flow_stage("cascade", bundle.cascade, request.cascade_solver, request));
+
+  const RequestedOutputs& outputs = request.outputs;
+  if (outputs.needs_levels()) {
+    plan.stages.push_back(single_stage(
+        "propagation", backbone_cost(bundle.backbone, request.grid, boundary_block, bundle.backbone.depth),
+        "levels 2 and 3 of all views, which attend to each other"));
+  } else {
+    plan.stages.push_back(left_out("propagation", "only latents were asked for"));
+  }
+  const int64_t targets = request.grid.views - request.num_sources;
+  plan.stages.push_back(
+      outputs.needs_image()
+          ? single_stage("RGB decoding",
+                         rgb_decoder_cost(bundle.rgb_decoder, with_views(request.grid, targets)),
+                         fmt::format("{} target views", targets))
+          : left_out("RGB decoding", "no images were asked for"));
+  if (outputs.needs_geometry()) {
+    const int64_t views = outputs.points ? request.grid.views : targets;
+    plan.stages.push_back(single_stage(
+        "geometry", dpt_head_cost(bundle.dpt_head, with_views(request.grid, views), request.geometry_maps()),
+        outputs.points ? "all views, for the point cloud" : "target views"));
+  } else {
+    plan.stages.push_back(left_out("geometry", "no depth, rays or points were asked for"));
+  }
+  predict_memory(plan.stages, bundle, request);
+  return plan;
+}
+
+void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+                     const MachineSpeed& speed) {
+  // What a stage that runs once may take for it to be run beforehand.
+  constexpr double kShort = 0.2;
+  for (auto& stage : plan.stages) {
+    if (!stage.runs) continue;
+    if (stage.name == "M1" || stage.name == "cascade") {
+      const DitSpeed parts =
+          measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
+      stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
+                      static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
+    } else {
+      stage.seconds = computing_seconds(stage.cost, speed);
+      if (stage.seconds < kShort && stage.cost.flop() > 0)
+        stage.seconds = measure_stage_seconds(stage.name, bundle, request);
+    }
+    stage.seconds += static_cast<double>(stage.memory.weights) / speed.loading;
+  }
+}
+
+std::string plan_text(const SamplingPlan& plan) {
+  std::string text =
+      fmt::format("{:<16} {:>10} {:>14} {:>10}  {}\n", "stage", "TFLOP", "time", "memory", "why");
+  for (const auto& stage : plan.stages) {
+    if (!stage.runs) {
+      text +=
+          fmt::format("{:<16} {:>10} {:>14} {:>10}  {}\n", stage.name, "-", "left out", "-", stage.reason);
+      continue;
+    }
+    text += fmt::format("{:<16} {:>10.4g} {:>14} {:>10}  {}\n", stage.name, stage.cost.flop() / 1e12,
+                        stage.seconds > 0 ? duration_text(stage.seconds) : "-", bytes_text(stage.peak_bytes),
+                        stage.reason);
+  }
+  text +=
+      fmt::format("{:<16} {:>10.4g} {:>14} {:>10}\n", "together", plan.flop() / 1e12,
+                  plan.seconds() > 0 ? duration_text(plan.seconds()) : "-", bytes_text(plan.peak_bytes()));
+  return text;
+}
+
+namespace {
+
+const StageRecord* record_of(const std::vector<StageRecord>& records, const std::string& stage) {
+  for (const auto& record : records) {
+    if (record.name == stage) return &record;
+  }
+  return nullptr;
+}
+
+nlohmann::ordered_json ratio(double actual, double predicted) {
+  if (predicted <= 0) return nullptr;
+  return actual / predicted;
+}
+
+nlohmann::ordered_json stage_json(const PlannedStage& stage) {
+  return {{"stage", stage.name},
+          {"runs", stage.runs},
+          {"reason", stage.reason},
+          {"evaluations", stage.evaluations},
+          {"with_unconditional_branch", stage.with_unconditional},
+          {"condition_encoder_runs", stage.parts.condition_encoder},
+          {"velocity_decoder_runs", stage.parts.velocity_decoder},
+          {"tflop", stage.cost.flop() / 1e12},
+          {"predicted_seconds", stage.seconds},
+          {"predicted_peak_bytes", stage.peak_bytes}};
+}
+
+}  // namespace
+
+nlohmann::ordered_json plan_json(const SamplingPlan& plan) {
+  auto list = nlohmann::ordered_json::array();
+  for (const auto& stage : plan.stages) list.push_back(stage_json(stage));
+  return list;
+}
+
+nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
+  auto list = nlohmann::ordered_json::array();
+  for (const auto& stage : plan.stages) {
+    auto object = stage_json(stage);
+    if (const StageRecord* record = record_of(records, stage.name)) {
+      object["seconds"] = record->seconds;
+      object["seconds_over_predicted"] = ratio(record->seconds, stage.seconds);
+      object["peak_bytes"] = record->peak_bytes;
+      object["peak_over_predicted"] =
+          ratio(static_cast<double>(record->peak_bytes), static_cast<double>(stage.peak_bytes));
+    }
+    list.push_back(std::move(object));
+  }
+  return list;
+}
+
+std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
+  double seconds = 0;
+  int64_t peak = 0;
+  for (const auto& stage : plan.stages) {
+    const StageRecord* record = record_of(records, stage.name);
+    if (record == nullptr) continue;
+    seconds += record->seconds;
+    peak = std::max(peak, record->peak_bytes);
+  }
+  return fmt::format("the planned stages took {} (predicted {}) and at most {} (predicted {})\n",
+                     duration_text(seconds), duration_text(plan.seconds()), bytes_text(peak),
+                     bytes_text(plan.peak_bytes()));
+}
+
+}  // namespace gld

@@ -1,0 +1,100 @@
+#pragma once
+
+#include "gld/flow/guidance.h"
+#include "gld/flow/solvers/solver.h"
+#include "gld/machine/stage_record.h"
+#include "infer/forecast/stage_memory.h"
+#include "infer/method/sample_options.h"
+#include "infer/method/sampling_method.h"
+#include "models/bundle/bundle_options.h"
+#include "models/cost/cost_model.h"
+#include "models/decoders/dpt_head.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// How fast this machine is, measured: floating-point operations a second, but for loading.
+struct MachineSpeed {
+  double multiply_add_peak = 0;  // independent multiply-adds in registers: what fractions of peak refer to
+  double matrix_product = 0;     // large products by BLAS; LibTorch's convolutions are about as fast
+  double linear = 0;             // linear layers as sampling computes them (gld/tensors/transposed_product.h)
+  double attention = 0;          // softmax attention of the models' head sizes
+  double loading = 0;            // bytes a second of float32 weights made from float16 ones in fresh memory
+};
+// Takes about a second, with the present thread setting.
+MachineSpeed measure_machine_speed();
+// What these operations take at these speeds.
+double computing_seconds(const Cost& cost, const MachineSpeed& speed);
+
+// What sampling is planned for.
+struct PlanRequest {
+  LatentGrid grid;  // of all views
+  int64_t num_sources = 1;
+  RequestedOutputs outputs;
+  SolverOptions level1_solver;
+  SolverOptions cascade_solver;
+  GuidanceOptions guidance;
+  ApproximateSavings approximate;
+  double visible_share = 1;  // of view pairs: those that attend where approximate.view_pairs says visible
+
+  void set(const FlowSettings& settings);
+  // Whether view pairs are decided with the depth of the source views, too.
+  bool source_depth() const { return approximate.view_pairs == ViewPairs::kVisible && num_sources > 1; }
+  // What is computed of the attention between views.
+  double attention_share() const { return approximate.view_pairs == ViewPairs::kVisible ? visible_share : 1; }
+  GeometryMaps geometry_maps() const;
+};
+
+// How often each part of a model runs in a flow, over both branches of guidance.
+struct PlannedRuns {
+  int64_t condition_encoder = 0;
+  int64_t velocity_decoder = 0;
+};
+// What the pipeline will count (DitCounts) with a fixed-step solver of one evaluation a step; adaptive solvers are
+// counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request);
+
+struct PlannedStage {
+  std::string name;  // as in StageRecords
+  bool runs = true;
+  std::string reason;              // why it runs or not, in words
+  int64_t evaluations = 1;         // forward passes of the conditional branch
+  int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
+  PlannedRuns parts;               // how often a flow's parts run
+  Cost cost;                       // operations of all passes together
+  StageMemory memory;
+  double seconds = 0;      // predicted; 0 without a measured speed
+  int64_t peak_bytes = 0;  // predicted resident memory
+};
+
+struct SamplingPlan {
+  std::vector<PlannedStage> stages;
+
+  double flop() const;
+  double seconds() const;
+  int64_t peak_bytes() const;  // of the largest stage
+};
+
+// The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
+SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
+// Fills in PlannedStage::seconds, loading included: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of
+// other stages from their operations and the machine's speed where they are long, otherwise from a run
+// (infer/forecast/stage_speed.h). Takes a few seconds at full size.
+void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+                     const MachineSpeed& speed);
+
+// A table, one line a stage, for people.
+std::string plan_text(const SamplingPlan& plan);
+nlohmann::ordered_json plan_json(const SamplingPlan& plan);
+
+// The same with what every stage took: seconds, peak memory, and both over what was predicted.
+nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
+// One line: the planned stages' seconds and peak memory together, as they were and as predicted.
+std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records);
+
+}  // namespace gld

@@ -1,0 +1,31 @@
+#include "infer/forecast/stage_memory.h"
+
+#include "models/weights/weight_loading.h"
+
+#include <algorithm>
+
+#include <torch/types.h>
+
+namespace gld {
+
+int64_t predicted_peak_bytes(const StageMemory& memory) {
+  // LibTorch's, OpenCV's and BLAS's libraries and heaps before any model is loaded, measured.
+  constexpr int64_t kProgramBytes = 215'000'000;
+  // Packed panels of products and attention, buffers of BLAS: measured in large stages.
+  constexpr int64_t kMostScratchBytes = 60'000'000;
+  constexpr double kKeptShare = 0.5;  // of activations, measured
+  return kProgramBytes + std::min(kMostScratchBytes, memory.working) + memory.weights + memory.held +
+         memory.working + static_cast<int64_t>(kKeptShare * static_cast<double>(memory.working));
+}
+
+int64_t weight_bytes_of(BundlePart part, const BundleOptions& options) {
+  ParameterPlacement meta;
+  meta.device = torch::kMeta;
+  int64_t bytes = 0;
+  for (const auto& [name, tensor] : named_tensors(*make_bundle_module(part, options, meta))) {
+    bytes += tensor.numel() * tensor.element_size();
+  }
+  return bytes;
+}
+
+}  // namespace gld

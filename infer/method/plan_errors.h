@@ -1,0 +1,54 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "infer/method/sampling_method.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// What `gld bench sample-plan` measured of one method. An error is the RMS of the latents' difference from a converged
+// solve of the same noise over that solve's RMS, of level 1 or level 0, whichever is larger.
+struct MethodErrors {
+  SamplingMethod method;
+  double mean = 0;     // over scenes
+  double largest = 0;  // over scenes
+  double bound = 0;    // what other scenes are expected to stay below (error_bound)
+};
+
+// An upper bound for a scene that was not measured, which one in a thousand exceeds: the predictive bound of a
+// log-normal distribution, mean of the logarithms + Student's quantile * sqrt(1 + 1/n) * their deviation, and at least a
+// quarter above the largest error. To the measured deviation (mostly 0.15) comes an expected one of 0.4 with the weight
+// of 8 scenes: at some numbers of evaluations a single scene's error is 3.7 times the others'. errors: at least one, none
+// negative; 0 where all are.
+double error_bound(const std::vector<double>& errors);
+
+// The measured error model of one bundle: plan_errors.json in its folder.
+struct PlanErrors {
+  std::string model_hash;  // of the weights it was measured with
+  int64_t scenes = 0;
+  double guidance_scale = 1.5;
+  LatentGrid grid;  // of the measured scenes
+  std::vector<MethodErrors> methods;
+};
+
+constexpr const char* kPlanErrorsFile = "plan_errors.json";
+
+nlohmann::ordered_json plan_errors_json(const PlanErrors& errors);
+// Throws Error, naming file, when it is not such a table.
+PlanErrors read_plan_errors(const std::filesystem::path& file);
+
+// Of the methods whose bound is at most the tolerance, the one with the least flop (one number a method). Throws Error
+// naming the smallest tolerance that a measured method meets when none does.
+size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& flop);
+
+// The measurement of the same method, if it is in the table.
+std::optional<MethodErrors> errors_of(const PlanErrors& errors, const SamplingMethod& method);
+
+}  // namespace gld

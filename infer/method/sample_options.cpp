@@ -1,0 +1,139 @@
+#include "infer/method/sample_options.h"
+
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+namespace gld {
+namespace {
+
+// Fields that make up a SamplingMethod.
+bool decides_the_method(const std::string& key) {
+  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 || key == "preset" ||
+         key == "guidance.guidance_interval" || key == "guidance.guidance_tolerance";
+}
+
+// The first field of the method that the command line names or a file changes; empty for none.
+std::string method_field_asked_for(const SampleOptions& options) {
+  for (const auto& key : options.named) {
+    if (decides_the_method(key)) return key;
+  }
+  const auto defaults = describe_options(SampleOptions()), values = describe_options(options);
+  for (size_t i = 0; i < values.size(); ++i) {
+    if (decides_the_method(values[i].key) && values[i].default_value != defaults[i].default_value) {
+      return values[i].key;
+    }
+  }
+  return "";
+}
+
+void refuse_two_methods(const SampleOptions& options) {
+  const bool quality = options.quality != SamplingQuality::kOptions;
+  if (!quality && options.tolerance == 0) return;
+  const std::string chosen = quality ? "--quality" : "--tolerance";
+  const std::string other = quality && options.tolerance > 0 ? "tolerance" : method_field_asked_for(options);
+  if (other.empty()) return;
+  fail({chosen, "no other option beside it that decides how to sample", "'" + other + "'",
+        "leave out one of the two"});
+}
+
+}  // namespace
+
+SampleOptions::SampleOptions() {
+  solver.schedule.shift = 0;  // the model's
+}
+
+void SampleOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
+  visitor.text({"scene", "folder of the scene: images with cameras"}, scene);
+  visitor.group({"reading", "how the scene is read"}, reading);
+  visitor.group({"views", "which views"}, views);
+  visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
+  visitor.texts({"outputs", "what to make: image, depth, rays, points, latents"}, outputs);
+  visitor.integer({"seed", "seed of the noise; the same seed gives the same bytes"}, seed, {0});
+  visit_choice(visitor, {"preset", "published: the release's sampler, whatever the solver options say"},
+               preset, {"options", "published"});
+  visit_choice(visitor,
+               {"quality",
+                "how to sample: as the solver, guidance and approximate options say, or a fixed "
+                "choice instead of them"},
+               quality, sampling_quality_names());
+  visitor.real({"tolerance",
+                "instead of them: the largest relative error of the latents, for which the cheapest "
+                "measured way is taken; 0: none (an adaptive solver's is --solver.tolerance)"},
+               tolerance, {0, 10});
+  visitor.group({"solver", "how the flow is integrated"}, solver);
+  visitor.group({"guidance", "classifier-free guidance"}, guidance);
+  visitor.group({"approximate", "work left out with an error"}, approximate);
+  visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
+                                fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
+                no_skip);
+  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
+  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
+  visitor.text({"out", "run folder to write"}, out);
+}
+
+void SampleOptions::check() const {
+  if (scene.empty()) {
+    fail({"--scene", "a folder of images with cameras", "nothing", "add for example --scene my_photos"});
+  }
+  if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/sample"});
+  requested();
+  savings();
+  refuse_two_methods(*this);
+}
+
+ExactSavings SampleOptions::savings() const {
+  ExactSavings savings;
+  for (const auto& name : no_skip) disable_exact_saving(savings, name);
+  return savings;
+}
+
+RequestedOutputs SampleOptions::requested() const {
+  RequestedOutputs requested;
+  struct Output {
+    const char* name;
+    bool RequestedOutputs::*member;
+  };
+  const std::vector<Output> known{{"image", &RequestedOutputs::image},
+                                  {"depth", &RequestedOutputs::depth},
+                                  {"rays", &RequestedOutputs::rays},
+                                  {"points", &RequestedOutputs::points},
+                                  {"latents", &RequestedOutputs::latents}};
+  std::vector<std::string> names;
+  for (const auto& output : known) names.emplace_back(output.name);
+  for (const auto& name : outputs) {
+    bool found = false;
+    for (const auto& output : known) {
+      if (name != output.name) continue;
+      requested.*(output.member) = true;
+      found = true;
+    }
+    if (!found) {
+      const auto near = nearest_name(name, names);
+      fail({"--outputs", "image, depth, rays, points or latents", "'" + name + "'",
+            near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
+    }
+  }
+  if (outputs.empty()) fail({"--outputs", "at least one output", "none", "add for example --outputs image"});
+  return requested;
+}
+
+SamplingMethod SampleOptions::method(const DitOptions& cascade) const {
+  if (quality != SamplingQuality::kOptions) return quality_method(quality, cascade);
+  SamplingMethod method;
+  method.name = "as the options say";
+  method.solver = solver;
+  method.guidance_interval = guidance.guidance_interval;
+  method.guidance_tolerance = guidance.guidance_tolerance;
+  method.approximate = approximate;
+  if (preset == SamplingPreset::kPublished) {
+    method.name = "published";
+    method.solver = quality_method(SamplingQuality::kPublished, cascade).solver;
+  }
+  return method;
+}
+
+}  // namespace gld

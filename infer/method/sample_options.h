@@ -1,0 +1,72 @@
+#pragma once
+
+#include "datasets/formats/scene_reader.h"
+#include "gld/base/options.h"
+#include "gld/flow/guidance.h"
+#include "gld/flow/solvers/solver.h"
+#include "infer/method/sampling_method.h"
+#include "infer/pipeline/sampling_scene.h"
+#include "models/dit/approximate_savings.h"
+#include "models/dit/exact_savings.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+enum class SamplingPreset {
+  kOptions,  // as the options say
+  kPublished,  // the release's sampler exactly: 49 Euler steps on its shifted grid, whatever the solver options say
+};
+
+// What gld sample is asked to make.
+struct RequestedOutputs {
+  bool image = false;
+  bool depth = false;
+  bool rays = false;
+  bool points = false;
+  bool latents = false;
+
+  bool needs_depth() const { return depth || points; }
+  // A point cloud takes its scale from the rays.
+  bool needs_rays() const { return rays || points; }
+  bool needs_geometry() const { return needs_depth() || needs_rays(); }
+  bool needs_image() const { return image || points; }  // points are coloured by the images
+  bool needs_levels() const { return needs_image() || needs_geometry(); }
+};
+
+struct SampleOptions : OptionsGroup {
+  std::string model = "configs/tiny";
+  std::string scene;
+  SceneReading reading;
+  ViewSelection views;
+  std::string size = "auto";
+  std::vector<std::string> outputs{"image", "depth", "points"};
+  int64_t seed = 0;
+  SamplingPreset preset = SamplingPreset::kOptions;
+  // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays
+  // below a tolerance (infer/method/plan_errors.h; 0 for none). Neither goes together with those options.
+  SamplingQuality quality = SamplingQuality::kOptions;
+  double tolerance = 0;
+  SolverOptions solver;
+  GuidanceOptions guidance;
+  ApproximateSavings approximate;
+  std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
+  std::string device = "cpu";
+  int64_t threads = 0;
+  std::string out;
+  // Keys that the command line names, so that a value equal to the default counts as asked for; not an option itself.
+  std::vector<std::string> named;
+
+  SampleOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;  // also that nothing contradicts quality or tolerance
+
+  RequestedOutputs requested() const;  // Error for a name that is no output
+  ExactSavings savings() const;        // Error for a name that is no saving
+  // What all options but tolerance say, for a model with that cascade.
+  SamplingMethod method(const DitOptions& cascade) const;
+};
+
+}  // namespace gld

@@ -1,0 +1,115 @@
+#include "infer/method/sampling_method.h"
+
+#include "gld/base/configuration.h"
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kPublishedEvaluations = 49;  // 50 times
+
+SamplingMethod default_solver_method(const std::string& name, int64_t evaluations, int64_t nodes) {
+  SamplingMethod method;
+  method.name = name;
+  method.solver.solver = SolverKind::kUniPc3;
+  method.solver.evaluations = evaluations;
+  method.solver.schedule.schedule = ScheduleKind::kLogSnr;
+  method.approximate.cascade_encoder_nodes = nodes;
+  return method;
+}
+
+}  // namespace
+
+SamplingMethod::SamplingMethod() {
+  solver.schedule.shift = 0;  // the model's
+}
+
+void SamplingMethod::visit(FieldVisitor& visitor) {
+  visitor.text({"name", "what it is called"}, name);
+  visitor.group({"solver", "how the flow is integrated"}, solver);
+  visitor.reals({"guidance_interval", "flow times [low, high] where guidance acts, both included"},
+                guidance_interval, {0, 1});
+  visitor.real(
+      {"guidance_tolerance", "leave out the unconditional branch where guidance adds less than this"},
+      guidance_tolerance, {0, 1});
+  visitor.group({"approximate", "approximate savings"}, approximate);
+}
+
+bool same_method(const SamplingMethod& a, const SamplingMethod& b) {
+  SamplingMethod renamed = b;
+  renamed.name = a.name;
+  return to_json(a) == to_json(renamed);
+}
+
+std::string method_text(const SamplingMethod& method) {
+  const auto& solver = method.solver;
+  std::string text = fmt::format("{} on {}, ", solver_names()[static_cast<size_t>(solver.solver)],
+                                 schedule_names()[static_cast<size_t>(solver.schedule.schedule)]);
+  text += is_adaptive(solver.solver) ? fmt::format("tolerance {:g}", solver.tolerance)
+                                     : fmt::format("{} evaluations a level", solver.evaluations);
+  if (method.guidance_interval[0] > 0 || method.guidance_interval[1] < 1) {
+    text += fmt::format("; guidance from t = {:g} to {:g}", method.guidance_interval[1],
+                        method.guidance_interval[0]);
+  }
+  if (method.guidance_tolerance > 0) {
+    text += fmt::format("; guidance dropped below {:g}", method.guidance_tolerance);
+  }
+  const auto& savings = method.approximate;
+  if (savings.cascade_encoder_nodes > 0) {
+    text += fmt::format("; cascade encoder at {} flow times", savings.cascade_encoder_nodes);
+  }
+  if (savings.level1_encoder_every > 1) {
+    text += fmt::format("; M1 encoder at every {} evaluations", savings.level1_encoder_every);
+  }
+  if (savings.view_pairs == ViewPairs::kVisible) text += "; attention between views that see common space";
+  return text;
+}
+
+const std::vector<std::string>& sampling_quality_names() {
+  static const std::vector<std::string> names{"options", "published", "exact", "balanced", "fast"};
+  return names;
+}
+
+SamplingMethod quality_method(SamplingQuality quality, const DitOptions& cascade) {
+  SamplingMethod method;
+  switch (quality) {
+    case SamplingQuality::kOptions:
+    case SamplingQuality::kExact:
+      method = default_solver_method("exact", 16, 0);
+      break;
+    case SamplingQuality::kPublished:
+      method.name = "published";
+      method.solver.solver = SolverKind::kEuler;
+      method.solver.evaluations = kPublishedEvaluations;
+      method.solver.schedule.schedule = ScheduleKind::kPublished;
+      break;
+    case SamplingQuality::kBalanced:
+      method = default_solver_method("balanced", 12, 6);
+      break;
+    case SamplingQuality::kFast:
+      method = default_solver_method("fast", 8, 4);
+      method.guidance_interval = {0.5, 1};
+      break;
+  }
+  if (cascade.encoder_sees_noisy()) method.approximate.cascade_encoder_nodes = 0;
+  return method;
+}
+
+FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
+                           const BundleOptions& bundle) {
+  FlowSettings settings;
+  settings.level1_solver = settings.cascade_solver = method.solver;
+  const auto use_shift = [](SolverOptions& solver, double shift) {
+    if (solver.schedule.shift == 0) solver.schedule.shift = shift;
+  };
+  use_shift(settings.level1_solver, bundle.level1_time_shift.evaluation);
+  use_shift(settings.cascade_solver, bundle.cascade_time_shift.evaluation);
+  settings.guidance = guidance;
+  settings.guidance.guidance_interval = method.guidance_interval;
+  settings.guidance.guidance_tolerance = method.guidance_tolerance;
+  settings.approximate = method.approximate;
+  return settings;
+}
+
+}  // namespace gld

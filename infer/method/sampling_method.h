@@ -1,0 +1,60 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/flow/guidance.h"
+#include "gld/flow/solvers/solver.h"
+#include "models/bundle/bundle_options.h"
+#include "models/dit/approximate_savings.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Everything that trades error for time when a scene is sampled. Not the guidance scale: that changes what is sampled.
+struct SamplingMethod : OptionsGroup {
+  std::string name;  // for people
+  SolverOptions solver;
+  std::vector<double> guidance_interval{0, 1};  // flow times where guidance acts, both included
+  double guidance_tolerance = 0;                // gld/flow/guidance.h
+  ApproximateSavings approximate;
+
+  SamplingMethod();
+  void visit(FieldVisitor& visitor) override;
+};
+
+// Whether both sample alike, whatever they are called.
+bool same_method(const SamplingMethod& a, const SamplingMethod& b);
+
+// "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
+std::string method_text(const SamplingMethod& method);
+
+// --quality. `options` is what the other options say; the rest are fixed methods. balanced and fast take what
+// NUMBERS.md expects to pay (fewer evaluations of the default solver, nodes for the cascade's condition encoder, no
+// guidance where the data decide); `gld bench sample-plan` measures all four beside plain fewer evaluations.
+//
+// | quality   | solver on schedule | evaluations | guidance     | approximate savings     |
+// |-----------|--------------------|-------------|--------------|-------------------------|
+// | published | euler on published | 49          | everywhere   | none                    |
+// | exact     | unipc3 on logsnr   | 16          | everywhere   | none                    |
+// | balanced  | unipc3 on logsnr   | 12          | everywhere   | 6 cascade encoder nodes |
+// | fast      | unipc3 on logsnr   | 8           | from t = 0.5 | 4 cascade encoder nodes |
+enum class SamplingQuality { kOptions, kPublished, kExact, kBalanced, kFast };
+const std::vector<std::string>& sampling_quality_names();
+
+// For any but kOptions. Encoder nodes are left out for a cascade that cannot have them (DitOptions::encoder_sees_noisy).
+SamplingMethod quality_method(SamplingQuality quality, const DitOptions& cascade);
+
+// The method with a model's time shifts and a guidance scale: what the two flows are run with.
+struct FlowSettings {
+  SolverOptions level1_solver;
+  SolverOptions cascade_solver;
+  GuidanceOptions guidance;
+  ApproximateSavings approximate;
+};
+// guidance gives what the method does not say: scale and how branches are evaluated. A shift of 0 in the method's
+// schedule is the model's.
+FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
+                           const BundleOptions& bundle);
+
+}  // namespace gld

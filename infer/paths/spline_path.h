@@ -1,0 +1,20 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// A smooth path through cameras: centres by a Catmull-Rom spline (Catmull and Rom 1974), rotations by spherical
+// quadrangle interpolation (Shoemake 1987), focal lengths geometrically and principal points linearly. position runs
+// from 0 (the first camera) to cameras.size() - 1 (the last one); whole numbers give those cameras exactly, up to
+// rounding. The size is the first camera's; other cameras' intrinsics are scaled to it.
+Camera spline_camera(const std::vector<Camera>& cameras, double position);
+
+// frames cameras evenly spread over the path, both ends included; one frame stands in its middle. Error for fewer
+// than two cameras.
+std::vector<Camera> spline_cameras(const std::vector<Camera>& cameras, int64_t frames);
+
+}  // namespace gld

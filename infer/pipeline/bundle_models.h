@@ -1,0 +1,17 @@
+#pragma once
+
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/bundle/bundle.h"
+
+#include <torch/types.h>
+
+namespace gld {
+
+// The modules of a bundle, each loaded from its file when the pipeline asks for it. bundle is copied.
+PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device);
+
+// The same, but every stage's module is loaded once and kept, for commands that run the same models on many scenes. Not
+// for several threads at once.
+PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device);
+
+}  // namespace gld

@@ -1,0 +1,23 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/cameras/pose_from_rays.h"
+#include "gld/cameras/view_maps.h"
+#include "models/decoders/dpt_head.h"
+
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// (height, width) of any type and device.
+ConfidenceMap to_confidence_map(const torch::Tensor& confidence);
+// (height, width, 6) of any type and device.
+RayMap to_ray_map(const torch::Tensor& rays);
+
+// The cameras that fit the DPT head's rays best, one a view of geometry.rays, principal point in the middle: where the
+// model thinks the views stand, in its own frame and unit. Throws Error when no camera fits one of them.
+std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const ImageSize& picture);
+
+}  // namespace gld

@@ -1,0 +1,140 @@
+#include "infer/pipeline/sampling_scene.h"
+
+#include "gld/base/error.h"
+#include "gld/cameras/camera_checks.h"
+
+#include <algorithm>
+#include <charconv>
+#include <set>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+const Frame& frame_of(const Scene& scene, int64_t number, const char* flag) {
+  const auto count = static_cast<int64_t>(scene.frames.size());
+  if (number < 0 || number >= count) {
+    fail({flag,
+          fmt::format("frame numbers from 0 to {}, which is what scene '{}' has", count - 1, scene.name),
+          std::to_string(number), "choose among its frames"});
+  }
+  return scene.frames[static_cast<size_t>(number)];
+}
+
+void add_target_frames(const Scene& scene, const ViewSelection& selection, const ImageSize& size,
+                       SamplingScene& sampling) {
+  for (const int64_t number : selection.targets) {
+    const Frame& frame = frame_of(scene, number, "--targets");
+    const auto plan = plan_resize_crop(frame.camera.width, frame.camera.height, size);
+    sampling.views.cameras.push_back(resize_crop(frame.camera, plan));
+    sampling.view_names.push_back(frame.name);
+    sampling.true_images.push_back(frame.has_image() ? resize_crop(frame.image(), plan) : Image());
+    sampling.true_depths.push_back(frame.has_depth() ? resize_crop(frame.depth(), plan) : DepthMap());
+  }
+}
+
+// The median depth of the scene's sparse points in front of the first source view; 0 where it has none.
+double typical_depth(const Scene& scene, const Camera& camera) {
+  std::vector<double> depths;
+  const Eigen::Isometry3d camera_from_world = camera.camera_from_world();
+  for (const auto& point_in_world : scene.points_in_world) {
+    const double depth = (camera_from_world * point_in_world).z();
+    if (depth > 0) depths.push_back(depth);
+  }
+  if (depths.empty()) return 0;
+  const auto middle = depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
+  std::nth_element(depths.begin(), middle, depths.end());
+  return *middle;
+}
+
+void add_target_path(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling) {
+  const auto sources = sampling.views.cameras;
+  const auto cameras = make_camera_path(selection.path, sources, typical_depth(scene, sources.front()));
+  for (size_t i = 0; i < cameras.size(); ++i) {
+    // A file's cameras may have another size; those of an orbit or spline have it already.
+    const auto plan = plan_resize_crop(cameras[i].width, cameras[i].height, sampling.size);
+    sampling.views.cameras.push_back(resize_crop(cameras[i], plan));
+    sampling.view_names.push_back(fmt::format("path_{:02}", i));
+    sampling.true_images.emplace_back();
+    sampling.true_depths.emplace_back();
+  }
+}
+
+bool read_side(const std::string& text, int64_t& side) {
+  const auto result = std::from_chars(text.data(), text.data() + text.size(), side);
+  return result.ec == std::errc() && result.ptr == text.data() + text.size() && side > 0;
+}
+
+}  // namespace
+
+ViewSelection::ViewSelection() { path.path.clear(); }
+
+void ViewSelection::visit(FieldVisitor& visitor) {
+  visitor.integers({"sources", "source views: frame numbers of the scene, from 0"}, sources, {0, 1'000'000});
+  visitor.integers({"targets", "target views: frame numbers; their images only serve to compare with"},
+                   targets, {0, 1'000'000});
+  path.visit(visitor);
+}
+
+void ViewSelection::check() const {
+  if (sources.empty()) {
+    fail({"--sources", "at least one source view", "none", "add for example --sources 0,3"});
+  }
+  if (std::set<int64_t>(sources.begin(), sources.end()).size() != sources.size()) {
+    fail({"--sources", "each source view once", "a frame number twice", "remove the repetition"});
+  }
+  if (targets.empty() == path.path.empty()) {
+    fail({"--targets, --path", "either target frames or a path", targets.empty() ? "neither" : "both",
+          "add for example --targets 1,2, or --path orbit"});
+  }
+}
+
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
+  SamplingScene sampling;
+  sampling.name = scene.name;
+  sampling.metric = scene.metric;
+  sampling.size = size;
+  sampling.warnings = scene.warnings;
+  for (const int64_t number : selection.sources) {
+    const Frame& frame = frame_of(scene, number, "--sources");
+    SizedFrame sized = load_sized(frame, size, FrameParts::kImage);
+    sampling.views.cameras.push_back(sized.camera);
+    sampling.view_names.push_back(frame.name);
+    sampling.source_images.push_back(std::move(sized.image));
+  }
+  sampling.views.num_sources = sampling.views.size();
+  if (selection.path.path.empty()) {
+    add_target_frames(scene, selection, size, sampling);
+  } else {
+    add_target_path(scene, selection, sampling);
+  }
+  const auto camera_warnings = check_cameras(sampling.views, scene.name);
+  sampling.warnings.insert(sampling.warnings.end(), camera_warnings.begin(), camera_warnings.end());
+  return sampling;
+}
+
+ImageSize choose_size(const std::string& text, const Scene& scene,
+                      const std::vector<ImageSize>& trained_sizes, int64_t patch_size) {
+  ImageSize size;
+  if (text == "auto") {
+    const Camera& camera = scene.frames.front().camera;
+    size = nearest_trained_size(camera.width, camera.height, trained_sizes);
+  } else {
+    const auto cross = text.find('x');
+    if (cross == std::string::npos || !read_side(text.substr(0, cross), size.width) ||
+        !read_side(text.substr(cross + 1), size.height)) {
+      fail({"--size", "WIDTHxHEIGHT in pixels, or auto", "'" + text + "'",
+            "write for example --size 504x280"});
+    }
+  }
+  if (size.width % patch_size != 0 || size.height % patch_size != 0) {
+    fail({"--size", fmt::format("sides that are multiples of the patch size {}", patch_size),
+          fmt::format("{}x{}", size.width, size.height),
+          fmt::format("take {}x{}", std::max<int64_t>(1, size.width / patch_size) * patch_size,
+                      std::max<int64_t>(1, size.height / patch_size) * patch_size)});
+  }
+  return size;
+}
+
+}  // namespace gld

@@ -1,0 +1,49 @@
+#pragma once
+
+#include "datasets/images/image.h"
+#include "datasets/scenes/resize_crop.h"
+#include "datasets/scenes/scene.h"
+#include "gld/base/options.h"
+#include "gld/cameras/camera.h"
+#include "infer/paths/camera_path.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Which views of a scene are given and which are asked for.
+struct ViewSelection : OptionsGroup {
+  std::vector<int64_t> sources;  // frame numbers, from 0
+  std::vector<int64_t> targets;  // frame numbers; their images are only used to compare with
+  CameraPathOptions path;        // instead of targets; unused while path.path is empty
+
+  ViewSelection();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;  // either targets or path; no frame twice among the sources
+};
+
+// The scene as the sampler takes it: source views first, all at one size.
+struct SamplingScene {
+  std::string name;
+  bool metric = false;  // poses and depth are in metres
+  ImageSize size;
+  Views views;
+  std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path
+  std::vector<Image> source_images;     // one a source view
+  std::vector<Image> true_images;       // one a target view; empty where the scene has none
+  std::vector<DepthMap> true_depths;    // one a target view; empty where the scene has none
+  std::vector<std::string> warnings;    // what is unusual about the cameras, one sentence each
+};
+
+// Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
+// numbers that the scene does not have and for cameras that make no sense (gld/cameras/camera_checks.h).
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
+
+// "504x280" -> that size; "auto" -> the trained size whose aspect is nearest to the first frame's. Sides must be
+// whole patches. Throws Error otherwise.
+ImageSize choose_size(const std::string& text, const Scene& scene,
+                      const std::vector<ImageSize>& trained_sizes, int64_t patch_size);
+
+}  // namespace gld

@@ -1,0 +1,17 @@
+#pragma once
+
+#include "infer/method/sample_options.h"
+
+#include <string>
+
+namespace gld {
+
+// gld plan: which stages would run for this scene and why, with predicted work, time and memory. Computes and writes
+// nothing; options.out is not used.
+std::string sampling_plan_report(const SampleOptions& options);
+
+// gld sample: reads the bundle and the scene, runs the pipeline and writes the run folder (docs/FILES.md). Prints the
+// plan's first lines, warnings and the closing box.
+void sample(const SampleOptions& options);
+
+}  // namespace gld

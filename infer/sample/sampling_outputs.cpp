@@ -1,0 +1,247 @@
+#include "infer/sample/sampling_outputs.h"
+
+#include "datasets/formats/cameras_json.h"
+#include "datasets/images/pfm_file.h"
+#include "datasets/loading/batching.h"
+#include "datasets/pictures/contact_sheet.h"
+#include "datasets/pictures/depth_preview.h"
+#include "gld/base/error.h"
+#include "gld/cameras/pose_alignment.h"
+#include "gld/metrics/image_metrics.h"
+#include "gld/tensors/weight_tensors.h"
+#include "infer/export/depth_export.h"
+#include "infer/export/image_export.h"
+#include "infer/export/ply_file.h"
+#include "infer/export/point_cloud.h"
+#include "infer/export/ray_export.h"
+#include "infer/pipeline/predicted_cameras.h"
+
+#include <cmath>
+#include <limits>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+DepthMap depth_map(const torch::Tensor& depth) {
+  return to_depth_map(depth.to(torch::kCPU, torch::kFloat32).contiguous());
+}
+
+}  // namespace
+
+SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
+                                 const RequestedOutputs& requested, const Provenance& provenance)
+    : run_(run), scene_(scene), requested_(requested), provenance_(provenance) {
+  // A point cloud takes the depth of the source views as well.
+  first_geometry_view_ = requested.points ? 0 : scene.views.num_sources;
+}
+
+void SamplingOutputs::write_images(const torch::Tensor& images) {
+  for (int64_t i = 0; i < images.size(0); ++i) images_.push_back(to_image(images[i]));
+  compare_with_truth();
+  if (!requested_.image) return;
+  const auto folder = run_.subfolder("images");
+  for (size_t i = 0; i < images_.size(); ++i) {
+    const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
+    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), images_[i], provenance_);
+  }
+  run_.note("images", "images");
+}
+
+void SamplingOutputs::compare_with_truth() {
+  auto rows = nlohmann::ordered_json::array();
+  for (size_t i = 0; i < images_.size(); ++i) {
+    psnr_.push_back(std::numeric_limits<double>::quiet_NaN());
+    if (scene_.true_images[i].empty()) continue;
+    const auto truth = to_tensor(scene_.true_images[i]).unsqueeze(0);
+    const auto made = to_tensor(images_[i]).unsqueeze(0);
+    psnr_.back() = psnr(truth, made).item<double>();
+    nlohmann::ordered_json row{{"view", scene_.view_names[static_cast<size_t>(scene_.views.num_sources) + i]},
+                               {"psnr", psnr_.back()}};
+    constexpr int64_t kSsimWindow = 11;
+    if (scene_.size.width >= kSsimWindow && scene_.size.height >= kSsimWindow) {
+      row["ssim"] = ssim(truth, made).item<double>();
+    }
+    rows.push_back(row);
+  }
+  if (!rows.empty()) findings_["against_truth"] = rows;
+}
+
+void SamplingOutputs::write_rest(const PipelineResult& result, const std::string& sheet_subtitle) {
+  if (requested_.needs_depth()) write_depth(result);
+  if (requested_.rays) write_rays(result);
+  if (requested_.points) write_points(result);
+  if (requested_.latents) write_latents(result);
+  write_cameras();
+  write_contact_sheet(sheet_subtitle);
+}
+
+void SamplingOutputs::write_depth(const PipelineResult& result) {
+  const auto& depth = result.geometry.depth;
+  // All depth files are in the unit of the poses, so that cameras.json describes one scene.
+  const auto known_scale = requested_.needs_rays() ? depth_scale(result) : std::nullopt;
+  const double scale = known_scale.value_or(1);
+  depth_has_scene_unit_ = known_scale.has_value();
+  for (int64_t i = 0; i < depth.size(0); ++i) {
+    depths_.push_back(depth_map(depth[i]));
+    for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
+  }
+  depth_unit_ = choose_depth_unit(depths_);
+  if (!requested_.depth) return;
+  const auto folder = run_.subfolder("depth");
+  const auto range = robust_depth_range(depths_);
+  for (size_t i = 0; i < depths_.size(); ++i) {
+    const auto name = view_name(first_geometry_view_ + static_cast<int64_t>(i), scene_.views.size());
+    export_depth_png(folder / (name + ".png"), depths_[i], depth_unit_, provenance_);
+    write_pfm(folder / (name + ".pfm"), depths_[i]);
+    export_image(folder / (name + "_preview.png"), depth_preview(depths_[i], range, depth_unit_name()),
+                 provenance_);
+  }
+  findings_["depth_unit"] = depth_unit_;
+  run_.note("depth", "depth");
+}
+
+void SamplingOutputs::write_rays(const PipelineResult& result) {
+  const auto folder = run_.subfolder("rays");
+  int64_t not_finite = 0;
+  for (int64_t i = 0; i < result.geometry.rays.size(0); ++i) {
+    const auto name = view_name(first_geometry_view_ + i, scene_.views.size());
+    not_finite += export_rays(folder / (name + ".npz"), to_ray_map(result.geometry.rays[i]),
+                              to_confidence_map(result.geometry.ray_confidence[i]), provenance_);
+  }
+  if (not_finite > 0) {
+    warnings_.push_back(
+        fmt::format("{} predicted rays were not finite; they are zero in the files.", not_finite));
+  }
+  try {
+    CameraList list;
+    for (const Camera& camera : predicted_cameras(result.geometry, scene_.size)) {
+      CameraRecord record;
+      record.name =
+          view_name(first_geometry_view_ + static_cast<int64_t>(list.records.size()), scene_.views.size());
+      record.camera = camera;
+      list.records.push_back(record);
+    }
+    write_cameras_json(folder / "predicted_cameras.json", list);
+  } catch (const Error& error) {
+    warnings_.push_back(fmt::format("rays/predicted_cameras.json is left out ({})", error.what()));
+  }
+  run_.note("rays", "rays");
+}
+
+// The DPT head has a scale of its own; the predicted rays tell where it thinks the cameras are, and the given cameras
+// tell the true distances between them.
+std::optional<double> SamplingOutputs::depth_scale(const PipelineResult& result) {
+  try {
+    const auto predicted = predicted_cameras(result.geometry, scene_.size);
+    const auto& cameras = scene_.views.cameras;
+    const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
+    findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
+                                   {"scale_known", alignment.scale_known},
+                                   {"rotation_error_degrees", alignment.rotation_error},
+                                   {"centre_error", alignment.centre_error}};
+    if (alignment.scale_known) return alignment.b_from_a.scale;
+    warnings_.emplace_back(
+        "The cameras do not tell the scale of the predicted depth; depth and points.ply keep the model's own "
+        "unit.");
+  } catch (const Error& error) {
+    warnings_.push_back(fmt::format(
+        "No camera fits the predicted rays ({}) so depth and points.ply keep the model's own unit.",
+        error.what()));
+  }
+  return std::nullopt;
+}
+
+void SamplingOutputs::write_points(const PipelineResult& result) {
+  std::vector<PointView> views;
+  for (size_t i = 0; i < depths_.size(); ++i) {
+    PointView view;
+    view.camera = scene_.views.cameras[i];
+    view.image =
+        i < scene_.source_images.size() ? scene_.source_images[i] : images_[i - scene_.source_images.size()];
+    view.depth = depths_[i];
+    view.confidence = to_confidence_map(result.geometry.depth_confidence[static_cast<int64_t>(i)]);
+    views.push_back(std::move(view));
+  }
+  const PointCloud cloud = build_point_cloud(views, 1, PointCloudOptions());
+  export_ply(run_.path() / "points.ply", cloud, provenance_);
+  const PointCounts& counts = cloud.counts;
+  findings_["points"] = {{"written", cloud.size()},
+                         {"pixels", counts.pixels},
+                         {"unknown_depth", counts.unknown_depth},
+                         {"low_confidence", counts.low_confidence},
+                         {"depth_edges", counts.depth_edges},
+                         {"too_far", counts.too_far},
+                         {"thinned", counts.thinned}};
+  run_.note("point cloud", "points.ply");
+}
+
+void SamplingOutputs::write_latents(const PipelineResult& result) {
+  save_safetensors(run_.path() / "latents.safetensors",
+                   {{"level0", result.level0}, {"level1", result.level1}},
+                   {{"gld", provenance_.options}, {"model", provenance_.model_hash}});
+  run_.note("latents", "latents.safetensors");
+}
+
+void SamplingOutputs::write_cameras() {
+  // The sources as the model saw them, so that the run folder is a scene that every command reads.
+  const auto folder = run_.subfolder("sources");
+  for (size_t view = 0; view < scene_.source_images.size(); ++view) {
+    export_image(folder / (view_name(static_cast<int64_t>(view), scene_.views.size()) + ".png"),
+                 scene_.source_images[view], provenance_);
+  }
+  CameraList list;
+  list.metric = scene_.metric && (depth_has_scene_unit_ || !requested_.depth);
+  for (int64_t view = 0; view < scene_.views.size(); ++view) {
+    const bool target = view >= scene_.views.num_sources;
+    CameraRecord record;
+    record.name = view_name(view, scene_.views.size());
+    record.role = target ? "target" : "source";
+    record.camera = scene_.views.cameras[static_cast<size_t>(view)];
+    if (!target) record.image = "sources/" + record.name + ".png";
+    if (target && requested_.image) record.image = "images/" + record.name + ".png";
+    if (requested_.depth && view >= first_geometry_view_) {
+      record.depth = "depth/" + record.name + ".png";
+      record.depth_unit = depth_unit_;
+    }
+    list.records.push_back(record);
+  }
+  write_cameras_json(run_.path() / "cameras.json", list);
+  run_.note("cameras", "cameras.json");
+}
+
+void SamplingOutputs::write_contact_sheet(const std::string& subtitle) {
+  const auto range = robust_depth_range(depths_);
+  std::vector<SheetView> views;
+  for (int64_t view = 0; view < scene_.views.size(); ++view) {
+    const auto index = static_cast<size_t>(view);
+    SheetView sheet;
+    sheet.name = scene_.view_names[index];
+    const bool target = view >= scene_.views.num_sources;
+    sheet.role = target ? SheetRole::kTarget : SheetRole::kSource;
+    if (target) {
+      const auto number = index - static_cast<size_t>(scene_.views.num_sources);
+      if (number < images_.size()) {
+        sheet.image = images_[number];
+        if (std::isfinite(psnr_[number])) sheet.note = fmt::format("{:.1f} dB", psnr_[number]);
+      }
+      sheet.truth = scene_.true_images[number];
+    } else {
+      sheet.image = scene_.source_images[index];
+    }
+    if (!depths_.empty() && view >= first_geometry_view_) {
+      sheet.depth = coloured_depth(depths_[static_cast<size_t>(view - first_geometry_view_)], range);
+    }
+    views.push_back(std::move(sheet));
+  }
+  SheetText text;
+  text.title = "gld sample, scene " + scene_.name;
+  text.subtitle = subtitle;
+  text.depth_range = range;
+  text.depth_unit = depth_unit_name();
+  export_image(run_.path() / "contact_sheet.png", make_contact_sheet(views, text), provenance_);
+  run_.note("contact sheet", "contact_sheet.png");
+}
+
+}  // namespace gld

@@ -1,0 +1,60 @@
+#pragma once
+
+#include "gld/report/provenance.h"
+#include "gld/report/run_folder.h"
+#include "infer/method/sample_options.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "infer/pipeline/sampling_scene.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// Writes what the pipeline made into a run folder (docs/FILES.md lists the files).
+class SamplingOutputs {
+ public:
+  // All four must outlive this object.
+  SamplingOutputs(RunFolder& run, const SamplingScene& scene, const RequestedOutputs& requested,
+                  const Provenance& provenance);
+
+  // images/: the target views, (targets, 3, height, width). Keeps them for the sheet and the point cloud.
+  void write_images(const torch::Tensor& images);
+  // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json and contact_sheet.png.
+  void write_rest(const PipelineResult& result, const std::string& sheet_subtitle);
+
+  // PSNR and SSIM of each target view that has a truth, depth scale, counts of points; for report.json.
+  const nlohmann::ordered_json& findings() const { return findings_; }
+  const std::vector<std::string>& warnings() const { return warnings_; }
+
+ private:
+  void write_depth(const PipelineResult& result);
+  void write_rays(const PipelineResult& result);
+  void write_points(const PipelineResult& result);
+  void write_latents(const PipelineResult& result);
+  void write_cameras();
+  void write_contact_sheet(const std::string& subtitle);
+  // From the unit of the depth to that of the cameras; nothing where it is not known.
+  std::optional<double> depth_scale(const PipelineResult& result);
+  // "m" where depth is in metres.
+  std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
+  void compare_with_truth();
+
+  RunFolder& run_;
+  const SamplingScene& scene_;
+  const RequestedOutputs& requested_;
+  const Provenance& provenance_;
+  std::vector<Image> images_;     // one a target view
+  std::vector<double> psnr_;      // one a target view; NaN without truth
+  std::vector<DepthMap> depths_;  // one a geometry view
+  double depth_unit_ = 0;
+  bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
+  int64_t first_geometry_view_ = 0;    // 0, or the first target where only targets have geometry
+  nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
+  std::vector<std::string> warnings_;
+};
+
+}  // namespace gld

@@ -1,0 +1,77 @@
+#include "gld/base/error.h"
+#include "infer/verify/reference_runners.h"
+#include "models/backbones/da3_backbone.h"
+#include "models/layers/imagenet.h"
+#include "models/weights/weight_loading.h"
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+namespace gld {
+namespace {
+
+std::string level_name(const std::string& group, int64_t level) {
+  return group + ".level" + std::to_string(level);
+}
+
+// The deepest level of that group that the case compares; -1 for none.
+int64_t deepest_level(const ReferenceCase& reference, const std::string& group, int64_t levels) {
+  for (int64_t level = levels - 1; level >= 0; --level) {
+    if (reference.expects(level_name(group, level))) return level;
+  }
+  return -1;
+}
+
+void encode_group(const ReferenceCase& reference, const Da3Backbone& backbone, const std::string& group,
+                  const torch::Tensor& images, NamedTensors& outputs) {
+  const int64_t deepest = deepest_level(reference, group, backbone.options().levels());
+  if (deepest < 0) return;
+  const auto levels = backbone.encode(images, deepest);
+  for (size_t level = 0; level < levels.size(); ++level) {
+    outputs[level_name(group, static_cast<int64_t>(level))] = levels[level];
+  }
+}
+
+}  // namespace
+
+NamedTensors run_backbone_case(const ReferenceCase& reference) {
+  Da3BackboneOptions options;
+  reference.read_config(options);
+  Da3Backbone backbone(options, {});
+  WeightSelection selection;
+  selection.prefix = Da3Backbone::kPrefix;
+  load_strict(backbone, reference.weight_file(), selection);
+
+  // The case has RGB in [0, 1]; the published encoder normalises before the backbone.
+  const auto images = imagenet_normalise(reference.input("images", {-1, 3, -1, -1}));
+  NamedTensors outputs;
+  encode_group(reference, backbone, "all_views", images, outputs);
+  if (reference.expects_prefix("source_views.")) {
+    const int64_t sources = reference.integer_input("num_sources");
+    if (sources < 1 || sources > images.size(0)) {
+      fail({(reference.folder / "inputs.safetensors").string() + ": num_sources",
+            "1 to " + std::to_string(images.size(0)), std::to_string(sources), "repair the inputs"});
+    }
+    encode_group(reference, backbone, "source_views", images.slice(0, 0, sources), outputs);
+  }
+  encode_group(reference, backbone, "first_view", images.slice(0, 0, 1), outputs);
+
+  for (int64_t level = 0; level < options.levels(); ++level) {
+    const auto name = "propagate_input_level" + std::to_string(level);
+    if (reference.inputs.count(name) == 0) continue;
+    PropagationStart start;
+    start.level = level;
+    start.tokens = reference.input(name, {-1, -1, options.level_channels()});
+    start.grid = options.grid_of(start.tokens.size(0), images.size(2), images.size(3));
+    auto reached = level;
+    for (const auto& propagated : backbone.propagate(start)) {
+      const auto prefix = level_name("propagated", reached++);
+      outputs[prefix + ".cls"] = propagated.class_tokens;
+      outputs[prefix + ".patches"] = propagated.patches;
+    }
+  }
+  return outputs;
+}
+
+}  // namespace gld

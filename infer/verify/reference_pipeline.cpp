@@ -1,0 +1,110 @@
+#include "infer/pipeline/sampling_pipeline.h"
+#include "infer/verify/reference_dit.h"
+#include "infer/verify/reference_runners.h"
+#include "models/weights/weight_loading.h"
+
+#include <string>
+
+namespace gld {
+namespace {
+
+struct PipelineCaseOptions : OptionsGroup {
+  int64_t height = 0;  // pixels
+  int64_t width = 0;   // pixels
+  int64_t num_views = 0;
+  int64_t num_sources = 0;
+  Da3BackboneOptions backbone;
+  DptHeadOptions dpt_head;
+  RgbDecoderOptions rgb_decoder;
+  DitCaseOptions level1;
+  DitCaseOptions cascade;
+  CaseSamplerOptions sampler;
+  double stats_eps = 1e-5;
+
+  void visit(FieldVisitor& visitor) override {
+    visitor.integer({"height", "image height in pixels"}, height, {1, 1 << 16});
+    visitor.integer({"width", "image width in pixels"}, width, {1, 1 << 16});
+    visitor.integer({"num_views", "source and target views"}, num_views, {1, 1 << 16});
+    visitor.integer({"num_sources", "source views, which come first"}, num_sources, {1, 1 << 16});
+    visitor.group({"backbone", "frozen backbone"}, backbone);
+    visitor.group({"dpt_head", "frozen geometry head"}, dpt_head);
+    visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
+    visitor.group({"level1", "diffusion model of level 1"}, level1);
+    visitor.group({"cascade", "diffusion model of level 0"}, cascade);
+    sampler.visit(visitor);
+    visitor.real({"stats_eps", "added to the variance of latent statistics"}, stats_eps, {0, 1});
+  }
+};
+
+template <class Module>
+std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const ReferenceCase& reference) {
+  WeightSelection selection;
+  selection.prefix = Module::kPrefix;
+  load_strict(*module, reference.weight_file(), selection);
+  return module;
+}
+
+PipelineModels case_models(const ReferenceCase& reference, const PipelineCaseOptions& options) {
+  const ParameterPlacement placement;
+  PipelineModels models;
+  models.backbone = [=, &reference] {
+    return loaded(std::make_shared<Da3Backbone>(options.backbone, placement), reference);
+  };
+  models.rgb_decoder = [=, &reference] {
+    return loaded(std::make_shared<RgbDecoder>(options.rgb_decoder, placement), reference);
+  };
+  models.dpt_head = [=, &reference] {
+    return loaded(std::make_shared<DptHead>(options.dpt_head, placement), reference);
+  };
+  models.level1 = [=, &reference] {
+    return reference_dit(reference, options.level1.model, "diffusion.level1.");
+  };
+  models.cascade = [=, &reference] {
+    return reference_dit(reference, options.cascade.model, "diffusion.cascade.");
+  };
+  const auto statistics = [&](const std::string& level) {
+    return read_latent_statistics(reference.weight_file(), "stats." + level + ".", options.stats_eps);
+  };
+  models.level0_statistics = statistics("level0");
+  models.level1_statistics = statistics("level1");
+  return models;
+}
+
+}  // namespace
+
+NamedTensors run_pipeline_case(const ReferenceCase& reference) {
+  PipelineCaseOptions options;
+  reference.read_config(options);
+  for (DitCaseOptions* dit : {&options.level1, &options.cascade}) {
+    dit->height = options.height;
+    dit->width = options.width;
+    dit->num_views = options.num_views;
+    dit->num_sources = options.num_sources;
+  }
+  PipelineRequest request;
+  request.views =
+      reference_views(reference, {options.num_views, options.num_sources, options.width, options.height});
+  request.source_images = reference.input("images", {options.num_views, 3, options.height, options.width})
+                              .slice(0, 0, options.num_sources);
+  request.level1_noise = reference_latent(reference, "noise_level1", options.level1);
+  request.level0_noise = reference_latent(reference, "noise_level0", options.cascade);
+  request.level1_solver = request.cascade_solver = options.sampler.solver_options();
+  request.guidance = options.sampler.guidance_options();
+  request.image_views = request.geometry_views = DecodedViews::kAll;
+
+  StageRecords stages;
+  const auto result = run_pipeline(case_models(reference, options), request, stages);
+  NamedTensors outputs = {{"latent_level1", latent_in_case_layout(result.level1, options.level1)},
+                          {"latent_level0", latent_in_case_layout(result.level0, options.cascade)},
+                          {"image", result.images},
+                          {"depth", result.geometry.depth},
+                          {"depth_conf", result.geometry.depth_confidence},
+                          {"ray", result.geometry.rays},
+                          {"ray_conf", result.geometry.ray_confidence}};
+  for (size_t level = 0; level < result.levels.size(); ++level) {
+    outputs["decoder_level" + std::to_string(level)] = result.levels[level];
+  }
+  return outputs;
+}
+
+}  // namespace gld

@@ -1,0 +1,21 @@
+#pragma once
+
+#include "infer/verify/reference_case.h"
+
+namespace gld {
+
+// One runner a kind; each stands in a file of its own (infer/reference_<kind>.cpp).
+NamedTensors run_backbone_case(const ReferenceCase& reference);     // kind "backbone"
+NamedTensors run_dpt_head_case(const ReferenceCase& reference);     // kind "dpt_head"
+NamedTensors run_rgb_decoder_case(const ReferenceCase& reference);  // kind "rgb_decoder"
+NamedTensors run_lpips_case(const ReferenceCase& reference);        // kind "lpips"
+NamedTensors run_camera_case(const ReferenceCase& reference);       // kind "camera_conditioning"
+NamedTensors run_dit_case(const ReferenceCase& reference);          // kind "dit"
+NamedTensors run_sample_case(const ReferenceCase& reference);       // kind "sample"
+NamedTensors run_pipeline_case(const ReferenceCase& reference);     // kind "pipeline"
+NamedTensors run_metrics_case(const ReferenceCase& reference);      // kind "metrics_image_depth"
+
+// Every kind that infer/ can compute, by name.
+ReferenceRunners standard_reference_runners();
+
+}  // namespace gld

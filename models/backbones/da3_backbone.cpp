@@ -1,0 +1,207 @@
+#include "models/backbones/da3_backbone.h"
+
+#include "gld/base/error.h"
+#include "models/layers/initialisation.h"
+
+#include <algorithm>
+#include <string>
+
+#include <torch/autograd.h>
+
+namespace gld {
+
+void Da3BackboneOptions::visit(FieldVisitor& visitor) {
+  visit_choice(visitor, {"type", "family of the backbone"}, type, {"da3"});
+  visitor.integer({"patch_size", "side of a patch in pixels"}, patch_size, {1, 1024});
+  visitor.integer({"embed_dim", "channels of a token"}, embed_dim, {4, 1 << 16});
+  visitor.integer({"depth", "number of blocks"}, depth, {1, 1024});
+  visitor.integer({"num_heads", "attention heads"}, num_heads, {1, 1024});
+  visitor.real({"mlp_ratio", "width of the feed-forward part over embed_dim"}, mlp_ratio, {0.01, 64});
+  visit_choice(visitor, {"ffn_layer", "feed-forward part; both swiglu names mean the same layer"}, ffn_layer,
+               {"mlp", "swiglu", "swiglufused"});
+  visitor.integer({"pos_embed_grid", "rows and columns of the stored position table"}, pos_embed_grid,
+                  {1, 4096});
+  visitor.integers({"out_layers", "blocks after which levels 0, 1, ... are taken, ascending"}, out_layers,
+                   {0, 1023});
+  visitor.integer({"alternating_start", "first block from which odd blocks attend over all views; -1: none"},
+                  alternating_start, {-1, 1024});
+  visitor.integer({"qk_norm_start", "first block with query and key norms; -1: none"}, qk_norm_start,
+                  {-1, 1024});
+  visitor.integer({"rope_start", "first block with rotary positions; -1: none"}, rope_start, {-1, 1024});
+  visitor.real({"rope_frequency", "base of the rotary frequencies; 0: no rotary positions"}, rope_frequency,
+               {0, 1e9});
+}
+
+void Da3BackboneOptions::check() const {
+  if (embed_dim % num_heads != 0) {
+    fail({"num_heads", "a divisor of embed_dim " + std::to_string(embed_dim), std::to_string(num_heads),
+          "change num_heads or embed_dim"});
+  }
+  if (rope_start >= 0 && rope_frequency > 0 && (embed_dim / num_heads) % 4 != 0) {
+    fail({"num_heads", "a head size divisible by 4 for rotary positions",
+          std::to_string(embed_dim / num_heads), "change num_heads, or set rope_start: -1"});
+  }
+  const bool ascending =
+      std::adjacent_find(out_layers.begin(), out_layers.end(), std::greater_equal<>()) == out_layers.end();
+  if (out_layers.empty() || !ascending || out_layers.back() >= depth) {
+    fail({"out_layers", "ascending block numbers below depth " + std::to_string(depth),
+          c10::str(c10::IntArrayRef(out_layers)), "list the blocks after which the levels are taken"});
+  }
+}
+
+LatentGrid Da3BackboneOptions::grid_of(int64_t views, int64_t image_height, int64_t image_width) const {
+  const int64_t p = patch_size;
+  if (image_height < p || image_width < p || image_height % p != 0 || image_width % p != 0) {
+    fail({"backbone", "image sides that are positive multiples of " + std::to_string(p) + " pixels",
+          std::to_string(image_width) + "x" + std::to_string(image_height), "resize or crop the images"});
+  }
+  return {views, image_height / p, image_width / p};
+}
+
+Da3Backbone::Da3Backbone(const Da3BackboneOptions& options, const ParameterPlacement& placement)
+    : options_(options) {
+  options_.check();
+  const int64_t channels = options_.embed_dim;
+  const auto parameter = [&](const char* name, const std::vector<int64_t>& shape) {
+    return register_parameter(name, torch::empty(shape, placement.options()));
+  };
+  class_token_ = parameter("cls_token", {1, 1, channels});
+  if (options_.alternating_start >= 0) camera_token_ = parameter("camera_token", {1, 2, channels});
+  position_table_ =
+      parameter("pos_embed", {1, 1 + options_.pos_embed_grid * options_.pos_embed_grid, channels});
+
+  PatchEmbedSizes patch_sizes;
+  patch_sizes.in_channels = 3;
+  patch_sizes.embed_dim = channels;
+  patch_sizes.patch_size = options_.patch_size;
+  patch_embed_ = register_module("patch_embed", std::make_shared<PatchEmbed>(patch_sizes, placement));
+
+  auto blocks = register_module("blocks", std::make_shared<torch::nn::Module>());
+  for (int64_t i = 0; i < options_.depth; ++i) {
+    VitBlockSizes sizes;
+    sizes.embed_dim = channels;
+    sizes.num_heads = options_.num_heads;
+    sizes.hidden_dim = static_cast<int64_t>(static_cast<double>(channels) * options_.mlp_ratio);
+    sizes.feed_forward = options_.ffn_layer;
+    sizes.qk_norm = options_.qk_norm_start >= 0 && i >= options_.qk_norm_start;
+    blocks_.push_back(
+        blocks->register_module(std::to_string(i), std::make_shared<VitBlock>(sizes, placement)));
+  }
+  norm_ = register_module("norm", std::make_shared<LayerNorm>(channels, 1e-5, placement));
+}
+
+void Da3Backbone::require_level(int64_t level) const {
+  if (level < 0 || level >= options_.levels()) {
+    fail({"backbone", "a level from 0 to " + std::to_string(options_.levels() - 1), std::to_string(level),
+          "ask for a level that out_layers lists"});
+  }
+}
+
+torch::Tensor Da3Backbone::position_embedding(const LatentGrid& grid) const {
+  const int64_t side = options_.pos_embed_grid;
+  if (grid.height == side && grid.width == side) return position_table_;
+  const auto patches =
+      position_table_.slice(1, 1).view({1, side, side, options_.embed_dim}).permute({0, 3, 1, 2});
+  // DINOv2 resizes by the scale (size + 0.1) / side and not to the size; the sampling points depend on it.
+  const double scale_rows = (static_cast<double>(grid.height) + 0.1) / static_cast<double>(side);
+  const double scale_columns = (static_cast<double>(grid.width) + 0.1) / static_cast<double>(side);
+  const auto resized = torch::upsample_bicubic2d(patches, {grid.height, grid.width}, /*align_corners=*/false,
+                                                 scale_rows, scale_columns);
+  return torch::cat({position_table_.slice(1, 0, 1), resized.flatten(2).transpose(1, 2)}, 1);
+}
+
+torch::Tensor Da3Backbone::with_camera_tokens(const torch::Tensor& tokens) const {
+  const int64_t views = tokens.size(0);
+  const auto first = camera_token_.slice(1, 0, 1);
+  const auto others = camera_token_.slice(1, 1, 2).expand({views - 1, 1, options_.embed_dim});
+  return torch::cat({torch::cat({first, others}), tokens.slice(1, 1)}, 1);
+}
+
+std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t first_block, int64_t last_level,
+                                                   const LatentGrid& grid) const {
+  RotaryTables local_tables, global_tables;
+  if (options_.rope_start >= 0 && options_.rope_frequency > 0) {
+    RotaryGrid rotary_grid;
+    rotary_grid.height = grid.height;
+    rotary_grid.width = grid.width;
+    rotary_grid.head_dim = options_.embed_dim / options_.num_heads;
+    rotary_grid.frequency = options_.rope_frequency;
+    local_tables = local_rotary_tables(rotary_grid, state.current.options());
+    global_tables = global_rotary_tables(rotary_grid, state.current.options());
+  }
+  std::vector<torch::Tensor> levels;
+  const int64_t last_block = options_.out_layers[static_cast<size_t>(last_level)];
+  for (int64_t i = first_block; i <= last_block; ++i) {
+    if (i == options_.alternating_start) state.current = with_camera_tokens(state.current);
+    const bool global = options_.alternating_start >= 0 && i >= options_.alternating_start && i % 2 == 1;
+    const bool turned = options_.rope_start >= 0 && i >= options_.rope_start;
+    const RotaryTables none;
+    const RotaryTables& tables = !turned ? none : global ? global_tables : local_tables;
+    const auto& block = *blocks_[static_cast<size_t>(i)];
+    state.current =
+        block.forward(state.current, global ? AttentionScope::kGlobal : AttentionScope::kLocal, tables);
+    if (!global) state.local = state.current;
+    if (std::find(options_.out_layers.begin(), options_.out_layers.end(), i) != options_.out_layers.end()) {
+      levels.push_back(torch::cat({state.local, state.current}, -1));
+    }
+  }
+  return levels;
+}
+
+std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int64_t last_level) const {
+  require_level(last_level);
+  if (images.dim() != 4 || images.size(0) == 0 || images.size(1) != 3) {
+    fail({"backbone", "images (views, 3, height, width)", "a tensor of shape " + c10::str(images.sizes()),
+          "give at least one RGB image"});
+  }
+  const auto grid = options_.grid_of(images.size(0), images.size(2), images.size(3));
+  const auto class_tokens = class_token_.expand({grid.views, 1, options_.embed_dim});
+  const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(images)}, 1);
+  TokenState state;
+  state.current = tokens + position_embedding(grid);
+  return run_blocks(state, 0, last_level, grid);
+}
+
+std::vector<DecodableLevel> Da3Backbone::propagate(const PropagationStart& start) const {
+  require_level(start.level);
+  const std::vector<int64_t> expected = {start.grid.views, 1 + start.grid.tokens_per_view(),
+                                         options_.level_channels()};
+  if (start.grid.views <= 0 || start.tokens.sizes() != expected) {
+    fail({"propagation", "tokens of shape " + c10::str(c10::IntArrayRef(expected)),
+          c10::str(start.tokens.sizes()),
+          "put the class token in front of the patches of the same token grid"});
+  }
+  std::vector<DecodableLevel> levels = {decodable(start.tokens)};
+  const int64_t last_level = options_.levels() - 1;
+  if (start.level == last_level) return levels;
+  TokenState state;
+  state.local = start.tokens.narrow(-1, 0, options_.embed_dim);
+  state.current = start.tokens.narrow(-1, options_.embed_dim, options_.embed_dim);
+  const int64_t first_block = options_.out_layers[static_cast<size_t>(start.level)] + 1;
+  for (const auto& level : run_blocks(state, first_block, last_level, start.grid))
+    levels.push_back(decodable(level));
+  return levels;
+}
+
+torch::Tensor Da3Backbone::normalise_for_decoding(const torch::Tensor& patches) const {
+  if (patches.dim() != 3 || patches.size(-1) != options_.level_channels()) {
+    fail({"backbone", "features (views, tokens, " + std::to_string(options_.level_channels()) + ")",
+          "a tensor of shape " + c10::str(patches.sizes()), "give one level of this backbone"});
+  }
+  const int64_t channels = options_.embed_dim;
+  return torch::cat({patches.narrow(-1, 0, channels), norm_->forward(patches.narrow(-1, channels, channels))},
+                    -1);
+}
+
+DecodableLevel Da3Backbone::decodable(const torch::Tensor& level) const {
+  DecodableLevel result;
+  result.patches = normalise_for_decoding(level.slice(1, 1));
+  result.class_tokens = level.select(1, 0).contiguous();
+  return result;
+}
+
+void Da3Backbone::initialise(const torch::Generator& generator) {
+  initialise_parameters(*this, MatrixInitialisation::kTruncatedNormal, generator);
+}
+
+}  // namespace gld

@@ -1,0 +1,46 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "models/bundle/bundle.h"
+
+#include <filesystem>
+#include <string>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// Which copy of the weights a PyTorch checkpoint gives: its moving average, its last step, or the file itself where it
+// is a plain state_dict.
+enum class CheckpointWeights { kEma, kModel, kPlain };
+
+enum class StoredPrecision { kFloat32, kFloat16, kBFloat16 };
+
+// gld convert: the published files into a model bundle. Parts whose file is not given are left out and can be added
+// later by converting again into the same folder.
+struct ConversionOptions : OptionsGroup {
+  std::string da3;                // DA3 safetensors: backbone and DPT head
+  std::string rgb_decoder;        // GLD .pt
+  std::string level1;             // GLD .pt of M1
+  std::string cascade;            // GLD .pt of M1->0
+  std::string statistics_level0;  // .pt with mean and var
+  std::string statistics_level1;
+  std::string description;  // model.yaml of the weights; empty for the released DA3-Base model
+  CheckpointWeights weights = CheckpointWeights::kEma;
+  StoredPrecision precision = StoredPrecision::kFloat32;
+  std::string out;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Converts and returns the report: {"bundle", "parts": {name: {"source", "selection", "tensors", "elements", "from":
+// {dtype: tensors}, "to", "bytes"}}, "ignored": [{"source", "names", "tensors", "reason"}], "missing": [...]}. Strict:
+// every tensor of a source file is used or listed under "ignored" with its reason, and every tensor of a module is
+// there. Numbers that are not finite, or not in the new precision, are an Error naming the tensor. Tensors are
+// converted one at a time. The report is also written into the bundle as conversion.json.
+nlohmann::ordered_json convert(const ConversionOptions& options);
+
+std::string conversion_text(const nlohmann::ordered_json& report);
+
+}  // namespace gld

@@ -1,0 +1,207 @@
+#include "models/cost/cost_model.h"
+
+#include "models/layers/adaptive_norm.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kFloatBytes = 4;
+
+double product(double rows, double inputs, double outputs) { return 2 * rows * inputs * outputs; }
+
+// softmax(q k^T) v: two products of queries x keys x width.
+double attention_products(double queries, double keys, double width) { return 4 * queries * keys * width; }
+
+int64_t tokens_of(const DitOptions& options, const LatentGrid& grid) {
+  return grid.views * (grid.tokens_per_view() + options.num_special_tokens);
+}
+
+struct StackShape {
+  int64_t width = 0;
+  int64_t blocks = 0;
+  int64_t modulation_rows = 0;  // rows that AdaLN is computed for: views, or tokens in the velocity decoder
+};
+
+Cost dit_stack_cost(const DitOptions& options, int64_t tokens, const StackShape& stack) {
+  const auto width = static_cast<double>(stack.width);
+  const auto hidden = static_cast<double>(options.swiglu_width(stack.width));
+  const auto rows = static_cast<double>(tokens);
+  const auto blocks = static_cast<double>(stack.blocks);
+  Cost cost;
+  cost.linear_flop = blocks * (product(rows, width, 4 * width) + product(rows, width, 3 * hidden) +
+                               product(static_cast<double>(stack.modulation_rows), width, 6 * width));
+  cost.attention_flop = blocks * attention_products(rows, rows, width);
+  const auto parameters = blocks * (4 * width * width + 3 * width * hidden + 6 * width * width);
+  cost.weight_bytes = static_cast<int64_t>(parameters) * kFloatBytes;
+  return cost;
+}
+
+void add_linear(Cost& cost, double rows, double inputs, double outputs) {
+  cost.linear_flop += product(rows, inputs, outputs);
+  cost.weight_bytes += static_cast<int64_t>(inputs * outputs) * kFloatBytes;
+}
+
+// A k x k convolution on a map of that many pixels.
+void add_convolution(Cost& cost, double pixels, double inputs, double outputs, double kernel) {
+  cost.convolution_flop += product(pixels, inputs * kernel * kernel, outputs);
+  cost.weight_bytes += static_cast<int64_t>(inputs * kernel * kernel * outputs) * kFloatBytes;
+}
+
+int64_t bytes_of_floats(double count) { return static_cast<int64_t>(count) * kFloatBytes; }
+
+// The most of a block, in floats: x, qkv and the attention's output; or x, that output, the result, and of a group of
+// tokens (by_view_groups) the modulation and what the feed-forward part makes.
+double block_floats(const DitOptions& options, int64_t width, const LatentGrid& grid) {
+  const int64_t per_view = grid.tokens_per_view() + options.num_special_tokens;
+  const auto tokens = static_cast<double>(grid.views * per_view);
+  const auto group = static_cast<double>(views_per_group(grid.views, per_view) * per_view);
+  const auto channels = static_cast<double>(width), hidden = static_cast<double>(options.swiglu_width(width));
+  return std::max(5 * tokens * channels, 3 * tokens * channels + group * (8 * channels + 3 * hidden));
+}
+
+}  // namespace
+
+Cost condition_encoder_cost(const DitOptions& options, const LatentGrid& grid) {
+  StackShape stack;
+  stack.width = options.encoder_width();
+  stack.blocks = options.encoder_blocks();
+  stack.modulation_rows = grid.views;
+  return dit_stack_cost(options, tokens_of(options, grid), stack);
+}
+
+Cost velocity_decoder_cost(const DitOptions& options, const LatentGrid& grid) {
+  const int64_t tokens = tokens_of(options, grid);
+  StackShape stack;
+  stack.width = options.decoder_width();
+  stack.blocks = options.decoder_blocks();
+  stack.modulation_rows = tokens;
+  Cost cost = dit_stack_cost(options, tokens, stack);
+  const auto rows = static_cast<double>(tokens);
+  const auto width = static_cast<double>(stack.width), channels = static_cast<double>(options.in_channels);
+  add_linear(cost, rows, static_cast<double>(options.encoder_width()), width);
+  add_linear(cost, rows, channels, width);
+  add_linear(cost, rows, width, 2 * width);
+  add_linear(cost, rows, width, channels);
+  return cost;
+}
+
+Cost dit_cost(const DitOptions& options, const LatentGrid& grid) {
+  const Cost encoder = condition_encoder_cost(options, grid);
+  Cost cost = velocity_decoder_cost(options, grid);
+  cost.linear_flop += encoder.linear_flop;
+  cost.attention_flop += encoder.attention_flop;
+  cost.weight_bytes += encoder.weight_bytes;
+  // What a scene keeps (source halves of both embeddings, camera embedding), the embedded latent, and then a block of
+  // the condition encoder, or its output, its activation and a block of the velocity decoder.
+  const auto tokens = static_cast<double>(tokens_of(options, grid));
+  const auto encoder_width = static_cast<double>(options.encoder_width());
+  const auto decoder_width = static_cast<double>(options.decoder_width());
+  cost.working_bytes = bytes_of_floats(tokens * (3 * encoder_width + 2 * decoder_width) +
+                                       std::max(block_floats(options, options.encoder_width(), grid),
+                                                tokens * (encoder_width + decoder_width) +
+                                                    block_floats(options, options.decoder_width(), grid)));
+  return cost;
+}
+
+Cost backbone_cost(const Da3BackboneOptions& options, const LatentGrid& grid, int64_t first_block,
+                   int64_t last_block) {
+  const auto width = static_cast<double>(options.embed_dim);
+  const auto hidden = width * options.mlp_ratio;
+  const int64_t tokens_per_view = grid.tokens_per_view() + 1;
+  const auto views = static_cast<double>(grid.views), per_view = static_cast<double>(tokens_per_view);
+  const double rows = views * per_view;
+  Cost cost;
+  for (int64_t block = first_block; block < last_block; ++block) {
+    const bool over_all_views =
+        options.alternating_start >= 0 && block >= options.alternating_start && block % 2 == 1;
+    add_linear(cost, rows, width, 4 * width);
+    add_linear(cost, rows, width, 2 * hidden);
+    cost.attention_flop += over_all_views ? attention_products(rows, rows, width)
+                                          : views * attention_products(per_view, per_view, width);
+  }
+  if (first_block == 0) {
+    const auto patch_values = static_cast<double>(3 * options.patch_size * options.patch_size);
+    add_linear(cost, rows, patch_values, width);
+  }
+  // The levels raw, contiguous and normalised (2 widths each) and a block's x, qkv, attention's output and hidden
+  // layer: 22 widths are what runs took with two and with four levels, to a fifth.
+  cost.working_bytes = bytes_of_floats(rows * (width * 22 + hidden));
+  return cost;
+}
+
+Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) {
+  const auto width = static_cast<double>(options.hidden_size);
+  const auto hidden = static_cast<double>(options.intermediate_size);
+  const auto views = static_cast<double>(grid.views);
+  const auto per_view = static_cast<double>(grid.tokens_per_view() + 1);
+  const double rows = views * per_view;
+  Cost cost;
+  for (int64_t layer = 0; layer < options.num_layers; ++layer) {
+    add_linear(cost, rows, width, 4 * width);
+    add_linear(cost, rows, width, 2 * hidden);
+    cost.attention_flop += views * attention_products(per_view, per_view, width);
+  }
+  add_linear(cost, rows, static_cast<double>(options.in_channels), width);
+  add_linear(cost, rows, width, static_cast<double>(options.patch_values()));
+  // The levels side by side, a block of a chunk of views, and the pixels of all: logits in parts and together, images
+  // before and after they are denormalised.
+  const double chunk_rows =
+      per_view *
+      std::min(views, std::max(1.0, std::floor(static_cast<double>(RgbDecoder::kTokensPerChunk) / per_view)));
+  cost.working_bytes =
+      bytes_of_floats(rows * (static_cast<double>(options.in_channels + 3 * options.patch_values())) +
+                      chunk_rows * (width * 6 + hidden));
+  return cost;
+}
+
+Cost dpt_head_cost(const DptHeadOptions& options, const LatentGrid& grid, GeometryMaps maps) {
+  const auto tokens = static_cast<double>(grid.views * grid.tokens_per_view());
+  const auto features = static_cast<double>(options.features);
+  Cost cost;
+  // Pixels of the four pyramid levels, in tokens: 4x4, 2x2, 1 and 1/4 of the token grid.
+  const double scales[] = {16, 4, 1, 0.25};
+  for (size_t level = 0; level < options.out_channels.size(); ++level) {
+    const auto channels = static_cast<double>(options.out_channels[level]);
+    add_convolution(cost, tokens, static_cast<double>(options.dim_in), channels, 1);
+    add_convolution(cost, tokens * scales[level], channels, features, 3);
+  }
+  const double branches = maps == GeometryMaps::kDepthAndRays ? 2 : 1;
+  for (size_t level = 0; level < options.out_channels.size(); ++level) {
+    const double units =
+        level + 1 == options.out_channels.size() ? 1 : 2;  // the coarsest has one residual unit
+    add_convolution(cost, branches * tokens * scales[level], features, 2 * units * features, 3);
+    add_convolution(cost, branches * tokens * scales[level] * 4, features, features, 1);
+  }
+  const double patch_pixels = static_cast<double>(options.patch_size * options.patch_size);
+  if (maps != GeometryMaps::kRays) {
+    add_convolution(cost, tokens * 64, features, features / 2, 3);
+    add_convolution(cost, tokens * patch_pixels, features / 2, 32, 3);
+  }
+  if (maps != GeometryMaps::kDepth) {
+    add_convolution(cost, tokens * 64, features,
+                    features * static_cast<double>(options.aux_out1_conv_num) / 2, 3);
+    add_convolution(cost, tokens * 64, features / 2, 32, 3);
+  }
+  // Of a chunk of views: pyramid and fused maps, then the depth decoder's maps at full resolution, enlarged and with
+  // positions, or beside its hidden maps. Of all views the maps, and the chunks' maps that they are made of.
+  const double fused = 53 * features, enlarged = patch_pixels * features / 2;
+  const double ray_maps = 149 * features;
+  const double depth_maps =
+      fused + enlarged + std::max(2 * enlarged, 2 * patch_pixels * DptHead::kHiddenChannels);
+  const double outputs = 2 * ((maps != GeometryMaps::kRays ? 2 * patch_pixels : 0) +
+                              (maps != GeometryMaps::kDepth ? 7 * 64 : 0));
+  const auto per_view = static_cast<double>(grid.tokens_per_view());
+  const double chunk_tokens =
+      per_view * std::min(static_cast<double>(grid.views),
+                          std::max(1.0, std::floor(static_cast<double>(DptHead::kPixelsPerChunk) /
+                                                   (per_view * patch_pixels))));
+  cost.working_bytes = bytes_of_floats(
+      chunk_tokens * (maps == GeometryMaps::kRays ? ray_maps : std::max(ray_maps, depth_maps)) +
+      tokens * outputs);
+  return cost;
+}
+
+}  // namespace gld

@@ -1,0 +1,44 @@
+#include "models/decoders/dpt_fusion.h"
+
+namespace gld {
+namespace {
+
+ConvolutionSizes same_size(int64_t channels, int64_t kernel) {
+  ConvolutionSizes sizes;
+  sizes.in_channels = channels;
+  sizes.out_channels = channels;
+  sizes.kernel = kernel;
+  sizes.padding = kernel / 2;
+  return sizes;
+}
+
+}  // namespace
+
+ResidualConvolution::ResidualConvolution(int64_t channels, const ParameterPlacement& placement) {
+  first_ = register_module("conv1", std::make_shared<Convolution>(same_size(channels, 3), placement));
+  second_ = register_module("conv2", std::make_shared<Convolution>(same_size(channels, 3), placement));
+}
+
+torch::Tensor ResidualConvolution::forward(const torch::Tensor& x) const {
+  return x + second_->forward(torch::relu(first_->forward(torch::relu(x))));
+}
+
+FusionBlock::FusionBlock(const Sizes& sizes, const ParameterPlacement& placement) {
+  if (sizes.inputs == FusionInputs::kRunningAndLateral) {
+    lateral_unit_ =
+        register_module("resConfUnit1", std::make_shared<ResidualConvolution>(sizes.channels, placement));
+  }
+  running_unit_ =
+      register_module("resConfUnit2", std::make_shared<ResidualConvolution>(sizes.channels, placement));
+  mix_ = register_module("out_conv", std::make_shared<Convolution>(same_size(sizes.channels, 1), placement));
+}
+
+torch::Tensor FusionBlock::forward(const torch::Tensor& running, const torch::Tensor& lateral,
+                                   const MapSize& size) const {
+  const auto merged = lateral_unit_ ? running + lateral_unit_->forward(lateral) : running;
+  const auto refined = running_unit_->forward(merged);
+  return mix_->forward(
+      torch::upsample_bilinear2d(refined, {size.height, size.width}, /*align_corners=*/true));
+}
+
+}  // namespace gld

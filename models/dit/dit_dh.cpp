@@ -1,0 +1,284 @@
+#include "models/dit/dit_dh.h"
+
+#include "gld/base/configuration.h"
+#include "models/layers/position_embedding.h"
+
+#include <string>
+#include <utility>
+
+#include <torch/types.h>
+
+namespace gld {
+namespace {
+
+// How many blocks share one kept input where activations are computed again: 2 keep three tensors for two blocks in the
+// place of four, for one more feed-forward part in two blocks.
+constexpr size_t kBlocksAKeptInput = 2;
+
+// The tokens of every branch, one after the other, with the branch's camera embedding where this part takes it.
+torch::Tensor branch_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
+                            bool with_embedding) {
+  const auto branches = static_cast<int64_t>(cameras.size());
+  // (views, ...) shared by all branches, or (branches * views, ...).
+  const bool shared = branches == 1 || tokens.size(0) == cameras.front().decoder_prope.grid.views;
+  std::vector<torch::Tensor> parts;
+  for (int64_t branch = 0; branch < branches; ++branch) {
+    const auto& embedding = cameras[static_cast<size_t>(branch)].embedding;
+    const auto own = shared ? tokens : tokens.chunk(branches)[static_cast<size_t>(branch)];
+    parts.push_back(with_embedding ? own + embedding : own);
+  }
+  return branches == 1 ? parts.front() : torch::cat(parts);
+}
+
+// (1 or views, width) -> one row that all branches share, or (branches * views, width).
+torch::Tensor branch_rows(const torch::Tensor& rows, size_t branches) {
+  return rows.size(0) == 1 || branches == 1 ? rows : rows.repeat({static_cast<int64_t>(branches), 1});
+}
+
+}  // namespace
+
+DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : options_(options) {
+  check_options(options_, "diffusion model");
+  const int64_t channels = options_.in_channels;
+  const auto embedder_sizes = [&](int64_t width) {
+    return DitEmbedderSizes{channels, width, options_.split_embedders, options_.num_special_tokens};
+  };
+  decoder_embedder_ =
+      std::make_unique<DitEmbedder>(*this, "x", embedder_sizes(options_.decoder_width()), placement);
+  encoder_embedder_ =
+      std::make_unique<DitEmbedder>(*this, "s", embedder_sizes(options_.encoder_width()), placement);
+  if (options_.num_special_tokens > 0) {
+    special_projection_ =
+        register_module("special_output_proj",
+                        std::make_shared<Linear>(LinearSizes{options_.decoder_width(), channels}, placement));
+  }
+  if (options_.encoder_width() != options_.decoder_width()) {
+    condition_projection_ = register_module(
+        "s_projector",
+        std::make_shared<Linear>(LinearSizes{options_.encoder_width(), options_.decoder_width()}, placement));
+  }
+  time_embedding_ =
+      register_module("t_embedder", std::make_shared<TimeEmbedding>(options_.encoder_width(), placement));
+  constexpr int64_t kCameraChannels = 7;
+  camera_embedder_ = register_module(
+      "camera_embedder",
+      std::make_shared<PatchEmbed>(
+          PatchEmbedSizes{kCameraChannels, options_.camera_width(), options_.camera_patch_size}, placement));
+  final_layer_ = register_module(
+      "final_layer",
+      std::make_shared<DitFinalLayer>(DitFinalLayerSizes{options_.decoder_width(), channels}, placement));
+
+  auto blocks = register_module("blocks", std::make_shared<torch::nn::Module>());
+  for (int64_t i = 0; i < options_.encoder_blocks() + options_.decoder_blocks(); ++i) {
+    const size_t part = i < options_.encoder_blocks() ? 0 : 1;
+    DitBlockSizes sizes;
+    sizes.channels = options_.hidden_size[part];
+    sizes.num_heads = options_.num_heads[part];
+    sizes.swiglu_width = options_.swiglu_width(sizes.channels);
+    sizes.qk_norm = options_.qk_norm;
+    auto block = blocks->register_module(std::to_string(i), std::make_shared<DitBlock>(sizes, placement));
+    (part == 0 ? encoder_blocks_ : decoder_blocks_).push_back(block);
+  }
+}
+
+std::vector<DitTimeRow> DitDh::time_rows(const std::vector<double>& times, int64_t rows) const {
+  std::vector<double> repeated;
+  for (const double time : times) repeated.insert(repeated.end(), static_cast<size_t>(rows), time);
+  const auto embedding = time_embedding_->forward(repeated);
+  // The published model applies SiLU to the time embedding and again at the head of each block's AdaLN.
+  const auto activation = torch::silu(torch::silu(embedding));
+  std::vector<DitTimeRow> result(times.size());
+  for (size_t i = 0; i < times.size(); ++i) {
+    result[i].time = times[i];
+    result[i].embedding = embedding.narrow(0, static_cast<int64_t>(i) * rows, rows);
+  }
+  for (const auto& block : encoder_blocks_) {
+    const auto modulation = block->modulation_rows(activation);
+    for (size_t i = 0; i < times.size(); ++i) {
+      result[i].encoder_modulation.push_back(modulation.narrow(0, static_cast<int64_t>(i) * rows, rows));
+    }
+  }
+  return result;
+}
+
+torch::Tensor DitDh::source_part(const DitEmbedder& embedder, const DitScene& scene) const {
+  const int64_t special = options_.num_special_tokens, patches = scene.grid.tokens_per_view();
+  const auto& source = scene.source_features;
+  auto tokens = embedder.source_patches(source.narrow(1, special, patches), scene.grid.views);
+  if (special == 0) return tokens;
+  return torch::cat({embedder.source_special(source.narrow(1, 0, special), scene.grid.views), tokens}, 1);
+}
+
+torch::Tensor DitDh::latent_part(const DitEmbedder& embedder, const DitScene& scene,
+                                 const torch::Tensor& noisy) const {
+  const int64_t special = options_.num_special_tokens, patches = scene.grid.tokens_per_view();
+  auto tokens = embedder.latent_patches(noisy.narrow(1, special, patches), scene.num_sources());
+  if (special == 0) return tokens;
+  return torch::cat({embedder.latent_special(noisy.narrow(1, 0, special)), tokens}, 1);
+}
+
+torch::Tensor DitDh::joint_tokens(const DitEmbedder& embedder, const DitScene& scene,
+                                  const torch::Tensor& patches, const torch::Tensor& noisy) const {
+  const int64_t special = options_.num_special_tokens;
+  const auto& source = scene.source_features;
+  auto tokens = embedder.patches(source.narrow(1, special, scene.grid.tokens_per_view()), patches);
+  if (special == 0) return tokens;
+  return torch::cat({embedder.special(source.narrow(1, 0, special), noisy.narrow(1, 0, special)), tokens}, 1);
+}
+
+torch::Tensor DitDh::with_positions(const torch::Tensor& tokens, const DitScene& scene) const {
+  if (options_.position_embedding == PositionEmbedding::kNone) return tokens;
+  const auto positions = sincos_positions(scene.grid, tokens.size(2), tokens.options());
+  const auto none = torch::zeros({options_.num_special_tokens, tokens.size(2)}, tokens.options());
+  return tokens + torch::cat({none, positions}, 0);
+}
+
+torch::Tensor DitDh::encoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const {
+  const auto& embedder = *encoder_embedder_;
+  const int64_t special = options_.num_special_tokens;
+  if (!scene.encoder_source.defined()) {
+    const auto patches = scene.deeper_patches.defined()
+                             ? scene.deeper_patches
+                             : noisy.narrow(1, special, scene.grid.tokens_per_view());
+    return with_positions(joint_tokens(embedder, scene, patches, noisy), scene);
+  }
+  if (!scene.deeper_patches.defined()) return scene.encoder_source + latent_part(embedder, scene, noisy);
+  if (special == 0) return scene.encoder_source;
+  // In a cascade only the special tokens carry the noisy latent into the condition encoder.
+  return torch::cat(
+      {scene.encoder_source.narrow(1, 0, special) + embedder.latent_special(noisy.narrow(1, 0, special)),
+       scene.encoder_source.narrow(1, special, scene.grid.tokens_per_view())},
+      1);
+}
+
+torch::Tensor DitDh::decoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const {
+  if (scene.decoder_source.defined()) {
+    return scene.decoder_source + latent_part(*decoder_embedder_, scene, noisy);
+  }
+  const auto patches = noisy.narrow(1, options_.num_special_tokens, scene.grid.tokens_per_view());
+  return with_positions(joint_tokens(*decoder_embedder_, scene, patches, noisy), scene);
+}
+
+DitNoisyTokens DitDh::embed_noisy(const DitScene& scene, const torch::Tensor& noisy) const {
+  check_latent(scene, noisy, "noisy latent", scene.grid.views);
+  return {encoder_tokens(scene, noisy), decoder_tokens(scene, noisy)};
+}
+
+torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x,
+                                const torch::Tensor& conditioning) const {
+  return activation_storage_ == ActivationStorage::kKeep ? part(x, conditioning)
+                                                         : checkpointed_by_views(part, x, conditioning);
+}
+
+torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
+                                DitBlockContext context, const std::vector<Modulation>& modulations) const {
+  const bool keep = activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled();
+  // Several branches at once are for sampling, where nothing is recorded.
+  if (keep || context.prope.size() > 1) {
+    for (size_t i = 0; i < blocks.size(); ++i) {
+      context.modulation = modulations[i];
+      x = blocks[i]->forward(x, context);
+    }
+    return x;
+  }
+  // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
+  const auto tables = std::make_shared<const PropeTables>(*context.prope.front());
+  std::vector<AttentionBlock> chain;
+  for (size_t i = 0; i < blocks.size(); ++i) {
+    const bool rows = modulations[i].rows.defined();
+    const auto context_of = [rows, tables, mask = context.view_mask](const torch::Tensor& conditioning) {
+      DitBlockContext own;
+      (rows ? own.modulation.rows : own.modulation.activation) = conditioning;
+      own.prope.push_back(tables.get());
+      own.view_mask = mask;
+      return own;
+    };
+    const DitBlock& block = *blocks[i];
+    AttentionBlock parts;
+    parts.head_dim = block.head_dim();
+    parts.inputs = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& conditioning) {
+      return block.attention_inputs(tokens, context_of(conditioning)).front();
+    };
+    parts.finish = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& attended,
+                                        const torch::Tensor& conditioning) {
+      return block.finish(tokens, attended, context_of(conditioning));
+    };
+    parts.conditioning = rows ? modulations[i].rows : modulations[i].activation;
+    chain.push_back(std::move(parts));
+    if (chain.size() == kBlocksAKeptInput || i + 1 == blocks.size()) {
+      x = checkpointed(chain, x);
+      chain.clear();
+    }
+  }
+  return x;
+}
+
+torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
+                                       const DitTimeRow& time, DitBranch branch) const {
+  return condition_encoder_batch(scene, tokens, time, {branch});
+}
+
+torch::Tensor DitDh::velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
+                                       const torch::Tensor& condition, const DitTimeRow& time,
+                                       DitBranch branch) const {
+  return velocity_features_batch(scene, tokens, condition, time, {branch});
+}
+
+torch::Tensor DitDh::condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                             const DitTimeRow& time,
+                                             const std::vector<DitBranch>& branches) const {
+  const auto cameras = evaluation_cameras(scene, branches);
+  auto x = branch_tokens(tokens.encoder, cameras,
+                         options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder);
+  DitBlockContext context;
+  for (const auto& branch : cameras) context.prope.push_back(&branch.encoder_prope);
+  context.view_mask = scene.view_mask;
+  std::vector<Modulation> modulations;
+  for (const auto& rows : time.encoder_modulation) {
+    modulations.push_back({branch_rows(rows, branches.size()), {}});
+  }
+  return run_blocks(encoder_blocks_, x, context, modulations);
+}
+
+torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                             const torch::Tensor& condition, const DitTimeRow& time,
+                                             const std::vector<DitBranch>& branches) const {
+  const auto cameras = evaluation_cameras(scene, branches);
+  const auto condition_activation = [this](const torch::Tensor& tokens, const torch::Tensor& time_rows) {
+    auto s = torch::silu(tokens + time_rows);
+    if (condition_projection_) s = condition_projection_->forward(s);
+    return torch::silu(s);
+  };
+  Modulation modulation;
+  modulation.activation =
+      by_storage(condition_activation, condition, branch_rows(time.embedding, branches.size()).unsqueeze(1));
+  DitBlockContext context;
+  for (const auto& branch : cameras) context.prope.push_back(&branch.decoder_prope);
+  context.view_mask = scene.view_mask;
+  auto x = branch_tokens(tokens.decoder, cameras,
+                         options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
+  x = run_blocks(decoder_blocks_, x, context, std::vector<Modulation>(decoder_blocks_.size(), modulation));
+  return by_storage(
+      [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
+        return final_layer_->features(tokens, {{}, activation});
+      },
+      x, modulation.activation);
+}
+
+torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features) const {
+  auto velocity = final_layer_->project(features);
+  const int64_t special = options_.num_special_tokens;
+  if (special == 0) return velocity;
+  return torch::cat({special_projection_->forward(velocity.narrow(1, 0, special)),
+                     velocity.narrow(1, special, velocity.size(1) - special)},
+                    1);
+}
+
+torch::Tensor DitDh::velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
+                              DitBranch branch) const {
+  const auto tokens = embed_noisy(scene, noisy);
+  const auto condition = condition_encoder(scene, tokens, time, branch);
+  return velocity_from_features(velocity_features(scene, tokens, condition, time, branch));
+}
+
+}  // namespace gld

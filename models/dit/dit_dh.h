@@ -1,0 +1,113 @@
+#pragma once
+
+#include "models/dit/dit_block.h"
+#include "models/dit/dit_embedder.h"
+#include "models/dit/dit_options.h"
+#include "models/dit/dit_scene.h"
+#include "models/layers/activation_checkpoint.h"
+#include "models/layers/layers.h"
+#include "models/layers/time_embedding.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/nn/module.h>
+#include <torch/types.h>
+
+namespace gld {
+
+// What the backward pass of training finds: every intermediate tensor, or only the outputs of attention and the input
+// of every second block, from which the rest is computed again (models/layers/activation_checkpoint.h; without the CPU kernels
+// the input of every block alone). The same gradients.
+enum class ActivationStorage { kKeep, kRecompute };
+
+// DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder
+// turns source features, cameras and the noisy latent (or a deeper level) into one condition a token, which
+// modulates a wide and shallow velocity decoder. Parameters have the names of the published checkpoints.
+//
+// Latents are (views, tokens, channels), special tokens first. Every function records gradients unless the caller
+// holds a NoGradGuard.
+class DitDh : public torch::nn::Module {
+ public:
+  // Throws Error for options that do not fit together.
+  DitDh(const DitOptions& options, const ParameterPlacement& placement);
+
+  const DitOptions& options() const { return options_; }
+  // Tokens of one view, special ones included.
+  int64_t tokens_per_view(const LatentGrid& grid) const {
+    return options_.num_special_tokens + grid.tokens_per_view();
+  }
+
+  // Throws Error where cameras and latents do not match.
+  DitScene prepare_scene(const DitSceneInputs& inputs, const ExactSavings& savings = {}) const;
+
+  // One DitTimeRow a time; rows: how many equal rows each has (1, or one a view).
+  std::vector<DitTimeRow> time_rows(const std::vector<double>& times, int64_t rows = 1) const;
+
+  DitNoisyTokens embed_noisy(const DitScene& scene, const torch::Tensor& noisy) const;
+  // The condition of every token before flow time and SiLU, (views, tokens, encoder width).
+  torch::Tensor condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens, const DitTimeRow& time,
+                                  DitBranch branch) const;
+  // What the last linear layer gets, (views, tokens, decoder width).
+  torch::Tensor velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
+                                  const torch::Tensor& condition, const DitTimeRow& time,
+                                  DitBranch branch) const;
+  // The same for several branches in one pass. Tokens are those of one branch, which all share, or of each branch one
+  // after the other; results and condition are (branches * views, tokens, width), one branch after the other.
+  torch::Tensor condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                        const DitTimeRow& time, const std::vector<DitBranch>& branches) const;
+  torch::Tensor velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
+                                        const torch::Tensor& condition, const DitTimeRow& time,
+                                        const std::vector<DitBranch>& branches) const;
+  // The last linear layer, which is affine: (views, tokens, channels).
+  torch::Tensor velocity_from_features(const torch::Tensor& features) const;
+
+  // All of it: (views, tokens, channels).
+  torch::Tensor velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
+                         DitBranch branch = DitBranch::kConditional) const;
+
+  // Random weights as the published training starts: embedders Xavier uniform, time embedding normal 0.02, AdaLN and
+  // last layers zero, other layers uniform +-1/sqrt(inputs). Drawn on the CPU in the order of the names.
+  void initialise(const torch::Generator& generator);
+
+  void set_activation_storage(ActivationStorage storage) { activation_storage_ = storage; }
+
+ private:
+  // One after the other; modulations: one a block, in the place of the context's.
+  torch::Tensor run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
+                           DitBlockContext context, const std::vector<Modulation>& modulations) const;
+  // A part without attention, kept or computed again as the blocks are.
+  torch::Tensor by_storage(const PartFunction& part, const torch::Tensor& x,
+                           const torch::Tensor& conditioning) const;
+  void check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
+                    int64_t views) const;
+  torch::TensorOptions tensor_options() const;
+  // What is added to the patch tokens (zero for special tokens), and the PRoPE tables.
+  torch::Tensor camera_embedding(const DitScene& scene, DitBranch branch) const;
+  PropeTables prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const;
+  void fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
+  std::vector<DitBranchCameras> evaluation_cameras(const DitScene& scene,
+                                                   const std::vector<DitBranch>& branches) const;
+  // Embeddings of special and patch tokens: of the source features, of the noisy latent, and of both in one product.
+  torch::Tensor source_part(const DitEmbedder& embedder, const DitScene& scene) const;
+  torch::Tensor latent_part(const DitEmbedder& embedder, const DitScene& scene,
+                            const torch::Tensor& noisy) const;
+  torch::Tensor joint_tokens(const DitEmbedder& embedder, const DitScene& scene, const torch::Tensor& patches,
+                             const torch::Tensor& noisy) const;
+  torch::Tensor with_positions(const torch::Tensor& tokens, const DitScene& scene) const;
+  torch::Tensor encoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const;
+  torch::Tensor decoder_tokens(const DitScene& scene, const torch::Tensor& noisy) const;
+
+  DitOptions options_;
+  ActivationStorage activation_storage_ = ActivationStorage::kKeep;
+  std::unique_ptr<DitEmbedder> encoder_embedder_, decoder_embedder_;
+  std::shared_ptr<Linear> condition_projection_;  // null where both widths are equal
+  std::shared_ptr<TimeEmbedding> time_embedding_;
+  std::shared_ptr<PatchEmbed> camera_embedder_;
+  std::shared_ptr<Linear> special_projection_;  // null without special tokens
+  std::shared_ptr<DitFinalLayer> final_layer_;
+  std::vector<std::shared_ptr<DitBlock>> encoder_blocks_, decoder_blocks_;
+};
+
+}  // namespace gld

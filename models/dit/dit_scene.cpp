@@ -1,0 +1,149 @@
+// What DitDh computes once a scene.
+#include "models/dit/dit_scene.h"
+
+#include "gld/base/error.h"
+#include "models/dit/dit_dh.h"
+
+#include <utility>
+#include <vector>
+
+#include <torch/types.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+LatentGrid grid_of(const Views& views, int64_t patch_size) {
+  if (views.cameras.empty() || views.num_sources < 1 || views.num_sources > views.size()) {
+    fail({"scene", "views of which at least the first is a source view",
+          fmt::format("{} views, {} of them sources", views.size(), views.num_sources), "give source views"});
+  }
+  const Camera& first = views.cameras.front();
+  for (const Camera& camera : views.cameras) {
+    if (camera.width == first.width && camera.height == first.height && camera.width % patch_size == 0 &&
+        camera.height % patch_size == 0 && camera.width > 0 && camera.height > 0) {
+      continue;
+    }
+    fail({"scene", fmt::format("views of one size with sides that are multiples of {} pixels", patch_size),
+          fmt::format("{} x {}", camera.width, camera.height), "resize and crop the views"});
+  }
+  return {views.size(), first.height / patch_size, first.width / patch_size};
+}
+
+}  // namespace
+
+void DitDh::check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
+                         int64_t views) const {
+  const int64_t tokens = tokens_per_view(scene.grid);
+  if (latent.defined() && latent.dim() == 3 && latent.size(0) == views && latent.size(1) == tokens &&
+      latent.size(2) == options_.in_channels) {
+    return;
+  }
+  fail({name, fmt::format("shape ({} views, {} tokens, {} channels)", views, tokens, options_.in_channels),
+        latent.defined() ? c10::str("shape ", latent.sizes()) : std::string("nothing"),
+        "check the model's configuration and the size of the images"});
+}
+
+torch::TensorOptions DitDh::tensor_options() const { return camera_embedder_->weight.options(); }
+
+torch::Tensor DitDh::camera_embedding(const DitScene& scene, DitBranch branch) const {
+  const Views& views = scene.cameras.views;
+  torch::Tensor patches;
+  if (branch == DitBranch::kConditional) {
+    patches =
+        camera_embedder_->forward_image(camera_conditioning(scene.cameras, options_.camera_pixel_offset(),
+                                                            tensor_options().dtype().toScalarType())
+                                            .to(tensor_options()));
+  } else if (scene.savings.unconditional_constants) {
+    // Of the seven channels only the mask is left, which is 0 or 1 in a whole view: a source view's tokens are the
+    // bias, a target view's the bias and the sum of the mask's weights.
+    const auto mask_sum = camera_embedder_->weight.select(1, 0).flatten(1).sum(1);
+    auto mask = torch::zeros({views.size(), 1, 1}, tensor_options().requires_grad(false));
+    mask.narrow(0, views.num_sources, views.num_targets()).fill_(1.0);
+    patches = (camera_embedder_->bias + mask * mask_sum)
+                  .expand({views.size(), scene.grid.tokens_per_view(), options_.camera_width()});
+  } else {
+    patches = camera_embedder_->forward_image(camera_conditioning_without_rays(views).to(tensor_options()));
+  }
+  if (options_.num_special_tokens == 0) return patches;
+  const auto none = torch::zeros({views.size(), options_.num_special_tokens, options_.camera_width()},
+                                 patches.options().requires_grad(false));
+  return torch::cat({none, patches}, 1);
+}
+
+PropeTables DitDh::prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const {
+  PropeLayout layout;
+  layout.grid = scene.grid;
+  layout.prefix_tokens = options_.num_special_tokens;
+  layout.head_dim = head_dim;
+  layout.image_size = options_.prope_pixels();
+  layout.inverse = options_.prope_inverse;
+  layout.frame = options_.prope_frame;
+  const bool conditional = branch == DitBranch::kConditional;
+  const auto tables = make_prope_tables(scene.cameras, layout,
+                                        conditional ? PropeCameras::kScene : options_.unconditional_cameras(),
+                                        tensor_options().requires_grad(false));
+  return !conditional && scene.savings.unconditional_constants ? fold_shared_camera(tables) : tables;
+}
+
+void DitDh::fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const {
+  cameras.encoder_prope = prope_tables(scene, branch, options_.hidden_size[0] / options_.num_heads[0]);
+  cameras.decoder_prope = prope_tables(scene, branch, options_.hidden_size[1] / options_.num_heads[1]);
+}
+
+std::vector<DitBranchCameras> DitDh::evaluation_cameras(const DitScene& scene,
+                                                        const std::vector<DitBranch>& branches) const {
+  std::vector<DitBranchCameras> list;
+  for (const DitBranch branch : branches) {
+    DitBranchCameras cameras = scene.branches[static_cast<size_t>(branch)];
+    if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(scene, branch);
+    if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(scene, branch, cameras);
+    list.push_back(std::move(cameras));
+  }
+  return list;
+}
+
+DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& savings) const {
+  DitScene scene;
+  scene.savings = savings;
+  scene.grid = grid_of(inputs.views, options_.camera_patch_size);
+  scene.cameras = relative_cameras(inputs.views);
+  scene.view_mask = inputs.view_mask;
+  check_latent(scene, inputs.source_features, "source features", scene.num_sources());
+  scene.source_features = inputs.source_features;
+  if (options_.conditioning == DitConditioning::kDeeperLevel) {
+    const int64_t patches = scene.grid.tokens_per_view();
+    const auto& deeper = inputs.deeper_level;
+    if (deeper.defined() && deeper.dim() == 3 && deeper.size(1) == patches) {
+      scene.deeper_patches = deeper;
+    } else {
+      check_latent(scene, deeper, "deeper level", scene.grid.views);
+      scene.deeper_patches = deeper.narrow(1, options_.num_special_tokens, patches);
+    }
+  } else if (inputs.deeper_level.defined()) {
+    fail({"deeper level", "none, for a model with conditioning: none", "one", "use a cascade model"});
+  }
+  for (const DitBranch branch : {DitBranch::kConditional, DitBranch::kUnconditional}) {
+    auto& cameras = scene.branches[static_cast<size_t>(branch)];
+    if (savings.camera_embedding_once) cameras.embedding = camera_embedding(scene, branch);
+    if (savings.prope_tables_once) fill_prope(scene, branch, cameras);
+  }
+  const bool cascade = scene.deeper_patches.defined();
+  if (cascade ? savings.cascade_input_once : savings.source_embedding_once) {
+    auto tokens = source_part(*encoder_embedder_, scene);
+    if (cascade) {
+      const auto deeper = encoder_embedder_->latent_patches(scene.deeper_patches, scene.num_sources());
+      tokens = torch::cat({tokens.narrow(1, 0, options_.num_special_tokens),
+                           tokens.narrow(1, options_.num_special_tokens, deeper.size(1)) + deeper},
+                          1);
+    }
+    scene.encoder_source = with_positions(tokens, scene);
+  }
+  if (savings.source_embedding_once) {
+    scene.decoder_source = with_positions(source_part(*decoder_embedder_, scene), scene);
+  }
+  return scene;
+}
+
+}  // namespace gld

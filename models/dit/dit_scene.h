@@ -1,0 +1,69 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/cameras/prope.h"
+#include "gld/cameras/relative_cameras.h"
+#include "models/dit/exact_savings.h"
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// What a DiT^DH is asked about: the cameras, and normalised latents as tokens, special tokens (if the model has
+// them) in front of each view's patch tokens.
+struct DitSceneInputs {
+  Views views;                    // checked with check_cameras; one size, in whole patches
+  torch::Tensor source_features;  // (source views, tokens, channels)
+  // Cascade only: (views, tokens, channels), with or without special tokens (they are not used).
+  torch::Tensor deeper_level;
+  // Which view pairs attend (gld/attention/attention.h); every pair when undefined.
+  torch::Tensor view_mask;
+};
+
+enum class DitBranch { kConditional, kUnconditional };
+
+// The cameras as one branch of guidance sees them. Undefined parts are computed at every evaluation.
+struct DitBranchCameras {
+  torch::Tensor embedding;  // broadcasts to (views, special + patch tokens, width); zero for special tokens
+  PropeTables encoder_prope;
+  PropeTables decoder_prope;
+};
+
+// Everything about a scene that does not change from one evaluation to the next. Made by DitDh::prepare_scene;
+// with gradients it belongs to one training step.
+struct DitScene {
+  RelativeCameras cameras;
+  LatentGrid grid;
+  ExactSavings savings;
+  torch::Tensor source_features;  // (source views, tokens, channels)
+  torch::Tensor deeper_patches;   // (views, patch tokens, channels); undefined for level models
+  torch::Tensor view_mask;
+  std::array<DitBranchCameras, 2> branches;  // by DitBranch
+  // Parts of the embedders' sums, (views, tokens, width); undefined where a switched-off saving leaves them to
+  // every evaluation.
+  torch::Tensor encoder_source;  // with the deeper level in a cascade
+  torch::Tensor decoder_source;
+
+  int64_t num_sources() const { return cameras.views.num_sources; }
+  const std::vector<std::string>& warnings() const { return cameras.warnings; }
+};
+
+// The noisy latent after the embedders, without cameras: the same for both branches.
+struct DitNoisyTokens {
+  torch::Tensor encoder;  // (views, tokens, encoder width)
+  torch::Tensor decoder;  // (views, tokens, decoder width)
+};
+
+// What depends on the flow time alone.
+struct DitTimeRow {
+  double time = 0;
+  torch::Tensor embedding;  // (1 or views, encoder width)
+  std::vector<torch::Tensor>
+      encoder_modulation;  // one a block of the condition encoder, (1 or views, 6 width)
+};
+
+}  // namespace gld

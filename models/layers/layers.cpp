@@ -1,0 +1,91 @@
+#include "models/layers/layers.h"
+
+#include "gld/base/error.h"
+#include "gld/tensors/fused_ops.h"
+#include "gld/tensors/transposed_product.h"
+
+#include <string>
+
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+void require_channels(const torch::Tensor& x, int64_t channels, const std::string& layer) {
+  if (x.dim() == 0 || x.size(-1) != channels) {
+    fail({layer, std::to_string(channels) + " channels in the last dimension",
+          "a tensor of shape " + c10::str(x.sizes()), "check the sizes in the model's configuration"});
+  }
+}
+
+}  // namespace
+
+Linear::Linear(const LinearSizes& sizes, const ParameterPlacement& placement) {
+  weight = register_parameter("weight", torch::empty({sizes.outputs, sizes.inputs}, placement.options()));
+  if (sizes.bias) bias = register_parameter("bias", torch::empty({sizes.outputs}, placement.options()));
+}
+
+torch::Tensor Linear::forward(const torch::Tensor& x) const {
+  require_channels(x, weight.size(1), "linear layer");
+  return times_transposed(x, weight, bias);
+}
+
+LayerNorm::LayerNorm(int64_t channels, double epsilon, const ParameterPlacement& placement)
+    : epsilon_(epsilon) {
+  weight = register_parameter("weight", torch::empty({channels}, placement.options()));
+  bias = register_parameter("bias", torch::empty({channels}, placement.options()));
+}
+
+torch::Tensor LayerNorm::forward(const torch::Tensor& x) const {
+  require_channels(x, weight.size(0), "LayerNorm");
+  return torch::layer_norm(x, {weight.size(0)}, weight, bias, epsilon_);
+}
+
+RmsNorm::RmsNorm(int64_t channels, double epsilon, const ParameterPlacement& placement) : epsilon_(epsilon) {
+  weight = register_parameter("weight", torch::empty({channels}, placement.options()));
+}
+
+torch::Tensor RmsNorm::forward(const torch::Tensor& x) const {
+  require_channels(x, weight.size(0), "RMSNorm");
+  RmsNormInputs inputs;
+  inputs.x = x;
+  inputs.weight = weight;
+  inputs.epsilon = epsilon_;
+  return rms_norm(inputs);
+}
+
+PatchEmbed::PatchEmbed(const PatchEmbedSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
+  auto proj = std::make_shared<torch::nn::Module>();
+  weight = proj->register_parameter(
+      "weight", torch::empty({sizes.embed_dim, sizes.in_channels, sizes.patch_size, sizes.patch_size},
+                             placement.options()));
+  bias = proj->register_parameter("bias", torch::empty({sizes.embed_dim}, placement.options()));
+  register_module("proj", proj);
+}
+
+torch::Tensor PatchEmbed::forward_image(const torch::Tensor& image) const {
+  const int64_t p = sizes_.patch_size;
+  if (image.dim() != 4 || image.size(1) != sizes_.in_channels || image.size(2) % p != 0 ||
+      image.size(3) % p != 0) {
+    fail({"patch embedding",
+          "(views, " + std::to_string(sizes_.in_channels) + ", height, width) with sides divisible by " +
+              std::to_string(p),
+          c10::str(image.sizes()), "resize or crop the image to whole patches"});
+  }
+  const int64_t views = image.size(0), rows = image.size(2) / p, columns = image.size(3) / p;
+  const auto patches = image.reshape({views, sizes_.in_channels, rows, p, columns, p})
+                           .permute({0, 2, 4, 1, 3, 5})
+                           .reshape({views * rows * columns, sizes_.in_channels * p * p});
+  return times_transposed(patches, weight.flatten(1), bias).view({views, rows * columns, sizes_.embed_dim});
+}
+
+torch::Tensor PatchEmbed::forward_tokens(const torch::Tensor& tokens) const {
+  if (sizes_.patch_size != 1) {
+    fail({"patch embedding", "patch_size 1 for tokens", std::to_string(sizes_.patch_size),
+          "set patch_size: 1 in the model's configuration"});
+  }
+  require_channels(tokens, sizes_.in_channels, "patch embedding");
+  return times_transposed(tokens, weight.flatten(1), bias);
+}
+
+}  // namespace gld

@@ -1,0 +1,210 @@
+#include "datasets/formats/colmap_reader.h"
+
+#include "datasets/formats/colmap_model.h"
+#include "datasets/formats/scene_reader.h"
+#include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
+#include "datasets/scenes/seeded_random.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+#include "tests/support/shared_data.h"
+
+#include <Eigen/Geometry>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+using test::shared_data;
+using test::TemporaryFolder;
+
+TEST(Colmap, RealTextEqualsBinary) {
+  const auto scenes = shared_data() / "scenes";
+  const ColmapModel text = read_colmap_model(scenes / "colmap_lund_door" / "sparse" / "0", ColmapForm::kText);
+  const ColmapModel binary =
+      read_colmap_model(scenes / "colmap_lund_door_binary" / "sparse" / "0", ColmapForm::kBinary);
+  ASSERT_EQ(text.images.size(), 12U);
+  ASSERT_EQ(binary.images.size(), 12U);
+  ASSERT_EQ(text.points_in_world.size(), 11384U);
+  EXPECT_EQ(text.points_in_world, binary.points_in_world);
+  ASSERT_EQ(text.cameras.size(), binary.cameras.size());
+  for (const auto& [id, camera] : text.cameras) {
+    const ColmapCamera& other = binary.cameras.at(id);
+    EXPECT_EQ(camera.model, other.model);
+    EXPECT_EQ(camera.width, other.width);
+    EXPECT_EQ(camera.height, other.height);
+    EXPECT_EQ(camera.parameters, other.parameters);
+  }
+  for (size_t i = 0; i < 12; ++i) {
+    EXPECT_EQ(text.images[i].name, binary.images[i].name);
+    EXPECT_EQ(text.images[i].translation, binary.images[i].translation);
+    // The text has quaternions of length 1 +- 1e-6, the binary file those of length 1.
+    const FrameRecord a = colmap_record(text, text.images[i], "a.jpg", "text");
+    const FrameRecord b = colmap_record(binary, binary.images[i], "a.jpg", "binary");
+    EXPECT_LT((a.world_from_camera.matrix() - b.world_from_camera.matrix()).cwiseAbs().maxCoeff(), 1e-13);
+  }
+}
+
+TEST(Colmap, TheRealSceneProjectsItsPointsIntoItsImages) {
+  const Scene scene = open_scene(shared_data() / "scenes" / "colmap_lund_door");
+  EXPECT_EQ(scene.format, "colmap");
+  ASSERT_EQ(scene.frames.size(), 12U);
+  EXPECT_EQ(scene.frames[9].name, "DSC_0010");
+  EXPECT_EQ(scene.points_in_world.size(), 11384U);
+  for (const Frame& frame : scene.frames) {
+    EXPECT_EQ(frame.camera.width, 1296);
+    EXPECT_EQ(frame.camera.height, 1936);
+    const Eigen::Isometry3d camera_from_world = frame.camera.camera_from_world();
+    int64_t inside = 0;
+    for (const Eigen::Vector3d& point : scene.points_in_world) {
+      const Eigen::Vector3d in_camera = camera_from_world * point;
+      const Eigen::Vector2d pixel = (frame.camera.intrinsics * in_camera).hnormalized();
+      inside +=
+          in_camera.z() > 0 && pixel.x() > 0 && pixel.y() > 0 && pixel.x() < 1296 && pixel.y() < 1936 ? 1 : 0;
+    }
+    EXPECT_GT(inside, 5000) << frame.name;
+  }
+  const ValidityMask mask = scene.frames[0].validity();
+  EXPECT_EQ(mask.valid[static_cast<size_t>(968 * 1296 + 648)], 1);
+}
+
+class SmallColmap : public ::testing::Test {
+ protected:
+  SmallColmap() {
+    SyntheticOptions options;
+    options.frames = 3;
+    options.width = 40;
+    options.height = 30;
+    scene_ = make_synthetic_scene(options, 0);
+    scene_.points_in_world = {{0, 0, 1}};
+  }
+  std::filesystem::path model(const char* name) const { return folder_.path() / "sparse" / "0" / name; }
+  std::string error() const {
+    return error_of([&] { open_scene(folder_.path()); });
+  }
+  TemporaryFolder folder_;
+  Scene scene_;
+};
+
+TEST_F(SmallColmap, DownscaledImagesScaleTheIntrinsics) {
+  write_scene(scene_, "colmap", folder_.path());
+  std::filesystem::create_directories(folder_.path() / "images_2");
+  for (const Frame& frame : scene_.frames) {
+    write_jpeg(folder_.path() / "images_2" / (frame.name + ".jpg"), Image(20, 15), 90);
+  }
+  SceneReading reading;
+  reading.image_folder = "images_2";
+  const Scene half = open_scene(folder_.path(), reading);
+  ASSERT_EQ(half.frames.size(), 3U);
+  EXPECT_EQ(half.frames[0].camera.width, 20);
+  EXPECT_DOUBLE_EQ(half.frames[0].camera.intrinsics(0, 0), scene_.frames[0].camera.intrinsics(0, 0) / 2);
+  EXPECT_DOUBLE_EQ(half.frames[0].camera.intrinsics(1, 2), 7.5);
+  std::filesystem::remove_all(folder_.path() / "images");
+  EXPECT_EQ(open_scene(folder_.path()).frames[0].camera.width, 20);  // Mip-NeRF 360 without the large images
+  reading.image_folder = "images_8";
+  EXPECT_EQ(error_of([&] { open_scene(folder_.path(), reading); }),
+            (folder_.path() / "images_8").string() +
+                ": expected a folder of images, found nothing; choose another image_folder.");
+}
+
+TEST_F(SmallColmap, ImagesThatDoNotExistAreCounted) {
+  write_scene(scene_, "colmap-text", folder_.path());
+  std::filesystem::remove(folder_.path() / "images" / "frame_00001.png");
+  const Scene read = open_scene(folder_.path());
+  EXPECT_EQ(read.frames.size(), 2U);
+  EXPECT_EQ(read.missing_files, 1);
+  std::filesystem::remove_all(folder_.path() / "images");
+  EXPECT_EQ(error(),
+            folder_.path().string() +
+                ": expected a folder of images beside the model (images or images_N), found none; put the "
+                "images there or name their folder with image_folder.");
+}
+
+TEST_F(SmallColmap, ImagesOfAnotherShapeAreRefused) {
+  write_scene(scene_, "colmap-text", folder_.path());
+  write_png(folder_.path() / "images" / "frame_00001.png", Image(30, 40));
+  EXPECT_EQ(
+      error(),
+      (folder_.path() / "images" / "frame_00001.png").string() +
+          ": expected an image of the camera's size 40x30 or a scaled copy, found 30x40; check that the "
+          "camera belongs to this image and was not made for a rotated or cropped one.");
+}
+
+TEST_F(SmallColmap, DamagedText) {
+  write_scene(scene_, "colmap-text", folder_.path());
+  write_file_atomically(model("cameras.txt"), "1 PINHOLE 40 30 20 20\n");
+  EXPECT_NE(error().find("expected 4 parameters for PINHOLE, found 2; correct the file."), std::string::npos);
+  write_file_atomically(model("cameras.txt"), "1 FOV 40 30 20 20 20 15 0.5\n");
+  EXPECT_NE(error().find(
+                "expected a camera model such as PINHOLE, SIMPLE_RADIAL or OPENCV, found FOV; undistort the "
+                "images with COLMAP's image_undistorter."),
+            std::string::npos);
+  write_file_atomically(model("cameras.txt"), "1 PINHOLE 40\n");
+  EXPECT_EQ(error(),
+            model("cameras.txt").string() +
+                ":1: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found 3 fields; correct the file.");
+  write_file_atomically(model("cameras.txt"), "7 PINHOLE 40 30 20 20 20 15\n");
+  EXPECT_NE(error().find("expected camera 1 in the model, found none; export the model again."),
+            std::string::npos);
+  write_file_atomically(model("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n1 2 3\n2 1 0 0 0\n");
+  EXPECT_EQ(error(),
+            model("images.txt").string() +
+                ":3: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, found 5 fields; check that every "
+                "image has its line of observations.");
+  write_file_atomically(model("images.txt"), "1 1 0 0 0 0 0 0 1 ../../etc/a.png\n\n");
+  EXPECT_NE(
+      error().find(
+          "expected a path inside the scene's folder, found \"../../etc/a.png\"; make the path relative "
+          "to the scene."),
+      std::string::npos);
+}
+
+TEST_F(SmallColmap, BinaryCountsAreCheckedAgainstTheFile) {
+  write_scene(scene_, "colmap", folder_.path());
+  const std::string good = read_file(model("images.bin"));
+  std::string bytes = good;
+  bytes[6] = '\x7F';
+  write_file_atomically(model("images.bin"), bytes);
+  EXPECT_EQ(error(),
+            model("images.bin").string() +
+                " at byte 8: expected a count that fits the file, found 35747322042253315 records; copy the "
+                "file again.");
+  write_file_atomically(model("images.bin"), good.substr(0, good.size() - 4));
+  EXPECT_NE(error().find("copy the file again."), std::string::npos);
+  write_file_atomically(model("images.bin"), good + "more");
+  EXPECT_NE(
+      error().find("expected the end of the file, found 4 more bytes; check that it is a file of this kind."),
+      std::string::npos);
+}
+
+// Random damage never crashes and either reads or gives our sentence.
+TEST_F(SmallColmap, DamagedBinariesFailInWords) {
+  write_scene(scene_, "colmap", folder_.path());
+  SeededRandom random({2024});
+  int64_t refused = 0;
+  for (const char* name : {"cameras.bin", "images.bin", "points3D.bin"}) {
+    const std::string good = read_file(model(name));
+    for (int trial = 0; trial < 150; ++trial) {
+      std::string bytes =
+          good.substr(0, static_cast<size_t>(random.integer(0, static_cast<int64_t>(good.size()))));
+      for (int flips = 0; flips < 3 && !bytes.empty(); ++flips) {
+        bytes[static_cast<size_t>(random.integer(0, static_cast<int64_t>(bytes.size()) - 1))] =
+            static_cast<char>(random.integer(0, 255));
+      }
+      write_file_atomically(model(name), bytes);
+      try {
+        read_colmap_model(folder_.path() / "sparse" / "0", ColmapForm::kBinary);
+      } catch (const Error& error) {
+        EXPECT_EQ(std::string(error.what()).find(model(name).string()), 0U);
+        ++refused;
+      }
+    }
+    write_file_atomically(model(name), good);
+  }
+  EXPECT_GT(refused, 300);
+}
+
+}  // namespace
+}  // namespace gld

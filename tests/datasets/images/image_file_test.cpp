@@ -1,0 +1,178 @@
+#include "datasets/images/image_file.h"
+
+#include "datasets/images/image_probe.h"
+#include "gld/base/atomic_file.h"
+#include "tests/support/shared_data.h"
+
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+#include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+using test::TemporaryFolder;
+
+Image gradient(int64_t width, int64_t height) {
+  Image image(width, height);
+  for (int64_t y = 0; y < height; ++y) {
+    for (int64_t x = 0; x < width; ++x) {
+      image.pixel(x, y)[0] = static_cast<uint8_t>(17 * x);
+      image.pixel(x, y)[1] = static_cast<uint8_t>(29 * y);
+      image.pixel(x, y)[2] = static_cast<uint8_t>(x + y);
+    }
+  }
+  return image;
+}
+
+// A minimal EXIF segment that says only the orientation.
+std::string exif_segment(char orientation) {
+  std::string tiff("MM\0\x2A\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0", 19);
+  tiff += orientation;
+  tiff += std::string("\0\0\0\0\0\0", 6);
+  const std::string body = std::string("Exif\0\0", 6) + tiff;
+  const size_t length = body.size() + 2;
+  return std::string("\xFF\xE1") + static_cast<char>(length >> 8) + static_cast<char>(length & 0xFF) + body;
+}
+
+void add_exif(const std::filesystem::path& jpeg, char orientation) {
+  const std::string bytes = read_file(jpeg);
+  write_file_atomically(jpeg, bytes.substr(0, 2) + exif_segment(orientation) + bytes.substr(2));
+}
+
+TEST(ImageFile, PngKeepsEveryByte) {
+  const TemporaryFolder folder;
+  const Image image = gradient(13, 7);
+  write_png(folder.path() / "a.png", image);
+  const Image read = read_image(folder.path() / "a.png");
+  EXPECT_EQ(read.width, 13);
+  EXPECT_EQ(read.height, 7);
+  EXPECT_EQ(read.rgb, image.rgb);
+}
+
+TEST(ImageFile, SixteenBitsGreyAndAlphaBecomeEightBitColour) {
+  const TemporaryFolder folder;
+  cv::Mat grey16(2, 3, CV_16UC1, cv::Scalar(0));
+  grey16.at<uint16_t>(0, 1) = 65535;
+  grey16.at<uint16_t>(1, 2) = 257 * 100 + 60;
+  cv::imwrite((folder.path() / "grey16.png").string(), grey16);
+  const Image grey = read_image(folder.path() / "grey16.png");
+  EXPECT_EQ(grey.pixel(1, 0)[0], 255);
+  EXPECT_EQ(grey.pixel(2, 1)[0], 100);
+  EXPECT_EQ(grey.pixel(2, 1)[2], 100);
+
+  cv::Mat bgra(2, 2, CV_8UC4, cv::Scalar(10, 20, 30, 255));
+  bgra.at<cv::Vec4b>(0, 1) = {0, 0, 0, 0};
+  bgra.at<cv::Vec4b>(1, 1) = {0, 0, 100, 51};
+  cv::imwrite((folder.path() / "alpha.png").string(), bgra);
+  const Image alpha = read_image(folder.path() / "alpha.png");
+  EXPECT_EQ(std::vector<int>(alpha.pixel(0, 0), alpha.pixel(0, 0) + 3), (std::vector<int>{30, 20, 10}));
+  EXPECT_EQ(std::vector<int>(alpha.pixel(1, 0), alpha.pixel(1, 0) + 3), (std::vector<int>{255, 255, 255}));
+  EXPECT_EQ(std::vector<int>(alpha.pixel(1, 1), alpha.pixel(1, 1) + 3), (std::vector<int>{224, 204, 204}));
+}
+
+TEST(ImageFile, ExifRotationIsAppliedOnlyWhenAsked) {
+  const TemporaryFolder folder;
+  // Four quadrants of different brightness show every turn and mirror.
+  Image quadrants(32, 16);
+  for (int64_t y = 0; y < 16; ++y) {
+    for (int64_t x = 0; x < 32; ++x) {
+      const int value = 40 + 60 * static_cast<int>(x / 16) + 120 * static_cast<int>(y / 8);
+      for (int c = 0; c < 3; ++c) quadrants.pixel(x, y)[c] = static_cast<uint8_t>(value > 255 ? 255 : value);
+    }
+  }
+  // What the upright picture shows at its top left, top right, bottom left, bottom right.
+  const std::vector<std::vector<int>> expected{{40, 100, 160, 220}, {100, 40, 220, 160}, {220, 160, 100, 40},
+                                               {160, 220, 40, 100}, {40, 160, 100, 220}, {160, 40, 220, 100},
+                                               {220, 100, 160, 40}, {100, 220, 40, 160}};
+  for (int orientation = 1; orientation <= 8; ++orientation) {
+    const auto file = folder.path() / (std::to_string(orientation) + ".jpg");
+    write_jpeg(file, quadrants, 100);
+    add_exif(file, static_cast<char>(orientation));
+    const ImageFileInfo info = probe_image_file(file);
+    EXPECT_EQ(info.orientation, orientation);
+    EXPECT_EQ(info.width, 32);
+    EXPECT_EQ(info.turned(), orientation >= 5);
+    const Image stored = read_image(file);
+    EXPECT_EQ(stored.width, 32);
+    EXPECT_NEAR(stored.pixel(3, 3)[0], 40, 4);
+    const Image upright = read_image(file, ImageOrientation::kUpright);
+    ASSERT_EQ(upright.width, orientation >= 5 ? 16 : 32);
+    ASSERT_EQ(upright.height, orientation >= 5 ? 32 : 16);
+    const auto& corners = expected[static_cast<size_t>(orientation - 1)];
+    EXPECT_NEAR(upright.pixel(3, 3)[1], corners[0], 4) << orientation;
+    EXPECT_NEAR(upright.pixel(upright.width - 4, 3)[1], corners[1], 4) << orientation;
+    EXPECT_NEAR(upright.pixel(3, upright.height - 4)[1], corners[2], 4) << orientation;
+    EXPECT_NEAR(upright.pixel(upright.width - 4, upright.height - 4)[1], corners[3], 4) << orientation;
+  }
+}
+
+TEST(ImageFile, RefusesWhatIsNoPicture) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "a.png";
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a file, found nothing; check the path.");
+  write_file_atomically(file, "hello");
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a PNG or JPEG image, found something else; convert it.");
+  write_file_atomically(file, "");
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a PNG or JPEG image, found an empty file; convert it.");
+  write_png(file, Image(1, 5));
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected an image at least 2 pixels wide and high, found 1x5; leave it out.");
+}
+
+TEST(ImageFile, RefusesFilesThatEndEarlyAtAnyByte) {
+  const TemporaryFolder folder;
+  write_png(folder.path() / "whole.png", gradient(40, 30));
+  write_jpeg(folder.path() / "whole.jpg", gradient(40, 30), 90);
+  for (const char* extension : {".png", ".jpg"}) {
+    const std::string bytes = read_file(folder.path() / (std::string("whole") + extension));
+    const auto file = folder.path() / (std::string("cut") + extension);
+    for (size_t size = 8; size < bytes.size(); size += 1 + size / 16) {
+      write_file_atomically(file, bytes.substr(0, size));
+      EXPECT_EQ(error_of([&] { read_image(file); }),
+                file.string() +
+                    ": expected a whole image file, found one that ends early; copy or download it again.")
+          << size;
+    }
+  }
+}
+
+TEST(ImageFile, DamagedPixelDataIsRefused) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "a.png";
+  write_png(file, gradient(64, 64));
+  std::string bytes = read_file(file);
+  for (size_t i = 60; i < bytes.size() - 30; i += 3) bytes[i] = static_cast<char>(bytes[i] ^ 0x5A);
+  write_file_atomically(file, bytes);
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() +
+                ": expected an image that can be decoded, found damaged data; copy or download it again.");
+}
+
+TEST(ImageFile, DepthPngKeepsMillimetres) {
+  const TemporaryFolder folder;
+  DepthMap depth(4, 2);
+  depth.metres = {0, 0.001F, 1.2345F, 65.535F, 100, 3, 2, 1};
+  write_depth_png(folder.path() / "d.png", depth, 1e-3);
+  const DepthMap read = read_depth_png(folder.path() / "d.png", 1e-3);
+  EXPECT_EQ(read.metres[0], 0);
+  EXPECT_NEAR(read.metres[2], 1.2345, 5.1e-4);
+  EXPECT_NEAR(read.metres[4], 65.535, 1e-4);
+  write_png(folder.path() / "colour.png", gradient(4, 4));
+  EXPECT_EQ(
+      error_of([&] { read_depth_png(folder.path() / "colour.png", 1e-3); }),
+      (folder.path() / "colour.png").string() +
+          ": expected a 16-bit image with one channel, found another pixel type; write depth as 16-bit grey "
+          "PNG.");
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,172 @@
+#include "gld/base/configuration.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+#include "tests/support/shared_data.h"
+
+#include <cmath>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+enum class Shape { kRound, kSquare };
+
+struct InnerOptions : OptionsGroup {
+  double weight = 0.5;
+  std::vector<int64_t> sizes{1, 2};
+  void visit(FieldVisitor& visitor) override {
+    visitor.real({"weight", "how much it weighs"}, weight, {0, 1});
+    visitor.integers({"sizes", "list of sizes"}, sizes, {1, 100});
+  }
+  void check() const override {
+    if (weight == 0.25) fail({"inner", "no quarter", "0.25", "use another weight"});
+  }
+};
+
+struct OuterOptions : OptionsGroup {
+  int64_t count = 3;
+  bool loud = false;
+  std::string title = "a \"title\": yes";
+  Shape shape = Shape::kRound;
+  std::vector<std::string> names;
+  InnerOptions inner;
+  void visit(FieldVisitor& visitor) override {
+    visitor.integer({"count", "how many"}, count, {1, 10});
+    visitor.boolean({"loud", "whether it is loud"}, loud);
+    visitor.text({"title", "what it is called"}, title);
+    visit_choice(visitor, {"shape", "its shape"}, shape, {"round", "square"});
+    visitor.texts({"names", "who"}, names);
+    visitor.group({"inner", "what is inside"}, inner);
+  }
+};
+
+TEST(Configuration, ReadsYamlOverDefaults) {
+  OuterOptions options;
+  load_yaml_text(options, "count: 7\nshape: square\ninner:\n  sizes: [4, 5, 6]\nnames: [a, 'b c']\n",
+                 "test.yaml");
+  EXPECT_EQ(options.count, 7);
+  EXPECT_EQ(options.shape, Shape::kSquare);
+  EXPECT_THAT(options.inner.sizes, testing::ElementsAre(4, 5, 6));
+  EXPECT_EQ(options.inner.weight, 0.5);
+  EXPECT_THAT(options.names, testing::ElementsAre("a", "b c"));
+}
+
+TEST(Configuration, WhatIsWrittenReadsBackEqual) {
+  OuterOptions options;
+  options.inner.weight = 1.0 / 3.0;
+  options.names = {"x: y", "line\nbreak", "'"};
+  options.loud = true;
+  OuterOptions copy;
+  load_yaml_text(copy, to_yaml(options), "copy.yaml");
+  EXPECT_EQ(to_json(copy), to_json(options));
+  EXPECT_EQ(copy.inner.weight, options.inner.weight);
+  OuterOptions from_json;
+  load_json(from_json, to_json(options), "json");
+  EXPECT_EQ(to_yaml(from_json), to_yaml(options));
+}
+
+TEST(Configuration, SettingsTakeDottedKeysAndCommaLists) {
+  OuterOptions options;
+  apply_setting(options, "inner.weight=0.75");
+  apply_setting(options, "inner.sizes=3,9");
+  apply_setting(options, "loud=true");
+  EXPECT_EQ(options.inner.weight, 0.75);
+  EXPECT_THAT(options.inner.sizes, testing::ElementsAre(3, 9));
+  EXPECT_TRUE(options.loud);
+}
+
+struct Refusal {
+  std::string yaml;
+  std::string message;
+};
+
+class ConfigurationRefusals : public testing::TestWithParam<Refusal> {};
+
+TEST_P(ConfigurationRefusals, SayWhereWhatAndWhatToDo) {
+  OuterOptions options;
+  EXPECT_EQ(test::error_of([&] { load_yaml_text(options, GetParam().yaml, "f.yaml"); }), GetParam().message);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, ConfigurationRefusals,
+    testing::Values(
+        Refusal{
+            "count: 1\ncuont: 4\n",
+            "f.yaml:2, key 'cuont': expected a known option, found an unknown one; did you mean 'count'?"},
+        Refusal{"inner:\n  wieght: 1\n",
+                "f.yaml:2, key 'inner.wieght': expected a known option, found an unknown one; did you mean "
+                "'inner.weight'?"},
+        Refusal{"count: 11\n",
+                "f.yaml:1, key 'count': expected an integer in the range [1, 10], found 11; choose a value "
+                "inside "
+                "the range."},
+        Refusal{"count: 2.5\n",
+                "f.yaml:1, key 'count': expected an integer, found '2.5'; correct the value."},
+        Refusal{
+            "count: 99999999999999999999\n",
+            "f.yaml:1, key 'count': expected an integer, found '99999999999999999999'; correct the value."},
+        Refusal{
+            "inner:\n  weight: .nan\n",
+            "f.yaml:2, key 'inner.weight': expected a number in the range [0, 1], found .nan; choose a value "
+            "inside the range."},
+        Refusal{
+            "shape: sqare\n",
+            "f.yaml:1, key 'shape': expected one of round, square, found 'sqare'; did you mean 'square'?"},
+        Refusal{"inner: 3\n",
+                "f.yaml:1, key 'inner': expected a map of options, found '3'; write its options indented "
+                "below it."},
+        Refusal{"- a\n", "f.yaml: expected a map of options, found a list; write one 'key: value' a line."},
+        Refusal{"loud: maybe\n",
+                "f.yaml:1, key 'loud': expected true or false, found 'maybe'; correct the value."}));
+
+TEST(Configuration, BrokenYamlNamesTheLine) {
+  OuterOptions options;
+  const auto message = test::error_of([&] { load_yaml_text(options, "count: 1\n  bad: [1\n", "f.yaml"); });
+  EXPECT_THAT(message, testing::StartsWith("f.yaml:2: expected valid YAML, found "));
+}
+
+TEST(Configuration, ChecksRangesAndRelations) {
+  OuterOptions options;
+  options.inner.weight = 0.25;
+  EXPECT_EQ(test::error_of([&] { check_options(options, "here"); }),
+            "inner: expected no quarter, found 0.25; use another weight.");
+  options.inner.weight = std::nan("");
+  EXPECT_THAT(
+      test::error_of([&] { check_options(options, "here"); }),
+      testing::StartsWith("here, key 'inner.weight': expected a value in the range [0, 1], found .nan"));
+}
+
+TEST(Configuration, DescribesEveryField) {
+  const auto described = describe_options(OuterOptions());
+  ASSERT_EQ(described.size(), 7u);
+  EXPECT_EQ(described[0].key, "count");
+  EXPECT_EQ(described[0].range, "[1, 10]");
+  EXPECT_EQ(described[3].type, "round|square");
+  EXPECT_EQ(described[5].key, "inner.weight");
+  EXPECT_EQ(described[5].default_value, "0.5");
+}
+
+TEST(AtomicFile, AppearsWholeOrNotAtAll) {
+  test::TemporaryFolder folder;
+  const auto target = folder.path() / "result.txt";
+  write_file_atomically(target, "one");
+  EXPECT_EQ(read_file(target), "one");
+  {
+    AtomicFile abandoned(target);
+    write_file_atomically(abandoned.temporary(), "half");
+  }
+  EXPECT_EQ(read_file(target), "one");
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(folder.path()), {}), 1);
+  EXPECT_EQ(test::error_of([&] { write_file_atomically(folder.path() / "no" / "x", ""); }),
+            (folder.path() / "no" / "x").string() +
+                ": expected an existing folder to write into, found no folder " +
+                (folder.path() / "no").string() + "; create it or choose another output.");
+  EXPECT_EQ(test::error_of([&] { read_file(target, 2); }),
+            target.string() + ": expected at most 2 bytes, found 3 bytes; check that it is the right file.");
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,57 @@
+#include "gld/base/sha256.h"
+
+#include "gld/base/atomic_file.h"
+#include "tests/support/shared_data.h"
+
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+std::string digest(const std::string& text) {
+  Sha256 hash;
+  hash.update(text);
+  return hash.hex_digest();
+}
+
+// FIPS 180-4's own examples.
+TEST(Sha256, KnownDigests) {
+  EXPECT_EQ(digest(""), "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+  EXPECT_EQ(digest("abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+  EXPECT_EQ(digest("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq"),
+            "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1");
+  EXPECT_EQ(digest(std::string(1000000, 'a')),
+            "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+}
+
+TEST(Sha256, PiecesDoNotMatter) {
+  const std::string text(300, 'g');
+  for (size_t cut = 0; cut <= text.size(); cut += 13) {
+    Sha256 hash;
+    hash.update(text.substr(0, cut));
+    hash.update(text.substr(cut));
+    EXPECT_EQ(hash.hex_digest(), digest(text)) << cut;
+  }
+  const test::TemporaryFolder folder;
+  write_file_atomically(folder.path() / "f", text);
+  EXPECT_EQ(sha256_of_file(folder.path() / "f"), digest(text));
+}
+
+TEST(Sha256, InstructionsAgreeWithPortableRounds) {
+  const Sha256Blocks fast = sha256_blocks_with_instructions();
+  if (fast == nullptr) return;  // the portable rounds are what the other tests have checked
+  std::vector<uint8_t> bytes(kSha256BlockBytes * 33);
+  for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<uint8_t>(i * i + i / 7);
+  for (const size_t blocks : {0, 1, 2, 33}) {
+    Sha256State a = {1, 2, 3, 4, 5, 6, 7, 0xffffffff}, b = a;
+    sha256_blocks_portable(a, bytes.data(), blocks);
+    fast(b, bytes.data(), blocks);
+    EXPECT_EQ(a, b) << blocks;
+  }
+}
+
+}  // namespace
+}  // namespace gld

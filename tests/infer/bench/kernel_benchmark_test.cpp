@@ -1,0 +1,106 @@
+#include "gld/machine/timing.h"
+#include "infer/bench/attention_benchmark.h"
+#include "infer/bench/forward_benchmark.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/shared_data.h"
+
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+std::string read(const std::filesystem::path& file) {
+  std::ifstream stream(file);
+  return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+std::string first_line(const std::filesystem::path& file) {
+  const std::string text = read(file);
+  return text.substr(0, text.find('\n'));
+}
+
+TEST(AttentionBenchmark, ReportsAllVariantsWithSmallErrors) {
+  AttentionBenchmarkOptions options;
+  options.head_dims = {16, 48};
+  options.tokens = {100};
+  options.threads = {1, 2};
+  options.repeats = 2;
+  const auto rows = attention_benchmark_rows(options);
+  ASSERT_EQ(rows.size(), 2U * 2 * 3 * 2);
+  for (const auto& row : rows) {
+    SCOPED_TRACE(row.variant);
+    EXPECT_GT(row.seconds, 0);
+    EXPECT_LE(row.seconds_low, row.seconds);
+    EXPECT_GE(row.seconds_high, row.seconds);
+    EXPECT_GT(row.fraction_of_peak, 0);
+    EXPECT_LT(row.relative_error, row.pass == AttentionPass::kForward ? 2e-6 : 1e-5);
+    EXPECT_GT(row.relative_error, 0);
+  }
+  EXPECT_EQ(rows[0].variant, "ours");
+  EXPECT_EQ(rows[2].variant, "composed");
+  EXPECT_EQ(rows[4].variant, "portable");
+}
+
+TEST(AttentionBenchmark, WritesItsFolder) {
+  const test::TemporaryFolder folder;
+  AttentionBenchmarkOptions options;
+  options.out = (folder.path() / "run").string();
+  options.head_dims = {16};
+  options.tokens = {20, 40};
+  options.repeats = 1;
+  EXPECT_EQ(run_attention_benchmark(options), 0);
+  EXPECT_EQ(first_line(folder.path() / "run" / "attention.csv"),
+            "head_dim,tokens,threads,variant,seconds,fraction_of_peak,relative_error");
+  for (const char* file :
+       {"attention_backward.csv", "attention.md", "attention.svg", "attention.png", "report.json"}) {
+    EXPECT_GT(std::filesystem::file_size(folder.path() / "run" / file), 100U) << file;
+  }
+}
+
+TEST(ForwardBenchmark, OursEqualsTheComposition) {
+  const test::TemporaryFolder folder;
+  const auto bundle = folder.path() / "model";
+  write_random_bundle(bundle, small_bundle_options(), 1);
+  ForwardBenchmarkOptions options;
+  options.model = bundle.string();
+  options.views = 3;
+  options.sources = 2;
+  options.size = "56x42";
+  options.repeats = 1;
+  const auto rows = forward_benchmark_rows(options);
+  ASSERT_EQ(rows.size(), 6U);
+  for (const auto& row : rows) {
+    SCOPED_TRACE(row.part + " " + row.variant);
+    EXPECT_GT(row.tflop, 0);
+    EXPECT_GT(row.fraction_of_peak, 0);
+    EXPECT_LT(row.relative_difference, 2e-5);
+    EXPECT_EQ(row.relative_difference == 0, row.variant == "composed");
+  }
+  options.out = (folder.path() / "run").string();
+  EXPECT_EQ(run_forward_benchmark(options), 0);
+  EXPECT_EQ(first_line(folder.path() / "run" / "forward.csv"),
+            "part,variant,seconds,tflop,fraction_of_peak,relative_difference");
+  EXPECT_GT(std::filesystem::file_size(folder.path() / "run" / "forward.png"), 100U);
+}
+
+TEST(ForwardBenchmark, RefusesMoreSourcesThanViews) {
+  ForwardBenchmarkOptions options;
+  options.views = 3;
+  EXPECT_EQ(test::error_of([&] { options.check(); }),
+            "--sources: expected at most --views, 3, found 4; lower it.");
+}
+
+TEST(Timing, TheMedianIsTheMiddle) {
+  EXPECT_EQ(spread_of({3, 1, 2}).median, 2);
+  EXPECT_EQ(spread_of({4, 1, 2, 3}).median, 2.5);
+  EXPECT_EQ(spread_of({4, 1, 2, 3}).low, 1);
+  EXPECT_EQ(spread_of({4, 1, 2, 3}).high, 4);
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,142 @@
+#include "infer/export/image_export.h"
+
+#include "datasets/images/image_file.h"
+#include "datasets/images/png_file.h"
+#include "gld/base/atomic_file.h"
+#include "gld/report/provenance.h"
+#include "tests/support/shared_data.h"
+
+#include <cmath>
+#include <limits>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using testing::ElementsAre;
+using testing::Pair;
+
+struct TwoOptions : OptionsGroup {
+  int64_t steps = 16;
+  std::string out = "runs/one";
+  void visit(FieldVisitor& visitor) override {
+    visitor.integer({"steps", "evaluations"}, steps, {1, 100});
+    visitor.text({"out", "folder"}, out);
+  }
+};
+
+Provenance example() {
+  Provenance provenance = make_provenance("sample", TwoOptions(), {"out"});
+  provenance.model_hash = "00ff";
+  provenance.seed = 7;
+  return provenance;
+}
+
+Image ramp(int64_t width, int64_t height) {
+  Image image(width, height);
+  for (size_t i = 0; i < image.rgb.size(); ++i) image.rgb[i] = static_cast<uint8_t>(i * 7);
+  return image;
+}
+
+TEST(Provenance, LeavesOutWhatDoesNotChangeTheResult) {
+  EXPECT_THAT(
+      provenance_items(example()),
+      ElementsAre(Pair("Software", testing::StartsWith("gld ")), Pair("gld:command", "sample"),
+                  Pair("gld:options", R"({"steps":16})"), Pair("gld:model", "00ff"), Pair("gld:seed", "7")));
+  Provenance without_model = example();
+  without_model.model_hash.clear();
+  EXPECT_EQ(find_text(provenance_items(without_model), "gld:model"), "");
+  EXPECT_EQ(find_text(provenance_items(without_model), "gld:seed"), "7");
+}
+
+TEST(ImageExport, KeepsPixelsAndProvenance) {
+  test::TemporaryFolder folder;
+  const auto file = folder.path() / "view_00.png";
+  const Image image = ramp(31, 17);
+  export_image(file, image, example(), {{"gld:view", "source – Zürich"}});
+  const Image read = read_image(file);
+  EXPECT_EQ(read.width, 31);
+  EXPECT_EQ(read.height, 17);
+  EXPECT_EQ(read.rgb, image.rgb);
+  TextItems expected = provenance_items(example());
+  expected.emplace_back("gld:view", "source – Zürich");  // not ASCII: an iTXt chunk
+  EXPECT_EQ(read_png_texts(file), expected);
+}
+
+TEST(ImageExport, TheSameInputGivesTheSameBytes) {
+  test::TemporaryFolder folder;
+  for (const char* name : {"a.png", "b.png"}) export_image(folder.path() / name, ramp(64, 48), example());
+  EXPECT_EQ(read_file(folder.path() / "a.png"), read_file(folder.path() / "b.png"));
+  size_t files = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(folder.path()))
+    files += entry.exists() ? 1 : 0;
+  EXPECT_EQ(files, 2U) << "a temporary file was left";
+}
+
+TEST(ImageExport, TakesBlackAndLongShapes) {
+  test::TemporaryFolder folder;
+  for (const auto& [width, height] : {std::pair<int64_t, int64_t>{8, 64}, {64, 8}, {2, 2}}) {
+    const Image black(width, height);
+    export_image(folder.path() / "black.png", black, example());
+    EXPECT_EQ(read_image(folder.path() / "black.png").rgb, black.rgb);
+  }
+}
+
+TEST(ImageExport, RefusesWhatIsNoImage) {
+  test::TemporaryFolder folder;
+  const auto file = folder.path() / "none.png";
+  EXPECT_EQ(test::error_of([&] { export_image(file, Image(), example()); }),
+            "PNG: expected an image with pixels, found 0x0 with 0 values; check what made it.");
+  Image torn(4, 4);
+  torn.rgb.pop_back();
+  EXPECT_EQ(test::error_of([&] { export_image(file, torn, example()); }),
+            "PNG: expected an image with pixels, found 4x4 with 47 values; check what made it.");
+  EXPECT_EQ(test::error_of([&] {
+              encode_png(ramp(2, 2), {{"", "text"}});
+            }),
+            "PNG text: expected a name of 1 to 79 ASCII characters, found \"\"; shorten it.");
+  EXPECT_FALSE(std::filesystem::exists(file));
+}
+
+TEST(PngTexts, RefusesBrokenFiles) {
+  test::TemporaryFolder folder;
+  const auto file = folder.path() / "broken.png";
+  const std::string whole = encode_png(ramp(9, 9), {{"name", "text"}});
+  write_file_atomically(file, whole.substr(0, whole.size() - 20));
+  EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
+            file.string() + ": expected a whole PNG file, found one that ends early; write it again.");
+  std::string altered = whole;
+  altered[33 + 8 + 5] = 'T';  // inside the text chunk behind the header
+  write_file_atomically(file, altered);
+  EXPECT_EQ(
+      test::error_of([&] { read_png_texts(file); }),
+      file.string() + ": expected a right checksum of the chunk tEXt, found a wrong one; write it again.");
+  write_file_atomically(file, "GIF89a");
+  EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
+            file.string() + ": expected a PNG file, found another one; check the path.");
+  // A length field that reaches beyond the file.
+  std::string endless = whole;
+  endless[33] = '\x7f';
+  write_file_atomically(file, endless);
+  EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
+            file.string() + ": expected a whole PNG file, found one that ends early; write it again.");
+}
+
+TEST(ImageFromPlanes, RoundsClampsAndBlackensWhatIsNoNumber) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const float infinite = std::numeric_limits<float>::infinity();
+  // Two pixels: red plane, green plane, blue plane.
+  const float planes[] = {0.5F, nan, -1.0F, infinite, 2.0F, 0.001F};
+  EXPECT_THAT(image_from_planes(planes, 2, 1).rgb, ElementsAre(128, 0, 255, 0, 255, 0));
+}
+
+TEST(ViewName, HasEnoughDigits) {
+  EXPECT_EQ(view_name(3, 8), "view_03");
+  EXPECT_EQ(view_name(3, 101), "view_003");
+  EXPECT_EQ(view_name(99, 100), "view_99");
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,96 @@
+#include "infer/forecast/stage_memory.h"
+
+#include "gld/machine/block_memory.h"
+#include "gld/tensors/torch_version.h"
+#include "infer/forecast/dit_speed.h"
+#include "infer/forecast/sampling_plan.h"
+#include "infer/forecast/stage_speed.h"
+
+#include <functional>
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+// Large enough that activations, not the blocks under 64 KiB that are not counted, decide.
+BundleOptions middling_bundle() {
+  BundleOptions bundle;
+  bundle.backbone.embed_dim = 128;
+  bundle.backbone.num_heads = 4;
+  bundle.dpt_head.dim_in = 256;
+  bundle.dpt_head.features = 64;
+  bundle.dpt_head.out_channels = {24, 48, 96, 192};
+  bundle.rgb_decoder.in_channels = 1024;
+  bundle.rgb_decoder.hidden_size = 192;
+  bundle.rgb_decoder.num_layers = 3;
+  bundle.rgb_decoder.num_heads = 4;
+  bundle.rgb_decoder.intermediate_size = 768;
+  bundle.level1.in_channels = bundle.cascade.in_channels = 256;
+  bundle.level1.hidden_size = bundle.cascade.hidden_size = {192, 288};
+  bundle.level1.num_heads = bundle.cascade.num_heads = {4, 6};
+  bundle.level1.depth = bundle.cascade.depth = {2, 1};
+  bundle.cascade.conditioning = DitConditioning::kDeeperLevel;
+  return bundle;
+}
+
+PlanRequest request_of(int64_t side) {
+  PlanRequest request;
+  request.grid.views = 4;
+  request.grid.height = request.grid.width = side;
+  request.num_sources = 2;
+  request.outputs.image = request.outputs.points = true;
+  request.level1_solver.evaluations = request.cascade_solver.evaluations = 1;
+  request.guidance.guidance_scale = 1;
+  return request;
+}
+
+// The most memory that tensors take while `work` runs, beyond what they take before.
+int64_t tensor_bytes_of(const std::function<void()>& work) {
+  release_kept_blocks();
+  const int64_t before = used_block_bytes();
+  work();
+  return most_used_block_bytes() - before;
+}
+
+class StageMemoryPrediction : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    keep_freed_tensor_memory(int64_t{1} << 30);
+    set_thread_count(1);  // every thread has scratch of its own
+  }
+};
+
+TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {
+  const BundleOptions bundle = middling_bundle();
+  for (const int64_t side : {16, 28}) {
+    const PlanRequest request = request_of(side);
+    const SamplingPlan plan = plan_sampling(bundle, request);
+    for (const PlannedStage& stage : plan.stages) {
+      const bool flow = stage.name == "M1" || stage.name == "cascade";
+      const int64_t taken = tensor_bytes_of([&] {
+        if (flow) {
+          MachineSpeed speed;
+          speed.linear = speed.matrix_product = speed.attention = 1e11;
+          measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
+        } else {
+          measure_stage_seconds(stage.name, bundle, request);
+        }
+      });
+      const auto predicted = static_cast<double>(stage.memory.weights + stage.memory.working);
+      EXPECT_NEAR(static_cast<double>(taken) / predicted, 1, 0.25) << stage.name << ", side " << side;
+    }
+  }
+}
+
+TEST_F(StageMemoryPrediction, CountsAllWeights) {
+  const BundleOptions bundle = middling_bundle();
+  int64_t bytes = 0;
+  for (const auto& parameter : DitDh(bundle.level1, ParameterPlacement{}).parameters())
+    bytes += 4 * parameter.numel();
+  EXPECT_EQ(weight_bytes_of(BundlePart::kLevel1, bundle), bytes);
+}
+
+}  // namespace
+}  // namespace gld

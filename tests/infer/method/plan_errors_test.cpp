@@ -1,0 +1,217 @@
+#include "infer/method/plan_errors.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "infer/forecast/sampling_plan.h"
+#include "infer/method/sample_options.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/shared_data.h"
+
+#include <cmath>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+
+SamplingMethod method_of(const std::string& name, int64_t evaluations) {
+  SamplingMethod method = quality_method(SamplingQuality::kExact, DitOptions());
+  method.name = name;
+  method.solver.evaluations = evaluations;
+  return method;
+}
+
+// Three methods: cheap, middling, dear.
+PlanErrors table_of_three() {
+  PlanErrors table;
+  table.model_hash = "abc";
+  table.scenes = 16;
+  table.grid = {4, 8, 8};
+  table.methods = {{method_of("cheap", 6), 0.1, 0.16, 0.2},
+                   {method_of("middling", 12), 0.02, 0.04, 0.05},
+                   {method_of("dear", 24), 0.004, 0.008, 0.01}};
+  return table;
+}
+
+TEST(PlanErrors, TheCheapestWithinTheToleranceIsPicked) {
+  const auto table = table_of_three();
+  const std::vector<double> flop{1e9, 2e9, 4e9};
+  EXPECT_EQ(cheapest_within(table, 1, flop), 0U);
+  EXPECT_EQ(cheapest_within(table, 0.2, flop), 0U);  // the bound counts, and may be met exactly
+  EXPECT_EQ(cheapest_within(table, 0.19, flop), 1U);
+  EXPECT_EQ(cheapest_within(table, 0.01, flop), 2U);
+  EXPECT_EQ(cheapest_within(table, 1, {3e9, 2e9, 4e9}), 1U);  // cost is this scene's, not the table's order
+  EXPECT_EQ(
+      error_of([&] { cheapest_within(table, 0.005, flop); }),
+      "--tolerance: expected at least 0.01, the bound of the most exact method that was measured (dear), "
+      "found 0.005; raise it, or choose --solver and --evaluations yourself.");
+}
+
+TEST(PlanErrors, TheBoundCoversWhatWasMeasuredAndLeavesRoom) {
+  const auto over = [](const std::vector<double>& errors, double typical) {
+    return std::log(error_bound(errors) / typical);
+  };
+  // Student's quantiles at 0.001: 4.50079, 4.14370 and 3.09 of 8, 10 and (nearly) infinitely many degrees of freedom.
+  EXPECT_NEAR(over({0.1}, 0.1), 4.50079 * std::sqrt(2.0) * 0.4, 1e-4);
+  EXPECT_NEAR(over({0.1, 0.1, 0.1}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * 8 * 0.16 / 10), 1e-4);
+  const double e = std::exp(1.0);
+  EXPECT_NEAR(over({0.1 / e, 0.1, 0.1 * e}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * (8 * 0.16 + 2) / 10), 1e-4);
+  std::vector<double> many;
+  for (int i = 0; i < 4000; ++i) many.push_back(0.1 * (i % 2 == 0 ? e : 1 / e));
+  EXPECT_NEAR(over(many, 0.1), 3.092, 0.01);
+  many.push_back(7);
+  EXPECT_GE(error_bound(many), 1.25 * 7);  // never below what was seen
+  EXPECT_EQ(error_bound({0, 0}), 0);
+  EXPECT_LT(error_bound({0, 0.1, 0.1, 0.1, 0.1, 0.1}), 1e7);
+}
+
+TEST(PlanErrors, AreReadAsTheyWereWritten) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / kPlanErrorsFile;
+  auto table = table_of_three();
+  table.methods[1].method.approximate.cascade_encoder_nodes = 6;
+  table.methods[1].method.guidance_interval = {0.5, 1};
+  write_file_atomically(file, plan_errors_json(table).dump());
+  const auto read = read_plan_errors(file);
+  EXPECT_EQ(plan_errors_json(read), plan_errors_json(table));
+  auto renamed = table.methods[1].method;
+  renamed.name = "another name";
+  ASSERT_TRUE(errors_of(read, renamed).has_value());
+  EXPECT_EQ(errors_of(read, renamed)->bound, 0.05);
+  renamed.approximate.level1_encoder_every = 2;
+  EXPECT_FALSE(errors_of(read, renamed).has_value());
+
+  EXPECT_THAT(
+      error_of([&] { read_plan_errors(folder.path() / "none.json"); }),
+      testing::HasSubstr("expected the measured errors of sampling with this model, found no such file; "
+                         "measure it again: gld bench sample-plan --model BUNDLE --write-table --out RUN."));
+  for (const char* text : {"{", "{}", "[]", R"({"format": "other"})"}) {
+    write_file_atomically(file, text);
+    EXPECT_THAT(error_of([&] { read_plan_errors(file); }),
+                testing::HasSubstr("expected a table of gld bench sample-plan"))
+        << text;
+  }
+}
+
+TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
+  const DitOptions cascade;  // of a level model: its encoder sees the noisy latent
+  DitOptions plain;
+  plain.conditioning = DitConditioning::kDeeperLevel;
+  const auto published = quality_method(SamplingQuality::kPublished, plain);
+  EXPECT_EQ(method_text(published), "euler on published, 49 evaluations a level");
+  EXPECT_EQ(method_text(quality_method(SamplingQuality::kExact, plain)),
+            "unipc3 on logsnr, 16 evaluations a level");
+  EXPECT_GT(quality_method(SamplingQuality::kBalanced, plain).approximate.cascade_encoder_nodes, 0);
+  EXPECT_EQ(quality_method(SamplingQuality::kBalanced, cascade).approximate.cascade_encoder_nodes, 0);
+  EXPECT_FALSE(quality_method(SamplingQuality::kExact, plain).approximate.any());
+
+  SamplingMethod read;
+  auto fast = quality_method(SamplingQuality::kFast, plain);
+  load_yaml_text(read, to_yaml(fast), "text");
+  EXPECT_TRUE(same_method(read, fast));
+
+  BundleOptions bundle;
+  bundle.level1_time_shift.evaluation = 4;
+  GuidanceOptions guidance;
+  guidance.guidance_scale = 2;
+  const auto settings = flow_settings(fast, guidance, bundle);
+  EXPECT_EQ(settings.level1_solver.schedule.shift, 4);
+  EXPECT_EQ(settings.guidance.guidance_scale, 2);
+  EXPECT_EQ(settings.guidance.guidance_interval, fast.guidance_interval);
+}
+
+SampleOptions asked_for() {
+  SampleOptions options;
+  options.scene = "scene";
+  options.out = "run";
+  return options;
+}
+
+TEST(SampleOptions, QualityAndToleranceSpeakAlone) {
+  auto options = asked_for();
+  options.quality = SamplingQuality::kFast;
+  options.check();
+  options.guidance.guidance_scale = 3;  // what is sampled, not how
+  options.no_skip = {"encoder_reuse"};
+  options.named = {"quality", "guidance.guidance_scale"};
+  options.check();
+  options.named.emplace_back("solver.evaluations");  // as by --evaluations 16, the default
+  EXPECT_EQ(
+      error_of([&] { options.check(); }),
+      "--quality: expected no other option beside it that decides how to sample, found 'solver.evaluations'; "
+      "leave out one of the two.");
+  options.named.clear();
+  options.approximate.level1_encoder_every = 2;  // as from a file
+  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("'approximate.level1_encoder_every'"));
+  options.approximate.level1_encoder_every = 1;
+  options.preset = SamplingPreset::kPublished;
+  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("'preset'"));
+  options.preset = SamplingPreset::kOptions;
+  options.tolerance = 0.1;
+  EXPECT_THAT(error_of([&] { options.check(); }),
+              testing::HasSubstr("--quality: expected no other option beside it "
+                                 "that decides how to sample, found 'tolerance'"));
+  options.quality = SamplingQuality::kOptions;
+  options.check();
+  options.guidance.guidance_interval = {0.9, 1};
+  EXPECT_THAT(
+      error_of([&] { options.check(); }),
+      testing::HasSubstr("--tolerance: expected no other option beside it that decides how to sample, found "
+                         "'guidance.guidance_interval'"));
+}
+
+TEST(SampleOptions, TheMethodIsWhatTheOptionsSay) {
+  auto options = asked_for();
+  options.solver.evaluations = 9;
+  options.guidance.guidance_interval = {0.2, 1};
+  options.approximate.cascade_encoder_nodes = 5;
+  const auto method = options.method(DitOptions());
+  EXPECT_EQ(
+      method_text(method),
+      "unipc3 on logsnr, 9 evaluations a level; guidance from t = 1 to 0.2; cascade encoder at 5 flow times");
+  options.quality = SamplingQuality::kPublished;
+  EXPECT_EQ(options.method(DitOptions()).solver.evaluations, 49);
+}
+
+TEST(PlannedRuns, CountWhatTheSavingsLeave) {
+  DitOptions level1, cascade;
+  cascade.conditioning = DitConditioning::kDeeperLevel;
+  PlanRequest request;
+  request.grid = {4, 8, 8};
+  request.set(flow_settings(method_of("twenty", 20), GuidanceOptions(), BundleOptions()));
+  EXPECT_EQ(planned_runs(cascade, request.cascade_solver, request).condition_encoder, 40);
+  request.approximate.cascade_encoder_nodes = 6;
+  request.approximate.level1_encoder_every = 5;
+  const auto nodes = planned_runs(cascade, request.cascade_solver, request);
+  EXPECT_EQ(nodes.condition_encoder, 12);
+  EXPECT_EQ(nodes.velocity_decoder, 40);
+  EXPECT_EQ(planned_runs(level1, request.level1_solver, request).condition_encoder, 10);
+  request.guidance.guidance_scale = 1;
+  EXPECT_EQ(planned_runs(cascade, request.cascade_solver, request).condition_encoder, 6);
+  EXPECT_EQ(planned_runs(level1, request.level1_solver, request).condition_encoder, 5);
+}
+
+TEST(PlannedRuns, TheReportPutsTheActualBesideThePredicted) {
+  SamplingPlan plan;
+  PlannedStage stage;
+  stage.name = "M1";
+  stage.seconds = 2;
+  stage.peak_bytes = 1'000'000'000;
+  plan.stages = {stage};
+  StageRecord record;
+  record.name = "M1";
+  record.seconds = 3;
+  record.peak_bytes = 500'000'000;
+  const auto json = plan_json(plan, {record});
+  EXPECT_EQ(json.at(0).at("seconds_over_predicted"), 1.5);
+  EXPECT_EQ(json.at(0).at("peak_over_predicted"), 0.5);
+  EXPECT_EQ(actual_text(plan, {record}),
+            "the planned stages took 3.0 s (predicted 2.0 s) and at most 500.0 MB (predicted 1.00 GB)\n");
+  EXPECT_FALSE(plan_json(plan, {}).at(0).contains("seconds"));
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,298 @@
+#include "infer/sample/sampling.h"
+
+#include "datasets/formats/scene_reader.h"
+#include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/tensors/torch_version.h"
+#include "gld/tensors/weight_tensors.h"
+#include "infer/export/ply_file.h"
+#include "infer/forecast/doctor.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/shared_data.h"
+
+#include <csignal>
+#include <filesystem>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+namespace gld {
+namespace {
+
+using testing::HasSubstr;
+
+// One random model and one drawn scene of 6 frames for all tests.
+class Sampling : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = new test::TemporaryFolder();
+    write_random_bundle(folder_->path() / "model", small_bundle_options(), 7);
+    SyntheticOptions synthetic;
+    synthetic.seed = 5;
+    synthetic.frames = 6;
+    synthetic.width = 112;
+    synthetic.height = 56;
+    write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder_->path() / "scene");
+  }
+  static void TearDownTestSuite() {
+    delete folder_;
+    folder_ = nullptr;
+  }
+
+  static SampleOptions options(const std::string& run) {
+    SampleOptions options;
+    options.model = (folder_->path() / "model").string();
+    options.scene = (folder_->path() / "scene").string();
+    options.views.sources = {0, 3};
+    options.views.targets = {1, 2};
+    options.size = "112x56";
+    options.solver.evaluations = 3;
+    options.threads = 1;
+    options.out = (folder_->path() / run).string();
+    return options;
+  }
+
+  static nlohmann::json run(const SampleOptions& options) {
+    testing::internal::CaptureStdout();
+    testing::internal::CaptureStderr();
+    sample(options);
+    printed_ = testing::internal::GetCapturedStdout();
+    testing::internal::GetCapturedStderr();
+    return nlohmann::json::parse(read_file(std::filesystem::path(options.out) / "report.json"));
+  }
+
+  static std::vector<std::string> stage_names(const nlohmann::json& report) {
+    std::vector<std::string> names;
+    for (const auto& stage : report.at("stages")) names.push_back(stage.at("stage"));
+    return names;
+  }
+
+  static test::TemporaryFolder* folder_;
+  static std::string printed_;
+};
+test::TemporaryFolder* Sampling::folder_ = nullptr;
+std::string Sampling::printed_;
+
+TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
+  auto asked = options("everything");
+  asked.outputs = {"image", "depth", "rays", "points", "latents"};
+  const auto report = run(asked);
+  const std::filesystem::path out = asked.out;
+  for (const char* file :
+       {"config.yaml", "report.json", "contact_sheet.png", "cameras.json", "points.ply",
+        "latents.safetensors", "images/view_02.png", "images/view_03.png", "depth/view_02.png",
+        "depth/view_02.pfm", "depth/view_02_preview.png", "rays/view_03.npz"}) {
+    EXPECT_TRUE(std::filesystem::is_regular_file(out / file)) << file;
+  }
+  EXPECT_FALSE(std::filesystem::exists(out / "images" / "view_00.png"));  // sources are not generated
+  // The run folder is a scene again, with all four views.
+  const Scene written = open_scene(out);
+  ASSERT_EQ(written.frames.size(), 4u);
+  EXPECT_EQ(written.frames[0].image().width, 112);
+  EXPECT_TRUE(written.frames[3].has_depth());
+  const Image image = read_image(out / "images" / "view_02.png");
+  EXPECT_EQ(image.width, 112);
+  EXPECT_EQ(image.height, 56);
+  EXPECT_EQ(report.at("flows").at(0).at("function_evaluations"), 3);
+  EXPECT_EQ(report.at("flows").at(1).at("with_unconditional_branch"), 3);
+  EXPECT_EQ(report.at("against_truth").size(), 2u);
+  EXPECT_EQ(report.at("model").at("hash").get<std::string>().size(), 64u);
+  EXPECT_THAT(printed_, HasSubstr("2 source and 2 target views at 112x56"));
+  EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
+}
+
+TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
+  auto asked = options("image_only");
+  asked.outputs = {"image"};
+  asked.guidance.guidance_scale = 1;
+  const auto report = run(asked);
+  EXPECT_THAT(stage_names(report), testing::ElementsAre("source encoding", "M1", "cascade", "propagation",
+                                                        "RGB decoding", "hashing the model", "writing"));
+  for (const auto& flow : report.at("flows")) {
+    EXPECT_EQ(flow.at("with_unconditional_branch"), 0);
+    EXPECT_EQ(flow.at("velocity_decoder_runs"), 3);
+  }
+  EXPECT_FALSE(std::filesystem::exists(std::filesystem::path(asked.out) / "depth"));
+
+  asked = options("latents_only");
+  asked.outputs = {"latents"};
+  EXPECT_THAT(stage_names(run(asked)),
+              testing::ElementsAre("source encoding", "M1", "cascade", "hashing the model", "writing"));
+}
+
+TEST_F(Sampling, TheSameCommandGivesTheSameBytes) {
+  auto first = options("first"), second = options("second"), other = options("other");
+  other.seed = 1;
+  for (const auto* asked : {&first, &second, &other}) run(*asked);
+  const auto bytes = [&](const SampleOptions& asked, const char* file) {
+    return read_file(std::filesystem::path(asked.out) / file);
+  };
+  for (const char* file : {"images/view_02.png", "depth/view_03.pfm", "points.ply", "cameras.json"}) {
+    EXPECT_TRUE(bytes(first, file) == bytes(second, file)) << file;
+  }
+  EXPECT_FALSE(bytes(first, "images/view_02.png") == bytes(other, "images/view_02.png"));
+}
+
+TEST_F(Sampling, GuidanceOutsideItsIntervalCostsNothing) {
+  auto asked = options("interval");
+  asked.outputs = {"latents"};
+  asked.guidance.guidance_interval = {0.99, 1};
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("flows").at(0).at("with_unconditional_branch"), 1);  // the first evaluation, at t = 1
+}
+
+TEST_F(Sampling, ExactSavingsChangeNothingBeyondRounding) {
+  auto with = options("with_savings"), without = options("without_savings");
+  for (auto* asked : {&with, &without}) asked->outputs = {"latents"};
+  without.no_skip = exact_saving_names();
+  run(with);
+  run(without);
+  const auto latent = [](const SampleOptions& asked) {
+    return read_all(std::filesystem::path(asked.out) / "latents.safetensors").at("level0");
+  };
+  const auto expected = latent(without);
+  const double difference = (latent(with) - expected).abs().max().item<double>();
+  EXPECT_LT(difference, 1e-5 * expected.abs().max().item<double>());
+  EXPECT_EQ(
+      test::error_of([&] {
+        without.no_skip = {"prope_tables"};
+        without.savings();
+      }),
+      "--no-skip: expected one of camera_embedding_once, source_embedding_once, shared_noisy_embedding, "
+      "cascade_input_once, encoder_reuse, time_rows_once, prope_tables_once, unconditional_constants, "
+      "combined_last_linear, found 'prope_tables'; write 'prope_tables_once'.");
+}
+
+TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
+  const auto asked = options("unused");
+  SampleOptions published = asked;
+  published.preset = SamplingPreset::kPublished;
+  BundleOptions bundle;
+  bundle.level1_time_shift.evaluation = 31.18;
+  const auto resolved = [&](const SampleOptions& options) {
+    return flow_settings(options.method(bundle.cascade), options.guidance, bundle).level1_solver;
+  };
+  const SolverOptions solver = resolved(published);
+  const auto times = solver_times(solver);
+  ASSERT_EQ(times.size(), 50u);
+  EXPECT_DOUBLE_EQ(times.front(), 1);
+  // t = 0.001 shifted by 31.18, and the time before it: DESIGN.md section 4, "Flow".
+  EXPECT_NEAR(times[49], 0.030, 5e-4);
+  EXPECT_NEAR(times[48], 0.405, 5e-4);
+  EXPECT_EQ(solver.solver, SolverKind::kEuler);
+  bundle.level1_time_shift.evaluation = 5;
+  EXPECT_EQ(resolved(asked).schedule.shift, 5);
+}
+
+TEST_F(Sampling, AnOrbitNeedsNoTargetFrames) {
+  auto asked = options("orbit");
+  asked.views.targets.clear();
+  asked.views.path.path = "orbit";
+  asked.views.path.frames = 3;
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("scene").at("views").size(), 5u);
+  EXPECT_FALSE(report.contains("against_truth"));
+}
+
+TEST_F(Sampling, WrongRequestsGetOneSentence) {
+  const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
+    SampleOptions asked = options("refused");
+    change(asked);
+    return test::error_of([&] {
+      asked.check();
+      asked.views.check();
+      sample(asked);
+    });
+  };
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.views.targets = {9}; }),
+      "--targets: expected frame numbers from 0 to 5, which is what scene 'scene' has, found 9; choose among "
+      "its frames.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.sources.clear(); }),
+            "--sources: expected at least one source view, found none; add for example --sources 0,3.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) {
+              asked.views.sources = {1, 1};
+            }),
+            "--sources: expected each source view once, found a frame number twice; remove the repetition.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.path.path = "orbit"; }),
+            "--targets, --path: expected either target frames or a path, found both; add for example "
+            "--targets 1,2, "
+            "or --path orbit.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.size = "100x56"; }),
+            "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.size = "big"; }),
+      "--size: expected WIDTHxHEIGHT in pixels, or auto, found 'big'; write for example --size 504x280.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
+      "--outputs: expected image, depth, rays, points or latents, found 'imagse'; did you mean 'image'?");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.device = "tpu"; }),
+            "--device: expected cpu, cuda or cuda:N, found 'tpu'; write for example --device cpu.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.scene.clear(); }),
+      "--scene: expected a folder of images with cameras, found nothing; add for example --scene my_photos.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.out.clear(); }),
+            "--out: expected a folder to write into, found nothing; add for example --out runs/sample.");
+  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "refused"));
+}
+
+TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
+  auto asked = options("interrupted");
+  asked.solver.evaluations = 4000;
+  asked.outputs = {"image"};
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  // The handler is installed by sample(); the alarm arrives while M1 runs.
+  std::signal(SIGALRM, [](int) { std::raise(SIGINT); });
+  ::alarm(2);
+  std::string done;
+  try {
+    sample(asked);
+  } catch (const Interrupted& interrupted) {
+    done = interrupted.what();
+  }
+  testing::internal::GetCapturedStdout();
+  testing::internal::GetCapturedStderr();
+  EXPECT_THAT(done, testing::MatchesRegex("M1 had reached flow time [0-9.]+; nothing of it was written"));
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(asked.out)) {
+    EXPECT_THAT(entry.path().filename().string(), testing::Not(HasSubstr("partial")));
+  }
+  EXPECT_TRUE(std::filesystem::is_regular_file(std::filesystem::path(asked.out) / "config.yaml"));
+}
+
+TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
+  auto asked = options("unused");
+  asked.outputs = {"image"};
+  const auto text = sampling_plan_report(asked);
+  EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
+  EXPECT_THAT(text,
+              testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
+  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
+}
+
+TEST_F(Sampling, TheDoctorForecastsForAModel) {
+  DoctorOptions asked;
+  asked.model = (folder_->path() / "model").string();
+  asked.size = "112x56";
+  asked.json = true;
+  asked.threads = 1;
+  const auto report = nlohmann::json::parse(doctor_report(asked));
+  EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
+  EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
+  ASSERT_EQ(report.at("forecast").size(), 6u);
+  for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
+  asked.sources = asked.views;
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--sources: expected fewer source views than views, found 8 of 8; leave at least one target view.");
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,30 @@
+#include "infer/verify/reference_runners.h"
+#include "infer/verify/verification.h"
+#include "tests/support/shared_data.h"
+
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+class ReferenceCases : public testing::TestWithParam<std::string> {};
+
+TEST_P(ReferenceCases, EveryTensorIsWithinItsTolerance) {
+  const auto result = verify_case(test::shared_data() / "goldens" / GetParam(), standard_reference_runners());
+  EXPECT_TRUE(result.passed()) << case_text(result);
+  EXPECT_FALSE(result.tensors.empty());
+}
+
+INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
+                         testing::Values("backbone_da3", "dpt_head_da3", "rgb_decoder", "lpips_squeeze",
+                                         "metrics_image_depth"));
+
+INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
+                         testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",
+                                         "dit_special_level1", "dit_special_cascade", "sample_level1",
+                                         "pipeline"));
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,224 @@
+#include "models/bundle/conversion.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/tensors/weight_tensors.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/pickle_text.h"
+#include "tests/support/shared_data.h"
+
+#include <filesystem>
+#include <map>
+#include <string>
+
+#include <torch/types.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+using test::PickleText;
+using Tensors = std::map<std::string, torch::Tensor>;
+
+// A PyTorch file of nested state_dicts, the way the published training saves one.
+std::string checkpoint(const std::map<std::string, Tensors>& dictionaries) {
+  PickleText pickle;
+  std::map<std::string, std::string> storages;
+  pickle.op('}').op('(');
+  for (const auto& [dictionary, tensors] : dictionaries) {
+    pickle.text(dictionary).empty_ordered_dictionary().op('(');
+    for (const auto& [name, tensor] : tensors) {
+      const std::string key = std::to_string(storages.size());
+      const auto values = tensor.to(torch::kFloat32).contiguous();
+      storages[key] = {static_cast<const char*>(values.data_ptr()),
+                       static_cast<size_t>(values.numel()) * sizeof(float)};
+      pickle.text(name).tensor(key, values.numel(), 0, values.sizes().vec(),
+                               row_major_strides(values.sizes().vec()));
+    }
+    pickle.op('u');
+  }
+  pickle.text("train_steps").integer(70000).op('u');
+  return test::torch_zip(pickle.stopped(), storages);
+}
+
+Tensors with_prefix(const Tensors& tensors, const std::string& prefix) {
+  Tensors renamed;
+  for (const auto& [name, tensor] : tensors) renamed[prefix + name] = tensor;
+  return renamed;
+}
+
+Tensors negated(const Tensors& tensors) {
+  Tensors other;
+  for (const auto& [name, tensor] : tensors) other[name] = -tensor;
+  return other;
+}
+
+// The published files of a small model, made from a random bundle.
+class Conversion : public testing::Test {
+ protected:
+  void SetUp() override {
+    write_random_bundle(original(), small_bundle_options(), 3);
+    Tensors da3 = with_prefix(part(BundlePart::kBackbone), Da3Backbone::kPrefix);
+    da3.merge(with_prefix(part(BundlePart::kDptHead), DptHead::kPrefix));
+    da3["model.cam_dec.fc_t.bias"] = torch::zeros({3});
+    save_safetensors(path("da3.safetensors"), da3);
+    const Tensors decoder = with_prefix(part(BundlePart::kRgbDecoder), RgbDecoder::kPrefix);
+    write_file_atomically(path("decoder.pt"), checkpoint({{"ema", decoder}, {"model", negated(decoder)}}));
+    const Tensors level1 = part(BundlePart::kLevel1);
+    write_file_atomically(
+        path("level1.pt"),
+        checkpoint({{"ema", level1}, {"model", negated(level1)}, {"opt", {{"exp_avg", torch::zeros({2})}}}}));
+    write_file_atomically(path("cascade.pt"), checkpoint({{"ema", part(BundlePart::kCascade)}}));
+    options_.da3 = path("da3.safetensors");
+    options_.rgb_decoder = path("decoder.pt");
+    options_.level1 = path("level1.pt");
+    options_.cascade = path("cascade.pt");
+    options_.statistics_level0 = original() / "statistics_level0.safetensors";
+    options_.statistics_level1 = original() / "statistics_level1.safetensors";
+    options_.description = original() / "model.yaml";
+    options_.out = path("out");
+  }
+
+  std::filesystem::path path(const std::string& name) const { return folder_.path() / name; }
+  std::filesystem::path original() const { return path("original"); }
+  Tensors part(BundlePart part) const { return read_all(ModelBundle::open(original()).file(part)); }
+
+  test::TemporaryFolder folder_;
+  ConversionOptions options_;
+};
+
+TEST_F(Conversion, GivesTheBundleThatTheFilesCameFrom) {
+  const auto report = convert(options_);
+  EXPECT_EQ(ModelBundle::open(options_.out).content_hash(), ModelBundle::open(original()).content_hash());
+  EXPECT_EQ(report["parts"].size(), 7U);
+  EXPECT_EQ(report["missing"].size(), 0U);
+  EXPECT_EQ(report["parts"]["level1"]["selection"], "ema.");
+  std::map<std::string, int64_t> ignored;
+  for (const auto& entry : report["ignored"]) ignored[entry["names"]] += entry["tensors"].get<int64_t>();
+  EXPECT_EQ(ignored.at("model.cam_dec.*"), 1);
+  EXPECT_EQ(ignored.at("opt.*"), 1);
+  EXPECT_EQ(ignored.at("model.*"),
+            static_cast<int64_t>(part(BundlePart::kLevel1).size() + part(BundlePart::kRgbDecoder).size()));
+  EXPECT_NE(conversion_text(report).find("left out           1 tensors opt.* of " + options_.level1 +
+                                         ": state of the optimiser\n"),
+            std::string::npos);
+  EXPECT_EQ(nlohmann::json::parse(read_file(path("out") / "conversion.json"))["parts"].size(), 7U);
+}
+
+TEST_F(Conversion, TakesTheOtherCopy) {
+  options_.cascade.clear();
+  options_.weights = CheckpointWeights::kModel;
+  convert(options_);
+  const auto bundle = ModelBundle::open(options_.out);
+  EXPECT_TRUE(read_all(bundle.file(BundlePart::kLevel1))
+                  .at("s_projector.bias")
+                  .equal(-part(BundlePart::kLevel1).at("s_projector.bias")));
+  EXPECT_FALSE(bundle.has(BundlePart::kCascade));
+}
+
+TEST_F(Conversion, StoresHalfPrecisionButNeverOfStatistics) {
+  options_.precision = StoredPrecision::kFloat16;
+  convert(options_);
+  const auto bundle = ModelBundle::open(options_.out);
+  for (const auto& entry : WeightFile::open(bundle.file(BundlePart::kLevel1))->entries()) {
+    EXPECT_EQ(entry.dtype, DType::kFloat16) << entry.name;
+  }
+  const auto statistics = read_all(bundle.file(BundlePart::kStatisticsLevel1));
+  EXPECT_TRUE(statistics.at("mean").equal(part(BundlePart::kStatisticsLevel1).at("mean")));
+  EXPECT_EQ(statistics.at("mean").scalar_type(), torch::kFloat32);
+}
+
+TEST_F(Conversion, AddsPartsToAnExistingBundle) {
+  auto first = options_;
+  first.level1.clear();
+  first.cascade.clear();
+  EXPECT_EQ(convert(first)["missing"].dump(), R"(["level1","cascade"])");
+  auto second = options_;
+  second.da3.clear();
+  second.rgb_decoder.clear();
+  second.statistics_level0.clear();
+  EXPECT_EQ(convert(second)["missing"].size(), 0U);
+  EXPECT_EQ(ModelBundle::open(options_.out).content_hash(), ModelBundle::open(original()).content_hash());
+}
+
+TEST_F(Conversion, RealStatisticsConvert) {
+  ConversionOptions options;
+  options.statistics_level1 = test::shared_data() / "stats/da3/normalization_stats_level1.pt";
+  options.out = path("released");
+  const auto report = convert(options);
+  EXPECT_EQ(report["parts"]["statistics_level1"]["elements"], 3072);
+  EXPECT_EQ(report["ignored"][0]["names"], "std");
+  EXPECT_EQ(ModelBundle::open(options.out).options().rgb_decoder.num_layers, 28);
+  options.statistics_level1 = test::shared_data() / "stats/vggt/normalization_stats_level1.pt";
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.statistics_level1 +
+                ": expected 1536 channels, found 2048; check that the file belongs to this backbone.");
+}
+
+TEST_F(Conversion, IsStrict) {
+  const auto refusal = [&](const Tensors& level1) {
+    write_file_atomically(path("level1.pt"), checkpoint({{"ema", level1}}));
+    auto only = options_;
+    only.da3.clear();
+    return error_of([&] { convert(only); });
+  };
+  const std::string where = path("level1.pt").string();
+  auto missing = part(BundlePart::kLevel1);
+  missing.erase("s_projector.bias");
+  EXPECT_EQ(refusal(missing),
+            where +
+                ": expected a tensor named ema.s_projector.bias, found none; check that the "
+                "configuration belongs to these weights.");
+  auto unexpected = part(BundlePart::kLevel1);
+  unexpected["s_projector.scale"] = torch::zeros({1});
+  EXPECT_EQ(
+      refusal(unexpected),
+      where +
+          ": expected no tensor beside the model's own, found the unexpected tensor s_projector.scale; check "
+          "that the configuration belongs to these weights (the model's nearest tensor is "
+          "s_projector.bias).");
+  auto misshapen = part(BundlePart::kLevel1);
+  misshapen["s_projector.bias"] = torch::zeros({3});
+  EXPECT_EQ(refusal(misshapen),
+            where +
+                ": tensor ema.s_projector.bias: expected shape (128), found (3); check that "
+                "the configuration belongs to these weights.");
+  auto broken = part(BundlePart::kLevel1);
+  broken["s_projector.bias"] = torch::full({128}, std::numeric_limits<float>::quiet_NaN());
+  EXPECT_EQ(refusal(broken),
+            where +
+                ": tensor ema.s_projector.bias: expected finite numbers, found NaN or infinity; get "
+                "the file again, its weights are broken.");
+  options_.precision = StoredPrecision::kFloat16;
+  auto large = part(BundlePart::kLevel1);
+  large["s_projector.bias"] = torch::full({128}, -70000.0F);
+  EXPECT_EQ(refusal(large),
+            where +
+                ": tensor ema.s_projector.bias: expected numbers that fit float16, found 70000; "
+                "choose --precision bf16 or fp32.");
+  write_file_atomically(path("level1.pt"), checkpoint({{"ema", part(BundlePart::kLevel1)},
+                                                       {"extra", {{"w", torch::zeros({1})}}}}));
+  EXPECT_EQ(
+      error_of([&] { convert(options_); }),
+      where +
+          ": expected only tensors of the model, found the unexpected tensor extra.w; check that the file is "
+          "the one meant and that --weights chooses the right copy.");
+}
+
+TEST_F(Conversion, NeedsAFileAndAFolder) {
+  ConversionOptions options;
+  options.out = "somewhere";
+  EXPECT_EQ(error_of([&] { options.check(); }),
+            "gld convert: expected at least one file to convert, found none; give --da3, --level1, ... (see "
+            "gld convert "
+            "--help).");
+  options.out.clear();
+  EXPECT_EQ(
+      error_of([&] { options.check(); }),
+      "--out: expected a folder to write the bundle into, found nothing; add for example --out models/gld.");
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,95 @@
+#pragma once
+
+#include "gld/base/atomic_file.h"
+#include "train/data/batch_feed.h"
+#include "train/loop/objective.h"
+
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/autograd.h>
+
+namespace gld::test {
+
+// A 6 x 3 matrix that learns to map the mean colour of a scene to six fixed numbers, with noise from the run's
+// generator, so that every part of the state matters for the next step.
+class ToyObjective : public Objective {
+ public:
+  ToyObjective() : weight_(torch::full({6, 3}, 0.1F)), counter_(torch::zeros({1}, torch::kInt64)) {}
+
+  std::string kind() const override { return "toy"; }
+  torch::Device device() const override { return torch::kCPU; }
+  bool concurrent() const override { return true; }
+  std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
+  Losses losses(const TrainingBatch& batch, const StepContext& context) override {
+    torch::Tensor total = torch::zeros({});
+    for (const TrainingScene& scene : batch.scenes) {
+      const auto colour = scene.images.mean({0, 2, 3});
+      const auto noise = torch::randn({3}, context.generator, torch::kFloat32);
+      const auto error = torch::mv(weight_, colour + 0.1 * noise) - torch::arange(6.0F);
+      total = total + error.square().mean() * static_cast<double>(spoil(batch.index));
+    }
+    return {total, {{"error", total.detach()}}};
+  }
+  std::vector<std::pair<std::string, double>> after_step(const StepContext& /*context*/) override {
+    counter_.add_(1);
+    return {};
+  }
+  Validation validate(const std::vector<TrainingScene>& scenes) override {
+    Validation validation;
+    validation.values = {
+        {"error", torch::mv(weight_, scenes.front().images.mean({0, 2, 3})).norm().item<double>()}};
+    return validation;
+  }
+  std::map<std::string, torch::Tensor> state() const override { return {{"counter", counter_}}; }
+  void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& /*where*/) override {
+    counter_.copy_(state.at("counter"));
+  }
+  void export_model(const std::filesystem::path& folder, DType /*dtype*/) const override {
+    write_file_atomically(folder / "weight.txt", c10::str(weight_));
+  }
+
+  // Batches [first, last) give a loss that is not a number.
+  int64_t first_spoiled = 0;
+  int64_t last_spoiled = 0;
+
+ private:
+  float spoil(int64_t index) const {
+    return index >= first_spoiled && index < last_spoiled ? std::numeric_limits<float>::quiet_NaN() : 1.0F;
+  }
+  torch::Tensor weight_;
+  torch::Tensor counter_;
+};
+
+// Scenes of random colours that depend on the index only.
+class ToySource : public BatchSource {
+ public:
+  TrainingBatch batch(int64_t index) const override {
+    TrainingScene scene;
+    scene.name = "toy";
+    Camera camera;
+    camera.width = camera.height = 4;
+    scene.views.cameras = {camera, camera};
+    scene.views.num_sources = 1;
+    scene.images = torch::empty({2, 3, 4, 4});
+    for (int64_t i = 0; i < scene.images.numel(); ++i) {
+      scene.images.view({-1})[i] =
+          static_cast<float>(0.5 + 0.5 * std::sin(static_cast<double>(7 * index + i)));
+    }
+    return {index, {scene}};
+  }
+};
+
+inline TrainingRun toy_run(const std::filesystem::path& folder, ToyObjective& objective) {
+  TrainingRun run;
+  run.folder = folder;
+  run.objective = &objective;
+  run.data = std::make_shared<ToySource>();
+  run.validation_scenes = ToySource().batch(1000).scenes;
+  return run;
+}
+
+}  // namespace gld::test

@@ -1,0 +1,302 @@
+// gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
+#include "gld/base/error.h"
+#include "gld/latents/latent_statistics.h"
+#include "models/bundle/bundle.h"
+#include "models/layers/imagenet.h"
+#include "tests/support/shared_data.h"
+#include "tests/train/small_training.h"
+#include "train/loop/metrics_log.h"
+#include "train/objectives/level_objective.h"
+#include "train/stages/feature_stages.h"
+#include "train/stages/latent_stages.h"
+
+#include <cmath>
+#include <csignal>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+template <class Options>
+Options stage_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+  Options options;
+  options.model = model.string();
+  options.out = out.string();
+  options.threads = 1;
+  options.data = test::small_data();
+  options.loop = test::two_steps();
+  return options;
+}
+
+// One folder with the runs of all stages: backbone, decoder, stats, level, cascade.
+class TrainedChain : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    save_bundle_options(path("empty"), test::small_model());
+    auto backbone = stage_options<TrainBackboneOptions>(path("empty"), path("backbone"));
+    backbone.weights = ExportPrecision::kFloat16;
+    train_backbone(backbone, {});
+    auto decoder = stage_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
+    decoder.objective.adversarial.convolutional.channels = 8;
+    train_decoder(decoder, {});
+    StatsOptions stats;
+    stats.model = path("decoder/model").string();
+    stats.out = path("stats").string();
+    stats.threads = 1;
+    stats.scenes = 5;
+    stats.data = test::small_data();
+    compute_statistics(stats);
+    train_level(stage_options<TrainLevelOptions>(path("stats/model"), path("level")), {});
+    train_cascade(stage_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+  }
+  static void TearDownTestSuite() { folder_.reset(); }
+  static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+};
+std::unique_ptr<test::TemporaryFolder> TrainedChain::folder_;
+
+TEST_F(TrainedChain, TheLastBundleHasEveryPart) {
+  const auto bundle = ModelBundle::open(path("cascade/model"));
+  for (const BundlePart part : bundle_parts()) EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
+  EXPECT_EQ(bundle.load_cascade()->options().in_channels, 64);
+  // The exported precision is what later stages saw.
+  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::kBackbone))->entries().front().dtype, DType::kFloat16);
+}
+
+TEST_F(TrainedChain, SourceAndTargetLossesAreLoggedApart) {
+  for (const char* kind : {"level", "cascade"}) {
+    const MetricsLog log(path(kind) / "metrics.jsonl", 2);
+    for (const char* key :
+         {"loss", "source", "target", "validation_flow_loss_target", "validation_target_psnr"}) {
+      const auto series = log.series(key);
+      ASSERT_EQ(series.size(), 2U) << kind << ' ' << key;
+      EXPECT_TRUE(std::isfinite(series.back().second)) << kind << ' ' << key;
+    }
+    // The last layer starts at zero, so the first velocity is 0 and its error E (noise - data)^2 = 2.
+    EXPECT_NEAR(log.series("loss").front().second, 2.0, 0.3) << kind;
+  }
+}
+
+TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  const auto statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  EXPECT_EQ(statistics.channels(), 64);
+  EXPECT_GE(statistics.variance.min().item<float>(), 0.0F);
+  // The same scenes again have mean 0 and variance 1 in every channel.
+  const LoadedBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
+  const torch::NoGradGuard no_grad;
+  const auto backbone = bundle.load_backbone();
+  std::vector<torch::Tensor> latents;
+  for (int64_t index = 0; index < 5; ++index) {
+    const auto images = data.batch(index).scenes.front().images;
+    const auto level = backbone->encode(imagenet_normalise(images), 1)[1];
+    latents.push_back(statistics.normalise(level.narrow(1, 1, level.size(1) - 1)).flatten(0, 1));
+  }
+  const auto latent = torch::cat(latents);
+  EXPECT_LT(latent.mean(0).abs().max().item<double>(), 1e-3);
+  EXPECT_LT((latent.std(0, /*unbiased=*/false) - 1.0).abs().max().item<double>(), 0.02);
+  EXPECT_TRUE(std::filesystem::exists(path("stats/report.json")));
+}
+
+TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("nothing"));
+  options.resume = true;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            path("nothing").string() + ": expected a checkpoint to resume from, found none in " +
+                path("nothing/checkpoints").string() + "; start the run without --resume.");
+  EXPECT_FALSE(std::filesystem::exists(path("nothing")));
+}
+
+TEST_F(TrainedChain, TheLevelMustBeTheBoundaryLevel) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_level"));
+  options.level = 2;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            "--level: expected 1, the boundary_level of " + path("stats/model").string() +
+                ", found 2; change boundary_level in model.yaml and compute its statistics.");
+}
+
+TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
+  const auto bundle = ModelBundle::open(path("level/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  std::vector<torch::Tensor> gradients;
+  for (const bool recompute : {false, true}) {
+    FlowObjectiveOptions options;
+    options.checkpoint_blocks = recompute;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    FlatParameters parameters(objective.parameters());
+    auto perturbation = at::detail::createCPUGenerator(9);
+    {
+      const torch::NoGradGuard no_grad;
+      auto values = parameters.values();
+      values.add_(0.02 * torch::randn(values.sizes(), perturbation, torch::kFloat32));
+    }
+    auto draws = at::detail::createCPUGenerator(4);
+    objective.losses(batch, {0, 1, draws}).total.backward();
+    gradients.push_back(parameters.gradients().clone());
+  }
+  EXPECT_GT(gradients[0].abs().max().item<float>(), 0.0F);
+  // The same numbers are added up in another order.
+  EXPECT_LT((gradients[0] - gradients[1]).abs().max().item<double>(),
+            1e-5 * gradients[0].abs().max().item<double>());
+}
+
+TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
+  // Steps at a learning rate of almost nothing leave the bundle's weights as they are.
+  const auto weights = [&](const std::string& model) {
+    std::vector<torch::Tensor> parts;
+    for (const auto& tensor : ModelBundle::open(path(model)).load_level1()->parameters()) {
+      parts.push_back(tensor.flatten());
+    }
+    return torch::cat(parts);
+  };
+  auto options = stage_options<TrainLevelOptions>(path("level/model"), path("tuned"));
+  options.objective.start = FlowStart::kBundle;
+  options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
+  options.loop.seed = 99;
+  train_level(options, {});
+  EXPECT_LT((weights("tuned/model") - weights("level/model")).abs().max().item<double>(), 1e-6);
+  options.out = path("fresh").string();
+  options.objective.start = FlowStart::kRandom;
+  train_level(options, {});
+  EXPECT_GT((weights("fresh/model") - weights("level/model")).abs().max().item<double>(), 1e-2);
+  options.model = path("stats/model").string();
+  options.out = path("without").string();
+  options.objective.start = FlowStart::kBundle;
+  EXPECT_THROW(train_level(options, {}), Error);
+}
+
+TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
+  options.loop.checkpoint_every = 1000;
+  options.loop.steps = 50;
+  EXPECT_THROW(
+      train_level(options, [](const Validation&, const std::filesystem::path&) { std::raise(SIGINT); }),
+      Interrupted);
+  std::signal(SIGINT, SIG_DFL);
+  EXPECT_TRUE(std::filesystem::exists(path("interrupted/checkpoints/step_000000001.safetensors")));
+}
+
+TEST_F(TrainedChain, TheHeadGoesOnAlone) {
+  auto options = stage_options<TrainBackboneOptions>(path("decoder/model"), path("head"));
+  options.objective.feature_noise = 0.5;
+  EXPECT_EQ(test::error_of([&] { train_backbone(options, {}); }),
+            "objective.feature_noise: expected 0 while the backbone is trained, whose features have to be "
+            "exact, found 0.5; set objective.training to head_only.");
+  options.objective.training = GeometryTraining::kHeadOnly;
+  options.objective.loss.relative_weight = 2;
+  train_backbone(options, {});
+  const auto before = ModelBundle::open(path("decoder/model")), after = ModelBundle::open(path("head/model"));
+  const auto changed = [&](auto&& load) {
+    const auto first = load(before)->parameters(), second = load(after)->parameters();
+    for (size_t i = 0; i < first.size(); ++i) {
+      if (!torch::equal(first[i], second[i])) return true;
+    }
+    return false;
+  };
+  EXPECT_TRUE(changed([](const ModelBundle& bundle) { return bundle.load_dpt_head(); }));
+  EXPECT_FALSE(changed([](const ModelBundle& bundle) { return bundle.load_backbone(); }));
+  EXPECT_TRUE(after.has(BundlePart::kRgbDecoder));
+}
+
+TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  std::vector<double> losses;
+  for (const double gib : {0.0, 0.01}) {
+    FlowObjectiveOptions options;
+    options.kept_latents_gib = gib;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    const torch::NoGradGuard no_grad;
+    for (int pass = 0; pass < 2; ++pass) {
+      auto draws = at::detail::createCPUGenerator(4);
+      losses.push_back(objective.losses(batch, {0, 1, draws}).total.item<double>());
+    }
+  }
+  EXPECT_EQ(losses[0], losses[1]);
+  EXPECT_EQ(losses[2], losses[3]) << "the first use has the rounding of later ones";
+  EXPECT_NEAR(losses[0], losses[2], 1e-3);
+}
+
+TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const TrainingScene first = data.batch(0).scenes.front(), second = data.batch(1).scenes.front();
+  int encoded = 0;
+  const auto encode = [&] {
+    ++encoded;
+    SceneLatents latents;
+    latents.sources = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
+    latents.clean = torch::full({2, 2, 3}, 2.0);
+    return latents;
+  };
+  KeptLatents kept(1e-3);
+  const auto made = kept.get(first, encode), again = kept.get(first, encode);
+  EXPECT_EQ(encoded, 1);
+  EXPECT_TRUE(torch::equal(made.sources, again.sources));
+  EXPECT_EQ(made.sources.scalar_type(), torch::kFloat32);
+  EXPECT_FALSE(made.deeper.defined());
+  kept.get(second, encode);
+  EXPECT_EQ(encoded, 2);
+  KeptLatents none(1e-9);  // room for a byte: everything is encoded every time
+  none.get(first, encode);
+  none.get(first, encode);
+  EXPECT_EQ(encoded, 4);
+}
+
+TEST(DistinctBatches, ComeAgain) {
+  auto options = test::small_data();
+  options.distinct_batches = 2;
+  const LoadedBatches data(options, {{56, 56}}, FrameParts::kImage);
+  const LoadedBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  for (const int64_t index : {0, 1, 2, 5}) {
+    const auto batch = data.batch(index);
+    EXPECT_EQ(batch.index, index);
+    const auto expected = endless.batch(index % 2);
+    ASSERT_EQ(batch.scenes.size(), expected.scenes.size());
+    EXPECT_TRUE(torch::equal(batch.scenes.front().images, expected.scenes.front().images));
+  }
+}
+
+TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
+  const auto bundle = ModelBundle::open(path("stats/model"));
+  FrozenParts frozen;
+  frozen.backbone = bundle.load_backbone();
+  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  const auto loss_with = [&](double dropout) {
+    FlowObjectiveOptions options;
+    options.camera_dropout = dropout;
+    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    // The last layer is zero at the start; give it something to show.
+    const torch::NoGradGuard no_grad;
+    auto generator = at::detail::createCPUGenerator(9);
+    for (const auto& item : objective.parameters()) {
+      if (item.parameter.dim() > 1) {
+        torch::Tensor parameter = item.parameter;
+        parameter.add_(0.05 * torch::randn(parameter.sizes(), generator, torch::kFloat32));
+      }
+    }
+    auto draws = at::detail::createCPUGenerator(4);
+    return objective.losses(batch, {0, 1, draws}).total.item<double>();
+  };
+  const double shown = loss_with(0.0), dropped = loss_with(1.0);
+  EXPECT_NE(shown, dropped);
+  EXPECT_EQ(shown, loss_with(0.0));
+}
+
+}  // namespace
+}  // namespace gld

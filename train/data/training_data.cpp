@@ -1,0 +1,185 @@
+#include "train/data/training_data.h"
+
+#include "datasets/loading/batching.h"
+#include "gld/base/error.h"
+
+#include <algorithm>
+
+namespace gld {
+namespace {
+
+Mixture mixture_of(const TrainingDataOptions& options) {
+  std::vector<MixturePart> parts;
+  if (options.folders.empty()) {
+    MixturePart part;
+    part.name = "synthetic";
+    part.dataset = std::make_shared<SyntheticDataset>(options.synthetic);
+    part.views = options.views;
+    parts.push_back(std::move(part));
+  }
+  for (size_t i = 0; i < options.folders.size(); ++i) {
+    MixturePart part;
+    part.name = options.folders[i];
+    SceneReading reading;
+    reading.broken_frames = BrokenFrames::kSkip;
+    part.dataset = std::make_shared<FolderDataset>(options.folders[i], reading);
+    part.weight = options.weights.empty() ? 1.0 : options.weights[i];
+    part.views = options.views;
+    if (!options.longest_intervals.empty()) part.views.longest_interval = options.longest_intervals[i];
+    parts.push_back(std::move(part));
+  }
+  return Mixture(std::move(parts));
+}
+
+std::vector<WeightedSize> weighted(const std::vector<ImageSize>& sizes, const std::vector<double>& weights) {
+  if (!weights.empty() && weights.size() != sizes.size()) {
+    fail({"data.size_weights", std::to_string(sizes.size()) + " weights, one a trained size of the model",
+          std::to_string(weights.size()), "give as many or none"});
+  }
+  std::vector<WeightedSize> result;
+  for (size_t i = 0; i < sizes.size(); ++i) result.push_back({sizes[i], weights.empty() ? 1.0 : weights[i]});
+  return result;
+}
+
+BatchLoading with_parts(BatchLoading loading, FrameParts parts) {
+  loading.parts = parts;
+  return loading;
+}
+
+TrainingScene to_training_scene(const LoadedScene& loaded) {
+  const SceneTensors tensors = to_tensors(loaded);
+  TrainingScene scene;
+  scene.name = loaded.scene;
+  scene.views = tensors.views;
+  scene.images = tensors.images;
+  scene.depth = tensors.depth;
+  if (scene.depth.defined() && tensors.validity.defined()) scene.depth = scene.depth * tensors.validity;
+  return scene;
+}
+
+}  // namespace
+
+TrainingDataOptions::TrainingDataOptions() {
+  synthetic.seed = 1;
+  synthetic.scenes = 1'000'000;
+}
+
+void TrainingDataOptions::visit(FieldVisitor& visitor) {
+  visitor.texts({"folders", "folders of scenes in any layout; none trains on generated scenes"}, folders);
+  visitor.reals({"weights", "share of the samples from each folder; none is equal shares"}, weights,
+                {1e-9, 1e9});
+  visitor.integers(
+      {"longest_intervals", "longest interval between views for each folder; none is that of views"},
+      longest_intervals, {1, 1'000'000});
+  visitor.reals(
+      {"size_weights", "share of the batches at each trained size of the model; none is equal shares"},
+      size_weights, {1e-9, 1e9});
+  visitor.group({"synthetic", "generated scenes"}, synthetic);
+  visitor.group({"views", "which frames make a training scene"}, views);
+  visitor.group({"loading", "micro-batches and what is refused"}, loading);
+  visitor.integer({"distinct_batches",
+                   "micro-batches that are drawn before the same ones come again, kept in memory; 0 always "
+                   "draws new ones"},
+                  distinct_batches, {0, 1'000'000'000});
+  visitor.text({"validation_folder", "folder of held-out scenes; none is generated scenes"},
+               validation_folder);
+  visitor.integer({"validation_seed", "seed of the generated validation scenes"}, validation_seed,
+                  {0, 1'000'000'000'000});
+  visitor.integer({"validation_scenes", "number of validation scenes; 0 validates nothing"},
+                  validation_scenes, {0, 100000});
+}
+
+void TrainingDataOptions::check() const {
+  if (!weights.empty() && weights.size() != folders.size()) {
+    fail({"data.weights", std::to_string(folders.size()) + " weights, one a folder",
+          std::to_string(weights.size()), "give as many or none"});
+  }
+  if (!longest_intervals.empty() && longest_intervals.size() != folders.size()) {
+    fail({"data.longest_intervals", std::to_string(folders.size()) + " intervals, one a folder",
+          std::to_string(longest_intervals.size()), "give as many or none"});
+  }
+  if (folders.empty() && validation_folder.empty() && synthetic.seed == validation_seed) {
+    fail({"data.validation_seed", "another seed than synthetic.seed", std::to_string(validation_seed),
+          "choose one that training never sees"});
+  }
+}
+
+LoadedBatches::LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes,
+                             FrameParts parts)
+    : loader_(mixture_of(options), weighted(sizes, options.size_weights), with_parts(options.loading, parts)),
+      distinct_(options.distinct_batches) {
+  options.check();
+}
+
+std::shared_ptr<const LoadedBatch> LoadedBatches::load(int64_t number) const {
+  if (distinct_ == 0) return std::make_shared<LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+  number %= distinct_;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto found = kept_.find(number);
+    if (found != kept_.end()) return found->second;
+  }
+  auto made = std::make_shared<const LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+  const std::lock_guard<std::mutex> lock(mutex_);
+  kept_[number] = made;
+  return made;
+}
+
+TrainingBatch LoadedBatches::batch(int64_t index) const {
+  TrainingBatch batch;
+  batch.index = index;
+  const auto loaded = load(index);
+  for (const LoadedScene& scene : loaded->scenes) {
+    batch.scenes.push_back(to_training_scene(scene));
+  }
+  return batch;
+}
+
+TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
+                             FrameParts parts) {
+  LoadedScene loaded;
+  loaded.scene = scene.name;
+  loaded.num_sources = views.num_sources;
+  for (const int64_t frame : views.frames) {
+    const Frame& source = scene.frames[static_cast<size_t>(frame)];
+    loaded.frame_names.push_back(source.name);
+    loaded.views.push_back(load_sized(source, size, parts));
+  }
+  return to_training_scene(loaded);
+}
+
+std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
+                                             FrameParts parts) {
+  if (options.validation_scenes == 0) return {};
+  std::shared_ptr<const Dataset> dataset;
+  if (options.validation_folder.empty()) {
+    SyntheticOptions synthetic = options.synthetic;
+    synthetic.seed = options.validation_seed;
+    synthetic.scenes = options.validation_scenes;
+    dataset = std::make_shared<SyntheticDataset>(synthetic);
+  } else {
+    SceneReading reading;
+    reading.broken_frames = BrokenFrames::kSkip;
+    dataset = std::make_shared<FolderDataset>(options.validation_folder, reading);
+  }
+  ViewSampling sampling = options.views;
+  sampling.sources = SourceChoice::kInterpolate;
+  sampling.most_sources = std::min(sampling.most_sources, sampling.views - 1);
+  std::vector<TrainingScene> scenes;
+  const int64_t count = std::min(options.validation_scenes, dataset->size());
+  for (int64_t index = 0; index < count; ++index) {
+    const Scene scene = dataset->scene(index);
+    SampleKey key;
+    key.seed = static_cast<uint64_t>(options.validation_seed);
+    key.index = static_cast<uint64_t>(index);
+    const auto views = sample_views(sampling, static_cast<int64_t>(scene.frames.size()), key);
+    if (!views) {
+      fail({"scene " + scene.name, "at least " + std::to_string(sampling.views) + " frames",
+            std::to_string(scene.frames.size()), "validate on longer scenes"});
+    }
+    scenes.push_back(training_scene(scene, *views, size, parts));
+  }
+  return scenes;
+}
+
+}  // namespace gld

@@ -1,0 +1,60 @@
+#pragma once
+
+#include "datasets/loading/batch_loader.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/options.h"
+#include "train/data/batch_feed.h"
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// What a run trains on: generated scenes, or folders of scenes in any layout mixed by weight.
+struct TrainingDataOptions : OptionsGroup {
+  std::vector<std::string> folders;        // empty: generated scenes
+  std::vector<double> weights;             // one a folder; empty: equal
+  std::vector<int64_t> longest_intervals;  // one a folder; empty: views.longest_interval for all
+  std::vector<double> size_weights;        // one a trained size of the model; empty: equal
+  SyntheticOptions synthetic;
+  ViewSampling views;
+  BatchLoading loading;
+  int64_t distinct_batches = 0;      // then the same come again, kept in memory; 0: always new ones
+  std::string validation_folder;     // empty: generated scenes of validation_seed
+  int64_t validation_seed = 900000;  // must differ from synthetic.seed
+  int64_t validation_scenes = 8;
+
+  TrainingDataOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Micro-batches of loading.batch_size scenes, sources first. depth: whether scenes carry it.
+class LoadedBatches : public BatchSource {
+ public:
+  LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
+  TrainingBatch batch(int64_t index) const override;
+  LoadingReport report() const { return loader_.report(); }
+
+ private:
+  std::shared_ptr<const LoadedBatch> load(int64_t number) const;
+
+  BatchLoader loader_;
+  int64_t distinct_ = 0;
+  mutable std::mutex mutex_;
+  mutable std::map<int64_t, std::shared_ptr<const LoadedBatch>> kept_;  // by number, below distinct_
+};
+
+// The validation scenes: views spread by views.longest_interval, the first and the last ones are sources.
+std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
+                                             FrameParts parts);
+
+// Views of one scene as tensors: frames[0 .. num_sources) are the sources.
+TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
+                             FrameParts parts);
+
+}  // namespace gld

@@ -1,0 +1,58 @@
+#include "train/loop/metrics_log.h"
+
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+
+#include <fstream>
+#include <set>
+#include <sstream>
+
+namespace gld {
+
+MetricsLog::MetricsLog(std::filesystem::path file, int64_t last_step) : file_(std::move(file)) {
+  std::string kept;
+  if (std::filesystem::exists(file_)) {
+    std::istringstream text(read_file(file_));
+    for (std::string line; std::getline(text, line);) {
+      // A killed run may leave half a line at the end.
+      auto object = nlohmann::ordered_json::parse(line, nullptr, /*allow_exceptions=*/false);
+      if (object.is_discarded() || !object.is_object() || object.value("step", int64_t{0}) > last_step)
+        continue;
+      kept += object.dump() + "\n";
+      lines_.push_back(std::move(object));
+    }
+  }
+  write_file_atomically(file_, kept);
+}
+
+void MetricsLog::append(const nlohmann::ordered_json& line) {
+  std::ofstream stream(file_, std::ios::app);
+  stream << line.dump() << '\n' << std::flush;
+  if (!stream) {
+    fail({file_.string(), "to append a line", "a write that failed", "check the disk and its free space"});
+  }
+  lines_.push_back(line);
+}
+
+std::vector<std::pair<double, double>> MetricsLog::series(const std::string& key) const {
+  std::vector<std::pair<double, double>> points;
+  for (const auto& line : lines_) {
+    const auto found = line.find(key);
+    if (found != line.end() && found->is_number()) {
+      points.emplace_back(line.at("step").get<double>(), found->get<double>());
+    }
+  }
+  return points;
+}
+
+std::vector<std::string> MetricsLog::keys() const {
+  std::set<std::string> names;
+  for (const auto& line : lines_) {
+    for (const auto& item : line.items()) {
+      if (item.value().is_number() && item.key() != "step") names.insert(item.key());
+    }
+  }
+  return {names.begin(), names.end()};
+}
+
+}  // namespace gld

@@ -1,0 +1,64 @@
+#pragma once
+
+#include "gld/files/dtype.h"
+#include "train/data/training_scene.h"
+#include "train/optim/flat_parameters.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+struct StepContext {
+  int64_t step = 0;            // from 0
+  int64_t total_steps = 0;     // of the run
+  torch::Generator generator;  // on the CPU; its state is part of the checkpoint
+};
+
+struct Losses {
+  torch::Tensor total;                                       // scalar that backward() is called on
+  std::vector<std::pair<std::string, torch::Tensor>> parts;  // detached scalars for the log
+};
+
+// Pictures of one validation scene, one row of a contact sheet: (3, height, width) in [0, 1] each.
+struct PictureRow {
+  std::string name;
+  std::vector<std::pair<std::string, torch::Tensor>> pictures;
+};
+
+struct Validation {
+  std::vector<std::pair<std::string, double>> values;  // the first is what the best checkpoint minimises
+  std::vector<PictureRow> rows;
+};
+
+// What a training run optimises. The loop (train/loop/training_loop.h) owns the order of things; an objective owns
+// its models.
+class Objective {
+ public:
+  virtual ~Objective() = default;
+  virtual std::string kind() const = 0;
+  virtual torch::Device device() const = 0;
+  // The parameters that the loop's optimiser moves, in a fixed order.
+  virtual std::vector<NamedParameter> parameters() const = 0;
+  // Whether losses() may be called from several threads at the same time.
+  virtual bool concurrent() const { return false; }
+  // Losses averaged over the scenes of a micro-batch, with gradients.
+  virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
+  // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.
+  virtual std::vector<std::pair<std::string, double>> after_step(const StepContext& context);
+  // Without gradients, with the moving average in place.
+  virtual Validation validate(const std::vector<TrainingScene>& scenes) = 0;
+  // State beside the parameters: discriminator, its optimiser.
+  virtual std::map<std::string, torch::Tensor> state() const;
+  virtual void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
+  // Writes the trained model as a bundle into folder, with the moving average in place, in that precision.
+  virtual void export_model(const std::filesystem::path& folder, DType dtype) const = 0;
+};
+
+}  // namespace gld

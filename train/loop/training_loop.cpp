@@ -1,0 +1,447 @@
+#include "train/loop/training_loop.h"
+
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/report/progress.h"
+#include "gld/tensors/torch_version.h"
+#include "gld/tensors/weight_tensors.h"
+#include "train/loop/checkpoint.h"
+#include "train/loop/loss_curve.h"
+#include "train/loop/metrics_log.h"
+
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <optional>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kLargest = 1'000'000'000'000;
+
+std::string six_digits(double value) {
+  char text[32];
+  std::snprintf(text, sizeof(text), "%.4g", value);
+  return text;
+}
+
+struct StepOutcome {
+  bool finite = false;
+  double loss = 0.0;
+  double gradient_norm = 0.0;
+  std::string problem;  // what was not finite
+  int64_t scenes = 0;
+  std::vector<std::pair<std::string, double>> parts;  // means over the micro-batches
+};
+
+// Means of the values logged between two lines.
+class Averages {
+ public:
+  void add(const std::string& name, double value) {
+    for (auto& entry : entries_) {
+      if (entry.name == name) {
+        entry.sum += value;
+        ++entry.count;
+        return;
+      }
+    }
+    entries_.push_back({name, value, 1});
+  }
+  void write_into(nlohmann::ordered_json& line) const {
+    for (const auto& entry : entries_) line[entry.name] = entry.sum / static_cast<double>(entry.count);
+  }
+  void clear() { entries_.clear(); }
+
+ private:
+  struct Entry {
+    std::string name;
+    double sum = 0.0;
+    int64_t count = 0;
+  };
+  std::vector<Entry> entries_;
+};
+
+// Divides the threads of LibTorch and BLAS among workers for as long as it lives.
+class DividedThreads {
+ public:
+  explicit DividedThreads(int64_t workers) : before_(thread_count()) {
+    if (workers > 1) set_thread_count(std::max(1, before_ / static_cast<int>(workers)));
+  }
+  ~DividedThreads() { set_thread_count(before_); }
+  DividedThreads(const DividedThreads&) = delete;
+  DividedThreads& operator=(const DividedThreads&) = delete;
+
+ private:
+  int before_;
+};
+
+class Session {
+ public:
+  Session(const TrainingRun& run, const TrainingLoopOptions& options)
+      : run_(run),
+        options_(options),
+        objective_(*run.objective),
+        parameters_(objective_.parameters()),
+        optimiser_(parameters_, options.optimiser),
+        generator_(at::detail::createCPUGenerator(static_cast<uint64_t>(options.seed))),
+        checkpoints_(run.folder / "checkpoints", CheckpointFolderOptions{options.keep_last}) {}
+
+  void restore(TrainingStart start);
+  TrainingSummary run();
+
+ private:
+  StepOutcome forward_backward();
+  void count_non_finite(const StepOutcome& outcome);
+  void save_offending_batch() const;
+  void log(const StepOutcome& outcome, double rate);
+  void validate();
+  Checkpoint snapshot() const;
+  double elapsed() const {
+    return earlier_seconds_ +
+           std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
+  }
+  StepContext context() const { return {step_, options_.steps, generator_}; }
+
+  const TrainingRun& run_;
+  const TrainingLoopOptions& options_;
+  Objective& objective_;
+  FlatParameters parameters_;
+  Optimiser optimiser_;
+  torch::Generator generator_;
+  CheckpointFolder checkpoints_;
+  std::optional<MetricsLog> metrics_;
+  std::unique_ptr<BatchFeed> feed_;
+
+  int64_t step_ = 0;
+  int64_t batch_index_ = 0;
+  int64_t skipped_ = 0;
+  int64_t skipped_in_a_row_ = 0;
+  double last_loss_ = 0.0;
+  double best_ = std::numeric_limits<double>::infinity();
+  double earlier_seconds_ = 0.0;
+  std::chrono::steady_clock::time_point begun_ = std::chrono::steady_clock::now();
+  TrainingBatch last_batch_;
+  std::vector<std::pair<std::string, double>> validation_;
+  std::vector<std::string> messages_;
+};
+
+void Session::restore(TrainingStart start) {
+  check_training_start(run_.folder, start);
+  const auto found = start == TrainingStart::kResume ? checkpoints_.newest() : std::nullopt;
+  if (found) {
+    for (const std::string& damaged : found->damaged) messages_.push_back("passed over " + damaged);
+    const Checkpoint& checkpoint = found->checkpoint;
+    const std::string where = found->file.string();
+    const auto kind = checkpoint.metadata.value("kind", std::string());
+    if (kind != objective_.kind()) {
+      fail({where, "a checkpoint of a " + objective_.kind() + " run", "one of a " + kind + " run",
+            "name the folder of the run to resume"});
+    }
+    std::map<std::string, torch::Tensor> optimiser_state;
+    std::map<std::string, torch::Tensor> objective_state;
+    const torch::NoGradGuard no_grad;
+    for (const auto& [name, tensor] : checkpoint.tensors) {
+      if (name.rfind("optimiser.", 0) == 0) optimiser_state[name.substr(10)] = tensor;
+      if (name.rfind("objective.", 0) == 0) objective_state[name.substr(10)] = tensor;
+    }
+    torch::Tensor average = optimiser_.has_average() ? optimiser_.average().clone() : torch::Tensor();
+    for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
+      const NamedParameter& item = parameters_.parameters()[i];
+      const auto take = [&](const std::string& prefix, const torch::Tensor& flat) {
+        const auto tensor = checkpoint.tensors.find(prefix + item.name);
+        torch::Tensor target = parameters_.part(flat, i);
+        if (tensor == checkpoint.tensors.end() || tensor->second.sizes() != target.sizes()) {
+          fail({where, "tensor '" + prefix + item.name + "' of shape " + c10::str(target.sizes()),
+                tensor == checkpoint.tensors.end() ? "none of that name"
+                                                   : "shape " + c10::str(tensor->second.sizes()),
+                "resume with the options that wrote the checkpoint"});
+        }
+        target.copy_(tensor->second);
+      };
+      take("model.", parameters_.values());
+      if (average.defined()) take("ema.", average);
+    }
+    if (average.defined()) optimiser_state["average"] = average;
+    optimiser_.load_state(optimiser_state, where);
+    objective_.load_state(objective_state, where);
+    generator_.set_state(checkpoint.tensors.at("random.cpu").clone());
+    step_ = checkpoint.step;
+    batch_index_ = checkpoint.metadata.at("batch_index").get<int64_t>();
+    skipped_ = checkpoint.metadata.at("skipped_steps").get<int64_t>();
+    skipped_in_a_row_ = checkpoint.metadata.at("skipped_in_a_row").get<int64_t>();
+    last_loss_ = checkpoint.metadata.at("loss").get<double>();
+    earlier_seconds_ = checkpoint.metadata.at("seconds").get<double>();
+    const auto& best = checkpoint.metadata.at("best");
+    if (best.is_number()) best_ = best.get<double>();
+  }
+  metrics_.emplace(run_.folder / "metrics.jsonl", step_);
+  BatchFeedOptions feed;
+  feed.first = batch_index_;
+  feed.threads = options_.loader_threads;
+  feed.ahead = 2 * std::max<int64_t>(options_.loader_threads, 1) + 1;
+  feed_ = std::make_unique<BatchFeed>(run_.data, feed);
+}
+
+Checkpoint Session::snapshot() const {
+  Checkpoint checkpoint;
+  checkpoint.step = step_;
+  checkpoint.metadata = {{"kind", objective_.kind()},
+                         {"batch_index", batch_index_},
+                         {"skipped_steps", skipped_},
+                         {"skipped_in_a_row", skipped_in_a_row_},
+                         {"loss", last_loss_},
+                         {"seconds", elapsed()},
+                         {"steps", options_.steps},
+                         {"learning_rate", learning_rate(options_.learning_rate, step_, options_.steps)}};
+  checkpoint.metadata["best"] = std::isfinite(best_) ? nlohmann::json(best_) : nlohmann::json();
+  for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
+    const std::string& name = parameters_.parameters()[i].name;
+    checkpoint.tensors["model." + name] = parameters_.part(parameters_.values(), i);
+    if (optimiser_.has_average())
+      checkpoint.tensors["ema." + name] = parameters_.part(optimiser_.average(), i);
+  }
+  for (const auto& [name, tensor] : optimiser_.state()) {
+    if (name != "average") checkpoint.tensors["optimiser." + name] = tensor;
+  }
+  for (const auto& [name, tensor] : objective_.state()) checkpoint.tensors["objective." + name] = tensor;
+  checkpoint.tensors["random.cpu"] = generator_.get_state();
+  return checkpoint;
+}
+
+StepOutcome Session::forward_backward() {
+  StepOutcome outcome;
+  outcome.finite = true;
+  parameters_.zero_gradients();
+  std::vector<MicroBatch> batches;
+  for (int64_t micro = 0; micro < options_.micro_batches; ++micro) {
+    // Random numbers of its own for every micro-batch, so that their order in time does not matter.
+    const auto seed = torch::randint(0, std::numeric_limits<int64_t>::max(), {1}, generator_, torch::kInt64);
+    StepContext own = context();
+    own.generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed.item<int64_t>()));
+    batches.push_back({feed_->next(), own});
+    ++batch_index_;
+    outcome.scenes += static_cast<int64_t>(batches.back().batch.scenes.size());
+  }
+  MicroBatchWork work;
+  work.precision = options_.precision;
+  work.workers = objective_.concurrent() ? options_.workers : 1;
+  work.share = 1.0 / static_cast<double>(options_.micro_batches);
+  Averages parts;
+  double loss_sum = 0.0;
+  last_batch_ = batches.back().batch;
+  const auto results = add_gradients(objective_, parameters_, batches, work);
+  for (size_t micro = 0; micro < results.size(); ++micro) {
+    if (!std::isfinite(results[micro].loss)) {
+      if (outcome.finite) last_batch_ = batches[micro].batch;
+      outcome.finite = false;
+      outcome.problem = "a loss of " + six_digits(results[micro].loss);
+      continue;
+    }
+    loss_sum += results[micro].loss;
+    for (const auto& [name, value] : results[micro].parts) parts.add(name, value);
+  }
+  outcome.loss = loss_sum / static_cast<double>(options_.micro_batches);
+  if (outcome.finite) {
+    outcome.gradient_norm = optimiser_.gradient_norm();
+    if (!std::isfinite(outcome.gradient_norm)) {
+      outcome.finite = false;
+      outcome.problem = "a gradient norm of " + six_digits(outcome.gradient_norm);
+    }
+  }
+  nlohmann::ordered_json means;
+  parts.write_into(means);
+  for (const auto& item : means.items()) outcome.parts.emplace_back(item.key(), item.value().get<double>());
+  return outcome;
+}
+
+void Session::save_offending_batch() const {
+  std::map<std::string, torch::Tensor> tensors;
+  for (size_t i = 0; i < last_batch_.scenes.size(); ++i) {
+    const TrainingScene& scene = last_batch_.scenes[i];
+    const std::string prefix = "scene" + std::to_string(i) + ".";
+    tensors[prefix + "images"] = scene.images;
+    if (scene.depth.defined()) tensors[prefix + "depth"] = scene.depth;
+    const auto views = static_cast<int64_t>(scene.views.cameras.size());
+    torch::Tensor poses = torch::zeros({views, 4, 4}, torch::kFloat64);
+    torch::Tensor intrinsics = torch::zeros({views, 3, 3}, torch::kFloat64);
+    for (int64_t view = 0; view < views; ++view) {
+      const Camera& camera = scene.views.cameras[static_cast<size_t>(view)];
+      for (int row = 0; row < 4; ++row) {
+        for (int column = 0; column < 4; ++column) {
+          poses[view][row][column] = camera.world_from_camera.matrix()(row, column);
+          if (row < 3 && column < 3) intrinsics[view][row][column] = camera.intrinsics(row, column);
+        }
+      }
+    }
+    tensors[prefix + "world_from_camera"] = poses;
+    tensors[prefix + "intrinsics"] = intrinsics;
+  }
+  const auto folder = run_.folder / "non_finite";
+  std::filesystem::create_directories(folder);
+  save_safetensors(folder / "batch.safetensors", tensors,
+                   {{"step", std::to_string(step_)}, {"batch_index", std::to_string(last_batch_.index)}});
+}
+
+void Session::count_non_finite(const StepOutcome& outcome) {
+  ++skipped_;
+  ++skipped_in_a_row_;
+  if (skipped_in_a_row_ < options_.stop_after_non_finite) return;
+  save_offending_batch();
+  fail({"training step " + std::to_string(step_), "finite losses and gradients",
+        outcome.problem + " (" + std::to_string(skipped_in_a_row_) + " skipped steps in a row)",
+        "look at the batch in " + (run_.folder / "non_finite" / "batch.safetensors").string() +
+            ", or lower the learning rate and use --resume"});
+}
+
+void Session::validate() {
+  if (run_.validation_scenes.empty()) return;
+  Validation validation;
+  {
+    const torch::NoGradGuard no_grad;
+    const AverageInPlace average(parameters_, optimiser_);
+    validation = objective_.validate(run_.validation_scenes);
+  }
+  validation_ = validation.values;
+  nlohmann::ordered_json line = {{"step", step_}};
+  for (const auto& [name, value] : validation.values) line["validation_" + name] = value;
+  metrics_->append(line);
+  if (run_.draw_validation && !validation.rows.empty()) {
+    const auto folder = run_.folder / "validation";
+    std::filesystem::create_directories(folder);
+    char name[32];
+    std::snprintf(name, sizeof(name), "step_%09lld", static_cast<long long>(step_));
+    run_.draw_validation(validation, folder / name);
+  }
+  if (!validation.values.empty() && validation.values.front().second < best_) {
+    best_ = validation.values.front().second;
+    checkpoints_.save_best(snapshot());
+  }
+}
+
+TrainingSummary Session::run() {
+  const int64_t first_step = step_;
+  Progress progress("training the " + objective_.kind(), std::max<int64_t>(options_.steps - first_step, 1));
+  Averages averages;
+  int64_t scenes = 0;
+  auto logged = std::chrono::steady_clock::now();
+  while (step_ < options_.steps) {
+    if (interrupt_requested()) {
+      const auto file = checkpoints_.save(snapshot());
+      throw Interrupted("training stopped after step " + std::to_string(step_) +
+                        "; continue with --resume (" + file.string() + ")");
+    }
+    const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
+    const StepOutcome outcome = forward_backward();
+    scenes += outcome.scenes;
+    if (outcome.finite) {
+      optimiser_.step(rate, outcome.gradient_norm);
+      skipped_in_a_row_ = 0;
+      last_loss_ = outcome.loss;
+      averages.add("loss", outcome.loss);
+      for (const auto& [name, value] : outcome.parts) averages.add(name, value);
+      averages.add("gradient_norm", outcome.gradient_norm);
+      for (const auto& [name, value] : objective_.after_step(context())) averages.add(name, value);
+    } else {
+      count_non_finite(outcome);
+    }
+    ++step_;
+    const bool last = step_ == options_.steps;
+    if (step_ % options_.log_every == 0 || last) {
+      const auto now = std::chrono::steady_clock::now();
+      const double seconds = std::chrono::duration<double>(now - logged).count();
+      logged = now;
+      const double waited = feed_->take_waited_seconds();
+      nlohmann::ordered_json line = {{"step", step_}};
+      averages.write_into(line);
+      line["learning_rate"] = rate;
+      line["samples_per_second"] = static_cast<double>(scenes) / std::max(seconds, 1e-9);
+      line["data_wait_fraction"] = waited / std::max(seconds, 1e-9);
+      line["skipped_steps"] = skipped_;
+      line["seconds"] = elapsed();
+      metrics_->append(line);
+      progress.update(step_ - first_step, "step " + std::to_string(step_) + ", loss " +
+                                              six_digits(last_loss_) + ", rate " + six_digits(rate) + ", " +
+                                              six_digits(line["samples_per_second"].get<double>()) +
+                                              " scenes/s, data wait " +
+                                              six_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
+      averages.clear();
+      scenes = 0;
+    }
+    if (step_ % options_.validate_every == 0 || last) {
+      validate();
+      draw_loss_curve(*metrics_, run_.folder / "loss");
+    }
+    if (step_ % options_.checkpoint_every == 0 || last) checkpoints_.save(snapshot());
+  }
+  progress.finish();
+  {
+    const torch::NoGradGuard no_grad;
+    const AverageInPlace average(parameters_, optimiser_);
+    const auto folder = run_.folder / "model";
+    std::filesystem::create_directories(folder);
+    objective_.export_model(folder, run_.export_dtype);
+  }
+  TrainingSummary summary;
+  summary.steps_done = step_;
+  summary.steps_this_call = step_ - first_step;
+  summary.skipped_steps = skipped_;
+  summary.seconds = elapsed();
+  summary.final_loss = last_loss_;
+  summary.validation = validation_;
+  summary.messages = messages_;
+  return summary;
+}
+
+}  // namespace
+
+void TrainingLoopOptions::visit(FieldVisitor& visitor) {
+  visitor.integer({"steps", "optimiser steps of the whole run"}, steps, {1, kLargest});
+  visitor.integer({"micro_batches", "micro-batches whose gradients are summed for one step"}, micro_batches,
+                  {1, 100000});
+  visitor.integer({"seed", "seed of everything random in the run"}, seed, {0, kLargest});
+  visitor.integer({"log_every", "steps between two lines of metrics.jsonl"}, log_every, {1, kLargest});
+  visitor.integer({"checkpoint_every", "steps between two checkpoints"}, checkpoint_every, {1, kLargest});
+  visitor.integer({"keep_last", "newest checkpoints that are kept, beside the best"}, keep_last, {1, 1000});
+  visitor.integer({"validate_every", "steps between two validations"}, validate_every, {1, kLargest});
+  visitor.integer(
+      {"stop_after_non_finite", "steps in a row with a non-finite loss or gradient that end the run"},
+      stop_after_non_finite, {1, 100000});
+  visitor.integer({"loader_threads", "threads that prepare data ahead of the step"}, loader_threads,
+                  {0, 256});
+  visitor.integer({"workers", "micro-batches computed at the same time; the threads are divided among them"},
+                  workers, {1, 256});
+  visit_choice(visitor, {"precision", "bfloat16 casts matrix products on devices that have it (CUDA)"},
+               precision, {"float32", "bfloat16"});
+  visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
+  visitor.group({"optimiser", "optimiser, clipping and moving average"}, optimiser);
+}
+
+void check_training_start(const std::filesystem::path& folder, TrainingStart start) {
+  const CheckpointFolder checkpoints(folder / "checkpoints", {});
+  const auto steps = checkpoints.steps();
+  if (start == TrainingStart::kResume && steps.empty()) {
+    fail({folder.string(), "a checkpoint to resume from", "none in " + checkpoints.path().string(),
+          "start the run without --resume"});
+  }
+  if (start == TrainingStart::kFresh && !steps.empty()) {
+    fail({folder.string(), "a folder without checkpoints", "a run at step " + std::to_string(steps.back()),
+          "continue it with --resume or choose another --out"});
+  }
+}
+
+TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start) {
+  if (options.precision == Precision::kBFloat16 && !has_bfloat16_autocast(run.objective->device())) {
+    fail({"precision", "a device with bfloat16 units", run.objective->device().str(),
+          "set precision: float32 or train on a GPU"});
+  }
+  Session session(run, options);
+  session.restore(start);
+  const DividedThreads threads(run.objective->concurrent() ? options.workers : 1);
+  return session.run();
+}
+
+}  // namespace gld

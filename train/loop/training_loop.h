@@ -1,0 +1,73 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "train/data/batch_feed.h"
+#include "train/loop/micro_batches.h"
+#include "train/loop/objective.h"
+#include "train/optim/learning_rate.h"
+#include "train/optim/optimiser.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+struct TrainingLoopOptions : OptionsGroup {
+  int64_t steps = 100000;
+  int64_t micro_batches = 1;
+  int64_t seed = 0;
+  int64_t log_every = 20;
+  int64_t checkpoint_every = 1000;
+  int64_t keep_last = 3;
+  int64_t validate_every = 1000;
+  int64_t stop_after_non_finite = 10;
+  int64_t loader_threads = 1;
+  int64_t workers = 1;
+  Precision precision = Precision::kFloat32;
+  LearningRateOptions learning_rate;
+  OptimiserOptions optimiser;
+
+  void visit(FieldVisitor& visitor) override;
+};
+
+enum class TrainingStart {
+  kFresh,   // Error when the folder already has checkpoints
+  kResume,  // Error when it has none
+};
+
+// Where a run gets its work from and where it writes.
+struct TrainingRun {
+  std::filesystem::path folder;  // exists
+  Objective* objective = nullptr;
+  std::shared_ptr<const BatchSource> data;
+  std::vector<TrainingScene> validation_scenes;
+  DType export_dtype = DType::kFloat32;  // of the exported model
+  // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
+  std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
+};
+
+struct TrainingSummary {
+  int64_t steps_done = 0;  // of the whole run
+  int64_t steps_this_call = 0;
+  int64_t skipped_steps = 0;                               // non-finite loss or gradient, whole run
+  double seconds = 0.0;                                    // of the whole run
+  double final_loss = 0.0;                                 // of the last finite step
+  std::vector<std::pair<std::string, double>> validation;  // the last one
+  std::vector<std::string> messages;  // what a user should know: damaged checkpoints passed over
+};
+
+// Throws the Error of a start that the folder does not allow; touches nothing.
+void check_training_start(const std::filesystem::path& folder, TrainingStart start);
+
+// The one training loop. Writes into run.folder: checkpoints/, metrics.jsonl, loss.svg and .png, validation/, model/ (the
+// exported bundle, at the end). Steps whose loss or gradient is not finite are skipped and counted;
+// stop_after_non_finite of them in a row are an Error, with the last batch saved in non_finite/. On Ctrl-C a
+// checkpoint is written and Interrupted is thrown. On the CPU with one thread count, N steps in one call and in
+// several with kResume give the same bytes.
+TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start);
+
+}  // namespace gld

@@ -1,0 +1,282 @@
+#include "train/objectives/decoder_objective.h"
+
+#include "gld/base/error.h"
+#include "models/layers/imagenet.h"
+#include "models/weights/weight_loading.h"
+#include "train/objectives/feature_noise.h"
+#include "train/objectives/scene_pixels.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kLargestStep = 1'000'000'000'000;
+
+torch::Tensor to_signed(const torch::Tensor& images) { return images * 2.0 - 1.0; }
+
+}  // namespace
+
+AdversarialOptions::AdversarialOptions() {
+  learning_rate.schedule = LearningRateSchedule::kCosine;
+  learning_rate.peak = 2e-4;
+  learning_rate.final = 2e-5;
+  optimiser.clip_norm = 0.0;
+  optimiser.ema_decay = 0.0;
+}
+
+void AdversarialOptions::visit(FieldVisitor& visitor) {
+  visitor.real({"weight", "weight of the adversarial loss; 0 trains without a discriminator"}, weight,
+               {0.0, 1e6});
+  visitor.integer({"generator_start", "first step at which the decoder sees the discriminator"},
+                  generator_start, {0, kLargestStep});
+  visitor.integer({"discriminator_start", "first step at which the discriminator learns"},
+                  discriminator_start, {0, kLargestStep});
+  visitor.real({"largest_adaptive_weight", "bound of the adaptive weight"}, largest_adaptive_weight,
+               {0.0, 1e12});
+  visitor.integer({"crop", "side in pixels of the random crop that is judged"}, crop, {8, 65536});
+  visitor.text({"dino_weights", "DINO weight file; empty uses a small convolutional discriminator"},
+               dino_weights);
+  visitor.group({"dino", "the DINO-based discriminator"}, dino);
+  visitor.group({"convolutional", "the convolutional discriminator"}, convolutional);
+  visitor.group({"augment", "augmentation of what the discriminator sees"}, augment);
+  visitor.group({"learning_rate", "course of the discriminator's learning rate"}, learning_rate);
+  visitor.group({"optimiser", "the discriminator's optimiser"}, optimiser);
+}
+
+void PerceptualOptions::visit(FieldVisitor& visitor) {
+  visitor.real({"weight", "weight of the perceptual loss"}, weight, {0.0, 1e6});
+  visitor.integer({"start", "first step with the perceptual loss"}, start, {0, kLargestStep});
+  visitor.text({"lpips_backbone", "classification network of LPIPS; empty uses the stand-in"},
+               lpips_backbone);
+  visitor.text({"lpips_heads", "published linear heads of LPIPS"}, lpips_heads);
+  visitor.group({"lpips", "which LPIPS"}, lpips);
+  visitor.group({"standin", "the loss used without LPIPS weights"}, standin);
+}
+
+void PerceptualOptions::check() const {
+  if (lpips_backbone.empty() != lpips_heads.empty()) {
+    fail({"perceptual", "both lpips_backbone and lpips_heads, or neither",
+          lpips_backbone.empty() ? "only lpips_heads" : "only lpips_backbone",
+          "give the other file as well"});
+  }
+}
+
+void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
+  visitor.real({"reconstruction_weight", "weight of the absolute error"}, reconstruction_weight, {0.0, 1e6});
+  visitor.real({"level_dropout", "probability of leaving a level out"}, level_dropout, {0.0, 0.99});
+  visitor.real(
+      {"latent_noise", "deviation of the strength of noise on the features, in deviations of a channel"},
+      latent_noise, {0.0, 100.0});
+  visitor.group({"perceptual", "perceptual loss"}, perceptual);
+  visitor.group({"adversarial", "adversarial loss"}, adversarial);
+}
+
+DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
+                                   std::shared_ptr<const Da3Backbone> backbone,
+                                   const ParameterPlacement& placement, int64_t seed)
+    : model_(model), options_(options), placement_(placement), backbone_(std::move(backbone)) {
+  model_.check();
+  options_.perceptual.check();
+  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
+  decoder_ = std::make_shared<RgbDecoder>(model_.rgb_decoder, placement);
+  decoder_->initialise(generator);
+  if (!options_.perceptual.lpips_backbone.empty()) {
+    lpips_ = std::make_shared<Lpips>(options_.perceptual.lpips, placement);
+    load_lpips(*lpips_, *WeightFile::open(options_.perceptual.lpips_backbone),
+               *WeightFile::open(options_.perceptual.lpips_heads));
+    for (auto& parameter : lpips_->parameters()) parameter.set_requires_grad(false);
+  }
+  if (options_.adversarial.weight > 0.0) {
+    if (options_.adversarial.dino_weights.empty()) {
+      discriminator_ =
+          std::make_shared<ConvolutionalDiscriminator>(options_.adversarial.convolutional, placement);
+    } else {
+      auto dino = std::make_shared<DinoDiscriminator>(options_.adversarial.dino, placement);
+      dino->load_dino(*WeightFile::open(options_.adversarial.dino_weights));
+      discriminator_ = dino;
+    }
+    discriminator_->initialise(generator);
+    discriminator_parameters_ = std::make_unique<FlatParameters>(named_parameters(*discriminator_));
+    discriminator_optimiser_ =
+        std::make_unique<Optimiser>(*discriminator_parameters_, options_.adversarial.optimiser);
+  }
+}
+
+std::vector<NamedParameter> DecoderObjective::parameters() const {
+  return named_parameters(*decoder_, RgbDecoder::kPrefix);
+}
+
+std::vector<torch::Tensor> DecoderObjective::levels_of(const torch::Tensor& images) const {
+  const torch::NoGradGuard no_grad;
+  std::vector<torch::Tensor> levels;
+  for (const auto& level : backbone_->encode(imagenet_normalise(images), backbone_->options().levels() - 1)) {
+    levels.push_back(backbone_->decodable(level).patches);
+  }
+  return levels;
+}
+
+torch::Tensor DecoderObjective::perceptual(const torch::Tensor& truth, const torch::Tensor& decoded) const {
+  return (lpips_ ? lpips_->forward(truth, decoded)
+                 : perceptual_standin(truth, decoded, options_.perceptual.standin))
+      .mean();
+}
+
+std::vector<int64_t> DecoderObjective::draw_corner(const torch::Tensor& images,
+                                                   torch::Generator& generator) const {
+  const int64_t side = options_.adversarial.crop;
+  std::vector<int64_t> corner;
+  for (const int64_t dim : {2, 3}) {
+    const int64_t room = std::max<int64_t>(images.size(dim) - side, 0);
+    corner.push_back(torch::randint(0, room + 1, {1}, generator, torch::kInt64).item<int64_t>());
+  }
+  return corner;
+}
+
+torch::Tensor DecoderObjective::crop(const torch::Tensor& images, const std::vector<int64_t>& corner) const {
+  const int64_t side = options_.adversarial.crop;
+  return images.narrow(2, corner[0], std::min(side, images.size(2)))
+      .narrow(3, corner[1], std::min(side, images.size(3)));
+}
+
+Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& context) {
+  torch::Generator generator = context.generator;
+  std::vector<torch::Tensor> truths, features;
+  for (const TrainingScene& scene : batch.scenes) {
+    truths.push_back(scene.images.to(placement_.device));
+    auto levels = levels_of(truths.back());
+    auto kept = torch::rand({static_cast<int64_t>(levels.size())}, generator, torch::kFloat64)
+                    .ge(options_.level_dropout);
+    if (!kept.any().item<bool>()) kept[0] = true;
+    for (size_t level = 0; level < levels.size(); ++level) {
+      if (!kept[static_cast<int64_t>(level)].item<bool>()) levels[level] = torch::zeros_like(levels[level]);
+    }
+    levels = with_feature_noise(std::move(levels), options_.latent_noise, generator);
+    features.push_back(torch::cat(levels, 2));
+  }
+  // The decoder works on single views, so scenes of one resolution are one batch for it.
+  const auto truth = torch::cat(truths);
+  const auto grid = backbone_->options().grid_of(truth.size(0), truth.size(2), truth.size(3));
+  const auto decoded = decoder_->decode(torch::cat(features), grid);
+
+  Losses losses;
+  const auto reconstruction = (decoded - truth).abs().mean();
+  losses.parts.emplace_back("reconstruction", reconstruction.detach());
+  losses.total = options_.reconstruction_weight * reconstruction;
+  if (options_.perceptual.weight > 0.0 && context.step >= options_.perceptual.start) {
+    const auto loss = perceptual(truth, decoded);
+    losses.parts.emplace_back("perceptual", loss.detach());
+    losses.total = losses.total + options_.perceptual.weight * loss;
+  }
+  if (discriminator_ && context.step >= options_.adversarial.generator_start) {
+    const auto seen = crop(to_signed(decoded), draw_corner(decoded, generator));
+    discriminator_->eval();
+    const auto loss =
+        -discriminator_->logits(diff_augment(seen, options_.adversarial.augment, generator)).mean();
+    const auto& layer = decoder_->last_layer_weight();
+    const auto gradient_norm = [&layer](const torch::Tensor& of) {
+      return torch::autograd::grad({of}, {layer}, {}, /*retain_graph=*/true)[0].norm();
+    };
+    const auto adaptive = (gradient_norm(losses.total) / (gradient_norm(loss) + 1e-6))
+                              .clamp(0.0, options_.adversarial.largest_adaptive_weight)
+                              .detach();
+    losses.parts.emplace_back("adversarial", loss.detach());
+    losses.parts.emplace_back("adaptive_weight", adaptive);
+    losses.total = losses.total + options_.adversarial.weight * adaptive * loss;
+  }
+  if (discriminator_) {
+    last_truth_ = truth;
+    last_decoded_ = decoded.detach();
+  }
+  return losses;
+}
+
+std::vector<std::pair<std::string, double>> DecoderObjective::after_step(const StepContext& context) {
+  if (!discriminator_ || context.step < options_.adversarial.discriminator_start) return {};
+  torch::Generator generator = context.generator;
+  const auto corner = draw_corner(last_truth_, generator);
+  // Rounded to 8 bits like the real images, so that the discriminator cannot tell them by their precision.
+  const auto decoded = torch::round(last_decoded_.clamp(0.0, 1.0) * 255.0) / 255.0;
+  const auto fake = diff_augment(crop(to_signed(decoded), corner), options_.adversarial.augment, generator);
+  const auto real =
+      diff_augment(crop(to_signed(last_truth_), corner), options_.adversarial.augment, generator);
+  discriminator_->train();
+  discriminator_parameters_->zero_gradients();
+  const auto fake_logits = discriminator_->logits(fake);
+  const auto real_logits = discriminator_->logits(real);
+  const auto loss = 0.5 * (torch::relu(1.0 - real_logits).mean() + torch::relu(1.0 + fake_logits).mean());
+  loss.backward();
+  const double norm = discriminator_optimiser_->gradient_norm();
+  if (std::isfinite(norm)) {
+    discriminator_optimiser_->step(
+        learning_rate(options_.adversarial.learning_rate, context.step, context.total_steps), norm);
+  }
+  return {{"discriminator", loss.item<double>()},
+          {"discriminator_accuracy", real_logits.gt(fake_logits).to(torch::kFloat32).mean().item<double>()}};
+}
+
+Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) {
+  Validation validation;
+  double absolute = 0.0, perceptual_sum = 0.0, psnr = 0.0;
+  for (const TrainingScene& scene : scenes) {
+    const auto truth = scene.images.to(placement_.device);
+    const auto grid = backbone_->options().grid_of(truth.size(0), truth.size(2), truth.size(3));
+    const auto decoded = decoder_->decode(torch::cat(levels_of(truth), 2), grid);
+    absolute += (decoded - truth).abs().mean().item<double>();
+    perceptual_sum += perceptual(truth, decoded).item<double>();
+    psnr += mean_psnr(decoded, truth);
+    if (validation.rows.size() < 4) {
+      PictureRow row;
+      row.name = scene.name;
+      for (int64_t view = 0; view < std::min<int64_t>(scene.views.size(), 3); ++view) {
+        row.pictures.emplace_back("image", truth[view].to(torch::kCPU));
+        row.pictures.emplace_back("decoded", decoded[view].to(torch::kCPU).clamp(0.0, 1.0));
+      }
+      validation.rows.push_back(std::move(row));
+    }
+  }
+  const auto count = static_cast<double>(scenes.size());
+  validation.values = {
+      {"reconstruction", absolute / count}, {"perceptual", perceptual_sum / count}, {"psnr", psnr / count}};
+  return validation;
+}
+
+std::map<std::string, torch::Tensor> DecoderObjective::state() const {
+  std::map<std::string, torch::Tensor> state;
+  if (!discriminator_) return state;
+  for (const auto& [name, tensor] : named_tensors(*discriminator_)) state["discriminator." + name] = tensor;
+  for (const auto& [name, tensor] : discriminator_optimiser_->state()) state["optimiser." + name] = tensor;
+  return state;
+}
+
+void DecoderObjective::load_state(const std::map<std::string, torch::Tensor>& state,
+                                  const std::string& where) {
+  if (!discriminator_) return;
+  std::map<std::string, torch::Tensor> optimiser;
+  const torch::NoGradGuard no_grad;
+  for (const auto& [name, tensor] : state) {
+    if (name.rfind("optimiser.", 0) == 0) optimiser[name.substr(10)] = tensor;
+  }
+  for (auto& [name, tensor] : named_tensors(*discriminator_)) {
+    const auto found = state.find("discriminator." + name);
+    if (found == state.end() || found->second.sizes() != tensor.sizes()) {
+      fail({where, "the discriminator's tensor '" + name + "'", "none of that name and shape",
+            "resume with the options that wrote the checkpoint"});
+    }
+    torch::Tensor target = tensor;
+    target.copy_(found->second);
+  }
+  discriminator_optimiser_->load_state(optimiser, where);
+}
+
+void DecoderObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
+  save_bundle_options(folder, model_);
+  save_bundle_part(folder, BundlePart::kRgbDecoder, named_tensors(*decoder_), dtype);
+}
+
+}  // namespace gld

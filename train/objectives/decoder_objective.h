@@ -1,0 +1,104 @@
+#pragma once
+
+#include "models/bundle/bundle.h"
+#include "models/losses/dino_discriminator.h"
+#include "models/losses/discriminator.h"
+#include "models/losses/lpips.h"
+#include "models/losses/perceptual_standin.h"
+#include "train/loop/objective.h"
+#include "train/objectives/diff_augment.h"
+#include "train/optim/learning_rate.h"
+#include "train/optim/optimiser.h"
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// The adversarial part (hinge loss; published defaults of decoder training).
+struct AdversarialOptions : OptionsGroup {
+  double weight = 0.75;             // 0: no discriminator at all
+  int64_t generator_start = 0;      // first step at which the decoder sees the discriminator
+  int64_t discriminator_start = 0;  // first step at which the discriminator learns
+  double largest_adaptive_weight = 1e4;
+  int64_t crop = 224;        // pixels; side of the random crop that is judged
+  std::string dino_weights;  // file; empty: a small convolutional discriminator
+  DinoDiscriminatorOptions dino;
+  ConvolutionalDiscriminatorOptions convolutional;
+  DiffAugmentOptions augment;
+  LearningRateOptions learning_rate;
+  OptimiserOptions optimiser;
+
+  AdversarialOptions();
+  void visit(FieldVisitor& visitor) override;
+};
+
+struct PerceptualOptions : OptionsGroup {
+  double weight = 1.0;
+  int64_t start = 0;  // first step with the perceptual loss
+  std::string
+      lpips_backbone;       // torchvision's network; empty: the stand-in (models/losses/perceptual_standin.h)
+  std::string lpips_heads;  // published linear heads
+  LpipsOptions lpips;
+  PerceptualStandinOptions standin;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+struct DecoderObjectiveOptions : OptionsGroup {
+  double reconstruction_weight = 1.0;
+  double level_dropout = 0.1;
+  double latent_noise = 0.0;
+  PerceptualOptions perceptual;
+  AdversarialOptions adversarial;
+
+  void visit(FieldVisitor& visitor) override;
+};
+
+// Trains the RGB decoder on the features of a frozen backbone (paper, stage 1): absolute error + perceptual loss
+// + adversarial loss whose weight follows the ratio of gradient norms on the decoder's last layer (Esser et al.
+// 2021, eq. 7). Each level of a scene is left out (zeros) with probability level_dropout, never all of them.
+// latent_noise adds noise of random strength |N(0, latent_noise^2)| in units of each channel's deviation.
+class DecoderObjective : public Objective {
+ public:
+  // model: the architecture; its RGB decoder is trained. backbone is not changed.
+  DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
+                   std::shared_ptr<const Da3Backbone> backbone, const ParameterPlacement& placement,
+                   int64_t seed);
+
+  std::string kind() const override { return "decoder"; }
+  torch::Device device() const override { return placement_.device; }
+  bool concurrent() const override { return discriminator_ == nullptr; }
+  std::vector<NamedParameter> parameters() const override;
+  Losses losses(const TrainingBatch& batch, const StepContext& context) override;
+  std::vector<std::pair<std::string, double>> after_step(const StepContext& context) override;
+  Validation validate(const std::vector<TrainingScene>& scenes) override;
+  std::map<std::string, torch::Tensor> state() const override;
+  void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where) override;
+  void export_model(const std::filesystem::path& folder, DType dtype) const override;
+
+ private:
+  // The four decodable levels, (views, tokens, channels) each.
+  std::vector<torch::Tensor> levels_of(const torch::Tensor& images) const;
+  torch::Tensor perceptual(const torch::Tensor& truth, const torch::Tensor& decoded) const;
+  torch::Tensor crop(const torch::Tensor& images, const std::vector<int64_t>& corner) const;
+  std::vector<int64_t> draw_corner(const torch::Tensor& images, torch::Generator& generator) const;
+
+  BundleOptions model_;
+  DecoderObjectiveOptions options_;
+  ParameterPlacement placement_;
+  std::shared_ptr<const Da3Backbone> backbone_;
+  std::shared_ptr<RgbDecoder> decoder_;
+  std::shared_ptr<Lpips> lpips_;
+  std::shared_ptr<Discriminator> discriminator_;
+  std::unique_ptr<FlatParameters> discriminator_parameters_;
+  std::unique_ptr<Optimiser> discriminator_optimiser_;
+  torch::Tensor last_truth_, last_decoded_;  // of the last micro-batch, for the discriminator
+};
+
+}  // namespace gld

@@ -1,0 +1,59 @@
+#include "train/objectives/scene_latents.h"
+
+#include <utility>
+
+namespace gld {
+namespace {
+
+SceneLatents converted(const SceneLatents& latents, const torch::TensorOptions& options) {
+  const auto convert = [&](const torch::Tensor& tensor) {
+    return tensor.defined() ? tensor.to(options) : tensor;
+  };
+  return {convert(latents.sources), convert(latents.clean), convert(latents.deeper)};
+}
+
+int64_t bytes_of(const SceneLatents& latents) {
+  int64_t bytes = 0;
+  for (const auto& tensor : {latents.sources, latents.clean, latents.deeper}) {
+    if (tensor.defined()) bytes += tensor.numel() * tensor.element_size();
+  }
+  return bytes;
+}
+
+// Different views of one scene have different cameras.
+std::string key_of(const TrainingScene& scene) {
+  std::string key = scene.name + '/' + std::to_string(scene.views.num_sources);
+  for (const Camera& camera : scene.views.cameras) {
+    const Eigen::Matrix4d pose = camera.world_from_camera.matrix();
+    key.append(reinterpret_cast<const char*>(pose.data()), sizeof(double) * static_cast<size_t>(pose.size()));
+  }
+  return key;
+}
+
+}  // namespace
+
+SceneLatents SceneLatents::to(torch::Device device) const {
+  return converted(*this, torch::TensorOptions().device(device));
+}
+
+KeptLatents::KeptLatents(double gib) : most_bytes_(static_cast<int64_t>(gib * (int64_t{1} << 30))) {}
+
+SceneLatents KeptLatents::get(const TrainingScene& scene, const std::function<SceneLatents()>& encode) {
+  const auto full = torch::TensorOptions().dtype(torch::kFloat32);
+  std::string key = key_of(scene);
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto found = kept_.find(key);
+    if (found != kept_.end()) return converted(found->second, full);
+  }
+  const SceneLatents rounded =
+      converted(encode(), torch::TensorOptions().dtype(torch::kFloat16).device(torch::kCPU));
+  const int64_t bytes = bytes_of(rounded) + static_cast<int64_t>(key.size());
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (bytes_ + bytes <= most_bytes_ && kept_.emplace(std::move(key), rounded).second) bytes_ += bytes;
+  }
+  return converted(rounded, full);
+}
+
+}  // namespace gld

@@ -1,0 +1,45 @@
+#pragma once
+
+#include "train/data/training_scene.h"
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <string>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// What the frozen backbone makes of a scene for flow matching: (views, tokens, channels), normalised with the latent
+// statistics.
+struct SceneLatents {
+  torch::Tensor sources;  // of the source views encoded alone
+  torch::Tensor clean;    // of all views encoded together, the level to generate
+  torch::Tensor deeper;   // of the level that a cascade starts from; undefined for level models
+
+  SceneLatents to(torch::Device device) const;
+};
+
+// Keeps the latents of scenes for the next time they are trained on: encoding them costs as much as a training step
+// of a small model. They are kept in float16, and the first use gets the rounded ones as well, so that a run does not
+// depend on what an earlier process has kept.
+class KeptLatents {
+ public:
+  // gib: bound of their memory; past it scenes are encoded every time. 0 keeps none.
+  explicit KeptLatents(double gib);
+
+  bool enabled() const { return most_bytes_ > 0; }
+  // The latents of that scene (its name and cameras tell), on the CPU and in float32; encode makes them where they
+  // are not kept. May be called from several threads.
+  SceneLatents get(const TrainingScene& scene, const std::function<SceneLatents()>& encode);
+
+ private:
+  int64_t most_bytes_;
+  std::mutex mutex_;
+  int64_t bytes_ = 0;
+  std::map<std::string, SceneLatents> kept_;  // float16
+};
+
+}  // namespace gld

@@ -1,0 +1,51 @@
+#include "train/objectives/scene_pixels.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace gld {
+
+torch::Tensor image_patches(const torch::Tensor& images, int64_t patch) {
+  const int64_t views = images.size(0), rows = images.size(2) / patch, columns = images.size(3) / patch;
+  return images.reshape({views, 3, rows, patch, columns, patch})
+      .permute({0, 2, 4, 3, 5, 1})
+      .reshape({views, rows * columns, 3 * patch * patch});
+}
+
+torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& grid, int64_t patch) {
+  return patches.reshape({grid.views, grid.height, grid.width, patch, patch, 3})
+      .permute({0, 5, 1, 3, 2, 4})
+      .reshape({grid.views, 3, grid.height * patch, grid.width * patch});
+}
+
+double mean_psnr(const torch::Tensor& images, const torch::Tensor& truth) {
+  const auto error =
+      (images.clamp(0.0, 1.0) - truth).square().flatten(1).to(torch::kFloat64).mean(1).to(torch::kCPU);
+  double sum = 0.0;
+  for (int64_t view = 0; view < error.size(0); ++view) {
+    sum += std::min(100.0, -10.0 * std::log10(std::max(error[view].item<double>(), 1e-20)));
+  }
+  return sum / static_cast<double>(error.size(0));
+}
+
+torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range) {
+  const auto known = range.masked_select(range > 0.0);
+  if (known.numel() == 0) return torch::zeros({3, depth.size(0), depth.size(1)});
+  const double nearest = 1.0 / known.max().item<double>();
+  const double farthest = 1.0 / known.min().item<double>();
+  const auto grey = (depth.clamp_min(1e-9).reciprocal() - nearest) / std::max(farthest - nearest, 1e-12);
+  return (grey.clamp(0.0, 1.0) * (depth > 0.0).to(grey.dtype())).expand({3, depth.size(0), depth.size(1)});
+}
+
+void PartSums::add(const std::string& name, const torch::Tensor& value, double weight) {
+  const auto weighted = weight * value.detach();
+  for (auto& part : parts_) {
+    if (part.first == name) {
+      part.second = part.second + weighted;
+      return;
+    }
+  }
+  parts_.emplace_back(name, weighted);
+}
+
+}  // namespace gld

@@ -1,0 +1,37 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// (views, 3, height, width) -> (views, tokens, 3 * patch^2): each patch's pixels, row by row, channels last, as
+// the RGB decoder orders them.
+torch::Tensor image_patches(const torch::Tensor& images, int64_t patch);
+// The inverse.
+torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& grid, int64_t patch);
+
+// Mean over views of 10 log10(1 / mean squared error) of images clamped to [0, 1]; at most 100.
+double mean_psnr(const torch::Tensor& images, const torch::Tensor& truth);
+
+// A depth map in shades of grey, near is bright: (height, width) -> (3, height, width). The range is that of all
+// known depths in `range`.
+torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range);
+
+// Weighted sums of the detached parts of a loss, by name, in the order of first appearance.
+class PartSums {
+ public:
+  void add(const std::string& name, const torch::Tensor& value, double weight);
+  std::vector<std::pair<std::string, torch::Tensor>> take() { return std::move(parts_); }
+
+ private:
+  std::vector<std::pair<std::string, torch::Tensor>> parts_;
+};
+
+}  // namespace gld

@@ -1,0 +1,72 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "train/optim/flat_parameters.h"
+
+#include <map>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+enum class OptimiserAlgorithm { kAdamW, kAdam };
+
+// DESIGN.md section 4, "Training numbers".
+struct OptimiserOptions : OptionsGroup {
+  OptimiserAlgorithm algorithm = OptimiserAlgorithm::kAdamW;
+  std::vector<double> betas = {0.9, 0.95};
+  double epsilon = 1e-8;
+  double weight_decay = 0.0;
+  double clip_norm = 1.0;
+  double ema_decay = 0.9995;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Adam (Kingma & Ba, algorithm 1) or AdamW (Loshchilov & Hutter, algorithm 2) with clipping by the global
+// gradient norm and an exponential moving average of the values, over flat buffers.
+class Optimiser {
+ public:
+  // The average starts at the present values.
+  Optimiser(FlatParameters& parameters, const OptimiserOptions& options);
+
+  // L2 norm of all gradients, accumulated in double; does not depend on the number of threads.
+  double gradient_norm() const;
+  // One update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
+  void step(double learning_rate, double gradient_norm);
+
+  int64_t steps_taken() const { return steps_; }
+  bool has_average() const { return average_.defined(); }
+  const torch::Tensor& average() const { return average_; }  // flat; the values themselves without one
+
+  // Everything step() depends on beside values and gradients.
+  std::map<std::string, torch::Tensor> state() const;
+  // Throws Error naming the tensor that is missing or misshapen.
+  void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
+
+ private:
+  FlatParameters* parameters_;
+  OptimiserOptions options_;
+  int64_t steps_ = 0;
+  torch::Tensor first_moment_;
+  torch::Tensor second_moment_;
+  torch::Tensor average_;
+};
+
+// Puts the moving average in the place of the parameters for as long as it lives (validation, export).
+class AverageInPlace {
+ public:
+  AverageInPlace(FlatParameters& parameters, const Optimiser& optimiser);
+  ~AverageInPlace();
+  AverageInPlace(const AverageInPlace&) = delete;
+  AverageInPlace& operator=(const AverageInPlace&) = delete;
+
+ private:
+  FlatParameters* parameters_;
+  torch::Tensor trained_;  // undefined without an average
+};
+
+}  // namespace gld

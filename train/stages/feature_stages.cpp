@@ -1,0 +1,52 @@
+#include "train/stages/feature_stages.h"
+
+namespace gld {
+
+void TrainBackboneOptions::visit(FieldVisitor& visitor) {
+  TrainOptions::visit(visitor);
+  visitor.group({"objective", "losses"}, objective);
+}
+
+TrainDecoderOptions::TrainDecoderOptions() {
+  loop.optimiser.algorithm = OptimiserAlgorithm::kAdam;
+  loop.optimiser.clip_norm = 0.0;
+  loop.optimiser.ema_decay = 0.9978;
+  loop.learning_rate.schedule = LearningRateSchedule::kCosine;
+  loop.learning_rate.peak = 2e-4;
+  loop.learning_rate.final = 2e-5;
+  loop.learning_rate.warmup_steps = 1000;
+}
+
+void TrainDecoderOptions::visit(FieldVisitor& visitor) {
+  TrainOptions::visit(visitor);
+  visitor.group({"objective", "losses"}, objective);
+}
+
+std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw) {
+  TrainingStage stage;
+  stage.command = "train backbone";
+  stage.parts = FrameParts::kImageAndDepth;
+  const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
+  stage.made = {BundlePart::kDptHead};
+  if (!head_only) stage.made.push_back(BundlePart::kBackbone);
+  stage.objective = [&options, head_only](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    TrainedGeometry trained;
+    if (head_only) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
+    return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
+                                               options.loop.seed, trained);
+  };
+  return run_training_stage(options, options, stage, draw);
+}
+
+std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw) {
+  TrainingStage stage;
+  stage.command = "train decoder";
+  stage.made = {BundlePart::kRgbDecoder};
+  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    return std::make_unique<DecoderObjective>(bundle.options(), options.objective,
+                                              bundle.load_backbone(placement), placement, options.loop.seed);
+  };
+  return run_training_stage(options, options, stage, draw);
+}
+
+}  // namespace gld

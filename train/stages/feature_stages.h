@@ -1,0 +1,27 @@
+#pragma once
+
+#include "train/objectives/backbone_objective.h"
+#include "train/objectives/decoder_objective.h"
+#include "train/stages/training_stage.h"
+
+#include <string>
+
+namespace gld {
+
+struct TrainBackboneOptions : TrainOptions {
+  BackboneObjectiveOptions objective;
+  void visit(FieldVisitor& visitor) override;
+};
+
+struct TrainDecoderOptions : TrainOptions {
+  DecoderObjectiveOptions objective;
+  // Published decoder training: Adam 2e-4 to 2e-5 along a cosine, no clipping, EMA 0.9978.
+  TrainDecoderOptions();
+  void visit(FieldVisitor& visitor) override;
+};
+
+// gld train backbone and gld train decoder; see run_training_stage.
+std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw);
+std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw);
+
+}  // namespace gld

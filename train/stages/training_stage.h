@@ -1,0 +1,59 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "models/bundle/bundle.h"
+#include "train/data/training_data.h"
+#include "train/loop/objective.h"
+#include "train/loop/training_loop.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+enum class ExportPrecision { kFloat32, kFloat16, kBFloat16 };
+
+// What every kind of gld train has. model is a bundle: its model.yaml is the architecture, and the parts trained
+// before are taken from it. The run's own bundle, model/ in the run folder, is a copy with the trained part.
+struct TrainOptions : OptionsGroup {
+  std::string model;
+  std::string out;
+  bool resume = false;
+  std::string device = "cpu";
+  int64_t threads = 0;
+  ExportPrecision weights = ExportPrecision::kFloat32;
+  TrainingDataOptions data;
+  TrainingLoopOptions loop;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+using DrawValidation = std::function<void(const Validation& validation, const std::filesystem::path& file)>;
+
+// One kind of training: what it needs of the data and how its objective is made.
+struct TrainingStage {
+  std::string command;  // "train backbone"
+  FrameParts parts = FrameParts::kImage;
+  std::vector<BundlePart> made;  // what the run trains; the other parts are copied
+  std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
+};
+
+// Runs a stage: run folder with the resolved configuration (all_options), loop, model/, report.json. Returns the
+// closing box as text. draw may be empty.
+std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
+                               const TrainingStage& stage, const DrawValidation& draw);
+
+// 0 is one thread a processor.
+void use_training_threads(int64_t threads);
+// Copies the parts that a run did not make itself.
+void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
+                      const std::vector<BundlePart>& made);
+
+}  // namespace gld
