@@ -43,8 +43,8 @@ Command make_train_command() {
                     "A geometric backbone and its DPT head on scenes with depth, or the head alone",
                     train_backbone),
       stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder),
-      stage_command("level", "M_L, which generates the boundary level from noise", train_level),
-      stage_command("cascade", "M_L->0, which generates level 0 from the boundary level", train_cascade)};
+      stage_command("level", "M_L, which generates a level from noise", train_level),
+      stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade)};
   return command;
 }
 

@@ -23,8 +23,8 @@ std::vector<double> uniform_times(int64_t steps, double last) {
 }
 
 void shift_all(std::vector<double>& times, double shift) {
-  if (!(shift >= 1)) {
-    fail({"shift", "a time shift of at least 1", fmt::format("{}", shift),
+  if (!(shift > 0)) {
+    fail({"shift", "a time shift above 0", fmt::format("{}", shift),
           "name one; 0 needs a model that has one"});
   }
   for (double& time : times) time = shifted_time(time, shift);

@@ -26,12 +26,15 @@ PipelineModels models_in(const ModelBundle& bundle, torch::Dtype dtype) {
   placement.dtype = dtype;
   PipelineModels models;
   models.backbone = [=] { return bundle.load_backbone(placement); };
-  models.level1 = [=] { return bundle.load_level1(placement); };
-  models.cascade = [=] { return bundle.load_cascade(placement); };
+  models.levels = bundle.options().level_set();
+  models.generator = [=](size_t number) {
+    return bundle.load_generator(bundle.options().generators.at(number).generator, placement);
+  };
   models.rgb_decoder = [=] { return bundle.load_rgb_decoder(placement); };
   models.dpt_head = [=] { return bundle.load_dpt_head(placement); };
-  models.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0);
-  models.level1_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  for (const auto& part : bundle.options().generators) {
+    models.statistics.push_back(bundle.load_statistics(part.generator));
+  }
   return models;
 }
 
@@ -72,17 +75,18 @@ PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& 
   request.source_images = images;
   const int64_t tokens = (shape.height / kPatch) * (shape.width / kPatch);
   const auto noise = [&](uint64_t seed) {
-    return torch::randn({shape.views, tokens, bundle.level1.in_channels},
+    return torch::randn({shape.views, tokens, bundle.backbone.level_channels()},
                         at::detail::createCPUGenerator(seed), torch::TensorOptions(torch::kFloat32))
         .to(images.scalar_type());
   };
-  request.level1_noise = noise(1);
-  request.level0_noise = noise(2);
-  for (auto* solver : {&request.level1_solver, &request.cascade_solver}) {
-    solver->solver = SolverKind::kEuler;
-    solver->evaluations = 1;
+  for (size_t number = 0; number < bundle.generators.size(); ++number) {
+    request.noise.push_back(noise(number + 1));
+    SolverOptions solver;
+    solver.solver = SolverKind::kEuler;
+    solver.evaluations = 1;
+    request.flow.solvers.push_back(solver);
   }
-  request.guidance.guidance_scale = 1.5;
+  request.flow.guidance.guidance_scale = 1.5;
   request.image_views = DecodedViews::kAll;
   request.geometry_views = DecodedViews::kAll;
   return request;
@@ -91,8 +95,8 @@ PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& 
 std::map<std::string, torch::Tensor> run_whole(const PipelineModels& models, const PipelineRequest& request) {
   StageRecords stages;
   const auto result = run_pipeline(models, request, stages);
-  return {{"level 1 after M1", result.level1},
-          {"level 0 after the cascade", result.level0},
+  return {{"level 1 after M1", result.latents.at(1)},
+          {"level 0 after the cascade", result.latents.at(0)},
           {"level 2 after propagation", result.levels[2]},
           {"level 3 after propagation", result.levels[3]},
           {"images", result.images},
@@ -156,7 +160,7 @@ std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder) {
   }
 
   auto broken = whole_request(options, pictures);
-  broken.level0_noise[1][2][3] = std::numeric_limits<float>::quiet_NaN();
+  broken.noise[1][1][2][3] = std::numeric_limits<float>::quiet_NaN();
   rows.push_back({"whole model", "a NaN in the cascade", "of stage, step and time not named in the message",
                   missing_in_message([&] { run_whole(single_models, broken); }, "cascade"), 0});
   return rows;

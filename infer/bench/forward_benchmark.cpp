@@ -73,12 +73,12 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
   BundleOptions bundle;
   Setting setting;
   if (options.model.empty()) {
-    setting.model = std::make_shared<DitDh>(bundle.level1, ParameterPlacement{});
+    setting.model = std::make_shared<DitDh>(bundle.generators.front().dit, ParameterPlacement{});
     fill_with_random_weights(*setting.model);
   } else {
     const auto opened = ModelBundle::open(options.model);
     bundle = opened.options();
-    setting.model = opened.load_level1();
+    setting.model = opened.load_generator(bundle.generators.front().generator);
   }
   const ImageSize size = image_size_from_text(options.size, "--size");
   const LatentGrid grid = bundle.backbone.grid_of(options.views, size.height, size.width);

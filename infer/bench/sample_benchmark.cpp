@@ -113,8 +113,9 @@ class SceneSampler {
     PipelineResult result;
     SampleRow row = run(variant, result);
     if (row.non_finite == 0) {
-      row.level1_error = relative_error(result.level1, reference_.level1);
-      row.level0_error = relative_error(result.level0, reference_.level0);
+      // The boundary level, which is generated first, and the shallowest.
+      row.level1_error = relative_error(result.latents.rbegin()->second, reference_.latents.rbegin()->second);
+      row.level0_error = relative_error(result.latents.begin()->second, reference_.latents.begin()->second);
     }
     return row;
   }
@@ -125,10 +126,12 @@ class SceneSampler {
   }
 
   SampleRow run(const SamplingVariant& variant, PipelineResult& result) {
-    request_.level1_solver = request_.cascade_solver = variant.solver;
-    request_.level1_solver.schedule.shift = models_.bundle.level1_time_shift.evaluation;
-    request_.cascade_solver.schedule.shift = models_.bundle.cascade_time_shift.evaluation;
-    request_.guidance = variant.guidance;
+    request_.flow = FlowSettings();
+    for (const auto& part : models_.bundle.generators) {
+      request_.flow.solvers.push_back(variant.solver);
+      request_.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
+    }
+    request_.flow.guidance = variant.guidance;
     SampleRow row;
     row.scene = name_;
     row.solver = solver_names()[static_cast<size_t>(variant.solver.solver)];
@@ -145,8 +148,8 @@ class SceneSampler {
       if (error.parts().expected != "finite numbers") throw;
       row.non_finite = 1;
     }
+    row.seconds = flow_seconds(models_.models.levels, stages);
     for (const auto& stage : stages.records()) {
-      if (stage.name == "M1" || stage.name == "cascade") row.seconds += stage.seconds;
       row.peak_bytes = std::max(row.peak_bytes, stage.peak_bytes);
     }
     for (const auto& flow : result.flows) {
@@ -200,7 +203,7 @@ class BenchmarkScenes {
     SceneReading reading = options_.reading;
     if (!location.part.empty()) reading.part = location.part;
     const Scene scene = open_scene(location.path, reading);
-    const auto size = choose_size(options_.size, scene, bundle_.image_sizes(), bundle_.backbone.patch_size);
+    const auto size = choose_size(options_.size, scene, bundle_.image_sizes(), bundle_.backbone.patch_side());
     return load_sampling_scene(scene, options_.views, size);
   }
 

@@ -60,7 +60,7 @@ double flop_of(const PipelineResult& result, const BundleOptions& bundle, int64_
   const double kept = result.view_pairs ? result.view_pairs->kept() : 1;
   double flop = 0;
   for (const auto& flow : result.flows) {
-    const DitOptions& model = flow.stage == "M1" ? bundle.level1 : bundle.cascade;
+    const DitOptions& model = bundle.generator(flow.generator).dit;
     const auto add = [&](const Cost& cost, int64_t runs) {
       flop += static_cast<double>(runs) * (cost.linear_flop + kept * cost.attention_flop);
     };
@@ -70,9 +70,8 @@ double flop_of(const PipelineResult& result, const BundleOptions& bundle, int64_
   if (result.view_pairs && num_sources > 1) {
     LatentGrid sources = result.grid;
     sources.views = num_sources;
-    const auto& blocks = bundle.backbone.out_layers;
-    flop += backbone_cost(bundle.backbone, sources, blocks.at(static_cast<size_t>(bundle.boundary_level)) + 1,
-                          bundle.backbone.depth)
+    flop += bundle.backbone.architecture()
+                .propagation_cost(sources, bundle.level_set().deepest_generated())
                 .flop() +
             dpt_head_cost(bundle.dpt_head, sources, GeometryMaps::kDepthAndRays).flop();
   }
@@ -95,17 +94,13 @@ class Sampler {
   Run run(const BenchScene& scene, const SamplingMethod& method) const {
     PipelineRequest request = scene.request;
     const FlowSettings settings = flow_settings(method, guidance_, bundle_);
-    request.level1_solver = settings.level1_solver;
-    request.cascade_solver = settings.cascade_solver;
-    request.guidance = settings.guidance;
-    request.approximate = settings.approximate;
+    request.flow = settings;
     StageRecords stages;
     Run run;
     run.result = run_pipeline(models_, request, stages);
+    run.seconds = flow_seconds(models_.levels, stages);
     for (const auto& stage : stages.records()) {
-      if (stage.name == "M1" || stage.name == "cascade" || stage.name == "view pairs") {
-        run.seconds += stage.seconds;
-      }
+      if (stage.name == "view pairs") run.seconds += stage.seconds;
       run.peak_bytes = std::max(run.peak_bytes, stage.peak_bytes);
     }
     return run;
@@ -121,8 +116,11 @@ class Sampler {
     const Run made = run(scene, method);
     PlanSample sample;
     sample.scene = scene.name;
-    sample.level1_error = relative(made.result.level1, reference.result.level1);
-    sample.level0_error = relative(made.result.level0, reference.result.level0);
+    // The boundary level, which is generated first, and the shallowest.
+    const auto& latents = made.result.latents;
+    const auto& exact = reference.result.latents;
+    sample.level1_error = relative(latents.rbegin()->second, exact.rbegin()->second);
+    sample.level0_error = relative(latents.begin()->second, exact.begin()->second);
     sample.psnr = mean_psnr(scene.truth, made.result.images);
     sample.psnr_difference = sample.psnr - mean_psnr(scene.truth, reference.result.images);
     sample.psnr_to_reference = mean_psnr(reference.result.images.clamp(0, 1), made.result.images);
@@ -247,8 +245,7 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   const int64_t scene_count = std::min(options.synthetic, dataset->size());
 
   std::vector<PlanRow> rows;
-  for (auto& variant :
-       of_families(plan_variants(options.counts, bundle.options().cascade), options.families)) {
+  for (auto& variant : of_families(plan_variants(options.counts, bundle.options()), options.families)) {
     PlanRow row;
     row.variant = std::move(variant);
     row.samples.resize(static_cast<size_t>(scene_count));

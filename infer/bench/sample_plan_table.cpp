@@ -40,15 +40,15 @@ PlotPanel panel_of(const std::vector<PlanRow>& rows, const std::string& title, c
 }  // namespace
 
 SamplingMethod exact_method(int64_t evaluations) {
-  SamplingMethod method = quality_method(SamplingQuality::kExact, DitOptions());
+  SamplingMethod method = quality_method(SamplingQuality::kExact, BundleOptions());
   method.solver.evaluations = evaluations;
   if (evaluations != kComparedEvaluations) method.name = fmt::format("{} evaluations", evaluations);
   return method;
 }
 
-std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const DitOptions& cascade) {
+std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle) {
   std::vector<PlanVariant> variants;
-  variants.push_back({"published", quality_method(SamplingQuality::kPublished, cascade)});
+  variants.push_back({"published", quality_method(SamplingQuality::kPublished, bundle)});
   for (const int64_t count : counts) variants.push_back({kFewerEvaluations, exact_method(count)});
   const auto add = [&](const std::string& family, int64_t evaluations, const std::string& what,
                        const std::function<void(SamplingMethod&)>& change) {
@@ -58,7 +58,7 @@ std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const
     variants.push_back(std::move(variant));
   };
   const auto add_nodes = [&](int64_t evaluations, int64_t nodes) {
-    if (cascade.encoder_sees_noisy()) return;
+    if (!can_have_encoder_nodes(bundle)) return;
     add("encoder nodes", evaluations, fmt::format("{} nodes", nodes),
         [&](SamplingMethod& method) { method.approximate.cascade_encoder_nodes = nodes; });
   };
@@ -81,8 +81,8 @@ std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const
   }
   add("visible pairs", kComparedEvaluations, "visible pairs",
       [&](SamplingMethod& method) { method.approximate.view_pairs = ViewPairs::kVisible; });
-  variants.push_back({"balanced", quality_method(SamplingQuality::kBalanced, cascade)});
-  variants.push_back({"fast", quality_method(SamplingQuality::kFast, cascade)});
+  variants.push_back({"balanced", quality_method(SamplingQuality::kBalanced, bundle)});
+  variants.push_back({"fast", quality_method(SamplingQuality::kFast, bundle)});
   return variants;
 }
 

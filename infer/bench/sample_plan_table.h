@@ -3,7 +3,7 @@
 #include "gld/report/plot.h"
 #include "gld/report/table.h"
 #include "infer/method/sampling_method.h"
-#include "models/dit/dit_options.h"
+#include "models/bundle/bundle_options.h"
 
 #include <cstdint>
 #include <string>
@@ -23,7 +23,7 @@ SamplingMethod exact_method(int64_t evaluations);
 
 // The published sampler; the default solver at each count; at 16 evaluations, encoder nodes, encoder reuse, guidance on
 // an interval or dropped, visible pairs; nodes at other counts; balanced and fast.
-std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const DitOptions& cascade);
+std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle);
 
 // The variants of these families and all of "fewer evaluations"; all where families is empty. Throws Error for a family
 // that no variant is of.

@@ -15,7 +15,6 @@
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/pipeline/bundle_models.h"
-#include "models/layers/imagenet.h"
 
 #include <algorithm>
 #include <cmath>
@@ -72,8 +71,8 @@ double psnr_of_nearest_source(const SceneTensors& scene) {
 double reconstruction_psnr(const PipelineModels& models, const SceneTensors& scene,
                            const torch::Device& device) {
   const auto backbone = models.backbone();
-  const auto& sizes = backbone->options();
-  const auto images = imagenet_normalise(scene.images.to(device));
+  const auto& sizes = backbone->architecture();
+  const auto images = scene.images.to(device);
   std::vector<torch::Tensor> levels;
   for (const auto& level : backbone->encode(images, sizes.levels() - 1)) {
     levels.push_back(backbone->decodable(level).patches);
@@ -100,15 +99,15 @@ class Evaluator {
     request.source_images = scene.images.narrow(0, 0, sources);
     const auto grid =
         bundle_.options().backbone.grid_of(scene.views.size(), scene.images.size(2), scene.images.size(3));
-    const auto noise = [&](const char* stream, int64_t channels) {
+    const auto noise = [&](const std::string& stream, int64_t channels) {
       return views_noise(static_cast<uint64_t>(options_.seed + index), stream, grid.views,
                          {grid.tokens_per_view(), channels});
     };
-    request.level1_noise = noise("level 1", bundle_.options().level1.in_channels);
-    request.level0_noise = noise("level 0", bundle_.options().cascade.in_channels);
-    request.level1_solver = solver_for(bundle_.options().level1_time_shift);
-    request.cascade_solver = solver_for(bundle_.options().cascade_time_shift);
-    request.guidance = options_.guidance;
+    for (const auto& part : bundle_.options().generators) {
+      request.noise.push_back(noise(level_noise_stream(part.generator.level), part.dit.in_channels));
+      request.flow.solvers.push_back(solver_for(part.time_shift));
+    }
+    request.flow.guidance = options_.guidance;
     request.image_views = DecodedViews::kTargets;
     request.geometry_views = scene.depth.defined() ? DecodedViews::kTargets : DecodedViews::kNone;
     request.geometry_maps = GeometryMaps::kDepth;

@@ -64,13 +64,13 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const DitTimeRow time = model.time_rows({kFlowTime}).front();
   const auto noisy = torch::randn({part.views, tokens, probe.in_channels});
   std::vector<DitBranch> branches{DitBranch::kConditional};
-  const bool batched =
-      request.guidance.guidance_scale != 1 && choose_branches(request.guidance, options, grid).batched;
+  const bool batched = request.flow.guidance.guidance_scale != 1 &&
+                       choose_branches(request.flow.guidance, options, grid).batched;
   if (batched) branches.push_back(DitBranch::kUnconditional);
   const DitNoisyTokens embedded = model.embed_noisy(scene, noisy);
   // Nodes are evaluated for one branch at a time.
-  const bool nodes =
-      options.conditioning == DitConditioning::kDeeperLevel && request.approximate.cascade_encoder_nodes > 0;
+  const bool nodes = options.conditioning == DitConditioning::kDeeperLevel &&
+                     request.flow.approximate.cascade_encoder_nodes > 0;
   const std::vector<DitBranch> encoded = nodes ? std::vector<DitBranch>{DitBranch::kConditional} : branches;
   DitSpeed result;
   result.condition_encoder =

@@ -101,10 +101,11 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
   request.num_sources = options.sources;
   request.outputs.image = request.outputs.depth = request.outputs.points = true;
-  request.level1_solver = request.cascade_solver = options.solver;
-  request.level1_solver.schedule.shift = bundle.options().level1_time_shift.evaluation;
-  request.cascade_solver.schedule.shift = bundle.options().cascade_time_shift.evaluation;
-  request.guidance = options.guidance;
+  for (const auto& part : bundle.options().generators) {
+    request.flow.solvers.push_back(options.solver);
+    request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
+  }
+  request.flow.guidance = options.guidance;
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, bundle.options(), request, machine.speed);

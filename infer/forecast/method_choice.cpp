@@ -16,7 +16,7 @@ std::vector<double> flop_of(const PlanErrors& table, const SampleOptions& option
                             PlanRequest request) {
   std::vector<double> flop;
   for (const auto& entry : table.methods) {
-    request.set(flow_settings(entry.method, options.guidance, bundle.options()));
+    request.flow = flow_settings(entry.method, options.guidance, bundle.options());
     flop.push_back(plan_sampling(bundle.options(), request).flop());
   }
   return flop;
@@ -75,7 +75,7 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
     return within_tolerance(options, bundle, request, measured ? model_hash() : std::string());
   }
   ChosenMethod choice;
-  choice.method = options.method(bundle.options().cascade);
+  choice.method = options.method(bundle.options());
   choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
                   : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
                                                                  : "by the options";

@@ -25,8 +25,6 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kFloatBytes = 4;
-
 // A linear layer of DA3-Base's feed-forward part on one 504x504 image.
 double measure_linear_speed() {
   constexpr int64_t kRows = 1296, kInputs = 768, kOutputs = 3072;
@@ -97,14 +95,14 @@ bool is_cascade(const DitOptions& options) { return options.conditioning == DitC
 // Conditions that the approximate savings keep, in bytes.
 int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& solver,
                               const PlanRequest& request) {
+  const FlowSettings& flow = request.flow;
   int64_t kept = 0;
-  if (is_cascade(options) && request.approximate.cascade_encoder_nodes > 0) {
-    for (const auto& nodes :
-         encoder_nodes(solver, request.guidance, request.approximate.cascade_encoder_nodes)) {
+  if (is_cascade(options) && flow.approximate.cascade_encoder_nodes > 0) {
+    for (const auto& nodes : encoder_nodes(solver, flow.guidance, flow.approximate.cascade_encoder_nodes)) {
       kept += static_cast<int64_t>(nodes.size());
     }
-  } else if (!is_cascade(options) && request.approximate.level1_encoder_every > 1) {
-    kept = 2 * (guided_evaluations(solver, request.guidance) > 0 ? 2 : 1);
+  } else if (!is_cascade(options) && flow.approximate.level1_encoder_every > 1) {
+    kept = 2 * (guided_evaluations(solver, flow.guidance) > 0 ? 2 : 1);
   }
   return kept * request.grid.views * (request.grid.tokens_per_view() + options.num_special_tokens) *
          options.encoder_width() * kFloatBytes;
@@ -114,13 +112,12 @@ int64_t latent_bytes(int64_t channels, const LatentGrid& grid) {
   return grid.views * grid.tokens_per_view() * channels * kFloatBytes;
 }
 
-PlannedStage flow_stage(const std::string& name, const DitOptions& options, const SolverOptions& solver,
-                        const PlanRequest& request) {
-  PlannedStage stage;
-  stage.name = name;
+void price_flow(PlannedStage& stage, const DitOptions& options, const SolverOptions& solver,
+                const PlanRequest& request) {
+  const GuidanceOptions& guidance = request.flow.guidance;
   stage.evaluations = solver.evaluations;
-  stage.with_unconditional = guided_evaluations(solver, request.guidance);
-  stage.parts = planned_runs(options, solver, request);
+  stage.with_unconditional = guided_evaluations(solver, guidance);
+  stage.parts = planned_runs(options, solver, request.flow);
   const Cost once = dit_cost(options, request.grid);
   const Cost encoder = condition_encoder_cost(options, request.grid);
   const Cost decoder = velocity_decoder_cost(options, request.grid);
@@ -131,7 +128,7 @@ PlannedStage flow_stage(const std::string& name, const DitOptions& options, cons
   stage.cost.attention_flop =
       kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
   const bool batched =
-      stage.with_unconditional > 0 && choose_branches(request.guidance, options, request.grid).batched;
+      stage.with_unconditional > 0 && choose_branches(guidance, options, request.grid).batched;
   // Noise and latents of both levels, source features, the state, its next, and what the solver remembers.
   constexpr int64_t kLatents = 8;
   stage.memory.held = kLatents * latent_bytes(options.in_channels, request.grid) +
@@ -146,53 +143,40 @@ PlannedStage flow_stage(const std::string& name, const DitOptions& options, cons
   if (kept < 1) {
     stage.reason += fmt::format("; {:.0f} % of attention between views", 100 * kept);
   }
-  return stage;
 }
 
-PlannedStage single_stage(const std::string& name, const Cost& cost, const std::string& reason) {
-  PlannedStage stage;
-  stage.name = name;
-  stage.cost = cost;
-  stage.memory.working = cost.working_bytes;
-  stage.reason = reason;
-  return stage;
-}
+// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise and
+// latents of the generated levels, source features, levels to decode.
+struct StageNeeds {
+  BundlePart part;
+  int64_t latents = 0;
+};
 
-PlannedStage left_out(const std::string& name, const std::string& reason) {
-  PlannedStage stage;
-  stage.name = name;
-  stage.runs = false;
-  stage.evaluations = 0;
-  stage.reason = reason;
-  return stage;
-}
-
-// What each stage loads, and the latents that are there while a stage outside the flows runs.
-void predict_memory(std::vector<PlannedStage>& stages, const BundleOptions& bundle,
-                    const PlanRequest& request) {
-  struct Entry {
-    const char* stage;
-    BundlePart part;
-    int64_t latents;  // of all views: noise and latents of both levels, source features, levels to decode
-  };
-  constexpr Entry kEntries[] = {{"source encoding", BundlePart::kBackbone, 2},
-                                {"view pairs", BundlePart::kDptHead, 5},
-                                {"M1", BundlePart::kLevel1, 0},
-                                {"cascade", BundlePart::kCascade, 0},
-                                {"propagation", BundlePart::kBackbone, 6},
-                                {"RGB decoding", BundlePart::kRgbDecoder, 10},
-                                {"geometry", BundlePart::kDptHead, 10}};
-  const int64_t latent = latent_bytes(bundle.backbone.level_channels(), request.grid);
-  for (auto& stage : stages) {
-    if (!stage.runs) continue;
-    for (const auto& entry : kEntries) {
-      if (stage.name != entry.stage) continue;
-      // Without operations nothing is loaded: view pairs by the cameras alone.
-      stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(entry.part, bundle) : 0;
-      stage.memory.held += entry.latents * latent;
-    }
-    stage.peak_bytes = predicted_peak_bytes(stage.memory);
+StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
+  const auto generated = static_cast<int64_t>(bundle.generators.size()), levels = bundle.backbone.levels();
+  switch (stage.kind) {
+    case StageKind::kSourceEncoding:
+      return {BundlePart::backbone(), generated};
+    case StageKind::kViewPairs:
+      return {BundlePart::dpt_head(), 2 * generated + 1};
+    case StageKind::kFlow:
+      return {BundlePart::of(bundle.generators.at(stage.generator).generator), 0};
+    case StageKind::kPropagation:
+      return {BundlePart::backbone(), 2 + levels};
+    case StageKind::kRgbDecoding:
+      return {BundlePart::rgb_decoder(), 2 + 2 * levels};
+    case StageKind::kGeometry:
+      return {BundlePart::dpt_head(), 2 + 2 * levels};
   }
+  return {};
+}
+
+void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
+  const StageNeeds needs = needs_of(stage, bundle);
+  // Without operations nothing is loaded: view pairs by the cameras alone.
+  stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(needs.part, bundle) : 0;
+  stage.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);
+  stage.peak_bytes = predicted_peak_bytes(stage.memory);
 }
 
 LatentGrid with_views(LatentGrid grid, int64_t views) {
@@ -200,33 +184,61 @@ LatentGrid with_views(LatentGrid grid, int64_t views) {
   return grid;
 }
 
+// Of the stages that run once.
+Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
+  const auto& backbone = bundle.backbone.architecture();
+  const LatentGrid sources = with_views(request.grid, request.num_sources);
+  const StageRequest stages = request.stage_request();
+  switch (stage.kind) {
+    case StageKind::kSourceEncoding: {
+      Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
+      if (request.num_sources > 1 && stages.decodes()) {
+        cost.add_operations_of(backbone.encoding_cost(with_views(request.grid, 1), bundle.boundary_level));
+      }
+      return cost;
+    }
+    case StageKind::kViewPairs:
+      return stages.source_depth() ? dpt_head_cost(bundle.dpt_head, sources, GeometryMaps::kDepthAndRays)
+                                   : Cost();
+    case StageKind::kFlow:
+      break;
+    case StageKind::kPropagation:
+      return backbone.propagation_cost(request.grid, bundle.boundary_level);
+    case StageKind::kRgbDecoding:
+      return rgb_decoder_cost(bundle.rgb_decoder,
+                              with_views(request.grid, stages.decoded_views(stages.image_views)));
+    case StageKind::kGeometry:
+      return dpt_head_cost(bundle.dpt_head,
+                           with_views(request.grid, stages.decoded_views(stages.geometry_views)),
+                           request.outputs.geometry_maps());
+  }
+  return Cost();
+}
+
 }  // namespace
 
-GeometryMaps PlanRequest::geometry_maps() const {
-  return outputs.needs_depth() && outputs.needs_rays() ? GeometryMaps::kDepthAndRays
-         : outputs.needs_depth()                       ? GeometryMaps::kDepth
-                                                       : GeometryMaps::kRays;
+StageRequest PlanRequest::stage_request() const {
+  StageRequest stages;
+  stages.views = grid.views;
+  stages.num_sources = num_sources;
+  stages.image_views = outputs.image_views();
+  stages.geometry_views = outputs.geometry_views();
+  stages.view_pairs = flow.approximate.view_pairs;
+  return stages;
 }
 
-void PlanRequest::set(const FlowSettings& settings) {
-  level1_solver = settings.level1_solver;
-  cascade_solver = settings.cascade_solver;
-  guidance = settings.guidance;
-  approximate = settings.approximate;
-}
-
-PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request) {
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow) {
   PlannedRuns runs;
-  runs.velocity_decoder = solver.evaluations + guided_evaluations(solver, request.guidance);
+  runs.velocity_decoder = solver.evaluations + guided_evaluations(solver, flow.guidance);
   runs.condition_encoder = runs.velocity_decoder;
-  const auto& savings = request.approximate;
+  const auto& savings = flow.approximate;
   if (is_cascade(model) && savings.cascade_encoder_nodes > 0) {
     runs.condition_encoder = 0;
-    for (const auto& nodes : encoder_nodes(solver, request.guidance, savings.cascade_encoder_nodes)) {
+    for (const auto& nodes : encoder_nodes(solver, flow.guidance, savings.cascade_encoder_nodes)) {
       runs.condition_encoder += static_cast<int64_t>(nodes.size());
     }
   } else if (!is_cascade(model) && savings.level1_encoder_every > 1) {
-    runs.condition_encoder = extrapolated_runs(solver, request.guidance, savings.level1_encoder_every);
+    runs.condition_encoder = extrapolated_runs(solver, flow.guidance, savings.level1_encoder_every);
   }
   return runs;
 }
@@ -268,57 +280,23 @@ int64_t SamplingPlan::peak_bytes() const {
 
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request) {
   SamplingPlan plan;
-  const auto& blocks = bundle.backbone.out_layers;
-  const int64_t boundary_block = blocks.at(static_cast<size_t>(bundle.boundary_level)) + 1;
-  const LatentGrid source_grid = with_views(request.grid, request.num_sources);
-  const bool finds_pairs = request.approximate.view_pairs == ViewPairs::kVisible;
-  const bool source_depth = request.source_depth();
-  Cost encoding =
-      backbone_cost(bundle.backbone, source_grid, 0, source_depth ? bundle.backbone.depth : boundary_block);
-  if (request.num_sources > 1) {
-    const Cost alone = backbone_cost(bundle.backbone, with_views(request.grid, 1), 0, boundary_block);
-    encoding.linear_flop += alone.linear_flop;
-    encoding.attention_flop += alone.attention_flop;
+  for (auto& listed : sampling_stages(bundle.level_set(), request.stage_request())) {
+    PlannedStage stage;
+    static_cast<SamplingStage&>(stage) = std::move(listed);
+    if (!stage.runs) {
+      stage.evaluations = 0;
+    } else {
+      if (stage.kind == StageKind::kFlow) {
+        price_flow(stage, bundle.generators.at(stage.generator).dit, request.flow.solvers.at(stage.generator),
+                   request);
+      } else {
+        stage.cost = single_cost(stage, bundle, request);
+        stage.memory.working = stage.cost.working_bytes;
+      }
+      predict_memory(stage, bundle, request);
+    }
+    plan.stages.push_back(std::move(stage));
   }
-  plan.stages.push_back(single_stage(
-      "source encoding", encoding,
-      source_depth ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
-                   : fmt::format("{} source views up to level {}; deeper blocks are not needed",
-                                 request.num_sources, bundle.boundary_level)));
-  if (finds_pairs) {
-    plan.stages.push_back(
-        source_depth ? single_stage("view pairs",
-                                    dpt_head_cost(bundle.dpt_head, source_grid, GeometryMaps::kDepthAndRays),
-                                    "depth of the source views tells which views see common space")
-                     : single_stage("view pairs", Cost(), "by the cameras alone, one source has no scale"));
-  }
-  plan.stages.push_back(flow_stage("M1", bundle.level1, request.level1_solver, request));
-  plan.stages.push_back(flow_stage("cascade", bundle.cascade, request.cascade_solver, request));
-
-  const RequestedOutputs& outputs = request.outputs;
-  if (outputs.needs_levels()) {
-    plan.stages.push_back(single_stage(
-        "propagation", backbone_cost(bundle.backbone, request.grid, boundary_block, bundle.backbone.depth),
-        "levels 2 and 3 of all views, which attend to each other"));
-  } else {
-    plan.stages.push_back(left_out("propagation", "only latents were asked for"));
-  }
-  const int64_t targets = request.grid.views - request.num_sources;
-  plan.stages.push_back(
-      outputs.needs_image()
-          ? single_stage("RGB decoding",
-                         rgb_decoder_cost(bundle.rgb_decoder, with_views(request.grid, targets)),
-                         fmt::format("{} target views", targets))
-          : left_out("RGB decoding", "no images were asked for"));
-  if (outputs.needs_geometry()) {
-    const int64_t views = outputs.points ? request.grid.views : targets;
-    plan.stages.push_back(single_stage(
-        "geometry", dpt_head_cost(bundle.dpt_head, with_views(request.grid, views), request.geometry_maps()),
-        outputs.points ? "all views, for the point cloud" : "target views"));
-  } else {
-    plan.stages.push_back(left_out("geometry", "no depth, rays or points were asked for"));
-  }
-  predict_memory(plan.stages, bundle, request);
   return plan;
 }
 
@@ -328,15 +306,14 @@ void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
   constexpr double kShort = 0.2;
   for (auto& stage : plan.stages) {
     if (!stage.runs) continue;
-    if (stage.name == "M1" || stage.name == "cascade") {
-      const DitSpeed parts =
-          measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
+    if (stage.kind == StageKind::kFlow) {
+      const DitSpeed parts = measure_dit_speed(bundle.generators.at(stage.generator).dit, request, speed);
       stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
                       static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
     } else {
       stage.seconds = computing_seconds(stage.cost, speed);
       if (stage.seconds < kShort && stage.cost.flop() > 0)
-        stage.seconds = measure_stage_seconds(stage.name, bundle, request);
+        stage.seconds = measure_stage_seconds(stage, bundle, request);
     }
     stage.seconds += static_cast<double>(stage.memory.weights) / speed.loading;
   }

@@ -4,8 +4,9 @@
 #include "gld/flow/solvers/solver.h"
 #include "gld/machine/stage_record.h"
 #include "infer/forecast/stage_memory.h"
-#include "infer/method/sample_options.h"
-#include "infer/method/sampling_method.h"
+#include "infer/pipeline/requested_outputs.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "infer/pipeline/sampling_stages.h"
 #include "models/bundle/bundle_options.h"
 #include "models/cost/cost_model.h"
 #include "models/decoders/dpt_head.h"
@@ -36,18 +37,15 @@ struct PlanRequest {
   LatentGrid grid;  // of all views
   int64_t num_sources = 1;
   RequestedOutputs outputs;
-  SolverOptions level1_solver;
-  SolverOptions cascade_solver;
-  GuidanceOptions guidance;
-  ApproximateSavings approximate;
-  double visible_share = 1;  // of view pairs: those that attend where approximate.view_pairs says visible
+  FlowSettings flow;
+  double visible_share =
+      1;  // of view pairs: those that attend where flow.approximate.view_pairs says visible
 
-  void set(const FlowSettings& settings);
-  // Whether view pairs are decided with the depth of the source views, too.
-  bool source_depth() const { return approximate.view_pairs == ViewPairs::kVisible && num_sources > 1; }
+  StageRequest stage_request() const;
   // What is computed of the attention between views.
-  double attention_share() const { return approximate.view_pairs == ViewPairs::kVisible ? visible_share : 1; }
-  GeometryMaps geometry_maps() const;
+  double attention_share() const {
+    return flow.approximate.view_pairs == ViewPairs::kVisible ? visible_share : 1;
+  }
 };
 
 // How often each part of a model runs in a flow, over both branches of guidance.
@@ -57,12 +55,10 @@ struct PlannedRuns {
 };
 // What the pipeline will count (DitCounts) with a fixed-step solver of one evaluation a step; adaptive solvers are
 // counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
-PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const PlanRequest& request);
+PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow);
 
-struct PlannedStage {
-  std::string name;  // as in StageRecords
-  bool runs = true;
-  std::string reason;              // why it runs or not, in words
+// A stage with what it takes.
+struct PlannedStage : SamplingStage {
   int64_t evaluations = 1;         // forward passes of the conditional branch
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
   PlannedRuns parts;               // how often a flow's parts run

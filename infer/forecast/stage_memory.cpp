@@ -18,7 +18,7 @@ int64_t predicted_peak_bytes(const StageMemory& memory) {
          memory.working + static_cast<int64_t>(kKeptShare * static_cast<double>(memory.working));
 }
 
-int64_t weight_bytes_of(BundlePart part, const BundleOptions& options) {
+int64_t weight_bytes_of(const BundlePart& part, const BundleOptions& options) {
   ParameterPlacement meta;
   meta.device = torch::kMeta;
   int64_t bytes = 0;

@@ -20,6 +20,6 @@ struct StageMemory {
 int64_t predicted_peak_bytes(const StageMemory& memory);
 
 // All parameters and buffers of that part in float32. Computes nothing and takes no memory.
-int64_t weight_bytes_of(BundlePart part, const BundleOptions& options);
+int64_t weight_bytes_of(const BundlePart& part, const BundleOptions& options);
 
 }  // namespace gld

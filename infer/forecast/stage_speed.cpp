@@ -1,7 +1,7 @@
 #include "infer/forecast/stage_speed.h"
 
 #include "gld/machine/timing.h"
-#include "models/backbones/da3_backbone.h"
+#include "models/backbones/backbone.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
 
@@ -31,41 +31,41 @@ LatentGrid with_views(LatentGrid grid, int64_t views) {
 
 std::vector<torch::Tensor> random_levels(const BundleOptions& bundle, const LatentGrid& grid) {
   std::vector<torch::Tensor> levels;
-  for (size_t i = 0; i < bundle.backbone.out_layers.size(); ++i) {
+  for (size_t i = 0; i < static_cast<size_t>(bundle.backbone.levels()); ++i) {
     levels.push_back(torch::randn({grid.views, grid.tokens_per_view(), bundle.backbone.level_channels()}));
   }
   return levels;
 }
 
 double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request) {
-  Da3Backbone backbone(bundle.backbone, ParameterPlacement{});
-  fill(backbone);
-  const int64_t side = bundle.backbone.patch_size;
+  const auto backbone = bundle.backbone.make(ParameterPlacement{});
+  fill(*backbone);
+  const int64_t side = bundle.backbone.patch_side();
   const auto images =
       torch::randn({request.num_sources, 3, request.grid.height * side, request.grid.width * side});
-  const int64_t last_level =
-      request.source_depth() ? static_cast<int64_t>(bundle.backbone.out_layers.size()) - 1 : 1;
+  const int64_t deepest = deepest_encoded_level(bundle.level_set(), request.stage_request());
   return seconds_of([&] {
-    backbone.encode(images, last_level);
-    if (request.num_sources > 1) backbone.encode(images.narrow(0, 0, 1), 1);
+    backbone->encode(images, deepest);
+    if (request.num_sources > 1) backbone->encode(images.narrow(0, 0, 1), bundle.boundary_level);
   });
 }
 
 double propagation_seconds(const BundleOptions& bundle, const PlanRequest& request) {
-  Da3Backbone backbone(bundle.backbone, ParameterPlacement{});
-  fill(backbone);
+  const auto backbone = bundle.backbone.make(ParameterPlacement{});
+  fill(*backbone);
   PropagationStart start;
-  start.level = 1;
+  start.level = bundle.boundary_level;
   start.grid = request.grid;
-  start.tokens = torch::randn(
-      {request.grid.views, request.grid.tokens_per_view() + 1, bundle.backbone.level_channels()});
-  return seconds_of([&] { backbone.propagate(start); });
+  start.tokens =
+      torch::randn({request.grid.views, request.grid.tokens_per_view() + bundle.backbone.leading_tokens(),
+                    bundle.backbone.level_channels()});
+  return seconds_of([&] { backbone->propagate(start); });
 }
 
 double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
   RgbDecoder decoder(bundle.rgb_decoder, ParameterPlacement{});
   fill(decoder);
-  const auto features = torch::cat(random_levels(bundle, grid), 2);
+  const auto features = torch::randn({grid.views, grid.tokens_per_view(), bundle.rgb_decoder.in_channels});
   return seconds_of([&] { decoder.decode(features, grid); });
 }
 
@@ -78,17 +78,25 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
 
 }  // namespace
 
-double measure_stage_seconds(const std::string& stage, const BundleOptions& bundle,
+double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bundle,
                              const PlanRequest& request) {
   const torch::NoGradGuard no_gradients;
-  const LatentGrid sources = with_views(request.grid, request.num_sources);
-  const LatentGrid targets = with_views(request.grid, request.grid.views - request.num_sources);
-  if (stage == "source encoding") return encoding_seconds(bundle, request);
-  if (stage == "view pairs") return geometry_seconds(bundle, sources, GeometryMaps::kDepthAndRays);
-  if (stage == "propagation") return propagation_seconds(bundle, request);
-  if (stage == "RGB decoding") return decoding_seconds(bundle, targets);
-  if (stage == "geometry") {
-    return geometry_seconds(bundle, request.outputs.points ? request.grid : targets, request.geometry_maps());
+  const StageRequest stages = request.stage_request();
+  switch (stage.kind) {
+    case StageKind::kSourceEncoding:
+      return encoding_seconds(bundle, request);
+    case StageKind::kViewPairs:
+      return geometry_seconds(bundle, with_views(request.grid, request.num_sources),
+                              GeometryMaps::kDepthAndRays);
+    case StageKind::kFlow:
+      break;
+    case StageKind::kPropagation:
+      return propagation_seconds(bundle, request);
+    case StageKind::kRgbDecoding:
+      return decoding_seconds(bundle, with_views(request.grid, stages.decoded_views(stages.image_views)));
+    case StageKind::kGeometry:
+      return geometry_seconds(bundle, with_views(request.grid, stages.decoded_views(stages.geometry_views)),
+                              request.outputs.geometry_maps());
   }
   return 0;
 }

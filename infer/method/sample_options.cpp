@@ -121,8 +121,8 @@ RequestedOutputs SampleOptions::requested() const {
   return requested;
 }
 
-SamplingMethod SampleOptions::method(const DitOptions& cascade) const {
-  if (quality != SamplingQuality::kOptions) return quality_method(quality, cascade);
+SamplingMethod SampleOptions::method(const BundleOptions& bundle) const {
+  if (quality != SamplingQuality::kOptions) return quality_method(quality, bundle);
   SamplingMethod method;
   method.name = "as the options say";
   method.solver = solver;
@@ -131,7 +131,7 @@ SamplingMethod SampleOptions::method(const DitOptions& cascade) const {
   method.approximate = approximate;
   if (preset == SamplingPreset::kPublished) {
     method.name = "published";
-    method.solver = quality_method(SamplingQuality::kPublished, cascade).solver;
+    method.solver = quality_method(SamplingQuality::kPublished, bundle).solver;
   }
   return method;
 }

@@ -5,6 +5,7 @@
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "infer/method/sampling_method.h"
+#include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_scene.h"
 #include "models/dit/approximate_savings.h"
 #include "models/dit/exact_savings.h"
@@ -18,22 +19,6 @@ namespace gld {
 enum class SamplingPreset {
   kOptions,  // as the options say
   kPublished,  // the release's sampler exactly: 49 Euler steps on its shifted grid, whatever the solver options say
-};
-
-// What gld sample is asked to make.
-struct RequestedOutputs {
-  bool image = false;
-  bool depth = false;
-  bool rays = false;
-  bool points = false;
-  bool latents = false;
-
-  bool needs_depth() const { return depth || points; }
-  // A point cloud takes its scale from the rays.
-  bool needs_rays() const { return rays || points; }
-  bool needs_geometry() const { return needs_depth() || needs_rays(); }
-  bool needs_image() const { return image || points; }  // points are coloured by the images
-  bool needs_levels() const { return needs_image() || needs_geometry(); }
 };
 
 struct SampleOptions : OptionsGroup {
@@ -65,8 +50,8 @@ struct SampleOptions : OptionsGroup {
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // What all options but tolerance say, for a model with that cascade.
-  SamplingMethod method(const DitOptions& cascade) const;
+  // What all options but tolerance say, for that model.
+  SamplingMethod method(const BundleOptions& bundle) const;
 };
 
 }  // namespace gld

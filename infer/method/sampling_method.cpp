@@ -2,6 +2,8 @@
 
 #include "gld/base/configuration.h"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 
 namespace gld {
@@ -71,7 +73,13 @@ const std::vector<std::string>& sampling_quality_names() {
   return names;
 }
 
-SamplingMethod quality_method(SamplingQuality quality, const DitOptions& cascade) {
+bool can_have_encoder_nodes(const BundleOptions& bundle) {
+  return std::any_of(bundle.generators.begin(), bundle.generators.end(), [](const GeneratorOptions& part) {
+    return part.generator.is_cascade() && !part.dit.encoder_sees_noisy();
+  });
+}
+
+SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bundle) {
   SamplingMethod method;
   switch (quality) {
     case SamplingQuality::kOptions:
@@ -92,19 +100,18 @@ SamplingMethod quality_method(SamplingQuality quality, const DitOptions& cascade
       method.guidance_interval = {0.5, 1};
       break;
   }
-  if (cascade.encoder_sees_noisy()) method.approximate.cascade_encoder_nodes = 0;
+  if (!can_have_encoder_nodes(bundle)) method.approximate.cascade_encoder_nodes = 0;
   return method;
 }
 
 FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
                            const BundleOptions& bundle) {
   FlowSettings settings;
-  settings.level1_solver = settings.cascade_solver = method.solver;
-  const auto use_shift = [](SolverOptions& solver, double shift) {
-    if (solver.schedule.shift == 0) solver.schedule.shift = shift;
-  };
-  use_shift(settings.level1_solver, bundle.level1_time_shift.evaluation);
-  use_shift(settings.cascade_solver, bundle.cascade_time_shift.evaluation);
+  for (const auto& part : bundle.generators) {
+    SolverOptions solver = method.solver;
+    if (solver.schedule.shift == 0) solver.schedule.shift = part.time_shift.evaluation;
+    settings.solvers.push_back(solver);
+  }
   settings.guidance = guidance;
   settings.guidance.guidance_interval = method.guidance_interval;
   settings.guidance.guidance_tolerance = method.guidance_tolerance;

@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "infer/pipeline/sampling_pipeline.h"
 #include "models/bundle/bundle_options.h"
 #include "models/dit/approximate_savings.h"
 
@@ -42,16 +43,13 @@ std::string method_text(const SamplingMethod& method);
 enum class SamplingQuality { kOptions, kPublished, kExact, kBalanced, kFast };
 const std::vector<std::string>& sampling_quality_names();
 
-// For any but kOptions. Encoder nodes are left out for a cascade that cannot have them (DitOptions::encoder_sees_noisy).
-SamplingMethod quality_method(SamplingQuality quality, const DitOptions& cascade);
+// Whether a cascade's condition encoder can be computed at nodes (models/dit/node_field.h).
+bool can_have_encoder_nodes(const BundleOptions& bundle);
 
-// The method with a model's time shifts and a guidance scale: what the two flows are run with.
-struct FlowSettings {
-  SolverOptions level1_solver;
-  SolverOptions cascade_solver;
-  GuidanceOptions guidance;
-  ApproximateSavings approximate;
-};
+// For any but kOptions. Encoder nodes are left out where no cascade can have them.
+SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bundle);
+
+// The method with a model's time shifts and a guidance scale: what the flows are run with.
 // guidance gives what the method does not say: scale and how branches are evaluated. A shift of 0 in the method's
 // schedule is the model's.
 FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,

@@ -1,5 +1,6 @@
 #include "infer/pipeline/bundle_models.h"
 
+#include <map>
 #include <memory>
 
 namespace gld {
@@ -10,15 +11,15 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   placement.device = device;
   PipelineModels models;
   models.backbone = [=] { return shared->load_backbone(placement); };
-  models.level1 = [=] { return shared->load_level1(placement); };
-  models.cascade = [=] { return shared->load_cascade(placement); };
+  models.levels = bundle.options().level_set();
+  models.generator = [=](size_t number) {
+    return shared->load_generator(shared->options().generators.at(number).generator, placement);
+  };
   models.rgb_decoder = [=] { return shared->load_rgb_decoder(placement); };
   models.dpt_head = [=] { return shared->load_dpt_head(placement); };
-  const double epsilon = bundle.options().latent_epsilon;
-  models.level0_statistics =
-      read_latent_statistics(bundle.file(BundlePart::kStatisticsLevel0), epsilon).to(device);
-  models.level1_statistics =
-      read_latent_statistics(bundle.file(BundlePart::kStatisticsLevel1), epsilon).to(device);
+  for (const auto& part : bundle.options().generators) {
+    models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
+  }
   return models;
 }
 
@@ -33,8 +34,12 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
     };
   };
   models.backbone = keep(models.backbone);
-  models.level1 = keep(models.level1);
-  models.cascade = keep(models.cascade);
+  auto generators = std::make_shared<std::map<size_t, std::shared_ptr<DitDh>>>();
+  models.generator = [load = models.generator, generators](size_t number) {
+    auto& kept = (*generators)[number];
+    if (!kept) kept = load(number);
+    return kept;
+  };
   models.rgb_decoder = keep(models.rgb_decoder);
   models.dpt_head = keep(models.dpt_head);
   return models;

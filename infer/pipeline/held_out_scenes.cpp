@@ -53,7 +53,7 @@ SamplingScene load_held_out_scene(const Scene& scene, const ViewSampling& sampli
   ViewSelection selection;
   selection.sources.assign(chosen.frames.begin(), first_target);
   selection.targets.assign(first_target, chosen.frames.end());
-  const auto size = choose_size("auto", scene, bundle.image_sizes(), bundle.backbone.patch_size);
+  const auto size = choose_size("auto", scene, bundle.image_sizes(), bundle.backbone.patch_side());
   return load_sampling_scene(scene, selection, size);
 }
 

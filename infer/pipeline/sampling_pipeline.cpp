@@ -5,8 +5,9 @@
 #include "infer/pipeline/visible_pairs.h"
 #include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
-#include "models/layers/imagenet.h"
+#include "models/latent_spaces/geometric_latent_space.h"
 
+#include <map>
 #include <utility>
 
 #include <fmt/format.h>
@@ -14,61 +15,49 @@
 namespace gld {
 namespace {
 
-// What the source images say: patch tokens of levels 0 and 1, and the class token that propagation gives to every
-// view.
-struct SourceFeatures {
-  LatentGrid grid;            // of all views
-  torch::Tensor level0;       // (sources, tokens, channels) raw
-  torch::Tensor level1;       // (sources, tokens, channels) raw
-  torch::Tensor class_token;  // (1, 1, channels) raw: the first source view encoded alone
-  // All levels as the DPT head takes them; only where needs_source_depth.
-  std::vector<torch::Tensor> decodable;
-};
-
 void require_finite(const torch::Tensor& tensor, const std::string& stage, const std::string& what) {
   if (tensor.isfinite().all().item<bool>()) return;
   fail({stage, "finite numbers", "NaN or infinity in the " + what,
         "check the input images and cameras, and verify the weights with gld verify"});
 }
 
-torch::Tensor patches_of(const torch::Tensor& level) { return level.slice(1, 1).contiguous(); }
+// What the source images say.
+struct EncodedSources {
+  SourceLatents latents;
+  // All levels as the DPT head takes them; only where view pairs are decided with their depth.
+  std::vector<torch::Tensor> decodable;
+};
 
-// One source view would leave the unit of its depth open.
-bool needs_source_depth(const PipelineRequest& request) {
-  return request.approximate.view_pairs == ViewPairs::kVisible && request.views.num_sources > 1;
-}
-
-SourceFeatures encode_sources(const PipelineModels& models, const PipelineRequest& request) {
-  const auto backbone = models.backbone();
-  const auto images = imagenet_normalise(request.source_images.to(request.device));
-  const auto last_level = static_cast<int64_t>(backbone->options().out_layers.size()) - 1;
-  const auto levels = backbone->encode(images, needs_source_depth(request) ? last_level : 1);
-  SourceFeatures features;
-  features.grid = backbone->options().grid_of(request.views.size(), images.size(2), images.size(3));
-  features.level0 = patches_of(levels[0]);
-  features.level1 = patches_of(levels[1]);
-  // With one source view the joint encoding is the view alone already.
-  const auto alone = request.views.num_sources == 1 ? levels : backbone->encode(images.slice(0, 0, 1), 1);
-  features.class_token = alone[1].slice(0, 0, 1).slice(1, 0, 1).contiguous();
-  if (needs_source_depth(request)) {
-    for (const auto& level : levels) features.decodable.push_back(backbone->decodable(level).patches);
+EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
+                              const PipelineRequest& request, const std::string& stage) {
+  const StageRequest stages = request.stage_request();
+  SourceEncoding wanted;
+  wanted.deepest = deepest_encoded_level(levels, stages);
+  wanted.carried = stages.decodes();
+  EncodedSources sources;
+  sources.latents = space.encode_sources(request.source_images.to(request.device), wanted);
+  if (stages.source_depth()) {
+    for (const auto& level : sources.latents.levels) sources.decodable.push_back(space.decodable(level));
   }
-  require_finite(features.level0, "source encoding", "level 0 features");
-  require_finite(features.level1, "source encoding", "level 1 features");
-  return features;
+  for (const auto& generator : levels.generators) {
+    require_finite(sources.latents.levels[static_cast<size_t>(generator.level)], stage,
+                   fmt::format("level {} features", generator.level));
+  }
+  // Deeper levels than the generated ones are not needed any more.
+  sources.latents.levels.resize(static_cast<size_t>(levels.deepest_generated()) + 1);
+  return sources;
 }
 
 VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
-                                const SourceFeatures& sources) {
+                                const EncodedSources& sources) {
   if (sources.decodable.empty()) return visible_pairs(request.views);
-  LatentGrid grid = sources.grid;
-  grid.views = request.views.num_sources;
-  return visible_pairs(request.views,
-                       models.dpt_head()->forward(sources.decodable, grid, GeometryMaps::kDepthAndRays));
+  return visible_pairs(request.views, models.dpt_head()->forward(sources.decodable, sources.latents.grid,
+                                                                 GeometryMaps::kDepthAndRays));
 }
 
 struct FlowStage {
   std::string name;
+  LevelGenerator generator;
   SolverOptions solver;
   torch::Tensor noise;
 };
@@ -76,10 +65,10 @@ struct FlowStage {
 // The field that the approximate savings ask for; with none of them the exact one.
 std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const FlowStage& stage,
                                      const PipelineRequest& request) {
-  const auto& savings = request.approximate;
+  const auto& savings = request.flow.approximate;
   const bool cascade = model.options().conditioning == DitConditioning::kDeeperLevel;
   if (cascade && savings.cascade_encoder_nodes > 0) {
-    auto nodes = encoder_nodes(stage.solver, request.guidance, savings.cascade_encoder_nodes);
+    auto nodes = encoder_nodes(stage.solver, request.flow.guidance, savings.cascade_encoder_nodes);
     return std::make_unique<NodeField>(model, std::move(scene), std::move(nodes));
   }
   if (!cascade && savings.level1_encoder_every > 1) {
@@ -91,10 +80,10 @@ std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const F
 torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
                        const PipelineRequest& request, PipelineResult& result) {
   result.warnings.insert(result.warnings.end(), scene.warnings().begin(), scene.warnings().end());
-  const auto branches = choose_branches(request.guidance, model.options(), scene.grid);
+  const auto branches = choose_branches(request.flow.guidance, model.options(), scene.grid);
   const auto field = make_field(model, std::move(scene), stage, request);
   field->set_batched(branches.batched);
-  GuidedField guided(*field, request.guidance);
+  GuidedField guided(*field, request.flow.guidance);
   const auto times = solver_times(stage.solver);
   if (!is_adaptive(stage.solver.solver)) field->prepare_times({times.begin(), times.end() - 1});
   SolveObserver observer;
@@ -112,6 +101,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   const auto solved = solve_on(guided, stage.noise.to(request.device), stage.solver, times, observer);
   FlowReport report;
   report.stage = stage.name;
+  report.generator = stage.generator;
   report.times = solved.times;
   report.evaluations = solved.evaluations;
   report.rejected = solved.rejected;
@@ -122,112 +112,160 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   return solved.state;
 }
 
-// Propagation attends over all views, so all take part whatever is decoded.
-std::array<torch::Tensor, 4> propagate(const PipelineModels& models, const LatentGrid& grid,
-                                       const torch::Tensor& class_token, const torch::Tensor& level1,
-                                       const torch::Tensor& level0) {
-  const auto backbone = models.backbone();
-  PropagationStart start;
-  start.level = 1;
-  start.grid = grid;
-  start.tokens = torch::cat({class_token.expand({grid.views, 1, class_token.size(2)}),
-                             models.level1_statistics.denormalise(level1)},
-                            1);
-  const auto deeper = backbone->propagate(start);
-  std::array<torch::Tensor, 4> levels;
-  levels[0] = backbone->normalise_for_decoding(models.level0_statistics.denormalise(level0));
-  for (size_t level = 1; level < levels.size(); ++level) {
-    levels[level] = deeper.at(level - 1).patches;
-    require_finite(levels[level], "propagation", fmt::format("level {} features", level));
-  }
-  return levels;
-}
-
 // The levels of the views to decode, and their grid.
 struct DecodableViews {
   std::vector<torch::Tensor> levels;
   LatentGrid grid;
 };
 
-DecodableViews select_views(const PipelineResult& result, DecodedViews which, int64_t num_sources) {
+DecodableViews select_views(const PipelineResult& result, const std::vector<int64_t>& levels,
+                            DecodedViews which, int64_t num_sources) {
   const int64_t first = which == DecodedViews::kTargets ? num_sources : 0;
   DecodableViews selected;
   selected.grid = result.grid;
   selected.grid.views = result.grid.views - first;
-  for (const auto& level : result.levels) selected.levels.push_back(level.slice(0, first).contiguous());
+  for (const int64_t level : levels) {
+    selected.levels.push_back(result.levels.at(static_cast<size_t>(level)).slice(0, first).contiguous());
+  }
   return selected;
 }
 
-void check_request(const PipelineRequest& request, const LatentGrid& grid) {
-  const auto expect_noise = [&](const torch::Tensor& noise, const char* name) {
-    if (noise.dim() == 3 && noise.size(0) == grid.views && noise.size(1) == grid.tokens_per_view()) return;
-    fail({name, fmt::format("noise of shape ({}, {}, channels)", grid.views, grid.tokens_per_view()),
-          c10::str(noise.sizes()), "draw it for these views"});
-  };
-  expect_noise(request.level1_noise, "level 1");
-  expect_noise(request.level0_noise, "level 0");
+std::vector<int64_t> all_levels(const PipelineResult& result) {
+  std::vector<int64_t> levels;
+  for (size_t level = 0; level < result.levels.size(); ++level) {
+    if (!result.levels[level].defined()) {
+      fail({"geometry", "all levels, which the DPT head takes", fmt::format("no level {}", level),
+            "ask for images alone, or use a model that generates it"});
+    }
+    levels.push_back(static_cast<int64_t>(level));
+  }
+  return levels;
+}
+
+void check_request(const PipelineModels& models, const PipelineRequest& request, const LatentGrid& grid) {
+  const auto& generators = models.levels.generators;
+  if (request.noise.size() != generators.size() || request.flow.solvers.size() != generators.size()) {
+    fail({"sampling", fmt::format("noise and a solver for each of {} generated levels", generators.size()),
+          fmt::format("{} and {}", request.noise.size(), request.flow.solvers.size()),
+          "make them from the bundle"});
+  }
+  for (size_t i = 0; i < generators.size(); ++i) {
+    const int64_t tokens = grid.tokens_per_view() + models.statistics.at(i).special_tokens;
+    const auto& noise = request.noise[i];
+    if (noise.dim() == 3 && noise.size(0) == grid.views && noise.size(1) == tokens) continue;
+    fail({level_noise_stream(generators[i].level),
+          fmt::format("noise of shape ({}, {}, channels)", grid.views, tokens), c10::str(noise.sizes()),
+          "draw it for these views"});
+  }
+}
+
+// What the stages hand on to each other.
+struct PipelineState {
+  EncodedSources sources;
+  DitSceneInputs scene;
+  std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
+};
+
+void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
+                    PipelineState& state, PipelineResult& result) {
+  const LevelGenerator& generator = models.levels.generators[stage.generator];
+  const LevelStatistics& statistics = models.statistics[stage.generator];
+  const auto model = models.generator(stage.generator);
+  const auto& raw = state.sources.latents.levels[static_cast<size_t>(generator.level)];
+  state.scene.source_features = statistics.normalise(
+      generated_tokens(raw, raw.size(1) - result.grid.tokens_per_view(), statistics.special_tokens));
+  state.scene.deeper_level = generator.is_cascade() ? state.latents.at(*generator.deeper) : torch::Tensor();
+  auto& latent = state.latents[generator.level];
+  latent =
+      run_flow(*model, model->prepare_scene(state.scene, request.savings),
+               {stage.name, generator, request.flow.solvers[stage.generator], request.noise[stage.generator]},
+               request, result);
+  result.latents[generator.level] = latent.cpu();
+}
+
+std::vector<torch::Tensor> complete_levels(const PipelineModels& models, const PipelineState& state,
+                                           const LatentGrid& grid, const std::string& stage) {
+  const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
+  std::map<int64_t, torch::Tensor> raw;
+  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
+    const int64_t level = models.levels.generators[i].level;
+    raw[level] = models.statistics[i].denormalise(state.latents.at(level));
+  }
+  auto levels = space.complete(raw, state.sources.latents.carried, grid);
+  for (size_t level = 0; level < levels.size(); ++level) {
+    if (levels[level].defined())
+      require_finite(levels[level], stage, fmt::format("level {} features", level));
+  }
+  return levels;
 }
 
 }  // namespace
 
+StageRequest PipelineRequest::stage_request() const {
+  StageRequest stages;
+  stages.views = views.size();
+  stages.num_sources = views.num_sources;
+  stages.image_views = image_views;
+  stages.geometry_views = geometry_views;
+  stages.view_pairs = flow.approximate.view_pairs;
+  return stages;
+}
+
 PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
                             StageRecords& stages) {
   const torch::NoGradGuard no_gradients;
+  const int64_t num_sources = request.views.num_sources;
   PipelineResult result;
-  SourceFeatures sources;
-  stages.run("source encoding", [&] { sources = encode_sources(models, request); });
-  result.grid = sources.grid;
-  check_request(request, result.grid);
-
-  DitSceneInputs scene;
-  scene.views = request.views;
-  if (request.approximate.view_pairs == ViewPairs::kVisible) {
-    stages.run("view pairs", [&] {
-      const VisiblePairs pairs = find_visible_pairs(models, request, sources);
-      scene.view_mask = pairs.view_mask();
-      result.view_pairs = pairs.visibility;
-      result.warnings = pairs.warnings;
-    });
-    sources.decodable.clear();
-  }
-  torch::Tensor level1, level0;
-  stages.run("M1", [&] {
-    const auto model = models.level1();
-    scene.source_features = models.level1_statistics.normalise(sources.level1);
-    level1 = run_flow(*model, model->prepare_scene(scene, request.savings),
-                      {"M1", request.level1_solver, request.level1_noise}, request, result);
-  });
-  stages.run("cascade", [&] {
-    const auto model = models.cascade();
-    scene.source_features = models.level0_statistics.normalise(sources.level0);
-    scene.deeper_level = level1;
-    level0 = run_flow(*model, model->prepare_scene(scene, request.savings),
-                      {"cascade", request.cascade_solver, request.level0_noise}, request, result);
-  });
-  result.level1 = level1.cpu();
-  result.level0 = level0.cpu();
-  const bool images = request.image_views != DecodedViews::kNone;
-  const bool geometry = request.geometry_views != DecodedViews::kNone;
-  if (!images && !geometry) return result;
-
-  stop_if_interrupted("both latents were generated; nothing was decoded");
-  stages.run("propagation",
-             [&] { result.levels = propagate(models, result.grid, sources.class_token, level1, level0); });
-  if (images) {
-    stages.run("RGB decoding", [&] {
-      const auto selected = select_views(result, request.image_views, request.views.num_sources);
-      result.images =
-          models.rgb_decoder()->decode(torch::cat(selected.levels, /*dim=*/2), selected.grid).cpu();
-      require_finite(result.images, "RGB decoding", "images");
-    });
-    if (request.on_images) request.on_images(result.images);
-  }
-  if (geometry) {
-    stop_if_interrupted("images were decoded; depth and rays were not");
-    stages.run("geometry", [&] {
-      const auto selected = select_views(result, request.geometry_views, request.views.num_sources);
-      result.geometry = models.dpt_head()->forward(selected.levels, selected.grid, request.geometry_maps);
-    });
+  PipelineState state;
+  state.scene.views = request.views;
+  const auto run = [&](const SamplingStage& stage) {
+    switch (stage.kind) {
+      case StageKind::kSourceEncoding: {
+        const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
+        state.sources = encode_sources(space, models.levels, request, stage.name);
+        result.grid = state.sources.latents.grid;
+        result.grid.views = request.views.size();
+        check_request(models, request, result.grid);
+        return;
+      }
+      case StageKind::kViewPairs: {
+        const VisiblePairs pairs = find_visible_pairs(models, request, state.sources);
+        state.scene.view_mask = pairs.view_mask();
+        result.view_pairs = pairs.visibility;
+        result.warnings = pairs.warnings;
+        state.sources.decodable.clear();
+        return;
+      }
+      case StageKind::kFlow:
+        run_flow_stage(models, request, stage, state, result);
+        return;
+      case StageKind::kPropagation:
+        result.levels = complete_levels(models, state, result.grid, stage.name);
+        return;
+      case StageKind::kRgbDecoding: {
+        const auto selected =
+            select_views(result, models.levels.decoded_levels(), request.image_views, num_sources);
+        result.images =
+            models.rgb_decoder()->decode(torch::cat(selected.levels, /*dim=*/2), selected.grid).cpu();
+        require_finite(result.images, stage.name, "images");
+        return;
+      }
+      case StageKind::kGeometry: {
+        const auto selected = select_views(result, all_levels(result), request.geometry_views, num_sources);
+        result.geometry = models.dpt_head()->forward(selected.levels, selected.grid, request.geometry_maps);
+        return;
+      }
+    }
+  };
+  for (const auto& stage : sampling_stages(models.levels, request.stage_request())) {
+    if (!stage.runs) continue;
+    if (stage.kind == StageKind::kPropagation) {
+      stop_if_interrupted("the latents were generated; nothing was decoded");
+    } else if (stage.kind == StageKind::kGeometry) {
+      stop_if_interrupted("images were decoded; depth and rays were not");
+    }
+    stages.run(stage.name, [&] { run(stage); });
+    if (stage.kind == StageKind::kRgbDecoding && request.on_images) request.on_images(result.images);
   }
   return result;
 }

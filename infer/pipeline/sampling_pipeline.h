@@ -4,9 +4,10 @@
 #include "gld/cameras/view_visibility.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
-#include "gld/latents/latent_statistics.h"
+#include "gld/latents/level_statistics.h"
 #include "gld/machine/stage_record.h"
-#include "models/backbones/da3_backbone.h"
+#include "infer/pipeline/sampling_stages.h"
+#include "models/backbones/backbone.h"
 #include "models/cost/branch_choice.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
@@ -15,9 +16,9 @@
 #include "models/dit/dit_field.h"
 #include "models/dit/exact_savings.h"
 
-#include <array>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -30,29 +31,28 @@ namespace gld {
 // Where the stages get their modules. Each function is called when a stage starts and what it returns is dropped when
 // the stage ends, so that the weights of one stage are in memory at a time.
 struct PipelineModels {
-  std::function<std::shared_ptr<Da3Backbone>()> backbone;
-  std::function<std::shared_ptr<DitDh>()> level1;
-  std::function<std::shared_ptr<DitDh>()> cascade;
+  LevelSet levels;
+  std::function<std::shared_ptr<Backbone>()> backbone;
+  std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
   std::function<std::shared_ptr<RgbDecoder>()> rgb_decoder;
   std::function<std::shared_ptr<DptHead>()> dpt_head;
-  LatentStatistics level0_statistics;
-  LatentStatistics level1_statistics;
+  std::vector<LevelStatistics> statistics;  // of what each generator makes
 };
 
-// Which views are decoded.
-enum class DecodedViews { kNone, kTargets, kAll };
+// What the flows are run with.
+struct FlowSettings {
+  std::vector<SolverOptions> solvers;  // one a generator: each has its time shift
+  GuidanceOptions guidance;
+  ApproximateSavings approximate;
+};
 
 struct PipelineRequest {
   Views views;                  // one size, in whole patches
   torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
-  // (views, patch tokens, channels), standard normal: the state at flow time 1.
-  torch::Tensor level1_noise;
-  torch::Tensor level0_noise;
-  SolverOptions level1_solver;
-  SolverOptions cascade_solver;
-  GuidanceOptions guidance;
+  // One a generator: (views, special + patch tokens, channels), standard normal: the state at flow time 1.
+  std::vector<torch::Tensor> noise;
+  FlowSettings flow;
   ExactSavings savings;
-  ApproximateSavings approximate;
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
   GeometryMaps geometry_maps = GeometryMaps::kDepthAndRays;
@@ -61,11 +61,14 @@ struct PipelineRequest {
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
   // Called when the images are there and geometry is still to come, so that they can be written already.
   std::function<void(const torch::Tensor& images)> on_images;
+
+  StageRequest stage_request() const;
 };
 
 // What a flow-matching stage did.
 struct FlowReport {
   std::string stage;
+  LevelGenerator generator;
   std::vector<double> times;
   int64_t evaluations = 0;
   int64_t rejected = 0;
@@ -76,11 +79,11 @@ struct FlowReport {
 
 struct PipelineResult {
   LatentGrid grid;  // of all views
-  // Normalised latents, (views, patch tokens, channels), on the CPU.
-  torch::Tensor level1;
-  torch::Tensor level0;
-  // The four levels as decoders take them, (decoded views, patch tokens, channels); undefined when not needed.
-  std::array<torch::Tensor, 4> levels;
+  // Generated levels by number: normalised latents, (views, special + patch tokens, channels), on the CPU.
+  std::map<int64_t, torch::Tensor> latents;
+  // All levels as decoders take them, (views, patch tokens, channels); empty when nothing is decoded, and a level that is
+  // neither generated nor propagated is undefined.
+  std::vector<torch::Tensor> levels;
   torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
   std::vector<FlowReport> flows;
@@ -89,8 +92,7 @@ struct PipelineResult {
   std::vector<std::string> warnings;
 };
 
-// Source encoding, view pairs (only with approximate.view_pairs), M1, cascade, propagation, RGB decoding and geometry
-// (DESIGN.md section 1). Each stage is recorded, and can be interrupted between steps. Throws Error naming the stage, and
+// Runs sampling_stages() (docs/DESIGN.md section 1). Each stage is recorded, and can be interrupted between steps. Throws Error naming the stage, and
 // for flows the step and time, where a number is not finite.
 PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
                             StageRecords& stages);

@@ -32,18 +32,11 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
                              const torch::Device& device) {
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = scene_request(scene, bundle, options.seed, device);
-  request.level1_solver = settings.level1_solver;
-  request.cascade_solver = settings.cascade_solver;
-  request.guidance = settings.guidance;
-  request.approximate = settings.approximate;
+  request.flow = settings;
   request.savings = options.savings();
-  request.image_views = requested.needs_image() ? DecodedViews::kTargets : DecodedViews::kNone;
-  if (requested.needs_geometry()) {
-    request.geometry_views = requested.points ? DecodedViews::kAll : DecodedViews::kTargets;
-    request.geometry_maps = requested.needs_depth() && requested.needs_rays() ? GeometryMaps::kDepthAndRays
-                            : requested.needs_depth()                         ? GeometryMaps::kDepth
-                                                                              : GeometryMaps::kRays;
-  }
+  request.image_views = requested.image_views();
+  request.geometry_views = requested.geometry_views();
+  request.geometry_maps = requested.geometry_maps();
   return request;
 }
 
@@ -104,8 +97,8 @@ PreparedSampling prepare(const SampleOptions& options) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
   const Scene found = open_scene(options.scene, options.reading);
-  const ImageSize size =
-      choose_size(options.size, found, bundle.options().image_sizes(), bundle.options().backbone.patch_size);
+  const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
+                                     bundle.options().backbone.patch_side());
   return {device, bundle, found, load_sampling_scene(found, options.views, size)};
 }
 
@@ -131,7 +124,7 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   request.visible_share = planned.visibility.kept();
   planned.choice = choose_method(options, prepared.bundle, request, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
-  request.set(planned.settings);
+  request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
   predict_seconds(planned.plan, bundle, request, measure_machine_speed());
   return planned;

@@ -178,8 +178,9 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
 }
 
 void SamplingOutputs::write_latents(const PipelineResult& result) {
-  save_safetensors(run_.path() / "latents.safetensors",
-                   {{"level0", result.level0}, {"level1", result.level1}},
+  std::map<std::string, torch::Tensor> tensors;
+  for (const auto& [level, latent] : result.latents) tensors["level" + std::to_string(level)] = latent;
+  save_safetensors(run_.path() / "latents.safetensors", tensors,
                    {{"gld", provenance_.options}, {"model", provenance_.model_hash}});
   run_.note("latents", "latents.safetensors");
 }

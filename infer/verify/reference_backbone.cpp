@@ -1,7 +1,6 @@
 #include "gld/base/error.h"
 #include "infer/verify/reference_runners.h"
-#include "models/backbones/da3_backbone.h"
-#include "models/layers/imagenet.h"
+#include "models/backbones/backbone_registry.h"
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>
@@ -23,9 +22,9 @@ int64_t deepest_level(const ReferenceCase& reference, const std::string& group, 
   return -1;
 }
 
-void encode_group(const ReferenceCase& reference, const Da3Backbone& backbone, const std::string& group,
+void encode_group(const ReferenceCase& reference, const Backbone& backbone, const std::string& group,
                   const torch::Tensor& images, NamedTensors& outputs) {
-  const int64_t deepest = deepest_level(reference, group, backbone.options().levels());
+  const int64_t deepest = deepest_level(reference, group, backbone.architecture().levels());
   if (deepest < 0) return;
   const auto levels = backbone.encode(images, deepest);
   for (size_t level = 0; level < levels.size(); ++level) {
@@ -36,26 +35,25 @@ void encode_group(const ReferenceCase& reference, const Da3Backbone& backbone, c
 }  // namespace
 
 NamedTensors run_backbone_case(const ReferenceCase& reference) {
-  Da3BackboneOptions options;
+  BackboneOptions options;
   reference.read_config(options);
-  Da3Backbone backbone(options, {});
+  const auto backbone = options.make({});
   WeightSelection selection;
-  selection.prefix = Da3Backbone::kPrefix;
-  load_strict(backbone, reference.weight_file(), selection);
+  selection.prefix = options.architecture().published_prefix();
+  load_strict(*backbone, reference.weight_file(), selection);
 
-  // The case has RGB in [0, 1]; the published encoder normalises before the backbone.
-  const auto images = imagenet_normalise(reference.input("images", {-1, 3, -1, -1}));
+  const auto images = reference.input("images", {-1, 3, -1, -1});
   NamedTensors outputs;
-  encode_group(reference, backbone, "all_views", images, outputs);
+  encode_group(reference, *backbone, "all_views", images, outputs);
   if (reference.expects_prefix("source_views.")) {
     const int64_t sources = reference.integer_input("num_sources");
     if (sources < 1 || sources > images.size(0)) {
       fail({(reference.folder / "inputs.safetensors").string() + ": num_sources",
             "1 to " + std::to_string(images.size(0)), std::to_string(sources), "repair the inputs"});
     }
-    encode_group(reference, backbone, "source_views", images.slice(0, 0, sources), outputs);
+    encode_group(reference, *backbone, "source_views", images.slice(0, 0, sources), outputs);
   }
-  encode_group(reference, backbone, "first_view", images.slice(0, 0, 1), outputs);
+  encode_group(reference, *backbone, "first_view", images.slice(0, 0, 1), outputs);
 
   for (int64_t level = 0; level < options.levels(); ++level) {
     const auto name = "propagate_input_level" + std::to_string(level);
@@ -65,9 +63,9 @@ NamedTensors run_backbone_case(const ReferenceCase& reference) {
     start.tokens = reference.input(name, {-1, -1, options.level_channels()});
     start.grid = options.grid_of(start.tokens.size(0), images.size(2), images.size(3));
     auto reached = level;
-    for (const auto& propagated : backbone.propagate(start)) {
+    for (const auto& propagated : backbone->propagate(start)) {
       const auto prefix = level_name("propagated", reached++);
-      outputs[prefix + ".cls"] = propagated.class_tokens;
+      outputs[prefix + ".cls"] = propagated.leading.select(1, 0);
       outputs[prefix + ".patches"] = propagated.patches;
     }
   }

@@ -1,9 +1,12 @@
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/verify/reference_dit.h"
 #include "infer/verify/reference_runners.h"
+#include "models/backbones/backbone_registry.h"
 #include "models/weights/weight_loading.h"
 
 #include <string>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -13,7 +16,7 @@ struct PipelineCaseOptions : OptionsGroup {
   int64_t width = 0;   // pixels
   int64_t num_views = 0;
   int64_t num_sources = 0;
-  Da3BackboneOptions backbone;
+  BackboneOptions backbone;
   DptHeadOptions dpt_head;
   RgbDecoderOptions rgb_decoder;
   DitCaseOptions level1;
@@ -37,9 +40,10 @@ struct PipelineCaseOptions : OptionsGroup {
 };
 
 template <class Module>
-std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const ReferenceCase& reference) {
+std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const std::string& prefix,
+                               const ReferenceCase& reference) {
   WeightSelection selection;
-  selection.prefix = Module::kPrefix;
+  selection.prefix = prefix;
   load_strict(*module, reference.weight_file(), selection);
   return module;
 }
@@ -48,25 +52,28 @@ PipelineModels case_models(const ReferenceCase& reference, const PipelineCaseOpt
   const ParameterPlacement placement;
   PipelineModels models;
   models.backbone = [=, &reference] {
-    return loaded(std::make_shared<Da3Backbone>(options.backbone, placement), reference);
+    return loaded(options.backbone.make(placement), options.backbone.architecture().published_prefix(),
+                  reference);
   };
   models.rgb_decoder = [=, &reference] {
-    return loaded(std::make_shared<RgbDecoder>(options.rgb_decoder, placement), reference);
+    return loaded(std::make_shared<RgbDecoder>(options.rgb_decoder, placement), RgbDecoder::kPrefix,
+                  reference);
   };
   models.dpt_head = [=, &reference] {
-    return loaded(std::make_shared<DptHead>(options.dpt_head, placement), reference);
+    return loaded(std::make_shared<DptHead>(options.dpt_head, placement), DptHead::kPrefix, reference);
   };
-  models.level1 = [=, &reference] {
-    return reference_dit(reference, options.level1.model, "diffusion.level1.");
+  models.levels.generators = {level_model(1), cascade(1, 0)};
+  models.levels.levels = options.backbone.levels();
+  models.generator = [=, &reference](size_t number) {
+    return number == 0 ? reference_dit(reference, options.level1.model, "diffusion.level1.")
+                       : reference_dit(reference, options.cascade.model, "diffusion.cascade.");
   };
-  models.cascade = [=, &reference] {
-    return reference_dit(reference, options.cascade.model, "diffusion.cascade.");
-  };
-  const auto statistics = [&](const std::string& level) {
-    return read_latent_statistics(reference.weight_file(), "stats." + level + ".", options.stats_eps);
-  };
-  models.level0_statistics = statistics("level0");
-  models.level1_statistics = statistics("level1");
+  for (const auto& generator : models.levels.generators) {
+    LevelStatistics statistics;
+    statistics.patches = read_latent_statistics(
+        reference.weight_file(), fmt::format("stats.level{}.", generator.level), options.stats_eps);
+    models.statistics.push_back(statistics);
+  }
   return models;
 }
 
@@ -86,16 +93,16 @@ NamedTensors run_pipeline_case(const ReferenceCase& reference) {
       reference_views(reference, {options.num_views, options.num_sources, options.width, options.height});
   request.source_images = reference.input("images", {options.num_views, 3, options.height, options.width})
                               .slice(0, 0, options.num_sources);
-  request.level1_noise = reference_latent(reference, "noise_level1", options.level1);
-  request.level0_noise = reference_latent(reference, "noise_level0", options.cascade);
-  request.level1_solver = request.cascade_solver = options.sampler.solver_options();
-  request.guidance = options.sampler.guidance_options();
+  request.noise = {reference_latent(reference, "noise_level1", options.level1),
+                   reference_latent(reference, "noise_level0", options.cascade)};
+  request.flow.solvers = {options.sampler.solver_options(), options.sampler.solver_options()};
+  request.flow.guidance = options.sampler.guidance_options();
   request.image_views = request.geometry_views = DecodedViews::kAll;
 
   StageRecords stages;
   const auto result = run_pipeline(case_models(reference, options), request, stages);
-  NamedTensors outputs = {{"latent_level1", latent_in_case_layout(result.level1, options.level1)},
-                          {"latent_level0", latent_in_case_layout(result.level0, options.cascade)},
+  NamedTensors outputs = {{"latent_level1", latent_in_case_layout(result.latents.at(1), options.level1)},
+                          {"latent_level0", latent_in_case_layout(result.latents.at(0), options.cascade)},
                           {"image", result.images},
                           {"depth", result.geometry.depth},
                           {"depth_conf", result.geometry.depth_confidence},

@@ -1,6 +1,7 @@
 #include "models/backbones/da3_backbone.h"
 
 #include "gld/base/error.h"
+#include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
 
 #include <algorithm>
@@ -11,7 +12,6 @@
 namespace gld {
 
 void Da3BackboneOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"type", "family of the backbone"}, type, {"da3"});
   visitor.integer({"patch_size", "side of a patch in pixels"}, patch_size, {1, 1024});
   visitor.integer({"embed_dim", "channels of a token"}, embed_dim, {4, 1 << 16});
   visitor.integer({"depth", "number of blocks"}, depth, {1, 1024});
@@ -49,13 +49,44 @@ void Da3BackboneOptions::check() const {
   }
 }
 
-LatentGrid Da3BackboneOptions::grid_of(int64_t views, int64_t image_height, int64_t image_width) const {
-  const int64_t p = patch_size;
-  if (image_height < p || image_width < p || image_height % p != 0 || image_width % p != 0) {
-    fail({"backbone", "image sides that are positive multiples of " + std::to_string(p) + " pixels",
-          std::to_string(image_width) + "x" + std::to_string(image_height), "resize or crop the images"});
+std::unique_ptr<BackboneArchitecture> Da3BackboneOptions::copy() const {
+  return std::make_unique<Da3BackboneOptions>(*this);
+}
+
+std::shared_ptr<Backbone> Da3BackboneOptions::make(const ParameterPlacement& placement) const {
+  return std::make_shared<Da3Backbone>(*this, placement);
+}
+
+Cost Da3BackboneOptions::blocks_cost(const LatentGrid& grid, int64_t first_block, int64_t last_block) const {
+  const auto width = static_cast<double>(embed_dim);
+  const auto hidden = width * mlp_ratio;
+  const int64_t tokens_per_view = grid.tokens_per_view() + 1;
+  const auto views = static_cast<double>(grid.views), per_view = static_cast<double>(tokens_per_view);
+  const double rows = views * per_view;
+  Cost cost;
+  for (int64_t block = first_block; block < last_block; ++block) {
+    const bool over_all_views = alternating_start >= 0 && block >= alternating_start && block % 2 == 1;
+    add_linear(cost, rows, width, 4 * width);
+    add_linear(cost, rows, width, 2 * hidden);
+    cost.attention_flop += over_all_views ? gld::attention_flop(rows, rows, width)
+                                          : views * gld::attention_flop(per_view, per_view, width);
   }
-  return {views, image_height / p, image_width / p};
+  if (first_block == 0) {
+    const auto patch_values = static_cast<double>(3 * patch_size * patch_size);
+    add_linear(cost, rows, patch_values, width);
+  }
+  // The levels raw, contiguous and normalised (2 widths each) and a block's x, qkv, attention's output and hidden
+  // layer: 22 widths are what runs took with two and with four levels, to a fifth.
+  cost.working_bytes = bytes_of_floats(rows * (width * 22 + hidden));
+  return cost;
+}
+
+Cost Da3BackboneOptions::encoding_cost(const LatentGrid& grid, int64_t last_level) const {
+  return blocks_cost(grid, 0, out_layers.at(static_cast<size_t>(last_level)) + 1);
+}
+
+Cost Da3BackboneOptions::propagation_cost(const LatentGrid& grid, int64_t level) const {
+  return blocks_cost(grid, out_layers.at(static_cast<size_t>(level)) + 1, out_layers.back() + 1);
 }
 
 Da3Backbone::Da3Backbone(const Da3BackboneOptions& options, const ParameterPlacement& placement)
@@ -156,7 +187,7 @@ std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int6
   }
   const auto grid = options_.grid_of(images.size(0), images.size(2), images.size(3));
   const auto class_tokens = class_token_.expand({grid.views, 1, options_.embed_dim});
-  const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(images)}, 1);
+  const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(imagenet_normalise(images))}, 1);
   TokenState state;
   state.current = tokens + position_embedding(grid);
   return run_blocks(state, 0, last_level, grid);
@@ -191,13 +222,6 @@ torch::Tensor Da3Backbone::normalise_for_decoding(const torch::Tensor& patches) 
   const int64_t channels = options_.embed_dim;
   return torch::cat({patches.narrow(-1, 0, channels), norm_->forward(patches.narrow(-1, channels, channels))},
                     -1);
-}
-
-DecodableLevel Da3Backbone::decodable(const torch::Tensor& level) const {
-  DecodableLevel result;
-  result.patches = normalise_for_decoding(level.slice(1, 1));
-  result.class_tokens = level.select(1, 0).contiguous();
-  return result;
 }
 
 void Da3Backbone::initialise(const torch::Generator& generator) {

@@ -1,8 +1,6 @@
 #pragma once
 
-#include "gld/base/options.h"
-#include "gld/cameras/camera.h"
-#include "models/layers/layers.h"
+#include "models/backbones/backbone.h"
 #include "models/layers/vit_block.h"
 
 #include <cstdint>
@@ -14,13 +12,10 @@
 
 namespace gld {
 
-enum class BackboneType { kDa3 };
-
 // Defaults are DA3-Base. Small: embed_dim 384, 6 heads. Large: 1024, depth 24, 16 heads, out_layers 11, 15,
 // 19, 23 and the three starts at 8. Giant: 1536, depth 40, 24 heads, out_layers 19, 27, 33, 39, the starts at
 // 13, and ffn_layer swiglufused.
-struct Da3BackboneOptions : OptionsGroup {
-  BackboneType type = BackboneType::kDa3;
+struct Da3BackboneOptions : BackboneArchitecture {
   int64_t patch_size = 14;  // pixels
   int64_t embed_dim = 768;
   int64_t depth = 12;  // blocks
@@ -36,56 +31,41 @@ struct Da3BackboneOptions : OptionsGroup {
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
-  int64_t levels() const { return static_cast<int64_t>(out_layers.size()); }
-  int64_t level_channels() const { return 2 * embed_dim; }
-  // Of an image; Error unless both sides are whole patches.
-  LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const;
-};
 
-// A level after the final normalisation, as decoders take it.
-struct DecodableLevel {
-  torch::Tensor class_tokens;  // (views, 2 embed_dim), raw
-  torch::Tensor patches;       // (views, tokens, 2 embed_dim), second half through the final LayerNorm
-};
-
-struct PropagationStart {
-  int64_t level = 1;
-  torch::Tensor tokens;  // (views, 1 + tokens, 2 embed_dim) raw, class token first
-  LatentGrid grid;
+  std::string kind() const override { return "da3"; }
+  std::unique_ptr<BackboneArchitecture> copy() const override;
+  std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const override;
+  std::string published_prefix() const override { return "model.backbone.pretrained."; }
+  int64_t patch_side() const override { return patch_size; }
+  int64_t levels() const override { return static_cast<int64_t>(out_layers.size()); }
+  int64_t level_channels() const override { return 2 * embed_dim; }
+  int64_t leading_tokens() const override { return 1; }  // the class token
+  Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
+  Cost propagation_cost(const LatentGrid& grid, int64_t level) const override;
+  // Blocks first_block up to, not including, last_block.
+  Cost blocks_cost(const LatentGrid& grid, int64_t first_block, int64_t last_block) const;
 };
 
 // The backbone of Depth Anything 3: DINOv2 blocks, the later of which alternate between attention within a
 // view and over all views (DESIGN.md section 4, "Backbone"; depth_anything_3/model/dinov2 of the published
-// code). Parameters have the published names behind kPrefix. A level is [output of the last local block |
+// code). Parameters have the published names behind published_prefix(). A level is [output of the last local block |
 // output of this block], raw, with the class token first. View 0 is the reference view; views are never
 // reordered.
-class Da3Backbone : public torch::nn::Module {
+class Da3Backbone : public Backbone {
  public:
-  static constexpr const char* kPrefix = "model.backbone.pretrained.";
-
   Da3Backbone(const Da3BackboneOptions& options, const ParameterPlacement& placement);
 
-  const Da3BackboneOptions& options() const { return options_; }
-
-  // images: (views, 3, height, width), ImageNet-normalised, sides whole patches. Returns levels
-  // 0..last_level, each (views, 1 + tokens, 2 embed_dim); blocks behind last_level's are not run.
-  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const;
-
-  // Runs the blocks behind start.level. Returns levels start.level (as given) to the last.
-  std::vector<DecodableLevel> propagate(const PropagationStart& start) const;
-
-  // (views, tokens, 2 embed_dim) raw -> the same with the second half through the final LayerNorm: what the
-  // DPT head and the RGB decoder take.
-  torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const;
-
-  // Splits a raw level into class tokens and decodable patches.
-  DecodableLevel decodable(const torch::Tensor& level) const;
+  const Da3BackboneOptions& architecture() const override { return options_; }
+  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const override;
+  std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
+  // The second half of the channels goes through the final LayerNorm.
+  torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
 
   // The position table for that grid: (1, 1 + tokens, embed_dim), class token first.
   torch::Tensor position_embedding(const LatentGrid& grid) const;
 
-  // Random weights to train from (DINOv2's scheme; layer scales are 1).
-  void initialise(const torch::Generator& generator);
+  // DINOv2's scheme; layer scales are 1.
+  void initialise(const torch::Generator& generator) override;
 
  private:
   struct TokenState {

@@ -17,56 +17,58 @@ namespace {
 const std::string kOptionsFile = "model.yaml";
 const std::string kExtension = ".safetensors";
 
-struct PartName {
-  BundlePart part;
-  const char* name;
-};
-
-constexpr PartName kParts[] = {{BundlePart::kBackbone, "backbone"},
-                               {BundlePart::kDptHead, "dpt_head"},
-                               {BundlePart::kRgbDecoder, "rgb_decoder"},
-                               {BundlePart::kLevel1, "level1"},
-                               {BundlePart::kCascade, "cascade"},
-                               {BundlePart::kStatisticsLevel0, "statistics_level0"},
-                               {BundlePart::kStatisticsLevel1, "statistics_level1"}};
-
-std::filesystem::path part_file(const std::filesystem::path& folder, BundlePart part) {
+std::filesystem::path part_file(const std::filesystem::path& folder, const BundlePart& part) {
   return folder / (bundle_part_name(part) + kExtension);
 }
 
 }  // namespace
 
-const std::vector<BundlePart>& bundle_parts() {
-  static const std::vector<BundlePart> parts = [] {
-    std::vector<BundlePart> all;
-    for (const auto& entry : kParts) all.push_back(entry.part);
-    return all;
-  }();
+std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
+  std::vector<BundlePart> parts = {BundlePart::backbone(), BundlePart::dpt_head(), BundlePart::rgb_decoder()};
+  std::vector<int64_t> levels, special;
+  for (const auto& part : options.generators) {
+    parts.push_back(BundlePart::of(part.generator));
+    levels.push_back(part.generator.level);
+    if (part.dit.num_special_tokens > 0) special.push_back(part.generator.level);
+  }
+  std::sort(levels.begin(), levels.end());
+  for (const int64_t level : levels) parts.push_back(BundlePart::statistics(level));
+  std::sort(special.begin(), special.end());
+  for (const int64_t level : special) parts.push_back(BundlePart::special_statistics(level));
   return parts;
 }
 
-std::string bundle_part_name(BundlePart part) {
-  for (const auto& entry : kParts) {
-    if (entry.part == part) return entry.name;
+std::string bundle_part_name(const BundlePart& part) {
+  switch (part.kind) {
+    case BundlePart::Kind::kBackbone:
+      return "backbone";
+    case BundlePart::Kind::kDptHead:
+      return "dpt_head";
+    case BundlePart::Kind::kRgbDecoder:
+      return "rgb_decoder";
+    case BundlePart::Kind::kGenerator:
+      return generator_name(part.generator);
+    case BundlePart::Kind::kStatistics:
+      return "statistics_level" + std::to_string(part.level);
+    case BundlePart::Kind::kSpecialStatistics:
+      return "special_statistics_level" + std::to_string(part.level);
   }
   return "unknown";
 }
 
-std::shared_ptr<torch::nn::Module> make_bundle_module(BundlePart part, const BundleOptions& options,
+std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, const BundleOptions& options,
                                                       const ParameterPlacement& placement) {
-  switch (part) {
-    case BundlePart::kBackbone:
-      return std::make_shared<Da3Backbone>(options.backbone, placement);
-    case BundlePart::kDptHead:
+  switch (part.kind) {
+    case BundlePart::Kind::kBackbone:
+      return options.backbone.make(placement);
+    case BundlePart::Kind::kDptHead:
       return std::make_shared<DptHead>(options.dpt_head, placement);
-    case BundlePart::kRgbDecoder:
+    case BundlePart::Kind::kRgbDecoder:
       return std::make_shared<RgbDecoder>(options.rgb_decoder, placement);
-    case BundlePart::kLevel1:
-      return std::make_shared<DitDh>(options.level1, placement);
-    case BundlePart::kCascade:
-      return std::make_shared<DitDh>(options.cascade, placement);
-    case BundlePart::kStatisticsLevel0:
-    case BundlePart::kStatisticsLevel1:
+    case BundlePart::Kind::kGenerator:
+      return std::make_shared<DitDh>(options.generator(part.generator).dit, placement);
+    case BundlePart::Kind::kStatistics:
+    case BundlePart::Kind::kSpecialStatistics:
       break;
   }
   return nullptr;
@@ -86,15 +88,15 @@ ModelBundle ModelBundle::open(const std::filesystem::path& folder) {
   return bundle;
 }
 
-std::filesystem::path ModelBundle::file(BundlePart part) const { return part_file(folder_, part); }
+std::filesystem::path ModelBundle::file(const BundlePart& part) const { return part_file(folder_, part); }
 
-bool ModelBundle::has(BundlePart part) const { return std::filesystem::is_regular_file(file(part)); }
+bool ModelBundle::has(const BundlePart& part) const { return std::filesystem::is_regular_file(file(part)); }
 
-LoadReport ModelBundle::load_into(torch::nn::Module& module, BundlePart part) const {
+LoadReport ModelBundle::load_into(torch::nn::Module& module, const BundlePart& part) const {
   return load_strict(module, *open_part(part));
 }
 
-std::shared_ptr<const WeightFile> ModelBundle::open_part(BundlePart part) const {
+std::shared_ptr<const WeightFile> ModelBundle::open_part(const BundlePart& part) const {
   if (!has(part)) {
     fail({folder_.string(), "a file " + bundle_part_name(part) + kExtension, "none",
           "add the part with gld convert or gld train"});
@@ -102,10 +104,8 @@ std::shared_ptr<const WeightFile> ModelBundle::open_part(BundlePart part) const 
   return WeightFile::open(file(part));
 }
 
-template <class Module, class Options>
-std::shared_ptr<Module> ModelBundle::loaded(BundlePart part, const Options& options,
-                                            const ParameterPlacement& placement) const {
-  auto module = std::make_shared<Module>(options, placement);
+template <class Module>
+std::shared_ptr<Module> ModelBundle::loaded(std::shared_ptr<Module> module, const BundlePart& part) const {
   load_into(*module, part);
   // The module's first parameters were replaced by those of the file; kept, their blocks would let later tensors take
   // that much more memory.
@@ -113,31 +113,39 @@ std::shared_ptr<Module> ModelBundle::loaded(BundlePart part, const Options& opti
   return module;
 }
 
-std::shared_ptr<Da3Backbone> ModelBundle::load_backbone(const ParameterPlacement& placement) const {
-  return loaded<Da3Backbone>(BundlePart::kBackbone, options_.backbone, placement);
+std::shared_ptr<Backbone> ModelBundle::load_backbone(const ParameterPlacement& placement) const {
+  return loaded(options_.backbone.make(placement), BundlePart::backbone());
 }
 
 std::shared_ptr<DptHead> ModelBundle::load_dpt_head(const ParameterPlacement& placement) const {
-  return loaded<DptHead>(BundlePart::kDptHead, options_.dpt_head, placement);
+  return loaded(std::make_shared<DptHead>(options_.dpt_head, placement), BundlePart::dpt_head());
 }
 
 std::shared_ptr<RgbDecoder> ModelBundle::load_rgb_decoder(const ParameterPlacement& placement) const {
-  return loaded<RgbDecoder>(BundlePart::kRgbDecoder, options_.rgb_decoder, placement);
+  return loaded(std::make_shared<RgbDecoder>(options_.rgb_decoder, placement), BundlePart::rgb_decoder());
 }
 
-std::shared_ptr<DitDh> ModelBundle::load_level1(const ParameterPlacement& placement) const {
-  return loaded<DitDh>(BundlePart::kLevel1, options_.level1, placement);
+std::shared_ptr<DitDh> ModelBundle::load_generator(const LevelGenerator& generator,
+                                                   const ParameterPlacement& placement) const {
+  return loaded(std::make_shared<DitDh>(options_.generator(generator).dit, placement),
+                BundlePart::of(generator));
 }
 
-std::shared_ptr<DitDh> ModelBundle::load_cascade(const ParameterPlacement& placement) const {
-  return loaded<DitDh>(BundlePart::kCascade, options_.cascade, placement);
-}
-
-LatentStatistics ModelBundle::load_statistics(BundlePart part) const {
+LatentStatistics ModelBundle::read_statistics(const BundlePart& part) const {
   auto statistics = read_latent_statistics(*open_part(part), "", options_.latent_epsilon);
   if (statistics.channels() != options_.backbone.level_channels()) {
     fail({file(part).string(), std::to_string(options_.backbone.level_channels()) + " channels",
           std::to_string(statistics.channels()), "compute the statistics with this bundle's backbone"});
+  }
+  return statistics;
+}
+
+LevelStatistics ModelBundle::load_statistics(const LevelGenerator& generator) const {
+  LevelStatistics statistics;
+  statistics.patches = read_statistics(BundlePart::statistics(generator.level));
+  statistics.special_tokens = options_.generator(generator).dit.num_special_tokens;
+  if (statistics.special_tokens > 0) {
+    statistics.special = read_statistics(BundlePart::special_statistics(generator.level));
   }
   return statistics;
 }
@@ -149,7 +157,7 @@ std::string ModelBundle::content_hash() const {
     hash.update(file.filename().string() + ":" + sha256_of_file(file) + "\n");
   };
   add(folder_ / kOptionsFile);
-  for (const BundlePart part : bundle_parts()) {
+  for (const BundlePart& part : bundle_parts(options_)) {
     if (has(part)) add(file(part));
   }
   return hash.hex_digest();
@@ -165,10 +173,11 @@ void save_bundle_options(const std::filesystem::path& folder, const BundleOption
     fail({folder.string(), "a folder that can be made", problem.message(), "choose another folder"});
   }
   if (std::filesystem::exists(yaml)) {
-    if (to_yaml(ModelBundle::open(folder).options()) == text) return;
-    const bool empty = std::none_of(bundle_parts().begin(), bundle_parts().end(), [&](BundlePart part) {
-      return std::filesystem::exists(part_file(folder, part));
-    });
+    const auto there = ModelBundle::open(folder);
+    if (to_yaml(there.options()) == text) return;
+    const auto parts = bundle_parts(there.options());
+    const bool empty =
+        std::none_of(parts.begin(), parts.end(), [&](const BundlePart& part) { return there.has(part); });
     if (!empty) {
       fail({yaml.string(), "the options that the bundle is written with", "others",
             "choose another folder or delete this bundle"});
@@ -177,7 +186,7 @@ void save_bundle_options(const std::filesystem::path& folder, const BundleOption
   write_file_atomically(yaml, text);
 }
 
-void save_bundle_part(const std::filesystem::path& folder, BundlePart part,
+void save_bundle_part(const std::filesystem::path& folder, const BundlePart& part,
                       const std::map<std::string, torch::Tensor>& tensors, DType dtype) {
   const auto file = part_file(folder, part);
   std::vector<TensorEntry> entries;

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/files/dtype.h"
-#include "gld/latents/latent_statistics.h"
+#include "gld/latents/level_statistics.h"
 #include "models/bundle/bundle_options.h"
 #include "models/dit/dit_dh.h"
 #include "models/weights/weight_loading.h"
@@ -17,22 +17,33 @@
 
 namespace gld {
 
-// The files of a model bundle beside model.yaml. Each holds one module's tensors under the module's own names.
-enum class BundlePart {
-  kBackbone,
-  kDptHead,
-  kRgbDecoder,
-  kLevel1,
-  kCascade,
-  kStatisticsLevel0,
-  kStatisticsLevel1
+// A file of a model bundle beside model.yaml. Each holds one module's tensors, under the module's own names, or a level's
+// statistics.
+struct BundlePart {
+  enum class Kind { kBackbone, kDptHead, kRgbDecoder, kGenerator, kStatistics, kSpecialStatistics };
+  Kind kind = Kind::kBackbone;
+  LevelGenerator generator;  // of kGenerator
+  int64_t level = 0;         // of kStatistics and kSpecialStatistics
+
+  static BundlePart backbone() { return {}; }
+  static BundlePart dpt_head() { return {Kind::kDptHead, {}, 0}; }
+  static BundlePart rgb_decoder() { return {Kind::kRgbDecoder, {}, 0}; }
+  static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
+  static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
+  // Of the special tokens that are generated in front of a level's patch tokens.
+  static BundlePart special_statistics(int64_t level) { return {Kind::kSpecialStatistics, {}, level}; }
+
+  bool operator==(const BundlePart& other) const {
+    return kind == other.kind && generator == other.generator && level == other.level;
+  }
 };
 
-const std::vector<BundlePart>& bundle_parts();
-std::string bundle_part_name(BundlePart part);  // "level1"; the file is "level1.safetensors"
+// Those that a bundle with these options consists of.
+std::vector<BundlePart> bundle_parts(const BundleOptions& options);
+std::string bundle_part_name(const BundlePart& part);  // "level1"; the file is "level1.safetensors"
 
-// The module of a part, with uninitialised parameters; null for the statistics.
-std::shared_ptr<torch::nn::Module> make_bundle_module(BundlePart part, const BundleOptions& options,
+// The module of a part, with uninitialised parameters; null for statistics.
+std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, const BundleOptions& options,
                                                       const ParameterPlacement& placement);
 
 // A model bundle on disk (DESIGN.md section 5): a folder with model.yaml and safetensors. Parts are loaded one by one,
@@ -44,31 +55,32 @@ class ModelBundle {
 
   const std::filesystem::path& folder() const { return folder_; }
   const BundleOptions& options() const { return options_; }
-  std::filesystem::path file(BundlePart part) const;
-  bool has(BundlePart part) const;
+  std::filesystem::path file(const BundlePart& part) const;
+  bool has(const BundlePart& part) const;
 
   // Loads the part's file into a module that was built from these options; Error when the file is missing, with what
   // to do.
-  LoadReport load_into(torch::nn::Module& module, BundlePart part) const;
+  LoadReport load_into(torch::nn::Module& module, const BundlePart& part) const;
 
   // The module with its weights, in the placement's dtype whatever the file's is.
-  std::shared_ptr<Da3Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DptHead> load_dpt_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
-  std::shared_ptr<DitDh> load_level1(const ParameterPlacement& placement = {}) const;
-  std::shared_ptr<DitDh> load_cascade(const ParameterPlacement& placement = {}) const;
-  // Of kStatisticsLevel0 or kStatisticsLevel1, with the bundle's epsilon; as many channels as the backbone's levels.
-  LatentStatistics load_statistics(BundlePart part) const;
+  std::shared_ptr<DitDh> load_generator(const LevelGenerator& generator,
+                                        const ParameterPlacement& placement = {}) const;
+  // Of the latent that this generator makes, with the bundle's epsilon; Error unless there are as many channels as the
+  // backbone's levels have. Of special tokens where it generates those.
+  LevelStatistics load_statistics(const LevelGenerator& generator) const;
 
   // SHA-256 over the names and contents of model.yaml and the parts, 64 hexadecimal digits. Reads every file.
   std::string content_hash() const;
 
  private:
   ModelBundle() = default;
-  std::shared_ptr<const WeightFile> open_part(BundlePart part) const;
-  template <class Module, class Options>
-  std::shared_ptr<Module> loaded(BundlePart part, const Options& options,
-                                 const ParameterPlacement& placement) const;
+  std::shared_ptr<const WeightFile> open_part(const BundlePart& part) const;
+  template <class Module>
+  std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const BundlePart& part) const;
+  LatentStatistics read_statistics(const BundlePart& part) const;
 
   std::filesystem::path folder_;
   BundleOptions options_;
@@ -79,7 +91,7 @@ class ModelBundle {
 void save_bundle_options(const std::filesystem::path& folder, const BundleOptions& options);
 
 // Writes one part into a bundle folder, floating-point tensors in `dtype`. The file is replaced whole or not at all.
-void save_bundle_part(const std::filesystem::path& folder, BundlePart part,
+void save_bundle_part(const std::filesystem::path& folder, const BundlePart& part,
                       const std::map<std::string, torch::Tensor>& tensors, DType dtype = DType::kFloat32);
 
 }  // namespace gld

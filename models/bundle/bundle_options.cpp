@@ -2,8 +2,12 @@
 
 #include "gld/base/error.h"
 
+#include <algorithm>
 #include <charconv>
 #include <string>
+#include <utility>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -38,10 +42,25 @@ void TimeShiftOptions::visit(FieldVisitor& visitor) {
   visitor.real({"evaluation", "time shift of the published sampler"}, evaluation, {1e-3, 1e6});
 }
 
-BundleOptions::BundleOptions() {
-  level1.depth = {28, 6};
-  cascade.depth = {28, 2};
-  cascade.conditioning = DitConditioning::kDeeperLevel;
+BundleOptions::BundleOptions() { set_generators({level_model(1), cascade(1, 0)}); }
+
+void BundleOptions::set_generators(const std::vector<LevelGenerator>& wanted) {
+  std::vector<GeneratorOptions> result;
+  for (const auto& generator : wanted) {
+    const auto same = std::find_if(generators.begin(), generators.end(), [&](const GeneratorOptions& known) {
+      return known.generator == generator;
+    });
+    if (same != generators.end()) {
+      result.push_back(*same);
+      continue;
+    }
+    GeneratorOptions options;
+    options.generator = generator;
+    options.dit.depth = {28, generator.is_cascade() ? 2 : 6};
+    if (generator.is_cascade()) options.dit.conditioning = DitConditioning::kDeeperLevel;
+    result.push_back(std::move(options));
+  }
+  generators = std::move(result);
 }
 
 void BundleOptions::visit(FieldVisitor& visitor) {
@@ -49,43 +68,101 @@ void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"backbone", "frozen backbone"}, backbone);
   visitor.group({"dpt_head", "frozen DPT head"}, dpt_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
-  visitor.group({"level1", "M1, which generates the boundary level"}, level1);
-  visitor.group({"cascade", "M1->0, which generates level 0 from the boundary level"}, cascade);
-  visitor.group({"level1_time_shift", "time shift of M1"}, level1_time_shift);
-  visitor.group({"cascade_time_shift", "time shift of the cascade"}, cascade_time_shift);
-  visitor.integer({"boundary_level", "level that is generated first and propagated from"}, boundary_level,
-                  {1, 16});
+  std::vector<std::string> texts;
+  for (const auto& part : generators) texts.push_back(generator_text(part.generator));
+  const auto before = texts;
+  visitor.texts({"generated", "what is generated, in this order: levels from noise (1), cascades (1->0)"},
+                texts);
+  if (texts != before) {
+    std::vector<LevelGenerator> wanted;
+    for (const auto& text : texts) wanted.push_back(generator_from_text(text, "generated"));
+    set_generators(wanted);
+  }
+  for (auto& part : generators) {
+    const std::string what =
+        part.generator.is_cascade()
+            ? fmt::format("cascade that generates level {} from level {}", part.generator.level,
+                          *part.generator.deeper)
+            : fmt::format("M{}, which generates level {}", part.generator.level, part.generator.level);
+    visitor.group({generator_name(part.generator), what}, part.dit);
+  }
+  for (auto& part : generators) {
+    visitor.group(
+        {generator_name(part.generator) + "_time_shift", "time shift of " + generator_stage(part.generator)},
+        part.time_shift);
+  }
+  visitor.integer({"boundary_level", "level that is generated and propagated from"}, boundary_level, {0, 16});
+  visitor.integers({"decoded_levels", "levels that the RGB decoder takes; none is all"}, decoded_levels,
+                   {0, 16});
   visitor.real({"latent_epsilon", "added to the variance of latent statistics"}, latent_epsilon, {0, 1});
   visitor.texts({"trained_sizes", "image sizes the model was trained at, WIDTHxHEIGHT in pixels"},
                 trained_sizes);
 }
 
+LevelSet BundleOptions::level_set() const {
+  LevelSet set;
+  for (const auto& part : generators) set.generators.push_back(part.generator);
+  set.boundary = boundary_level;
+  set.levels = backbone.levels();
+  set.decoded = decoded_levels;
+  return set;
+}
+
+const GeneratorOptions& BundleOptions::generator(const LevelGenerator& generator) const {
+  std::string known;
+  for (const auto& part : generators) {
+    if (part.generator == generator) return part;
+    known += (known.empty() ? "" : ", ") + generator_text(part.generator);
+  }
+  fail({"model " + name, "one of its generated parts: " + known, generator_text(generator),
+        "list it under generated in model.yaml"});
+}
+
+GeneratorOptions& BundleOptions::generator(const LevelGenerator& generator) {
+  return const_cast<GeneratorOptions&>(static_cast<const BundleOptions&>(*this).generator(generator));
+}
+
+bool BundleOptions::has_geometry() const {
+  const auto set = level_set();
+  for (int64_t level = 0; level < set.levels; ++level) {
+    if (!set.knows(level)) return false;
+  }
+  return true;
+}
+
 void BundleOptions::check() const {
   const int64_t channels = backbone.level_channels();
   const std::string because = "the channels of the backbone's levels";
+  const LevelSet set = level_set();
+  check_level_set(set);
   require_equal("dpt_head.dim_in", dpt_head.dim_in, channels, because);
-  require_equal("level1.in_channels", level1.in_channels, channels, because);
-  require_equal("cascade.in_channels", cascade.in_channels, channels, because);
-  require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, backbone.levels() * channels,
-                "the channels of all levels together");
+  const auto decoded = static_cast<int64_t>(set.decoded_levels().size());
+  require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, decoded * channels,
+                decoded == set.levels ? "the channels of all levels together"
+                                      : "the channels of the decoded levels together");
   const std::string patches = "the backbone's patch size";
-  require_equal("dpt_head.patch_size", dpt_head.patch_size, backbone.patch_size, patches);
-  require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_size, patches);
-  require_equal("level1.camera_patch_size", level1.camera_patch_size, backbone.patch_size, patches);
-  require_equal("cascade.camera_patch_size", cascade.camera_patch_size, backbone.patch_size, patches);
-  if (cascade.conditioning != DitConditioning::kDeeperLevel) {
-    fail({"cascade.conditioning", "deeper_level", "none", "set it to deeper_level"});
-  }
-  if (boundary_level >= backbone.levels()) {
-    fail({"boundary_level", "a level below " + std::to_string(backbone.levels()),
-          std::to_string(boundary_level), "choose one of the backbone's levels"});
+  require_equal("dpt_head.patch_size", dpt_head.patch_size, backbone.patch_side(), patches);
+  require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_side(), patches);
+  for (const auto& part : generators) {
+    const std::string key = generator_name(part.generator);
+    require_equal(key + ".in_channels", part.dit.in_channels, channels, because);
+    require_equal(key + ".camera_patch_size", part.dit.camera_patch_size, backbone.patch_side(), patches);
+    if (part.dit.num_special_tokens != 0) {
+      require_equal(key + ".num_special_tokens", part.dit.num_special_tokens, backbone.leading_tokens(),
+                    "the backbone's tokens in front of the patches, or 0");
+    }
+    const bool takes_deeper = part.dit.conditioning == DitConditioning::kDeeperLevel;
+    if (takes_deeper != part.generator.is_cascade()) {
+      const std::string right = part.generator.is_cascade() ? "deeper_level" : "none";
+      fail({key + ".conditioning", right, takes_deeper ? "deeper_level" : "none", "set it to " + right});
+    }
   }
   if (trained_sizes.empty()) {
     fail({"trained_sizes", "at least one size", "none", "write for example trained_sizes: [504x280]"});
   }
   for (const auto& size : image_sizes()) {
-    if (size.width % backbone.patch_size != 0 || size.height % backbone.patch_size != 0) {
-      fail({"trained_sizes", "sides that are multiples of " + std::to_string(backbone.patch_size),
+    if (size.width % backbone.patch_side() != 0 || size.height % backbone.patch_side() != 0) {
+      fail({"trained_sizes", "sides that are multiples of " + std::to_string(backbone.patch_side()),
             std::to_string(size.width) + "x" + std::to_string(size.height), "choose whole patches"});
     }
   }
@@ -104,11 +181,11 @@ BundleOptions released_da3_options() {
   options.rgb_decoder.num_layers = 28;
   options.rgb_decoder.num_heads = 16;
   options.rgb_decoder.intermediate_size = 4096;
-  options.cascade.split_embedders = false;
-  options.cascade.prope_image_size = "504";
-  options.cascade.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
-  apply_published_conventions(options.level1);
-  apply_published_conventions(options.cascade);
+  DitOptions& released_cascade = options.generator(cascade(1, 0)).dit;
+  released_cascade.split_embedders = false;
+  released_cascade.prope_image_size = "504";
+  released_cascade.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
+  for (auto& part : options.generators) apply_published_conventions(part.dit);
   return options;
 }
 

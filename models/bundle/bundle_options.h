@@ -2,10 +2,11 @@
 
 #include "gld/base/options.h"
 #include "gld/cameras/image_size.h"
-#include "models/backbones/da3_backbone.h"
+#include "models/backbones/backbone_registry.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"
+#include "models/latent_spaces/level_set.h"
 
 #include <cstdint>
 #include <string>
@@ -25,26 +26,42 @@ struct TimeShiftOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// Everything about a model that its weights cannot tell: model.yaml of a bundle.
+// A part that generates a level: which, its DiT^DH, and the time shift it was trained with.
+struct GeneratorOptions {
+  LevelGenerator generator;
+  DitOptions dit;
+  TimeShiftOptions time_shift;
+};
+
+// Everything about a model that its weights cannot tell: model.yaml of a bundle. `generated` lists the generators, and each
+// has groups of its own there: its name (generator_name), and <name>_time_shift. A model.yaml without `generated` is the
+// published set, [1, 1->0].
 struct BundleOptions : OptionsGroup {
   std::string name = "unnamed";
-  Da3BackboneOptions backbone;
+  BackboneOptions backbone;
   DptHeadOptions dpt_head;
   RgbDecoderOptions rgb_decoder;
-  DitOptions level1;
-  DitOptions cascade;
-  TimeShiftOptions level1_time_shift;
-  TimeShiftOptions cascade_time_shift;
-  int64_t boundary_level = 1;    // level that M1 generates and propagation starts from
-  double latent_epsilon = 1e-5;  // added to the variance of latent statistics
+  std::vector<GeneratorOptions> generators;  // in the order of sampling
+  int64_t boundary_level = 1;                // level that propagation starts from
+  std::vector<int64_t> decoded_levels;       // that the RGB decoder takes; all when empty
+  double latent_epsilon = 1e-5;              // added to the variance of latent statistics
   std::vector<std::string> trained_sizes = {"504x504", "504x378", "504x336", "504x280"};
 
   // A new DA3-Base model as in the paper.
   BundleOptions();
   void visit(FieldVisitor& visitor) override;
-  // The parts fit each other: channels, patch sizes, levels, and sizes that are whole patches.
+  // The parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that are whole patches.
   void check() const override;
   std::vector<ImageSize> image_sizes() const;
+
+  LevelSet level_set() const;
+  // Replaces the generators by these; those that were there keep their options.
+  void set_generators(const std::vector<LevelGenerator>& wanted);
+  // Error naming the bundle's generators where it is none of them.
+  const GeneratorOptions& generator(const LevelGenerator& generator) const;
+  GeneratorOptions& generator(const LevelGenerator& generator);
+  // Whether the DPT head can run: it takes all levels.
+  bool has_geometry() const;
 };
 
 // What the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published

@@ -59,32 +59,33 @@ std::vector<IgnoredName> ignored_in_checkpoint(CheckpointWeights weights) {
   return ignored;
 }
 
-std::vector<Source> sources_of(const ConversionOptions& options) {
+std::vector<Source> sources_of(const ConversionOptions& options, const BundleOptions& bundle) {
   const std::string prefix = checkpoint_prefix(options.weights);
   const auto ignored = ignored_in_checkpoint(options.weights);
   std::vector<Source> sources;
   if (!options.da3.empty()) {
-    sources.push_back(
-        {options.da3,
-         {{BundlePart::kBackbone, Da3Backbone::kPrefix}, {BundlePart::kDptHead, DptHead::kPrefix}},
-         {{"model.cam_dec.*", "DA3's pose decoder, which GLD does not use"},
-          {"model.cam_enc.*", "DA3's pose encoder, which GLD does not use"}}});
+    sources.push_back({options.da3,
+                       {{BundlePart::backbone(), bundle.backbone.architecture().published_prefix()},
+                        {BundlePart::dpt_head(), DptHead::kPrefix}},
+                       {{"model.cam_dec.*", "DA3's pose decoder, which GLD does not use"},
+                        {"model.cam_enc.*", "DA3's pose encoder, which GLD does not use"}}});
   }
   if (!options.rgb_decoder.empty()) {
     auto unused = ignored;
     unused.push_back({prefix + "encoder.*", "the frozen backbone, which comes from the DA3 file"});
     sources.push_back(
-        {options.rgb_decoder, {{BundlePart::kRgbDecoder, prefix + RgbDecoder::kPrefix}}, unused});
+        {options.rgb_decoder, {{BundlePart::rgb_decoder(), prefix + RgbDecoder::kPrefix}}, unused});
   }
-  if (!options.level1.empty()) sources.push_back({options.level1, {{BundlePart::kLevel1, prefix}}, ignored});
+  if (!options.level1.empty())
+    sources.push_back({options.level1, {{BundlePart::of(level_model(1)), prefix}}, ignored});
   if (!options.cascade.empty())
-    sources.push_back({options.cascade, {{BundlePart::kCascade, prefix}}, ignored});
+    sources.push_back({options.cascade, {{BundlePart::of(cascade(1, 0)), prefix}}, ignored});
   const std::vector<IgnoredName> derived = {{"std", "the square root of var"}};
   if (!options.statistics_level0.empty()) {
-    sources.push_back({options.statistics_level0, {{BundlePart::kStatisticsLevel0, ""}}, derived});
+    sources.push_back({options.statistics_level0, {{BundlePart::statistics(0), ""}}, derived});
   }
   if (!options.statistics_level1.empty()) {
-    sources.push_back({options.statistics_level1, {{BundlePart::kStatisticsLevel1, ""}}, derived});
+    sources.push_back({options.statistics_level1, {{BundlePart::statistics(1), ""}}, derived});
   }
   return sources;
 }
@@ -150,7 +151,7 @@ struct PlannedTensor {
 };
 
 // Statistics are few numbers that everything is divided by: never rounded.
-ordered_json convert_statistics(const WeightFile& file, const Source& source, BundlePart part,
+ordered_json convert_statistics(const WeightFile& file, const Source& source, const BundlePart& part,
                                 const ConversionOptions& options, const BundleOptions& bundle) {
   const auto statistics = read_latent_statistics(file);
   if (statistics.channels() != bundle.backbone.level_channels()) {
@@ -229,7 +230,7 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
 void ConversionOptions::check() const {
   if (out.empty())
     fail({"--out", "a folder to write the bundle into", "nothing", "add for example --out models/gld"});
-  if (sources_of(*this).empty()) {
+  if (sources_of(*this, BundleOptions()).empty()) {
     fail({"gld convert", "at least one file to convert", "none",
           "give --da3, --level1, ... (see gld convert --help)"});
   }
@@ -244,7 +245,7 @@ ordered_json convert(const ConversionOptions& options) {
   save_bundle_options(options.out, bundle);
   ordered_json report = {
       {"bundle", options.out}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
-  for (const auto& source : sources_of(options)) {
+  for (const auto& source : sources_of(options, bundle)) {
     const auto file = WeightFile::open(source.file);
     account_for_all(*file, source, report["ignored"]);
     for (const auto& part : source.parts) {
@@ -253,7 +254,7 @@ ordered_json convert(const ConversionOptions& options) {
   }
   report["missing"] = ordered_json::array();
   const auto written = ModelBundle::open(options.out);
-  for (const BundlePart part : bundle_parts()) {
+  for (const BundlePart& part : bundle_parts(bundle)) {
     if (!written.has(part)) report["missing"].push_back(bundle_part_name(part));
   }
   write_file_atomically(std::filesystem::path(options.out) / kReportFile, report.dump(2) + "\n");

@@ -75,7 +75,7 @@ ordered_json inspect_file(const std::filesystem::path& path) {
   return inspection;
 }
 
-void check_part(const ModelBundle& bundle, BundlePart part, const WeightFile& file) {
+void check_part(const ModelBundle& bundle, const BundlePart& part, const WeightFile& file) {
   ParameterPlacement meta;
   meta.device = torch::kMeta;
   const auto module = make_bundle_module(part, bundle.options(), meta);
@@ -88,7 +88,7 @@ ordered_json inspect_bundle(const std::filesystem::path& folder) {
   const auto bundle = ModelBundle::open(folder);
   Totals totals;
   ordered_json parts = ordered_json::object(), missing = ordered_json::array();
-  for (const BundlePart part : bundle_parts()) {
+  for (const BundlePart& part : bundle_parts(bundle.options())) {
     if (!bundle.has(part)) {
       missing.push_back(bundle_part_name(part));
       continue;

@@ -1,5 +1,6 @@
 #include "models/bundle/random_bundle.h"
 
+#include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/weights/weight_loading.h"
 
@@ -10,6 +11,8 @@
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/types.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -51,7 +54,7 @@ torch::Tensor random_weight(const TensorEntry& entry, torch::Generator generator
                 std::move(generator));
 }
 
-std::vector<TensorEntry> entries_of(BundlePart part, const BundleOptions& options, DType dtype) {
+std::vector<TensorEntry> entries_of(const BundlePart& part, const BundleOptions& options, DType dtype) {
   std::vector<TensorEntry> entries;
   ParameterPlacement meta;
   meta.device = torch::kMeta;
@@ -80,7 +83,7 @@ std::vector<TensorEntry> entries_of(BundlePart part, const BundleOptions& option
 void write_random_bundle(const std::filesystem::path& folder, const BundleOptions& options, uint64_t seed,
                          DType dtype) {
   save_bundle_options(folder, options);
-  for (const BundlePart part : bundle_parts()) {
+  for (const BundlePart& part : bundle_parts(options)) {
     const std::string part_name = bundle_part_name(part);
     const auto make = [&](const TensorEntry& entry) {
       auto generator = at::detail::createCPUGenerator(seed ^ hash_of(part_name + "." + entry.name));
@@ -96,8 +99,8 @@ BundleOptions small_bundle_options() {
   constexpr int64_t kWidth = 64;
   BundleOptions options;
   options.name = "small random model";
-  options.backbone.embed_dim = kWidth;
-  options.backbone.num_heads = 4;
+  apply_setting(options, fmt::format("backbone.embed_dim={}", kWidth));
+  apply_setting(options, "backbone.num_heads=4");
   options.dpt_head.dim_in = 2 * kWidth;
   options.dpt_head.features = 32;
   options.dpt_head.out_channels = {24, 48, 96, 192};
@@ -106,11 +109,11 @@ BundleOptions small_bundle_options() {
   options.rgb_decoder.num_layers = 3;
   options.rgb_decoder.num_heads = 4;
   options.rgb_decoder.intermediate_size = 2 * kWidth;
-  for (DitOptions* dit : {&options.level1, &options.cascade}) {
-    dit->in_channels = 2 * kWidth;
-    dit->hidden_size = {kWidth, 2 * kWidth};
-    dit->depth = {3, 2};
-    dit->num_heads = {4, 4};
+  for (auto& part : options.generators) {
+    part.dit.in_channels = 2 * kWidth;
+    part.dit.hidden_size = {kWidth, 2 * kWidth};
+    part.dit.depth = {3, 2};
+    part.dit.num_heads = {4, 4};
   }
   return options;
 }

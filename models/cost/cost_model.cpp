@@ -8,13 +8,6 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kFloatBytes = 4;
-
-double product(double rows, double inputs, double outputs) { return 2 * rows * inputs * outputs; }
-
-// softmax(q k^T) v: two products of queries x keys x width.
-double attention_products(double queries, double keys, double width) { return 4 * queries * keys * width; }
-
 int64_t tokens_of(const DitOptions& options, const LatentGrid& grid) {
   return grid.views * (grid.tokens_per_view() + options.num_special_tokens);
 }
@@ -31,26 +24,13 @@ Cost dit_stack_cost(const DitOptions& options, int64_t tokens, const StackShape&
   const auto rows = static_cast<double>(tokens);
   const auto blocks = static_cast<double>(stack.blocks);
   Cost cost;
-  cost.linear_flop = blocks * (product(rows, width, 4 * width) + product(rows, width, 3 * hidden) +
-                               product(static_cast<double>(stack.modulation_rows), width, 6 * width));
-  cost.attention_flop = blocks * attention_products(rows, rows, width);
+  cost.linear_flop = blocks * (product_flop(rows, width, 4 * width) + product_flop(rows, width, 3 * hidden) +
+                               product_flop(static_cast<double>(stack.modulation_rows), width, 6 * width));
+  cost.attention_flop = blocks * attention_flop(rows, rows, width);
   const auto parameters = blocks * (4 * width * width + 3 * width * hidden + 6 * width * width);
   cost.weight_bytes = static_cast<int64_t>(parameters) * kFloatBytes;
   return cost;
 }
-
-void add_linear(Cost& cost, double rows, double inputs, double outputs) {
-  cost.linear_flop += product(rows, inputs, outputs);
-  cost.weight_bytes += static_cast<int64_t>(inputs * outputs) * kFloatBytes;
-}
-
-// A k x k convolution on a map of that many pixels.
-void add_convolution(Cost& cost, double pixels, double inputs, double outputs, double kernel) {
-  cost.convolution_flop += product(pixels, inputs * kernel * kernel, outputs);
-  cost.weight_bytes += static_cast<int64_t>(inputs * kernel * kernel * outputs) * kFloatBytes;
-}
-
-int64_t bytes_of_floats(double count) { return static_cast<int64_t>(count) * kFloatBytes; }
 
 // The most of a block, in floats: x, qkv and the attention's output; or x, that output, the result, and of a group of
 // tokens (by_view_groups) the modulation and what the feed-forward part makes.
@@ -106,32 +86,6 @@ Cost dit_cost(const DitOptions& options, const LatentGrid& grid) {
   return cost;
 }
 
-Cost backbone_cost(const Da3BackboneOptions& options, const LatentGrid& grid, int64_t first_block,
-                   int64_t last_block) {
-  const auto width = static_cast<double>(options.embed_dim);
-  const auto hidden = width * options.mlp_ratio;
-  const int64_t tokens_per_view = grid.tokens_per_view() + 1;
-  const auto views = static_cast<double>(grid.views), per_view = static_cast<double>(tokens_per_view);
-  const double rows = views * per_view;
-  Cost cost;
-  for (int64_t block = first_block; block < last_block; ++block) {
-    const bool over_all_views =
-        options.alternating_start >= 0 && block >= options.alternating_start && block % 2 == 1;
-    add_linear(cost, rows, width, 4 * width);
-    add_linear(cost, rows, width, 2 * hidden);
-    cost.attention_flop += over_all_views ? attention_products(rows, rows, width)
-                                          : views * attention_products(per_view, per_view, width);
-  }
-  if (first_block == 0) {
-    const auto patch_values = static_cast<double>(3 * options.patch_size * options.patch_size);
-    add_linear(cost, rows, patch_values, width);
-  }
-  // The levels raw, contiguous and normalised (2 widths each) and a block's x, qkv, attention's output and hidden
-  // layer: 22 widths are what runs took with two and with four levels, to a fifth.
-  cost.working_bytes = bytes_of_floats(rows * (width * 22 + hidden));
-  return cost;
-}
-
 Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) {
   const auto width = static_cast<double>(options.hidden_size);
   const auto hidden = static_cast<double>(options.intermediate_size);
@@ -142,7 +96,7 @@ Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) 
   for (int64_t layer = 0; layer < options.num_layers; ++layer) {
     add_linear(cost, rows, width, 4 * width);
     add_linear(cost, rows, width, 2 * hidden);
-    cost.attention_flop += views * attention_products(per_view, per_view, width);
+    cost.attention_flop += views * attention_flop(per_view, per_view, width);
   }
   add_linear(cost, rows, static_cast<double>(options.in_channels), width);
   add_linear(cost, rows, width, static_cast<double>(options.patch_values()));

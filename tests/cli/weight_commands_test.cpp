@@ -69,7 +69,7 @@ TEST(WeightCommands, ConvertReports) {
       << outcome.output;
   EXPECT_NE(outcome.output.find("level1             missing; convert it into the same folder\n"),
             std::string::npos);
-  EXPECT_EQ(ModelBundle::open(out).load_statistics(BundlePart::kStatisticsLevel0).channels(), 1536);
+  EXPECT_EQ(ModelBundle::open(out).load_statistics(cascade(1, 0)).patches.channels(), 1536);
   EXPECT_NE(run({"convert", "--out", out}).status, 0);
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "models/backbones/da3_backbone.h"
 #include "models/bundle/bundle_options.h"
 #include "train/data/training_data.h"
 #include "train/loop/training_loop.h"
@@ -10,14 +11,16 @@ namespace gld::test {
 inline BundleOptions small_model() {
   BundleOptions model;
   model.name = "small";
-  model.backbone.embed_dim = 32;
-  model.backbone.depth = 8;
-  model.backbone.num_heads = 2;
-  model.backbone.pos_embed_grid = 4;
-  model.backbone.out_layers = {1, 3, 5, 7};
-  model.backbone.alternating_start = 2;
-  model.backbone.qk_norm_start = 2;
-  model.backbone.rope_start = 2;
+  Da3BackboneOptions backbone;
+  backbone.embed_dim = 32;
+  backbone.depth = 8;
+  backbone.num_heads = 2;
+  backbone.pos_embed_grid = 4;
+  backbone.out_layers = {1, 3, 5, 7};
+  backbone.alternating_start = 2;
+  backbone.qk_norm_start = 2;
+  backbone.rope_start = 2;
+  model.backbone = backbone;
   model.dpt_head.dim_in = 64;
   model.dpt_head.features = 16;
   model.dpt_head.out_channels = {8, 8, 16, 16};
@@ -28,15 +31,13 @@ inline BundleOptions small_model() {
   model.rgb_decoder.num_heads = 2;
   model.rgb_decoder.intermediate_size = 64;
   model.rgb_decoder.base_image_size = 56;
-  for (DitOptions* dit : {&model.level1, &model.cascade}) {
-    dit->in_channels = 64;
-    dit->hidden_size = {32, 64};
-    dit->depth = {2, 1};
-    dit->num_heads = {2, 4};
+  for (auto& part : model.generators) {
+    part.dit.in_channels = 64;
+    part.dit.hidden_size = {32, 64};
+    part.dit.depth = {2, 1};
+    part.dit.num_heads = {2, 4};
+    part.time_shift.training = part.time_shift.evaluation = 3.0;
   }
-  model.level1_time_shift = {};
-  model.level1_time_shift.training = model.level1_time_shift.evaluation = 3.0;
-  model.cascade_time_shift.training = model.cascade_time_shift.evaluation = 3.0;
   model.trained_sizes = {"56x56", "56x42"};
   return model;
 }

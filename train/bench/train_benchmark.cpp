@@ -15,6 +15,7 @@
 #include "gld/tensors/torch_version.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
+#include "models/dit/flow_matching_loss.h"
 #include "train/loop/micro_batches.h"
 #include "train/optim/optimiser.h"
 
@@ -77,10 +78,11 @@ class RepeatedScene : public Objective {
   const LatentGrid& grid() const { return grid_; }
 
   torch::Tensor loss() const {
-    const auto noisy = (1.0 - kFlowTime) * clean_ + kFlowTime * noise_;
-    const auto velocity =
-        dit_->velocity(dit_->prepare_scene(inputs_), noisy, dit_->time_rows({kFlowTime}).front());
-    return (velocity - (noise_ - clean_)).square().mean();
+    FlowMatchingDraw draw;
+    draw.clean = clean_;
+    draw.noise = noise_;
+    draw.time = kFlowTime;
+    return flow_matching_errors(*dit_, inputs_, draw).all;
   }
 
   std::string kind() const override { return "bench"; }
@@ -152,7 +154,7 @@ DitOptions with_depth(DitOptions options, const std::vector<int64_t>& depth) {
 void measure_storage(const std::string& name, const Size& size, const std::vector<int64_t>& depth,
                      int64_t repeats, std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
-  RepeatedScene objective(bundle, with_depth(bundle.level1, depth), size);
+  RepeatedScene objective(bundle, with_depth(bundle.generators.front().dit, depth), size);
   FlatParameters parameters(objective.parameters());
   Samples keep, recompute;
   for (int64_t repeat = 0; repeat < repeats; ++repeat) {
@@ -173,7 +175,7 @@ struct Stored {
 
 Stored measure_stored(const Size& size, const std::vector<int64_t>& depth, ActivationStorage storage) {
   const BundleOptions bundle;
-  RepeatedScene objective(bundle, with_depth(bundle.level1, depth), size);
+  RepeatedScene objective(bundle, with_depth(bundle.generators.front().dit, depth), size);
   FlatParameters parameters(objective.parameters());
   objective.store(storage);
   parameters.zero_gradients();
@@ -191,7 +193,7 @@ Stored measure_stored(const Size& size, const std::vector<int64_t>& depth, Activ
 // the two before. The velocity decoder has its own depth.
 Stored stored_at_full_depth(const Size& size, ActivationStorage storage) {
   const BundleOptions bundle;
-  const auto& depth = bundle.level1.depth;
+  const auto& depth = bundle.generators.front().dit.depth;
   const Stored two = measure_stored(size, {2, depth[1]}, storage),
                four = measure_stored(size, {4, depth[1]}, storage);
   const double pairs = static_cast<double>(depth[0] - 2) / 2;
@@ -240,7 +242,7 @@ class ThreadScope {
 void measure_small(const TrainBenchmarkOptions& options, std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle = ModelBundle::open(options.small_model).options();
   const ImageSize image = image_size_from_text(bundle.trained_sizes.front(), "trained_sizes");
-  RepeatedScene objective(bundle, bundle.level1, {4, 2, image});
+  RepeatedScene objective(bundle, bundle.generators.front().dit, {4, 2, image});
   FlatParameters parameters(objective.parameters());
   const int64_t workers = thread_count(), scenes = 4 * workers;
   Samples alone, parallel;
@@ -259,7 +261,7 @@ void measure_small(const TrainBenchmarkOptions& options, std::vector<TrainBenchm
 
 double full_size_parameters() {
   const BundleOptions bundle;
-  const DitDh model(bundle.level1, {torch::kMeta});
+  const DitDh model(bundle.generators.front().dit, {torch::kMeta});
   double count = 0;
   for (const auto& parameter : model.parameters()) count += static_cast<double>(parameter.numel());
   return count;
@@ -306,7 +308,8 @@ const TrainBenchmarkRow& find(const std::vector<TrainBenchmarkRow>& rows, const 
 double optimiser_share(const std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
   const auto& step = find(rows, "full_width", "keep");
-  const double flop = kForwardsAStep * dit_cost(bundle.level1, bundle.backbone.grid_of(8, 504, 504)).flop();
+  const double flop =
+      kForwardsAStep * dit_cost(bundle.generators.front().dit, bundle.backbone.grid_of(8, 504, 504)).flop();
   const double seconds = flop * 1e-12 / step.tflop * step.seconds;
   const double optimiser = find(rows, "optimiser", "scaled_to_full_size").seconds;
   return optimiser / (seconds + optimiser);

@@ -52,11 +52,11 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     return;
   }
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
-  backbone_ = std::make_shared<Da3Backbone>(model_.backbone, placement);
+  backbone_ = model_.backbone.make(placement);
   head_ = std::make_shared<DptHead>(model_.dpt_head, placement);
   backbone_->initialise(generator);
   head_->initialise(generator);
-  const int64_t patch = model_.backbone.patch_size;
+  const int64_t patch = model_.backbone.patch_side();
   for (size_t level = 0; level < options_.pixel_weights.size(); ++level) {
     const LinearSizes sizes = {model_.backbone.level_channels(), 3 * patch * patch};
     pixel_layers_.push_back(std::make_shared<Linear>(sizes, placement));
@@ -66,7 +66,7 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
   if (head_only()) return named_parameters(*head_, DptHead::kPrefix);
-  auto result = named_parameters(*backbone_, Da3Backbone::kPrefix);
+  auto result = named_parameters(*backbone_, model_.backbone.architecture().published_prefix());
   for (auto& item : named_parameters(*head_, DptHead::kPrefix)) result.push_back(std::move(item));
   for (size_t level = 0; level < pixel_layers_.size(); ++level) {
     const std::string prefix = "pixels." + std::to_string(level) + ".";
@@ -87,7 +87,7 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   std::vector<torch::Tensor> levels;
   {
     const torch::AutoGradMode gradients(torch::GradMode::is_enabled() && !head_only());
-    for (const auto& level : backbone_->encode(pixels, model_.backbone.levels() - 1)) {
+    for (const auto& level : backbone_->encode(shown.images, model_.backbone.levels() - 1)) {
       levels.push_back(backbone_->decodable(level).patches);
     }
   }
@@ -98,13 +98,13 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
   const RayGrid rays = {result.output.rays.size(1), result.output.rays.size(2)};
   result.geometry = geometry_losses(result.output, geometry_targets(shown, rays), options_.loss);
-  const auto patches = image_patches(pixels, model_.backbone.patch_size);
+  const auto patches = image_patches(pixels, model_.backbone.patch_side());
   for (size_t level = 0; level < pixel_layers_.size(); ++level) {
     const auto read = pixel_layers_[level]->forward(levels[level]);
     result.pixel_errors.push_back((read - patches).abs().mean());
     if (level == 0) {
       result.shallow_image =
-          imagenet_denormalise(image_of_patches(read.detach(), grid, model_.backbone.patch_size));
+          imagenet_denormalise(image_of_patches(read.detach(), grid, model_.backbone.patch_side()));
     }
   }
   return result;
@@ -175,8 +175,8 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
 
 void BackboneObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
   save_bundle_options(folder, model_);
-  if (!head_only()) save_bundle_part(folder, BundlePart::kBackbone, named_tensors(*backbone_), dtype);
-  save_bundle_part(folder, BundlePart::kDptHead, named_tensors(*head_), dtype);
+  if (!head_only()) save_bundle_part(folder, BundlePart::backbone(), named_tensors(*backbone_), dtype);
+  save_bundle_part(folder, BundlePart::dpt_head(), named_tensors(*head_), dtype);
 }
 
 }  // namespace gld

@@ -30,7 +30,7 @@ struct BackboneObjectiveOptions : OptionsGroup {
 };
 
 struct TrainedGeometry {
-  std::shared_ptr<Da3Backbone> backbone;
+  std::shared_ptr<Backbone> backbone;
   std::shared_ptr<DptHead> head;
 };
 
@@ -72,7 +72,7 @@ class BackboneObjective : public Objective {
   BundleOptions model_;
   BackboneObjectiveOptions options_;
   ParameterPlacement placement_;
-  std::shared_ptr<Da3Backbone> backbone_;
+  std::shared_ptr<Backbone> backbone_;
   std::shared_ptr<DptHead> head_;
   std::vector<std::shared_ptr<Linear>> pixel_layers_;
 };

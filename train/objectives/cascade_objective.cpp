@@ -12,20 +12,18 @@ void CascadeObjectiveOptions::visit(FieldVisitor& visitor) {
                deeper_noise, {0.0, 100.0});
 }
 
-CascadeObjective::CascadeObjective(const BundleOptions& model, const CascadeObjectiveOptions& options,
-                                   FrozenParts frozen, const ParameterPlacement& placement, int64_t seed)
-    : FlowObjective(model, model.cascade, model.cascade_time_shift.training, options.flow, std::move(frozen),
-                    placement, seed),
+CascadeObjective::CascadeObjective(const BundleOptions& model, const LevelGenerator& cascade,
+                                   const CascadeObjectiveOptions& options, FrozenParts frozen,
+                                   const ParameterPlacement& placement, int64_t seed)
+    : FlowObjective(model, cascade, options.flow, std::move(frozen), placement, seed),
       deeper_noise_(options.deeper_noise) {}
 
 SceneLatents CascadeObjective::latents(const TrainingScene& scene) const {
-  const int64_t boundary = model().boundary_level;
-  const auto levels = encode(scene, scene.views.size(), boundary);
-  const auto& statistics = frozen().level0_statistics;
+  const int64_t level = generator().level, views = scene.views.size();
   SceneLatents latents;
-  latents.sources = statistics.normalise(patches_of(encode(scene, scene.views.num_sources, 0)[0]));
-  latents.clean = statistics.normalise(patches_of(levels[0]));
-  latents.deeper = frozen().boundary_statistics.normalise(patches_of(levels[static_cast<size_t>(boundary)]));
+  latents.sources = latent_of(scene, scene.views.num_sources, level, frozen().statistics);
+  latents.clean = latent_of(scene, views, level, frozen().statistics);
+  latents.deeper = latent_of(scene, views, *generator().deeper, frozen().deeper_statistics);
   return latents;
 }
 
@@ -43,19 +41,14 @@ FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene, co
   return prepared;
 }
 
-torch::Tensor CascadeObjective::decode(const TrainingScene& scene, const torch::Tensor& latent) const {
-  const auto raw = encode(scene, scene.views.size(), model().backbone.levels() - 1);
-  std::vector<torch::Tensor> levels = {
-      frozen().backbone->normalise_for_decoding(frozen().level0_statistics.denormalise(latent))};
-  for (size_t level = 1; level < raw.size(); ++level) {
-    levels.push_back(frozen().backbone->decodable(raw[level]).patches);
-  }
-  return frozen().rgb_decoder->decode(torch::cat(levels, 2), grid_of(scene));
-}
-
-void CascadeObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
-  save_bundle_options(folder, model());
-  save_bundle_part(folder, BundlePart::kCascade, named_tensors(dit()), dtype);
+std::map<int64_t, torch::Tensor> CascadeObjective::known_levels(const TrainingScene& scene) const {
+  // The true levels, so that the picture shows what the generated one is worth.
+  const torch::NoGradGuard no_grad;
+  const auto encoded = frozen().space->encode(images_of(scene, scene.views.size()), model().boundary_level);
+  std::map<int64_t, torch::Tensor> levels;
+  for (size_t level = 0; level < encoded.size(); ++level)
+    levels[static_cast<int64_t>(level)] = encoded[level];
+  return levels;
 }
 
 }  // namespace gld

@@ -78,7 +78,7 @@ void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
 }
 
 DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
-                                   std::shared_ptr<const Da3Backbone> backbone,
+                                   std::shared_ptr<const Backbone> backbone,
                                    const ParameterPlacement& placement, int64_t seed)
     : model_(model), options_(options), placement_(placement), backbone_(std::move(backbone)) {
   model_.check();
@@ -115,8 +115,10 @@ std::vector<NamedParameter> DecoderObjective::parameters() const {
 std::vector<torch::Tensor> DecoderObjective::levels_of(const torch::Tensor& images) const {
   const torch::NoGradGuard no_grad;
   std::vector<torch::Tensor> levels;
-  for (const auto& level : backbone_->encode(imagenet_normalise(images), backbone_->options().levels() - 1)) {
-    levels.push_back(backbone_->decodable(level).patches);
+  const auto decoded = model_.level_set().decoded_levels();
+  const auto encoded = backbone_->encode(images, decoded.back());
+  for (const int64_t level : decoded) {
+    levels.push_back(backbone_->decodable(encoded.at(static_cast<size_t>(level))).patches);
   }
   return levels;
 }
@@ -161,7 +163,7 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
   }
   // The decoder works on single views, so scenes of one resolution are one batch for it.
   const auto truth = torch::cat(truths);
-  const auto grid = backbone_->options().grid_of(truth.size(0), truth.size(2), truth.size(3));
+  const auto grid = backbone_->architecture().grid_of(truth.size(0), truth.size(2), truth.size(3));
   const auto decoded = decoder_->decode(torch::cat(features), grid);
 
   Losses losses;
@@ -225,7 +227,7 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
   double absolute = 0.0, perceptual_sum = 0.0, psnr = 0.0;
   for (const TrainingScene& scene : scenes) {
     const auto truth = scene.images.to(placement_.device);
-    const auto grid = backbone_->options().grid_of(truth.size(0), truth.size(2), truth.size(3));
+    const auto grid = backbone_->architecture().grid_of(truth.size(0), truth.size(2), truth.size(3));
     const auto decoded = decoder_->decode(torch::cat(levels_of(truth), 2), grid);
     absolute += (decoded - truth).abs().mean().item<double>();
     perceptual_sum += perceptual(truth, decoded).item<double>();
@@ -276,7 +278,7 @@ void DecoderObjective::load_state(const std::map<std::string, torch::Tensor>& st
 
 void DecoderObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
   save_bundle_options(folder, model_);
-  save_bundle_part(folder, BundlePart::kRgbDecoder, named_tensors(*decoder_), dtype);
+  save_bundle_part(folder, BundlePart::rgb_decoder(), named_tensors(*decoder_), dtype);
 }
 
 }  // namespace gld

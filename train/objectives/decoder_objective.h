@@ -68,7 +68,7 @@ class DecoderObjective : public Objective {
  public:
   // model: the architecture; its RGB decoder is trained. backbone is not changed.
   DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
-                   std::shared_ptr<const Da3Backbone> backbone, const ParameterPlacement& placement,
+                   std::shared_ptr<const Backbone> backbone, const ParameterPlacement& placement,
                    int64_t seed);
 
   std::string kind() const override { return "decoder"; }
@@ -92,7 +92,7 @@ class DecoderObjective : public Objective {
   BundleOptions model_;
   DecoderObjectiveOptions options_;
   ParameterPlacement placement_;
-  std::shared_ptr<const Da3Backbone> backbone_;
+  std::shared_ptr<const Backbone> backbone_;
   std::shared_ptr<RgbDecoder> decoder_;
   std::shared_ptr<Lpips> lpips_;
   std::shared_ptr<Discriminator> discriminator_;

@@ -1,6 +1,6 @@
 #include "train/objectives/diffusion_replay.h"
 
-#include "gld/flow/flow.h"
+#include "models/dit/flow_matching_loss.h"
 #include "train/optim/flat_parameters.h"
 #include "train/optim/optimiser.h"
 
@@ -21,15 +21,13 @@ OptimiserOptions optimiser_options(const DiffusionReplayOptions& options) {
 
 // One row of the losses, with the gradients of the first one accumulated.
 torch::Tensor losses_of_step(const DitDh& model, const DiffusionReplayScene& scene, double time) {
-  const auto prepared = model.prepare_scene(scene.inputs);
-  const auto velocity =
-      model.velocity(prepared, interpolate(scene.clean, scene.noise, time), model.time_rows({time}).front());
-  const auto error = (velocity - velocity_target(scene.clean, scene.noise)).square();
-  const auto total = error.mean();
-  total.backward();
-  const int64_t sources = prepared.num_sources();
-  const auto targets = error.narrow(0, sources, error.size(0) - sources);
-  return torch::stack({total, error.narrow(0, 0, sources).mean(), targets.mean()}).detach();
+  FlowMatchingDraw draw;
+  draw.clean = scene.clean;
+  draw.noise = scene.noise;
+  draw.time = time;
+  const auto errors = flow_matching_errors(model, scene.inputs, draw);
+  errors.all.backward();
+  return torch::stack({errors.all.detach(), errors.source, errors.target});
 }
 
 }  // namespace

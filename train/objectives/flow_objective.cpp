@@ -1,7 +1,7 @@
 #include "train/objectives/flow_objective.h"
 
 #include "gld/flow/schedule.h"
-#include "models/layers/imagenet.h"
+#include "models/dit/flow_matching_loss.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
@@ -32,19 +32,20 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
                kept_latents_gib, {0.0, 1e6});
 }
 
-FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, double training_shift,
+FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& generator,
                              const FlowObjectiveOptions& options, FrozenParts frozen,
                              const ParameterPlacement& placement, int64_t seed)
     : model_(model),
-      training_shift_(training_shift),
+      generator_(generator),
+      training_shift_(model.generator(generator).time_shift.training),
       options_(options),
       frozen_(std::move(frozen)),
       placement_(placement),
       kept_latents_(options.kept_latents_gib) {
   model_.check();
-  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
-  dit_ = std::make_shared<DitDh>(dit, placement);
-  dit_->initialise(generator);
+  auto random = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
+  dit_ = std::make_shared<DitDh>(model_.generator(generator).dit, placement);
+  dit_->initialise(random);
   if (options_.checkpoint_blocks) dit_->set_activation_storage(ActivationStorage::kRecompute);
 }
 
@@ -62,24 +63,39 @@ LatentGrid FlowObjective::grid_of(const TrainingScene& scene) const {
   return model_.backbone.grid_of(scene.views.size(), scene.height(), scene.width());
 }
 
-std::vector<torch::Tensor> FlowObjective::encode(const TrainingScene& scene, int64_t views,
-                                                 int64_t last) const {
+torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t views, int64_t level,
+                                       const LevelStatistics& statistics) const {
   const torch::NoGradGuard no_grad;
-  return frozen_.backbone->encode(imagenet_normalise(scene.images.narrow(0, 0, views)), last);
+  const auto levels = frozen_.space->encode(images_of(scene, views), level);
+  return statistics.normalise(generated_tokens(levels.at(static_cast<size_t>(level)),
+                                               frozen_.space->leading_tokens(), statistics.special_tokens));
 }
 
-FlowObjective::Errors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
-                                                     double time, DitBranch branch) const {
-  const auto noisy = (1.0 - time) * prepared.clean + time * noise;
-  const auto scene = dit_->prepare_scene(prepared.inputs);
-  const auto velocity = dit_->velocity(scene, noisy, dit_->time_rows({time}).front(), branch);
-  const auto error = (velocity - (noise - prepared.clean)).square();
-  const int64_t sources = prepared.inputs.views.num_sources;
-  Errors errors;
-  errors.all = error.mean();
-  errors.source = error.detach().narrow(0, 0, sources).mean();
-  errors.target = error.detach().narrow(0, sources, error.size(0) - sources).mean();
-  return errors;
+torch::Tensor FlowObjective::decode(const TrainingScene& scene, const torch::Tensor& latent) const {
+  SourceEncoding wanted;
+  wanted.deepest = model_.boundary_level;
+  const auto carried = frozen_.space->encode_sources(images_of(scene, 1), wanted).carried;
+  auto raw = known_levels(scene);
+  raw[generator_.level] = frozen_.statistics.denormalise(latent);
+  const auto completed = frozen_.space->complete(raw, carried, grid_of(scene));
+  const auto shape =
+      torch::zeros({latent.size(0), grid_of(scene).tokens_per_view(), latent.size(2)}, latent.options());
+  std::vector<torch::Tensor> decoded;
+  for (const int64_t level : model_.level_set().decoded_levels()) {
+    const auto& made = completed.at(static_cast<size_t>(level));
+    decoded.push_back(made.defined() ? made : shape);
+  }
+  return frozen_.rgb_decoder->decode(torch::cat(decoded, 2), grid_of(scene));
+}
+
+void FlowObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
+  save_bundle_options(folder, model_);
+  save_bundle_part(folder, BundlePart::of(generator_), named_tensors(*dit_), dtype);
+}
+
+FlowMatchingErrors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
+                                                  double time, DitBranch branch) const {
+  return flow_matching_errors(*dit_, prepared.inputs, {prepared.clean, noise, time, branch});
 }
 
 Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& context) {
@@ -99,7 +115,7 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
     const auto branch = draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional
                                                                           : DitBranch::kConditional;
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
-    const Errors errors = velocity_errors(prepared, noise, time, branch);
+    const FlowMatchingErrors errors = velocity_errors(prepared, noise, time, branch);
     losses.total = losses.total.defined() ? losses.total + share * errors.all : share * errors.all;
     parts.add("source", errors.source, share);
     parts.add("target", errors.target, share);
@@ -133,7 +149,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
     for (int i = 0; i < kTimes; ++i) {
       const double time = shifted_time((i + 0.5) / kTimes, training_shift_);
-      const Errors errors = velocity_errors(prepared, noise, time, DitBranch::kConditional);
+      const FlowMatchingErrors errors = velocity_errors(prepared, noise, time, DitBranch::kConditional);
       all += errors.all.item<double>() / kTimes;
       source += errors.source.item<double>() / kTimes;
       target += errors.target.item<double>() / kTimes;

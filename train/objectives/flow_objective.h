@@ -1,11 +1,14 @@
 #pragma once
 
-#include "gld/latents/latent_statistics.h"
+#include "gld/latents/level_statistics.h"
 #include "models/bundle/bundle.h"
+#include "models/dit/flow_matching_loss.h"
+#include "models/latent_spaces/latent_space.h"
 #include "train/loop/objective.h"
 #include "train/objectives/scene_latents.h"
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -30,9 +33,9 @@ struct FlowObjectiveOptions : OptionsGroup {
 
 // What a diffusion objective needs beside the model it trains; nothing here is changed.
 struct FrozenParts {
-  std::shared_ptr<const Da3Backbone> backbone;
-  LatentStatistics level0_statistics;  // the cascade only
-  LatentStatistics boundary_statistics;
+  std::shared_ptr<const LatentSpace> space;
+  LevelStatistics statistics;                     // of the level to generate
+  LevelStatistics deeper_statistics;              // of the level that a cascade starts from
   std::shared_ptr<const RgbDecoder> rgb_decoder;  // for validation pictures; may be null
 };
 
@@ -61,38 +64,44 @@ class FlowObjective : public Objective {
     torch::Tensor clean;
   };
 
-  FlowObjective(const BundleOptions& model, const DitOptions& dit, double training_shift,
+  // Of the part of the model that this generator is.
+  FlowObjective(const BundleOptions& model, const LevelGenerator& generator,
                 const FlowObjectiveOptions& options, FrozenParts frozen, const ParameterPlacement& placement,
                 int64_t seed);
 
   // generator: random numbers that belong to the training of this scene.
   virtual Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
                            torch::Generator& generator) const = 0;
-  // A generated latent as images (views, 3, height, width), for validation.
-  virtual torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const = 0;
+  // Levels, raw, that a validation picture takes beside the generated one: of all views, or none to see what the
+  // generated level is worth alone.
+  virtual std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const = 0;
 
-  // Raw levels 0..last of the first `views` views, without gradients.
-  std::vector<torch::Tensor> encode(const TrainingScene& scene, int64_t views, int64_t last) const;
-  static torch::Tensor patches_of(const torch::Tensor& level) {
-    return level.narrow(1, 1, level.size(1) - 1);
+  // That level of the first `views` views encoded together, normalised: what is generated of it.
+  torch::Tensor latent_of(const TrainingScene& scene, int64_t views, int64_t level,
+                          const LevelStatistics& statistics) const;
+  torch::Tensor images_of(const TrainingScene& scene, int64_t views) const {
+    return scene.images.narrow(0, 0, views);
   }
 
   const BundleOptions& model() const { return model_; }
+  const LevelGenerator& generator() const { return generator_; }
   const FlowObjectiveOptions& options() const { return options_; }
   const FrozenParts& frozen() const { return frozen_; }
   const DitDh& dit() const { return *dit_; }
   LatentGrid grid_of(const TrainingScene& scene) const;
+  void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
-  struct Errors {
-    torch::Tensor all, source, target;  // scalars
-  };
-  Errors velocity_errors(const Prepared& prepared, const torch::Tensor& noise, double time,
-                         DitBranch branch) const;
+  FlowMatchingErrors velocity_errors(const Prepared& prepared, const torch::Tensor& noise, double time,
+                                     DitBranch branch) const;
   // Euler steps on the shifted grid; the first evaluations' prediction of the data is kept.
   torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise) const;
 
+  // A generated latent as images (views, 3, height, width), for validation. Levels that nothing gives are zero.
+  torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const;
+
   BundleOptions model_;
+  LevelGenerator generator_;
   double training_shift_;
   FlowObjectiveOptions options_;
   FrozenParts frozen_;

@@ -9,19 +9,18 @@ namespace gld {
 // encoded alone, as sampling has them.
 class LevelObjective : public FlowObjective {
  public:
-  // L is model.boundary_level; frozen.boundary_statistics are those of level L.
-  LevelObjective(const BundleOptions& model, const FlowObjectiveOptions& options, FrozenParts frozen,
-                 const ParameterPlacement& placement, int64_t seed);
+  // frozen.statistics are those of that level.
+  LevelObjective(const BundleOptions& model, int64_t level, const FlowObjectiveOptions& options,
+                 FrozenParts frozen, const ParameterPlacement& placement, int64_t seed);
 
   std::string kind() const override { return "level"; }
-  void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  protected:
   SceneLatents latents(const TrainingScene& scene) const override;
   Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
                    torch::Generator& generator) const override;
-  // The levels below L are left out (zeros), which the decoder knows from its level dropout.
-  torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const override;
+  // The levels that L does not give are left out (zeros), which the decoder knows from its level dropout.
+  std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const override;
 };
 
 }  // namespace gld

@@ -27,8 +27,8 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   stage.command = "train backbone";
   stage.parts = FrameParts::kImageAndDepth;
   const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
-  stage.made = {BundlePart::kDptHead};
-  if (!head_only) stage.made.push_back(BundlePart::kBackbone);
+  stage.made = {BundlePart::dpt_head()};
+  if (!head_only) stage.made.push_back(BundlePart::backbone());
   stage.objective = [&options, head_only](const ModelBundle& bundle, const ParameterPlacement& placement) {
     TrainedGeometry trained;
     if (head_only) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
@@ -41,7 +41,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train decoder";
-  stage.made = {BundlePart::kRgbDecoder};
+  stage.made = {BundlePart::rgb_decoder()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     return std::make_unique<DecoderObjective>(bundle.options(), options.objective,
                                               bundle.load_backbone(placement), placement, options.loop.seed);

@@ -6,7 +6,7 @@
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/device.h"
-#include "models/layers/imagenet.h"
+#include "models/latent_spaces/geometric_latent_space.h"
 #include "train/objectives/level_objective.h"
 
 #include <iostream>
@@ -18,47 +18,76 @@
 namespace gld {
 namespace {
 
-FrozenParts frozen_parts(const ModelBundle& bundle, const ParameterPlacement& placement) {
-  FrozenParts frozen;
-  frozen.backbone = bundle.load_backbone(placement);
-  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1).to(placement.device);
-  if (bundle.has(BundlePart::kRgbDecoder)) frozen.rgb_decoder = bundle.load_rgb_decoder(placement);
-  return frozen;
+// The statistics of one level's patch tokens, or of the special tokens in front of them, on their way.
+struct LevelMoments {
+  int64_t level = 0;
+  bool special = false;
+  StreamingMoments moments;
+
+  BundlePart part() const {
+    return special ? BundlePart::special_statistics(level) : BundlePart::statistics(level);
+  }
+};
+
+std::vector<LevelMoments> moments_of(const BundleOptions& model) {
+  std::vector<LevelMoments> result;
+  for (const auto& part : bundle_parts(model)) {
+    const bool special = part.kind == BundlePart::Kind::kSpecialStatistics;
+    if (!special && part.kind != BundlePart::Kind::kStatistics) continue;
+    result.push_back({part.level, special, StreamingMoments(model.backbone.level_channels())});
+  }
+  return result;
 }
 
-void tell_narrow_decoder(const char* model, const DitOptions& options) {
-  const auto note = narrow_decoder_note(options);
-  if (!note.empty()) std::cerr << "note: " << model << '.' << note << '\n';
+void tell_narrow_decoder(const GeneratorOptions& part) {
+  const auto note = narrow_decoder_note(part.dit);
+  if (!note.empty()) std::cerr << "note: " << generator_name(part.generator) << '.' << note << '\n';
 }
 
 }  // namespace
 
+FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
+                         const ParameterPlacement& placement) {
+  const auto& model = bundle.options();
+  FrozenParts frozen;
+  frozen.space =
+      std::make_shared<GeometricLatentSpace>(bundle.load_backbone(placement), model.boundary_level);
+  frozen.statistics = bundle.load_statistics(generator).to(placement.device);
+  if (generator.is_cascade()) {
+    for (const auto& part : model.generators) {
+      if (part.generator.level != *generator.deeper) continue;
+      frozen.deeper_statistics = bundle.load_statistics(part.generator).to(placement.device);
+    }
+  }
+  if (bundle.has(BundlePart::rgb_decoder())) frozen.rgb_decoder = bundle.load_rgb_decoder(placement);
+  return frozen;
+}
+
 void TrainLevelOptions::visit(FieldVisitor& visitor) {
   TrainOptions::visit(visitor);
-  visitor.integer({"level", "level to generate, the model's boundary level"}, level, {1, 16});
+  visitor.integer({"level", "level to generate, one that the model generates from noise"}, level, {0, 16});
   visitor.group({"objective", "flow matching"}, objective);
 }
 
 void TrainCascadeOptions::visit(FieldVisitor& visitor) {
   TrainOptions::visit(visitor);
+  visitor.text({"cascade", "which cascade of the model, from the deeper level to the one it generates"},
+               cascade);
   visitor.group({"objective", "flow matching and noise on the deeper level"}, objective);
 }
 
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw) {
+  const LevelGenerator generator = level_model(options.level);
   TrainingStage stage;
   stage.command = "train level";
-  stage.made = {BundlePart::kLevel1};
-  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
-    if (options.level != bundle.options().boundary_level) {
-      fail({"--level",
-            std::to_string(bundle.options().boundary_level) + ", the boundary_level of " + options.model,
-            std::to_string(options.level), "change boundary_level in model.yaml and compute its statistics"});
-    }
-    tell_narrow_decoder("level1", bundle.options().level1);
-    auto objective = std::make_unique<LevelObjective>(
-        bundle.options(), options.objective, frozen_parts(bundle, placement), placement, options.loop.seed);
+  stage.made = {BundlePart::of(generator)};
+  stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    tell_narrow_decoder(bundle.options().generator(generator));
+    auto objective = std::make_unique<LevelObjective>(bundle.options(), options.level, options.objective,
+                                                      frozen_parts(bundle, generator, placement), placement,
+                                                      options.loop.seed);
     if (options.objective.start == FlowStart::kBundle) {
-      objective->start_from(*bundle.load_level1(placement));
+      objective->start_from(*bundle.load_generator(generator, placement));
     }
     return objective;
   };
@@ -66,17 +95,21 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
 }
 
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw) {
+  const LevelGenerator generator = generator_from_text(options.cascade, "--cascade");
+  if (!generator.is_cascade()) {
+    fail({"--cascade", "a cascade such as 1->0", "'" + options.cascade + "'",
+          "gld train level trains levels"});
+  }
   TrainingStage stage;
   stage.command = "train cascade";
-  stage.made = {BundlePart::kCascade};
-  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
-    tell_narrow_decoder("cascade", bundle.options().cascade);
-    FrozenParts frozen = frozen_parts(bundle, placement);
-    frozen.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0).to(placement.device);
-    auto objective = std::make_unique<CascadeObjective>(bundle.options(), options.objective,
-                                                        std::move(frozen), placement, options.loop.seed);
+  stage.made = {BundlePart::of(generator)};
+  stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    tell_narrow_decoder(bundle.options().generator(generator));
+    auto objective = std::make_unique<CascadeObjective>(bundle.options(), generator, options.objective,
+                                                        frozen_parts(bundle, generator, placement), placement,
+                                                        options.loop.seed);
     if (options.objective.flow.start == FlowStart::kBundle) {
-      objective->start_from(*bundle.load_cascade(placement));
+      objective->start_from(*bundle.load_generator(generator, placement));
     }
     return objective;
   };
@@ -109,12 +142,11 @@ std::string compute_statistics(const StatsOptions& options) {
   ParameterPlacement placement;
   placement.device = device_from_text(options.device);
   const BundleOptions& model = bundle.options();
-  const auto backbone = bundle.load_backbone(placement);
+  const GeometricLatentSpace space(bundle.load_backbone(placement), model.boundary_level);
   const LoadedBatches data(options.data, model.image_sizes(), FrameParts::kImage);
   RunFolder folder(options.out, "stats", options);
 
-  const auto boundary = static_cast<size_t>(model.boundary_level);
-  StreamingMoments level0(model.backbone.level_channels()), deeper(model.backbone.level_channels());
+  std::vector<LevelMoments> moments = moments_of(model);
   Progress progress("latent statistics", options.scenes);
   int64_t scenes = 0;
   for (int64_t index = 0; scenes < options.scenes; ++index) {
@@ -123,10 +155,12 @@ std::string compute_statistics(const StatsOptions& options) {
     for (const TrainingScene& on_host : data.batch(index).scenes) {
       if (scenes == options.scenes) break;
       const TrainingScene scene = on_host.to(placement.device);
-      const auto levels = backbone->encode(imagenet_normalise(scene.images), model.boundary_level);
-      const auto patches = [](const torch::Tensor& level) { return level.narrow(1, 1, level.size(1) - 1); };
-      add_features(level0, patches(levels[0]));
-      add_features(deeper, patches(levels[boundary]));
+      const auto levels = space.encode(scene.images, model.level_set().deepest_generated());
+      for (auto& moment : moments) {
+        const auto& level = levels.at(static_cast<size_t>(moment.level));
+        add_features(moment.moments, moment.special ? level.narrow(1, 0, space.leading_tokens())
+                                                    : level.slice(1, space.leading_tokens()));
+      }
       progress.update(++scenes);
     }
   }
@@ -134,24 +168,20 @@ std::string compute_statistics(const StatsOptions& options) {
 
   const auto made = folder.path() / "model";
   save_bundle_options(made, model);
-  copy_other_parts(bundle, made, {BundlePart::kStatisticsLevel0, BundlePart::kStatisticsLevel1});
-  const auto statistics0 = statistics_of(level0, model.latent_epsilon);
-  const auto statistics_deeper = statistics_of(deeper, model.latent_epsilon);
-  save_bundle_part(made, BundlePart::kStatisticsLevel0, statistics_tensors(statistics0));
-  save_bundle_part(made, BundlePart::kStatisticsLevel1, statistics_tensors(statistics_deeper));
-
-  const auto summary = [](const LatentStatistics& statistics) {
+  std::vector<BundlePart> parts;
+  for (const auto& moment : moments) parts.push_back(moment.part());
+  copy_other_parts(bundle, made, parts);
+  nlohmann::ordered_json report = {
+      {"command", "stats"}, {"scenes", scenes}, {"tokens", moments.front().moments.count()}};
+  for (const auto& moment : moments) {
+    const auto statistics = statistics_of(moment.moments, model.latent_epsilon);
+    save_bundle_part(made, moment.part(), statistics_tensors(statistics));
     const auto deviation = statistics.variance.sqrt();
-    return nlohmann::ordered_json{{"largest_mean", statistics.mean.abs().max().item<double>()},
-                                  {"smallest_deviation", deviation.min().item<double>()},
-                                  {"largest_deviation", deviation.max().item<double>()}};
-  };
-  folder.write_report({{"command", "stats"},
-                       {"scenes", scenes},
-                       {"tokens", level0.count()},
-                       {"level0", summary(statistics0)},
-                       {"boundary_level", model.boundary_level},
-                       {"boundary", summary(statistics_deeper)}});
+    report[bundle_part_name(moment.part())] = {{"largest_mean", statistics.mean.abs().max().item<double>()},
+                                               {"smallest_deviation", deviation.min().item<double>()},
+                                               {"largest_deviation", deviation.max().item<double>()}};
+  }
+  folder.write_report(report);
   folder.note("model", "model");
   folder.note("report", "report.json");
   return folder.closing_box();

@@ -16,6 +16,7 @@ struct TrainLevelOptions : TrainOptions {
 };
 
 struct TrainCascadeOptions : TrainOptions {
+  std::string cascade = "1->0";
   CascadeObjectiveOptions objective;
   void visit(FieldVisitor& visitor) override;
 };
@@ -33,12 +34,16 @@ struct StatsOptions : OptionsGroup {
   void check() const override;
 };
 
+// What the training of that part needs of a bundle.
+FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
+                         const ParameterPlacement& placement);
+
 // gld train level and gld train cascade; see run_training_stage.
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw);
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw);
 
-// gld stats: latent statistics of level 0 and of the boundary level over training scenes, all views of a scene encoded
-// together. model/ in the run folder is a copy of the bundle with them. Returns the closing box as text.
+// gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene encoded
+// together; of special tokens too where it generates them. model/ in the run folder is a copy of the bundle with them. Returns the closing box as text.
 std::string compute_statistics(const StatsOptions& options);
 
 }  // namespace gld

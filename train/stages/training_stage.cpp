@@ -56,7 +56,7 @@ void use_training_threads(int64_t threads) {
 void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
                       const std::vector<BundlePart>& made) {
   const auto target = ModelBundle::open(to);
-  for (const BundlePart part : bundle_parts()) {
+  for (const BundlePart& part : bundle_parts(from.options())) {
     if (!from.has(part) || std::find(made.begin(), made.end(), part) != made.end()) continue;
     std::filesystem::copy_file(from.file(part), target.file(part),
                                std::filesystem::copy_options::overwrite_existing);

@@ -148,7 +148,7 @@ TEST(Schedule, RefusesBadInputInOneSentence) {
   auto shift = schedule_of(ScheduleKind::kPublished);
   shift.shift = 0;
   EXPECT_EQ(error_of([&] { schedule_times(shift, 4); }),
-            "shift: expected a time shift of at least 1, found 0; name one; 0 needs a model that has one.");
+            "shift: expected a time shift above 0, found 0; name one; 0 needs a model that has one.");
 }
 
 }  // namespace

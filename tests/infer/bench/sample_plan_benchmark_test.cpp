@@ -79,7 +79,6 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
   const auto model = folder.path() / "model";
   auto bundle = small_bundle_options();
   bundle.trained_sizes = {"56x56"};
-  bundle.cascade.conditioning = DitConditioning::kDeeperLevel;
   write_random_bundle(model, bundle, 5);
   SamplePlanBenchmarkOptions options;
   options.model = model.string();
@@ -165,9 +164,8 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
 }
 
 TEST(SamplePlanBenchmark, EveryVariantIsThereOnce) {
-  DitOptions cascade;
-  cascade.conditioning = DitConditioning::kDeeperLevel;
-  const auto variants = plan_variants({6, 16}, cascade);
+  BundleOptions bundle;
+  const auto variants = plan_variants({6, 16}, bundle);
   std::vector<std::string> names, families;
   for (const auto& variant : variants) {
     names.push_back(variant.method.name);
@@ -180,8 +178,8 @@ TEST(SamplePlanBenchmark, EveryVariantIsThereOnce) {
   std::sort(names.begin(), names.end());
   EXPECT_EQ(std::unique(names.begin(), names.end()), names.end());
   // A cascade with special tokens has no nodes to choose.
-  cascade.num_special_tokens = 5;
-  for (const auto& variant : plan_variants({6, 16}, cascade)) {
+  bundle.generator(cascade(1, 0)).dit.num_special_tokens = 5;
+  for (const auto& variant : plan_variants({6, 16}, bundle)) {
     EXPECT_EQ(variant.method.approximate.cascade_encoder_nodes, 0) << variant.method.name;
   }
 }

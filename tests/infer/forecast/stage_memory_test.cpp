@@ -17,8 +17,10 @@ namespace {
 // Large enough that activations, not the blocks under 64 KiB that are not counted, decide.
 BundleOptions middling_bundle() {
   BundleOptions bundle;
-  bundle.backbone.embed_dim = 128;
-  bundle.backbone.num_heads = 4;
+  Da3BackboneOptions backbone;
+  backbone.embed_dim = 128;
+  backbone.num_heads = 4;
+  bundle.backbone = backbone;
   bundle.dpt_head.dim_in = 256;
   bundle.dpt_head.features = 64;
   bundle.dpt_head.out_channels = {24, 48, 96, 192};
@@ -27,11 +29,12 @@ BundleOptions middling_bundle() {
   bundle.rgb_decoder.num_layers = 3;
   bundle.rgb_decoder.num_heads = 4;
   bundle.rgb_decoder.intermediate_size = 768;
-  bundle.level1.in_channels = bundle.cascade.in_channels = 256;
-  bundle.level1.hidden_size = bundle.cascade.hidden_size = {192, 288};
-  bundle.level1.num_heads = bundle.cascade.num_heads = {4, 6};
-  bundle.level1.depth = bundle.cascade.depth = {2, 1};
-  bundle.cascade.conditioning = DitConditioning::kDeeperLevel;
+  for (auto& part : bundle.generators) {
+    part.dit.in_channels = 256;
+    part.dit.hidden_size = {192, 288};
+    part.dit.num_heads = {4, 6};
+    part.dit.depth = {2, 1};
+  }
   return bundle;
 }
 
@@ -41,8 +44,9 @@ PlanRequest request_of(int64_t side) {
   request.grid.height = request.grid.width = side;
   request.num_sources = 2;
   request.outputs.image = request.outputs.points = true;
-  request.level1_solver.evaluations = request.cascade_solver.evaluations = 1;
-  request.guidance.guidance_scale = 1;
+  request.flow.solvers.resize(2);
+  for (auto& solver : request.flow.solvers) solver.evaluations = 1;
+  request.flow.guidance.guidance_scale = 1;
   return request;
 }
 
@@ -68,14 +72,14 @@ TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {
     const PlanRequest request = request_of(side);
     const SamplingPlan plan = plan_sampling(bundle, request);
     for (const PlannedStage& stage : plan.stages) {
-      const bool flow = stage.name == "M1" || stage.name == "cascade";
+      const bool flow = stage.kind == StageKind::kFlow;
       const int64_t taken = tensor_bytes_of([&] {
         if (flow) {
           MachineSpeed speed;
           speed.linear = speed.matrix_product = speed.attention = 1e11;
-          measure_dit_speed(stage.name == "M1" ? bundle.level1 : bundle.cascade, request, speed);
+          measure_dit_speed(bundle.generators[stage.generator].dit, request, speed);
         } else {
-          measure_stage_seconds(stage.name, bundle, request);
+          measure_stage_seconds(stage, bundle, request);
         }
       });
       const auto predicted = static_cast<double>(stage.memory.weights + stage.memory.working);
@@ -87,9 +91,9 @@ TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {
 TEST_F(StageMemoryPrediction, CountsAllWeights) {
   const BundleOptions bundle = middling_bundle();
   int64_t bytes = 0;
-  for (const auto& parameter : DitDh(bundle.level1, ParameterPlacement{}).parameters())
+  for (const auto& parameter : DitDh(bundle.generators[0].dit, ParameterPlacement{}).parameters())
     bytes += 4 * parameter.numel();
-  EXPECT_EQ(weight_bytes_of(BundlePart::kLevel1, bundle), bytes);
+  EXPECT_EQ(weight_bytes_of(BundlePart::of(level_model(1)), bundle), bytes);
 }
 
 }  // namespace

@@ -18,7 +18,7 @@ namespace {
 using test::error_of;
 
 SamplingMethod method_of(const std::string& name, int64_t evaluations) {
-  SamplingMethod method = quality_method(SamplingQuality::kExact, DitOptions());
+  SamplingMethod method = quality_method(SamplingQuality::kExact, BundleOptions());
   method.name = name;
   method.solver.evaluations = evaluations;
   return method;
@@ -97,15 +97,15 @@ TEST(PlanErrors, AreReadAsTheyWereWritten) {
 }
 
 TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
-  const DitOptions cascade;  // of a level model: its encoder sees the noisy latent
-  DitOptions plain;
-  plain.conditioning = DitConditioning::kDeeperLevel;
+  const BundleOptions plain;
+  BundleOptions levels_alone;  // no cascade
+  levels_alone.set_generators({level_model(1), level_model(0)});
   const auto published = quality_method(SamplingQuality::kPublished, plain);
   EXPECT_EQ(method_text(published), "euler on published, 49 evaluations a level");
   EXPECT_EQ(method_text(quality_method(SamplingQuality::kExact, plain)),
             "unipc3 on logsnr, 16 evaluations a level");
   EXPECT_GT(quality_method(SamplingQuality::kBalanced, plain).approximate.cascade_encoder_nodes, 0);
-  EXPECT_EQ(quality_method(SamplingQuality::kBalanced, cascade).approximate.cascade_encoder_nodes, 0);
+  EXPECT_EQ(quality_method(SamplingQuality::kBalanced, levels_alone).approximate.cascade_encoder_nodes, 0);
   EXPECT_FALSE(quality_method(SamplingQuality::kExact, plain).approximate.any());
 
   SamplingMethod read;
@@ -114,11 +114,11 @@ TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
   EXPECT_TRUE(same_method(read, fast));
 
   BundleOptions bundle;
-  bundle.level1_time_shift.evaluation = 4;
+  bundle.generator(level_model(1)).time_shift.evaluation = 4;
   GuidanceOptions guidance;
   guidance.guidance_scale = 2;
   const auto settings = flow_settings(fast, guidance, bundle);
-  EXPECT_EQ(settings.level1_solver.schedule.shift, 4);
+  EXPECT_EQ(settings.solvers[0].schedule.shift, 4);
   EXPECT_EQ(settings.guidance.guidance_scale, 2);
   EXPECT_EQ(settings.guidance.guidance_interval, fast.guidance_interval);
 }
@@ -168,12 +168,12 @@ TEST(SampleOptions, TheMethodIsWhatTheOptionsSay) {
   options.solver.evaluations = 9;
   options.guidance.guidance_interval = {0.2, 1};
   options.approximate.cascade_encoder_nodes = 5;
-  const auto method = options.method(DitOptions());
+  const auto method = options.method(BundleOptions());
   EXPECT_EQ(
       method_text(method),
       "unipc3 on logsnr, 9 evaluations a level; guidance from t = 1 to 0.2; cascade encoder at 5 flow times");
   options.quality = SamplingQuality::kPublished;
-  EXPECT_EQ(options.method(DitOptions()).solver.evaluations, 49);
+  EXPECT_EQ(options.method(BundleOptions()).solver.evaluations, 49);
 }
 
 TEST(PlannedRuns, CountWhatTheSavingsLeave) {
@@ -181,17 +181,18 @@ TEST(PlannedRuns, CountWhatTheSavingsLeave) {
   cascade.conditioning = DitConditioning::kDeeperLevel;
   PlanRequest request;
   request.grid = {4, 8, 8};
-  request.set(flow_settings(method_of("twenty", 20), GuidanceOptions(), BundleOptions()));
-  EXPECT_EQ(planned_runs(cascade, request.cascade_solver, request).condition_encoder, 40);
-  request.approximate.cascade_encoder_nodes = 6;
-  request.approximate.level1_encoder_every = 5;
-  const auto nodes = planned_runs(cascade, request.cascade_solver, request);
+  request.flow = flow_settings(method_of("twenty", 20), GuidanceOptions(), BundleOptions());
+  FlowSettings& flow = request.flow;
+  EXPECT_EQ(planned_runs(cascade, flow.solvers[1], flow).condition_encoder, 40);
+  flow.approximate.cascade_encoder_nodes = 6;
+  flow.approximate.level1_encoder_every = 5;
+  const auto nodes = planned_runs(cascade, flow.solvers[1], flow);
   EXPECT_EQ(nodes.condition_encoder, 12);
   EXPECT_EQ(nodes.velocity_decoder, 40);
-  EXPECT_EQ(planned_runs(level1, request.level1_solver, request).condition_encoder, 10);
-  request.guidance.guidance_scale = 1;
-  EXPECT_EQ(planned_runs(cascade, request.cascade_solver, request).condition_encoder, 6);
-  EXPECT_EQ(planned_runs(level1, request.level1_solver, request).condition_encoder, 5);
+  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 10);
+  flow.guidance.guidance_scale = 1;
+  EXPECT_EQ(planned_runs(cascade, flow.solvers[1], flow).condition_encoder, 6);
+  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 5);
 }
 
 TEST(PlannedRuns, TheReportPutsTheActualBesideThePredicted) {

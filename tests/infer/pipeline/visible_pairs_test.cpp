@@ -121,11 +121,12 @@ PipelineResult latents_of(const PipelineModels& models, const BundleOptions& bun
   torch::manual_seed(4);
   request.source_images = torch::rand({views.num_sources, 3, kPicture.height, kPicture.width});
   const int64_t tokens = (kPicture.height / 14) * (kPicture.width / 14);
-  request.level1_noise = torch::randn({views.size(), tokens, bundle.level1.in_channels});
-  request.level0_noise = torch::randn_like(request.level1_noise);
-  request.level1_solver.evaluations = request.cascade_solver.evaluations = 3;
+  for (const auto& part : bundle.generators) {
+    request.noise.push_back(torch::randn({views.size(), tokens, part.dit.in_channels}));
+    request.flow.solvers.emplace_back().evaluations = 3;
+  }
   request.image_views = DecodedViews::kNone;
-  request.approximate.view_pairs = pairs;
+  request.flow.approximate.view_pairs = pairs;
   StageRecords stages;
   return run_pipeline(models, request, stages);
 }
@@ -140,8 +141,8 @@ TEST(VisiblePairs, ThePipelineLeavesOutWhatIsApartAndNothingElse) {
   EXPECT_EQ(together.view_pairs->kept(), 1);
   const auto all = latents_of(models, options, views, ViewPairs::kAll);
   EXPECT_FALSE(all.view_pairs.has_value());
-  EXPECT_TRUE(torch::equal(together.level1, all.level1));
-  EXPECT_TRUE(torch::equal(together.level0, all.level0));
+  EXPECT_TRUE(torch::equal(together.latents.at(1), all.latents.at(1)));
+  EXPECT_TRUE(torch::equal(together.latents.at(0), all.latents.at(0)));
 
   // The first room's views turn around.
   for (const size_t view : {0, 3}) {
@@ -152,8 +153,8 @@ TEST(VisiblePairs, ThePipelineLeavesOutWhatIsApartAndNothingElse) {
   EXPECT_LT(apart.view_pairs->kept(), 1);
   EXPECT_FALSE(apart.view_pairs->attends_to(0, 1));
   const auto exact = latents_of(models, options, views, ViewPairs::kAll);
-  EXPECT_FALSE(torch::equal(apart.level1, exact.level1));
-  EXPECT_FALSE(torch::equal(apart.level0, exact.level0));
+  EXPECT_FALSE(torch::equal(apart.latents.at(1), exact.latents.at(1)));
+  EXPECT_FALSE(torch::equal(apart.latents.at(0), exact.latents.at(0)));
 }
 
 }  // namespace

@@ -174,9 +174,9 @@ TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
   SampleOptions published = asked;
   published.preset = SamplingPreset::kPublished;
   BundleOptions bundle;
-  bundle.level1_time_shift.evaluation = 31.18;
+  bundle.generator(level_model(1)).time_shift.evaluation = 31.18;
   const auto resolved = [&](const SampleOptions& options) {
-    return flow_settings(options.method(bundle.cascade), options.guidance, bundle).level1_solver;
+    return flow_settings(options.method(bundle), options.guidance, bundle).solvers[0];
   };
   const SolverOptions solver = resolved(published);
   const auto times = solver_times(solver);
@@ -186,7 +186,7 @@ TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
   EXPECT_NEAR(times[49], 0.030, 5e-4);
   EXPECT_NEAR(times[48], 0.405, 5e-4);
   EXPECT_EQ(solver.solver, SolverKind::kEuler);
-  bundle.level1_time_shift.evaluation = 5;
+  bundle.generator(level_model(1)).time_shift.evaluation = 5;
   EXPECT_EQ(resolved(asked).schedule.shift, 5);
 }
 

@@ -98,7 +98,7 @@ TEST(Da3Backbone, PropagatingALevelWithItsOwnClassTokensContinuesTheEncoder) {
   for (size_t i = 0; i < 3; ++i) {
     const auto expected = backbone->decodable(levels[i + 1]);
     EXPECT_LT(difference(propagated[i].patches, expected.patches), 1e-6);
-    EXPECT_LT(difference(propagated[i].class_tokens, levels[i + 1].select(1, 0)), 1e-6);
+    EXPECT_LT(difference(propagated[i].leading, levels[i + 1].narrow(1, 0, 1)), 1e-6);
   }
   // The local half stays raw, the current half is normalised.
   EXPECT_TRUE(torch::equal(propagated[0].patches.slice(2, 0, 48), levels[1].slice(1, 1).slice(2, 0, 48)));

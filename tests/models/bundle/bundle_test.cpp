@@ -50,17 +50,18 @@ TEST_F(Bundles, EveryPartLoads) {
   EXPECT_EQ(bundle.load_backbone()->options().depth, 12);
   EXPECT_EQ(bundle.load_dpt_head()->options().features, 32);
   EXPECT_EQ(bundle.load_rgb_decoder()->options().num_layers, 3);
-  EXPECT_EQ(bundle.load_cascade()->options().conditioning, DitConditioning::kDeeperLevel);
-  EXPECT_EQ(bundle.load_statistics(BundlePart::kStatisticsLevel1).channels(), 128);
-  const auto level1 = bundle.load_level1();
-  const auto stored = WeightFile::open(bundle.file(BundlePart::kLevel1));
+  EXPECT_EQ(bundle.load_generator(cascade(1, 0))->options().conditioning, DitConditioning::kDeeperLevel);
+  EXPECT_EQ(bundle.load_statistics(level_model(1)).patches.channels(), 128);
+  const auto level1 = bundle.load_generator(level_model(1));
+  const auto stored = WeightFile::open(bundle.file(BundlePart::of(level_model(1))));
   for (const auto& [name, tensor] : named_tensors(*level1)) {
     EXPECT_TRUE(tensor.equal(read_tensor(*stored, name))) << name;
     EXPECT_GT(tensor.to(torch::kFloat32).abs().max().item<float>(), 0) << name << " is zero";
   }
   ParameterPlacement half;
   half.dtype = torch::kBFloat16;
-  EXPECT_EQ(named_tensors(*bundle.load_level1(half)).begin()->second.scalar_type(), torch::kBFloat16);
+  EXPECT_EQ(named_tensors(*bundle.load_generator(level_model(1), half)).begin()->second.scalar_type(),
+            torch::kBFloat16);
 }
 
 TEST_F(Bundles, TheSameSeedGivesTheSameBytes) {
@@ -76,9 +77,9 @@ TEST_F(Bundles, TheSameSeedGivesTheSameBytes) {
 TEST_F(Bundles, TheHashSeesOptionsAndWeights) {
   const auto folder = copy();
   const std::string hash = ModelBundle::open(folder).content_hash();
-  auto tensors = read_all(ModelBundle::open(folder).file(BundlePart::kLevel1));
+  auto tensors = read_all(ModelBundle::open(folder).file(BundlePart::of(level_model(1))));
   tensors.at("s_projector.bias")[0] += 1;
-  save_bundle_part(folder, BundlePart::kLevel1, tensors);
+  save_bundle_part(folder, BundlePart::of(level_model(1)), tensors);
   const std::string changed = ModelBundle::open(folder).content_hash();
   EXPECT_NE(changed, hash);
   write_file_atomically(folder / "model.yaml", read_file(folder / "model.yaml") + "\n");
@@ -87,11 +88,12 @@ TEST_F(Bundles, TheHashSeesOptionsAndWeights) {
 
 TEST_F(Bundles, PartsAreStoredInTheChosenPrecision) {
   const auto folder = copy();
-  const auto tensors = named_tensors(*ModelBundle::open(folder).load_level1());
-  save_bundle_part(folder, BundlePart::kLevel1, tensors, DType::kBFloat16);
+  const auto tensors = named_tensors(*ModelBundle::open(folder).load_generator(level_model(1)));
+  save_bundle_part(folder, BundlePart::of(level_model(1)), tensors, DType::kBFloat16);
   const auto bundle = ModelBundle::open(folder);
-  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::kLevel1))->entries().front().dtype, DType::kBFloat16);
-  const auto loaded = named_tensors(*bundle.load_level1());
+  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::of(level_model(1))))->entries().front().dtype,
+            DType::kBFloat16);
+  const auto loaded = named_tensors(*bundle.load_generator(level_model(1)));
   const auto& before = tensors.at("s_projector.weight");
   const auto& after = loaded.at("s_projector.weight");
   EXPECT_EQ(after.scalar_type(), torch::kFloat32);
@@ -115,8 +117,8 @@ TEST_F(Bundles, NamesAMissingPart) {
   const auto folder = copy();
   std::filesystem::remove(folder / "cascade.safetensors");
   const auto bundle = ModelBundle::open(folder);
-  EXPECT_FALSE(bundle.has(BundlePart::kCascade));
-  EXPECT_EQ(error_of([&] { bundle.load_cascade(); }),
+  EXPECT_FALSE(bundle.has(BundlePart::of(cascade(1, 0))));
+  EXPECT_EQ(error_of([&] { bundle.load_generator(cascade(1, 0)); }),
             folder.string() +
                 ": expected a file cascade.safetensors, found none; add the part with gld convert or gld "
                 "train.");
@@ -126,7 +128,7 @@ TEST_F(Bundles, RefusesOtherOptionsForExistingWeights) {
   const auto folder = copy();
   auto options = small_bundle_options();
   save_bundle_options(folder, options);
-  options.level1.depth = {4, 2};
+  options.generator(level_model(1)).dit.depth = {4, 2};
   EXPECT_EQ(error_of([&] { save_bundle_options(folder, options); }),
             (folder / "model.yaml").string() +
                 ": expected the options that the bundle is written with, found others; "
@@ -139,15 +141,17 @@ TEST_F(Bundles, PartsMustFitEachOther) {
     const char* sentence;
   };
   const std::vector<Mismatch> mismatches = {
-      {[](BundleOptions& options) { options.level1.in_channels = 96; },
+      {[](BundleOptions& options) { options.generator(level_model(1)).dit.in_channels = 96; },
        "level1.in_channels: expected 128, the channels of the backbone's levels, found 96; change one of "
        "them."},
       {[](BundleOptions& options) { options.rgb_decoder.in_channels = 128; },
        "rgb_decoder.in_channels: expected 512, the channels of all levels together, found 128; change one of "
        "them."},
-      {[](BundleOptions& options) { options.cascade.camera_patch_size = 16; },
+      {[](BundleOptions& options) { options.generator(cascade(1, 0)).dit.camera_patch_size = 16; },
        "cascade.camera_patch_size: expected 14, the backbone's patch size, found 16; change one of them."},
-      {[](BundleOptions& options) { options.cascade.conditioning = DitConditioning::kNone; },
+      {[](BundleOptions& options) {
+         options.generator(cascade(1, 0)).dit.conditioning = DitConditioning::kNone;
+       },
        "cascade.conditioning: expected deeper_level, found none; set it to deeper_level."},
       {[](BundleOptions& options) { options.boundary_level = 4; },
        "boundary_level: expected a level below 4, found 4; choose one of the backbone's levels."},
@@ -183,7 +187,7 @@ TEST_F(Bundles, InspectionCountsAndChecks) {
       << text;
 
   const auto folder = copy();
-  save_bundle_part(folder, BundlePart::kDptHead, {{"norm.weight", torch::zeros({3})}});
+  save_bundle_part(folder, BundlePart::dpt_head(), {{"norm.weight", torch::zeros({3})}});
   EXPECT_NE(error_of([&] { inspect(folder); }).find("check that the configuration belongs to these weights"),
             std::string::npos);
 }

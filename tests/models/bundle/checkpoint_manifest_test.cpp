@@ -66,37 +66,38 @@ TEST(CheckpointManifest, Da3BackboneAndHead) {
   EXPECT_EQ(pose_tensors, 74U);
   const auto options = released_da3_options();
   Shapes module;
-  add(module, *at_full_size(BundlePart::kBackbone, options), Da3Backbone::kPrefix);
-  add(module, *at_full_size(BundlePart::kDptHead, options), DptHead::kPrefix);
+  add(module, *at_full_size(BundlePart::backbone(), options),
+      options.backbone.architecture().published_prefix());
+  add(module, *at_full_size(BundlePart::dpt_head(), options), DptHead::kPrefix);
   expect_equal(module, published);
 }
 
 TEST(CheckpointManifest, RgbDecoder) {
   Shapes module;
-  add(module, *at_full_size(BundlePart::kRgbDecoder, released_da3_options()), RgbDecoder::kPrefix);
+  add(module, *at_full_size(BundlePart::rgb_decoder(), released_da3_options()), RgbDecoder::kPrefix);
   expect_equal(module, manifest("gld_da3_rgb_decoder.pt:ema"));
 }
 
 TEST(CheckpointManifest, Da3Dits) {
   const auto options = released_da3_options();
-  Shapes level1, cascade;
-  add(level1, *at_full_size(BundlePart::kLevel1, options), "");
+  Shapes level1, released_cascade;
+  add(level1, *at_full_size(BundlePart::of(level_model(1)), options), "");
   expect_equal(level1, manifest("gld_da3_level1.pt:ema"));
-  add(cascade, *at_full_size(BundlePart::kCascade, options), "");
-  expect_equal(cascade, manifest("gld_da3_cascade.pt:ema"));
+  add(released_cascade, *at_full_size(BundlePart::of(cascade(1, 0)), options), "");
+  expect_equal(released_cascade, manifest("gld_da3_cascade.pt:ema"));
 }
 
 TEST(CheckpointManifest, VggtDits) {
   BundleOptions options;
-  for (DitOptions* dit : {&options.level1, &options.cascade}) {
-    dit->in_channels = 2048;
-    dit->num_special_tokens = 5;
+  for (auto& part : options.generators) {
+    part.dit.in_channels = 2048;
+    part.dit.num_special_tokens = 5;
   }
-  Shapes level1, cascade;
-  add(level1, *at_full_size(BundlePart::kLevel1, options), "");
+  Shapes level1, released_cascade;
+  add(level1, *at_full_size(BundlePart::of(level_model(1)), options), "");
   expect_equal(level1, manifest("gld_vggt_level1.pt:ema"));
-  add(cascade, *at_full_size(BundlePart::kCascade, options), "");
-  expect_equal(cascade, manifest("gld_vggt_cascade.pt:ema"));
+  add(released_cascade, *at_full_size(BundlePart::of(cascade(1, 0)), options), "");
+  expect_equal(released_cascade, manifest("gld_vggt_cascade.pt:ema"));
 }
 
 }  // namespace

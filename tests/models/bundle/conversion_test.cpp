@@ -60,17 +60,18 @@ class Conversion : public testing::Test {
  protected:
   void SetUp() override {
     write_random_bundle(original(), small_bundle_options(), 3);
-    Tensors da3 = with_prefix(part(BundlePart::kBackbone), Da3Backbone::kPrefix);
-    da3.merge(with_prefix(part(BundlePart::kDptHead), DptHead::kPrefix));
+    Tensors da3 =
+        with_prefix(part(BundlePart::backbone()), BackboneOptions().architecture().published_prefix());
+    da3.merge(with_prefix(part(BundlePart::dpt_head()), DptHead::kPrefix));
     da3["model.cam_dec.fc_t.bias"] = torch::zeros({3});
     save_safetensors(path("da3.safetensors"), da3);
-    const Tensors decoder = with_prefix(part(BundlePart::kRgbDecoder), RgbDecoder::kPrefix);
+    const Tensors decoder = with_prefix(part(BundlePart::rgb_decoder()), RgbDecoder::kPrefix);
     write_file_atomically(path("decoder.pt"), checkpoint({{"ema", decoder}, {"model", negated(decoder)}}));
-    const Tensors level1 = part(BundlePart::kLevel1);
+    const Tensors level1 = part(BundlePart::of(level_model(1)));
     write_file_atomically(
         path("level1.pt"),
         checkpoint({{"ema", level1}, {"model", negated(level1)}, {"opt", {{"exp_avg", torch::zeros({2})}}}}));
-    write_file_atomically(path("cascade.pt"), checkpoint({{"ema", part(BundlePart::kCascade)}}));
+    write_file_atomically(path("cascade.pt"), checkpoint({{"ema", part(BundlePart::of(cascade(1, 0)))}}));
     options_.da3 = path("da3.safetensors");
     options_.rgb_decoder = path("decoder.pt");
     options_.level1 = path("level1.pt");
@@ -99,8 +100,8 @@ TEST_F(Conversion, GivesTheBundleThatTheFilesCameFrom) {
   for (const auto& entry : report["ignored"]) ignored[entry["names"]] += entry["tensors"].get<int64_t>();
   EXPECT_EQ(ignored.at("model.cam_dec.*"), 1);
   EXPECT_EQ(ignored.at("opt.*"), 1);
-  EXPECT_EQ(ignored.at("model.*"),
-            static_cast<int64_t>(part(BundlePart::kLevel1).size() + part(BundlePart::kRgbDecoder).size()));
+  EXPECT_EQ(ignored.at("model.*"), static_cast<int64_t>(part(BundlePart::of(level_model(1))).size() +
+                                                        part(BundlePart::rgb_decoder()).size()));
   EXPECT_NE(conversion_text(report).find("left out           1 tensors opt.* of " + options_.level1 +
                                          ": state of the optimiser\n"),
             std::string::npos);
@@ -112,21 +113,21 @@ TEST_F(Conversion, TakesTheOtherCopy) {
   options_.weights = CheckpointWeights::kModel;
   convert(options_);
   const auto bundle = ModelBundle::open(options_.out);
-  EXPECT_TRUE(read_all(bundle.file(BundlePart::kLevel1))
+  EXPECT_TRUE(read_all(bundle.file(BundlePart::of(level_model(1))))
                   .at("s_projector.bias")
-                  .equal(-part(BundlePart::kLevel1).at("s_projector.bias")));
-  EXPECT_FALSE(bundle.has(BundlePart::kCascade));
+                  .equal(-part(BundlePart::of(level_model(1))).at("s_projector.bias")));
+  EXPECT_FALSE(bundle.has(BundlePart::of(cascade(1, 0))));
 }
 
 TEST_F(Conversion, StoresHalfPrecisionButNeverOfStatistics) {
   options_.precision = StoredPrecision::kFloat16;
   convert(options_);
   const auto bundle = ModelBundle::open(options_.out);
-  for (const auto& entry : WeightFile::open(bundle.file(BundlePart::kLevel1))->entries()) {
+  for (const auto& entry : WeightFile::open(bundle.file(BundlePart::of(level_model(1))))->entries()) {
     EXPECT_EQ(entry.dtype, DType::kFloat16) << entry.name;
   }
-  const auto statistics = read_all(bundle.file(BundlePart::kStatisticsLevel1));
-  EXPECT_TRUE(statistics.at("mean").equal(part(BundlePart::kStatisticsLevel1).at("mean")));
+  const auto statistics = read_all(bundle.file(BundlePart::statistics(1)));
+  EXPECT_TRUE(statistics.at("mean").equal(part(BundlePart::statistics(1)).at("mean")));
   EXPECT_EQ(statistics.at("mean").scalar_type(), torch::kFloat32);
 }
 
@@ -165,13 +166,13 @@ TEST_F(Conversion, IsStrict) {
     return error_of([&] { convert(only); });
   };
   const std::string where = path("level1.pt").string();
-  auto missing = part(BundlePart::kLevel1);
+  auto missing = part(BundlePart::of(level_model(1)));
   missing.erase("s_projector.bias");
   EXPECT_EQ(refusal(missing),
             where +
                 ": expected a tensor named ema.s_projector.bias, found none; check that the "
                 "configuration belongs to these weights.");
-  auto unexpected = part(BundlePart::kLevel1);
+  auto unexpected = part(BundlePart::of(level_model(1)));
   unexpected["s_projector.scale"] = torch::zeros({1});
   EXPECT_EQ(
       refusal(unexpected),
@@ -179,26 +180,26 @@ TEST_F(Conversion, IsStrict) {
           ": expected no tensor beside the model's own, found the unexpected tensor s_projector.scale; check "
           "that the configuration belongs to these weights (the model's nearest tensor is "
           "s_projector.bias).");
-  auto misshapen = part(BundlePart::kLevel1);
+  auto misshapen = part(BundlePart::of(level_model(1)));
   misshapen["s_projector.bias"] = torch::zeros({3});
   EXPECT_EQ(refusal(misshapen),
             where +
                 ": tensor ema.s_projector.bias: expected shape (128), found (3); check that "
                 "the configuration belongs to these weights.");
-  auto broken = part(BundlePart::kLevel1);
+  auto broken = part(BundlePart::of(level_model(1)));
   broken["s_projector.bias"] = torch::full({128}, std::numeric_limits<float>::quiet_NaN());
   EXPECT_EQ(refusal(broken),
             where +
                 ": tensor ema.s_projector.bias: expected finite numbers, found NaN or infinity; get "
                 "the file again, its weights are broken.");
   options_.precision = StoredPrecision::kFloat16;
-  auto large = part(BundlePart::kLevel1);
+  auto large = part(BundlePart::of(level_model(1)));
   large["s_projector.bias"] = torch::full({128}, -70000.0F);
   EXPECT_EQ(refusal(large),
             where +
                 ": tensor ema.s_projector.bias: expected numbers that fit float16, found 70000; "
                 "choose --precision bf16 or fp32.");
-  write_file_atomically(path("level1.pt"), checkpoint({{"ema", part(BundlePart::kLevel1)},
+  write_file_atomically(path("level1.pt"), checkpoint({{"ema", part(BundlePart::of(level_model(1)))},
                                                        {"extra", {{"w", torch::zeros({1})}}}}));
   EXPECT_EQ(
       error_of([&] { convert(options_); }),

@@ -3,7 +3,6 @@
 #include "models/backbones/da3_backbone.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
-#include "models/layers/imagenet.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/shared_data.h"
 
@@ -19,15 +18,14 @@ namespace {
 
 // Backbone, DPT head and RGB decoder of the reference pipeline.
 struct FrozenModules {
-  std::shared_ptr<Da3Backbone> backbone;
+  std::shared_ptr<Backbone> backbone;
   std::shared_ptr<DptHead> head;
   std::shared_ptr<RgbDecoder> decoder;
 };
 
-template <class Module>
-void load(Module& module, const WeightFile& file) {
+void load(torch::nn::Module& module, const std::string& prefix, const WeightFile& file) {
   WeightSelection selection;
-  selection.prefix = Module::kPrefix;
+  selection.prefix = prefix;
   load_strict(module, file, selection);
 }
 
@@ -51,18 +49,20 @@ FrozenModules reference_modules(torch::Dtype dtype) {
                            std::make_shared<DptHead>(head, placement),
                            std::make_shared<RgbDecoder>(decoder, placement)};
   const auto folder = test::shared_data() / "goldens";
-  load(*modules.backbone, *WeightFile::open(folder / "backbone_da3" / "weights.safetensors"));
-  load(*modules.head, *WeightFile::open(folder / "dpt_head_da3" / "weights.safetensors"));
-  load(*modules.decoder, *WeightFile::open(folder / "rgb_decoder" / "weights.safetensors"));
+  load(*modules.backbone, backbone.published_prefix(),
+       *WeightFile::open(folder / "backbone_da3" / "weights.safetensors"));
+  load(*modules.head, DptHead::kPrefix, *WeightFile::open(folder / "dpt_head_da3" / "weights.safetensors"));
+  load(*modules.decoder, RgbDecoder::kPrefix,
+       *WeightFile::open(folder / "rgb_decoder" / "weights.safetensors"));
   return modules;
 }
 
 // images: (views, 3, height, width) in [0, 1] -> the levels, the maps and the images.
 std::map<std::string, torch::Tensor> run(const FrozenModules& modules, const torch::Tensor& images) {
-  const auto grid = modules.backbone->options().grid_of(images.size(0), images.size(2), images.size(3));
+  const auto grid = modules.backbone->architecture().grid_of(images.size(0), images.size(2), images.size(3));
   std::map<std::string, torch::Tensor> results;
   std::vector<torch::Tensor> decodable;
-  for (const auto& level : modules.backbone->encode(imagenet_normalise(images), 3)) {
+  for (const auto& level : modules.backbone->encode(images, 3)) {
     results["level" + std::to_string(decodable.size())] = level;
     decodable.push_back(modules.backbone->decodable(level).patches);
   }

@@ -50,9 +50,9 @@ TEST(BackboneTraining, TwoSteps) {
   expect_metrics(folder.path(), {"depth", "rays", "points", "pixels_level0", "pixels_level1", "depth_abs_rel",
                                  "validation_geometry_loss", "validation_pixel_psnr"});
   const auto bundle = ModelBundle::open(folder.path() / "model");
-  EXPECT_TRUE(bundle.has(BundlePart::kBackbone));
-  EXPECT_TRUE(bundle.has(BundlePart::kDptHead));
-  EXPECT_EQ(bundle.load_backbone()->options().embed_dim, 32);
+  EXPECT_TRUE(bundle.has(BundlePart::backbone()));
+  EXPECT_TRUE(bundle.has(BundlePart::dpt_head()));
+  EXPECT_EQ(bundle.load_backbone()->architecture().level_channels(), 64);
 }
 
 TEST(BackboneTraining, LearnsDepthAndColourOfAFewScenes) {
@@ -155,8 +155,8 @@ DecoderObjectiveOptions small_decoder() {
   return options;
 }
 
-std::shared_ptr<Da3Backbone> random_backbone() {
-  auto backbone = std::make_shared<Da3Backbone>(test::small_model().backbone, ParameterPlacement{});
+std::shared_ptr<Backbone> random_backbone() {
+  auto backbone = test::small_model().backbone.make(ParameterPlacement{});
   backbone->initialise(at::detail::createCPUGenerator(3));
   return backbone;
 }
@@ -168,7 +168,7 @@ TEST(DecoderTraining, TwoStepsWithADiscriminator) {
   EXPECT_EQ(summary.skipped_steps, 0);
   expect_metrics(folder.path(), {"reconstruction", "perceptual", "adversarial", "adaptive_weight",
                                  "discriminator", "discriminator_accuracy", "validation_psnr"});
-  EXPECT_TRUE(ModelBundle::open(folder.path() / "model").has(BundlePart::kRgbDecoder));
+  EXPECT_TRUE(ModelBundle::open(folder.path() / "model").has(BundlePart::rgb_decoder()));
 }
 
 TEST(DecoderTraining, StepsInOneCallEqualStepsInSeveralWithADiscriminator) {

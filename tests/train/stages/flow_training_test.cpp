@@ -63,10 +63,11 @@ std::unique_ptr<test::TemporaryFolder> TrainedChain::folder_;
 
 TEST_F(TrainedChain, TheLastBundleHasEveryPart) {
   const auto bundle = ModelBundle::open(path("cascade/model"));
-  for (const BundlePart part : bundle_parts()) EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
-  EXPECT_EQ(bundle.load_cascade()->options().in_channels, 64);
+  for (const BundlePart& part : bundle_parts(bundle.options()))
+    EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
+  EXPECT_EQ(bundle.load_generator(cascade(1, 0))->options().in_channels, 64);
   // The exported precision is what later stages saw.
-  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::kBackbone))->entries().front().dtype, DType::kFloat16);
+  EXPECT_EQ(WeightFile::open(bundle.file(BundlePart::backbone()))->entries().front().dtype, DType::kFloat16);
 }
 
 TEST_F(TrainedChain, SourceAndTargetLossesAreLoggedApart) {
@@ -85,9 +86,9 @@ TEST_F(TrainedChain, SourceAndTargetLossesAreLoggedApart) {
 
 TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
   const auto bundle = ModelBundle::open(path("stats/model"));
-  const auto statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
-  EXPECT_EQ(statistics.channels(), 64);
-  EXPECT_GE(statistics.variance.min().item<float>(), 0.0F);
+  const auto statistics = bundle.load_statistics(level_model(1));
+  EXPECT_EQ(statistics.patches.channels(), 64);
+  EXPECT_GE(statistics.patches.variance.min().item<float>(), 0.0F);
   // The same scenes again have mean 0 and variance 1 in every channel.
   const LoadedBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
   const torch::NoGradGuard no_grad;
@@ -113,26 +114,24 @@ TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
   EXPECT_FALSE(std::filesystem::exists(path("nothing")));
 }
 
-TEST_F(TrainedChain, TheLevelMustBeTheBoundaryLevel) {
+TEST_F(TrainedChain, TheLevelMustBeOneThatTheModelGenerates) {
   auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_level"));
   options.level = 2;
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
-            "--level: expected 1, the boundary_level of " + path("stats/model").string() +
-                ", found 2; change boundary_level in model.yaml and compute its statistics.");
+            "model small: expected one of its generated parts: 1, 1->0, found 2; list it under generated in "
+            "model.yaml.");
 }
 
 TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
   const auto bundle = ModelBundle::open(path("level/model"));
-  FrozenParts frozen;
-  frozen.backbone = bundle.load_backbone();
-  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
   const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<torch::Tensor> gradients;
   for (const bool recompute : {false, true}) {
     FlowObjectiveOptions options;
     options.checkpoint_blocks = recompute;
-    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    LevelObjective objective(test::small_model(), 1, options, frozen, {}, 1);
     FlatParameters parameters(objective.parameters());
     auto perturbation = at::detail::createCPUGenerator(9);
     {
@@ -154,7 +153,7 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
   // Steps at a learning rate of almost nothing leave the bundle's weights as they are.
   const auto weights = [&](const std::string& model) {
     std::vector<torch::Tensor> parts;
-    for (const auto& tensor : ModelBundle::open(path(model)).load_level1()->parameters()) {
+    for (const auto& tensor : ModelBundle::open(path(model)).load_generator(level_model(1))->parameters()) {
       parts.push_back(tensor.flatten());
     }
     return torch::cat(parts);
@@ -205,21 +204,19 @@ TEST_F(TrainedChain, TheHeadGoesOnAlone) {
   };
   EXPECT_TRUE(changed([](const ModelBundle& bundle) { return bundle.load_dpt_head(); }));
   EXPECT_FALSE(changed([](const ModelBundle& bundle) { return bundle.load_backbone(); }));
-  EXPECT_TRUE(after.has(BundlePart::kRgbDecoder));
+  EXPECT_TRUE(after.has(BundlePart::rgb_decoder()));
 }
 
 TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
   const auto bundle = ModelBundle::open(path("stats/model"));
-  FrozenParts frozen;
-  frozen.backbone = bundle.load_backbone();
-  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
   const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<double> losses;
   for (const double gib : {0.0, 0.01}) {
     FlowObjectiveOptions options;
     options.kept_latents_gib = gib;
-    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    LevelObjective objective(test::small_model(), 1, options, frozen, {}, 1);
     const torch::NoGradGuard no_grad;
     for (int pass = 0; pass < 2; ++pass) {
       auto draws = at::detail::createCPUGenerator(4);
@@ -272,15 +269,13 @@ TEST(DistinctBatches, ComeAgain) {
 
 TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
   const auto bundle = ModelBundle::open(path("stats/model"));
-  FrozenParts frozen;
-  frozen.backbone = bundle.load_backbone();
-  frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
+  const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
   const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   const auto loss_with = [&](double dropout) {
     FlowObjectiveOptions options;
     options.camera_dropout = dropout;
-    LevelObjective objective(test::small_model(), options, frozen, {}, 1);
+    LevelObjective objective(test::small_model(), 1, options, frozen, {}, 1);
     // The last layer is zero at the start; give it something to show.
     const torch::NoGradGuard no_grad;
     auto generator = at::detail::createCPUGenerator(9);

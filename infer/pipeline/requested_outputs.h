@@ -1,0 +1,33 @@
+#pragma once
+
+#include "infer/pipeline/sampling_stages.h"
+#include "models/decoders/dpt_head.h"
+
+namespace gld {
+
+// What gld sample is asked to make.
+struct RequestedOutputs {
+  bool image = false;
+  bool depth = false;
+  bool rays = false;
+  bool points = false;
+  bool latents = false;
+
+  bool needs_depth() const { return depth || points; }
+  // A point cloud takes its scale from the rays.
+  bool needs_rays() const { return rays || points; }
+  bool needs_geometry() const { return needs_depth() || needs_rays(); }
+  bool needs_image() const { return image || points; }  // points are coloured by the images
+
+  DecodedViews image_views() const { return needs_image() ? DecodedViews::kTargets : DecodedViews::kNone; }
+  DecodedViews geometry_views() const {
+    return !needs_geometry() ? DecodedViews::kNone : points ? DecodedViews::kAll : DecodedViews::kTargets;
+  }
+  GeometryMaps geometry_maps() const {
+    return needs_depth() && needs_rays() ? GeometryMaps::kDepthAndRays
+           : needs_depth()               ? GeometryMaps::kDepth
+                                         : GeometryMaps::kRays;
+  }
+};
+
+}  // namespace gld

@@ -1,0 +1,82 @@
+#include "infer/pipeline/sampling_stages.h"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+SamplingStage stage(StageKind kind, const std::string& name, const std::string& reason) {
+  return {kind, 0, name, true, reason};
+}
+
+SamplingStage left_out(StageKind kind, const std::string& name, const std::string& reason) {
+  return {kind, 0, name, false, reason};
+}
+
+std::string propagation_reason(const LevelSet& levels) {
+  const int64_t first = levels.boundary + 1, last = levels.levels - 1;
+  if (first > last) return "no deeper level; the generated ones are normalised for the decoders";
+  const std::string which =
+      first == last ? fmt::format("level {}", last)
+                    : fmt::format("levels {} {} {}", first, last == first + 1 ? "and" : "to", last);
+  return which + " of all views, which attend to each other";
+}
+
+}  // namespace
+
+int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request) {
+  return request.source_depth() ? levels.levels - 1 : std::max(levels.deepest_generated(), levels.boundary);
+}
+
+double flow_seconds(const LevelSet& levels, const StageRecords& records) {
+  double seconds = 0;
+  for (const auto& record : records.records()) {
+    const bool flow = std::any_of(
+        levels.generators.begin(), levels.generators.end(),
+        [&](const LevelGenerator& generator) { return generator_stage(generator) == record.name; });
+    if (flow) seconds += record.seconds;
+  }
+  return seconds;
+}
+
+std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request) {
+  std::vector<SamplingStage> stages;
+  stages.push_back(
+      stage(StageKind::kSourceEncoding, "source encoding",
+            request.source_depth()
+                ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
+                : fmt::format("{} source views up to level {}; deeper blocks are not needed",
+                              request.num_sources, deepest_encoded_level(levels, request))));
+  if (request.view_pairs == ViewPairs::kVisible) {
+    stages.push_back(stage(StageKind::kViewPairs, "view pairs",
+                           request.source_depth()
+                               ? "depth of the source views tells which views see common space"
+                               : "by the cameras alone, one source has no scale"));
+  }
+  for (size_t i = 0; i < levels.generators.size(); ++i) {
+    SamplingStage flow = stage(StageKind::kFlow, generator_stage(levels.generators[i]), "");
+    flow.generator = i;
+    stages.push_back(std::move(flow));
+  }
+  stages.push_back(request.decodes()
+                       ? stage(StageKind::kPropagation, "propagation", propagation_reason(levels))
+                       : left_out(StageKind::kPropagation, "propagation", "only latents were asked for"));
+  const auto views_text = [&](DecodedViews which) {
+    return which == DecodedViews::kAll ? std::string("all views")
+                                       : fmt::format("{} target views", request.decoded_views(which));
+  };
+  stages.push_back(request.image_views != DecodedViews::kNone
+                       ? stage(StageKind::kRgbDecoding, "RGB decoding", views_text(request.image_views))
+                       : left_out(StageKind::kRgbDecoding, "RGB decoding", "no images were asked for"));
+  stages.push_back(
+      request.geometry_views != DecodedViews::kNone
+          ? stage(StageKind::kGeometry, "geometry",
+                  request.geometry_views == DecodedViews::kAll ? "all views, for the point cloud"
+                                                               : "target views")
+          : left_out(StageKind::kGeometry, "geometry", "no depth, rays or points were asked for"));
+  return stages;
+}
+
+}  // namespace gld

@@ -1,0 +1,53 @@
+#pragma once
+
+#include "gld/machine/stage_record.h"
+#include "models/dit/approximate_savings.h"
+#include "models/latent_spaces/level_set.h"
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Which views are decoded.
+enum class DecodedViews { kNone, kTargets, kAll };
+
+// What decides which stages a sampling run has.
+struct StageRequest {
+  int64_t views = 2;
+  int64_t num_sources = 1;
+  DecodedViews image_views = DecodedViews::kTargets;
+  DecodedViews geometry_views = DecodedViews::kNone;
+  ViewPairs view_pairs = ViewPairs::kAll;
+
+  // Whether view pairs are decided with the depth of the source views; one of them would leave its unit open.
+  bool source_depth() const { return view_pairs == ViewPairs::kVisible && num_sources > 1; }
+  bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }
+  int64_t decoded_views(DecodedViews which) const {
+    return which == DecodedViews::kAll ? views : which == DecodedViews::kTargets ? views - num_sources : 0;
+  }
+};
+
+enum class StageKind { kSourceEncoding, kViewPairs, kFlow, kPropagation, kRgbDecoding, kGeometry };
+
+// A stage of sampling: what the planner prices, the forecast sizes, the pipeline runs and reports print.
+struct SamplingStage {
+  StageKind kind = StageKind::kSourceEncoding;
+  size_t generator = 0;  // of kFlow: its number in the level set
+  std::string name;      // in records, reports and errors
+  bool runs = true;
+  std::string reason;  // why it runs or not, in words
+};
+
+// All stages in their order, also those that this request leaves out.
+std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request);
+
+// What the flows of these records took together.
+double flow_seconds(const LevelSet& levels, const StageRecords& records);
+
+// Levels 0..this one of the source views are encoded.
+int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request);
+
+}  // namespace gld

@@ -1,0 +1,88 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/cameras/camera.h"
+#include "models/layers/layers.h"
+#include "models/layers/operation_cost.h"
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/nn/module.h>
+#include <torch/types.h>
+
+namespace gld {
+
+class Backbone;
+
+// The sizes of a geometric foundation model, and what the rest of the program asks about them. Each family has one, with
+// its own fields, in its own file; backbone_registry.h lists them.
+class BackboneArchitecture : public OptionsGroup {
+ public:
+  ~BackboneArchitecture() override = default;
+
+  // As model.yaml and backbone_registry.h name it.
+  virtual std::string kind() const = 0;
+  virtual std::unique_ptr<BackboneArchitecture> copy() const = 0;
+  virtual std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const = 0;
+  // Of the tensors' names in the published file.
+  virtual std::string published_prefix() const = 0;
+
+  virtual int64_t patch_side() const = 0;      // pixels
+  virtual int64_t levels() const = 0;          // how many the decoders take
+  virtual int64_t level_channels() const = 0;  // C
+  // Tokens in front of the patch tokens of a level: class, camera and register tokens.
+  virtual int64_t leading_tokens() const = 0;
+
+  // Of Backbone::encode up to that level, and of Backbone::propagate from it, for all views of the grid.
+  virtual Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const = 0;
+  virtual Cost propagation_cost(const LatentGrid& grid, int64_t level) const = 0;
+
+  // Of an image; Error unless both sides are whole patches.
+  LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const;
+};
+
+// A level after the final normalisation, as decoders take it.
+struct DecodableLevel {
+  torch::Tensor leading;  // (views, leading tokens, C), raw
+  torch::Tensor patches;  // (views, tokens, C)
+};
+
+struct PropagationStart {
+  int64_t level = 1;
+  torch::Tensor tokens;  // (views, leading tokens + tokens, C) raw, leading tokens first
+  LatentGrid grid;
+};
+
+// A frozen geometric foundation model: DA3 (docs/DESIGN.md section 4, "Backbone"), and others that registered themselves.
+// Nothing outside models/backbones names one of them. View 0 is the reference view; views are never reordered.
+class Backbone : public torch::nn::Module {
+ public:
+  virtual const BackboneArchitecture& architecture() const = 0;
+
+  // images: (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns levels 0..last_level, each
+  // (views, leading tokens + tokens, C), raw; blocks behind last_level's are not run.
+  virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const = 0;
+
+  // The leading tokens that propagation from that level gives to every view, (1, leading tokens, C) raw: new views have
+  // no image to take them from, so all get those of `first_source` (1, 3, height, width), RGB in [0, 1], encoded alone.
+  virtual torch::Tensor carried_tokens(const torch::Tensor& first_source, int64_t level) const;
+
+  // Runs the blocks behind start.level. Returns levels start.level (as given) to the last.
+  virtual std::vector<DecodableLevel> propagate(const PropagationStart& start) const = 0;
+
+  // (views, tokens, C) raw -> what the DPT head and the RGB decoder take.
+  virtual torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const = 0;
+
+  // Splits a raw level into leading tokens and decodable patches.
+  DecodableLevel decodable(const torch::Tensor& level) const;
+  // The patch tokens of a raw level.
+  torch::Tensor patches_of(const torch::Tensor& level) const;
+
+  // Random weights to train from.
+  virtual void initialise(const torch::Generator& generator) = 0;
+};
+
+}  // namespace gld

@@ -1,0 +1,215 @@
+// Bundles with other sets of generated levels than the published one, sampled by the pipeline and by running the parts one
+// after another here.
+
+#include "gld/base/configuration.h"
+#include "gld/latents/noise.h"
+#include "infer/method/sampling_method.h"
+#include "infer/pipeline/bundle_models.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/shared_data.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+constexpr int64_t kHeight = 28, kWidth = 42;  // pixels
+constexpr int64_t kViews = 3, kSources = 2;
+
+Views views_in_a_row() {
+  Views views;
+  views.num_sources = kSources;
+  for (int64_t i = 0; i < kViews; ++i) {
+    Camera camera;
+    camera.width = kWidth;
+    camera.height = kHeight;
+    camera.intrinsics << 40, 0, 21, 0, 40, 14, 0, 0, 1;
+    camera.world_from_camera.translation().x() = 0.3 * static_cast<double>(i);
+    views.cameras.push_back(camera);
+  }
+  return views;
+}
+
+struct SetCase {
+  const char* name;
+  std::vector<LevelGenerator> generators;
+  int64_t boundary = 1;
+  std::vector<int64_t> decoded;
+  int64_t special_tokens = 0;
+};
+
+BundleOptions options_of(const SetCase& set) {
+  BundleOptions options = small_bundle_options();
+  const DitOptions like = options.generators.front().dit;
+  options.set_generators(set.generators);
+  for (auto& part : options.generators) {
+    const auto conditioning = part.dit.conditioning;
+    part.dit = like;
+    part.dit.conditioning = conditioning;
+    part.dit.num_special_tokens = set.special_tokens;
+    if (set.special_tokens > 0) part.dit.hidden_size[1] = part.dit.in_channels;
+  }
+  options.boundary_level = set.boundary;
+  options.decoded_levels = set.decoded;
+  if (!set.decoded.empty()) {
+    options.rgb_decoder.in_channels =
+        static_cast<int64_t>(set.decoded.size()) * options.backbone.level_channels();
+  }
+  options.trained_sizes = {"42x28"};
+  return options;
+}
+
+PipelineRequest request_of(const BundleOptions& options) {
+  PipelineRequest request;
+  request.views = views_in_a_row();
+  torch::manual_seed(3);
+  request.source_images = torch::rand({kSources, 3, kHeight, kWidth});
+  const int64_t tokens = (kHeight / 14) * (kWidth / 14);
+  for (const auto& part : options.generators) {
+    request.noise.push_back(views_noise(5, level_noise_stream(part.generator.level), kViews,
+                                        {part.dit.num_special_tokens + tokens, part.dit.in_channels}));
+    SolverOptions solver;
+    solver.solver = SolverKind::kEuler;
+    solver.evaluations = 2;
+    solver.schedule.schedule = ScheduleKind::kUniform;
+    request.flow.solvers.push_back(solver);
+  }
+  request.flow.guidance.guidance_scale = 1;
+  return request;
+}
+
+// Euler with two steps, without anything of the pipeline.
+torch::Tensor flow_by_hand(const DitDh& model, const DitSceneInputs& inputs, torch::Tensor state) {
+  const auto scene = model.prepare_scene(inputs);
+  for (const double t : {1.0, 0.5}) {
+    state = state - 0.5 * model.velocity(scene, state, model.time_rows({t}).front());
+  }
+  return state;
+}
+
+LatentStatistics read(const ModelBundle& bundle, const std::string& name) {
+  return read_latent_statistics(bundle.folder() / (name + ".safetensors"), bundle.options().latent_epsilon);
+}
+
+class LevelSets : public testing::TestWithParam<SetCase> {};
+
+TEST_P(LevelSets, ThePipelineIsThePartsOneAfterAnother) {
+  const torch::NoGradGuard no_grad;
+  const SetCase& set = GetParam();
+  const auto options = options_of(set);
+  const test::TemporaryFolder folder;
+  write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
+  const auto bundle = ModelBundle::open(folder.path() / "model");
+  const auto request = request_of(options);
+  StageRecords stages;
+  const auto made = run_pipeline(bundle_models(bundle, torch::kCPU), request, stages);
+
+  const auto backbone = bundle.load_backbone();
+  const auto raw = backbone->encode(request.source_images, 3);
+  const int64_t special = set.special_tokens;
+  DitSceneInputs scene;
+  scene.views = request.views;
+  std::map<int64_t, torch::Tensor> latents, features;
+  for (size_t i = 0; i < options.generators.size(); ++i) {
+    const auto generator = options.generators[i].generator;
+    const auto level = std::to_string(generator.level);
+    const auto patches = read(bundle, "statistics_level" + level);
+    const auto normalise = [&](const torch::Tensor& tokens) {
+      const auto tail = patches.normalise(tokens.slice(1, 1));
+      if (special == 0) return tail;
+      return torch::cat(
+          {read(bundle, "special_statistics_level" + level).normalise(tokens.slice(1, 0, 1)), tail}, 1);
+    };
+    scene.source_features = normalise(raw[static_cast<size_t>(generator.level)]);
+    scene.deeper_level = generator.deeper ? latents.at(*generator.deeper) : torch::Tensor();
+    latents[generator.level] = flow_by_hand(*bundle.load_generator(generator), scene, request.noise[i]);
+    const auto latent = latents[generator.level];
+    features[generator.level] = patches.denormalise(latent.slice(1, special));
+    if (special > 0 && generator.level == set.boundary) {
+      features[-1] =
+          read(bundle, "special_statistics_level" + level).denormalise(latent.slice(1, 0, special));
+    }
+  }
+  for (const auto& [level, latent] : latents) {
+    EXPECT_LT((made.latents.at(level) - latent).abs().max().item<double>(), 1e-5) << "level " << level;
+  }
+  auto leading = special > 0 ? features.at(-1)
+                             : backbone->encode(request.source_images.slice(0, 0, 1), set.boundary)
+                                   .at(static_cast<size_t>(set.boundary))
+                                   .slice(1, 0, 1)
+                                   .expand({kViews, 1, options.backbone.level_channels()});
+  PropagationStart start;
+  start.level = set.boundary;
+  start.tokens = torch::cat({leading, features.at(set.boundary)}, 1);
+  start.grid = made.grid;
+  std::map<int64_t, torch::Tensor> levels;
+  int64_t level = set.boundary;
+  for (const auto& propagated : backbone->propagate(start)) levels[level++] = propagated.patches;
+  for (const auto& [shallow, tokens] : features) {
+    if (shallow >= 0 && shallow < set.boundary) levels[shallow] = backbone->normalise_for_decoding(tokens);
+  }
+  std::vector<torch::Tensor> decoded;
+  for (const int64_t wanted : options.level_set().decoded_levels()) {
+    decoded.push_back(levels.at(wanted).slice(0, kSources).contiguous());
+  }
+  LatentGrid targets = made.grid;
+  targets.views = kViews - kSources;
+  const auto images = bundle.load_rgb_decoder()->decode(torch::cat(decoded, 2), targets);
+  EXPECT_LT((made.images - images).abs().max().item<double>(), 1e-4);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, LevelSets,
+    testing::Values(
+        SetCase{"published", {level_model(1), cascade(1, 0)}, 1, {}, 0},
+        SetCase{"boundary_0", {level_model(0)}, 0, {}, 0},
+        SetCase{"independent_levels", {level_model(0), level_model(1)}, 1, {}, 0},
+        SetCase{"boundary_2", {level_model(2), cascade(2, 1), cascade(1, 0)}, 2, {}, 0},
+        SetCase{"boundary_3", {level_model(3), level_model(2), level_model(1), level_model(0)}, 3, {}, 0},
+        SetCase{"one_level", {level_model(3)}, 3, {3}, 0},
+        SetCase{"special_tokens", {level_model(1), cascade(1, 0)}, 1, {}, 1},
+        SetCase{"special_tokens_boundary_2", {level_model(2), level_model(1), level_model(0)}, 2, {}, 1}),
+    [](const testing::TestParamInfo<SetCase>& info) { return std::string(info.param.name); });
+
+TEST(LevelSetBundle, AModelOfTodayReadsAsThePublishedSetAndAnotherBoundaryIsRefused) {
+  BundleOptions options;
+  load_yaml_text(options, "boundary_level: 1\n", "model.yaml");
+  ASSERT_EQ(options.generators.size(), 2U);
+  EXPECT_EQ(options.generators[0].generator, level_model(1));
+  EXPECT_EQ(options.generators[1].generator, cascade(1, 0));
+  load_yaml_text(options, "boundary_level: 2\n", "model.yaml");
+  EXPECT_EQ(test::error_of([&] { options.check(); }),
+            "generated: expected a part that generates boundary_level 2, which propagation starts from, "
+            "found none in "
+            "generated; add 2 to generated or change boundary_level.");
+}
+
+TEST(LevelSetBundle, OptionsOfOtherSetsAreWrittenAndRead) {
+  const auto options = options_of({"", {level_model(2), cascade(2, 1), level_model(0)}, 2, {0, 2}, 0});
+  BundleOptions read;
+  load_yaml_text(read, to_yaml(options), "model.yaml");
+  EXPECT_EQ(to_yaml(read), to_yaml(options));
+  EXPECT_THAT(to_yaml(options), testing::HasSubstr("cascade_2_to_1:"));
+}
+
+TEST(LevelSetBundle, GeometryOfAModelThatLeavesLevelsOutIsRefused) {
+  const auto options = options_of({"", {level_model(3)}, 3, {3}, 0});
+  EXPECT_FALSE(options.has_geometry());
+  const test::TemporaryFolder folder;
+  write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
+  auto request = request_of(options);
+  request.geometry_views = DecodedViews::kTargets;
+  StageRecords stages;
+  EXPECT_EQ(test::error_of([&] {
+              run_pipeline(bundle_models(ModelBundle::open(folder.path() / "model"), torch::kCPU), request,
+                           stages);
+            }),
+            "geometry: expected all levels, which the DPT head takes, found no level 0; ask for images "
+            "alone, or use "
+            "a model that generates it.");
+}
+
+}  // namespace
+}  // namespace gld
