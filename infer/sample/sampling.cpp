@@ -11,6 +11,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/method/flow_request.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/scene_request.h"
 #include "infer/pipeline/visible_pairs.h"
@@ -32,10 +33,7 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
                              const torch::Device& device) {
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = scene_request(scene, bundle, options.seed, device);
-  request.level1_solver = settings.level1_solver;
-  request.cascade_solver = settings.cascade_solver;
-  request.guidance = settings.guidance;
-  request.approximate = settings.approximate;
+  use_flow_settings(request, settings);
   request.savings = options.savings();
   request.image_views = requested.needs_image() ? DecodedViews::kTargets : DecodedViews::kNone;
   if (requested.needs_geometry()) {
