@@ -32,7 +32,7 @@ nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
     if (!number.absent.empty()) reasons[number.absent] = reasons.value(number.absent, 0) + 1;
   }
   const SceneStatistics statistics = statistics_over_scenes(values);
-  nlohmann::ordered_json json{{"mean", statistics.mean},
+  nlohmann::ordered_json json{{"mean", number_or_null(statistics.mean)},
                               {"confidence_95", number_or_null(statistics.half_width)},
                               {"deviation", number_or_null(statistics.deviation)},
                               {"scenes", statistics.count},
@@ -132,8 +132,7 @@ std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
 }
 
 nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& scenes) {
-  nlohmann::ordered_json summary = {{"scenes", scenes.size()}};
-  auto& means = summary["means"];
+  nlohmann::ordered_json means;
   for (const EvaluationColumn& column : evaluation_columns()) {
     means[column.name] = statistics_json(column, scenes);
   }
@@ -144,6 +143,7 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
   const auto& trivial = trivial_predictors();
   const Predictor best = *std::max_element(
       trivial.begin(), trivial.end(), [&](Predictor a, Predictor b) { return mean_psnr(a) < mean_psnr(b); });
+  nlohmann::ordered_json summary = {{"scenes", scenes.size()}, {"means", means}};
   summary["best_trivial_predictor"] = column_of(metric, best)->name;
   summary["sample_margin_over_best_trivial_db"] =
       number_or_null(mean_psnr(Predictor::kSample) - mean_psnr(best));
