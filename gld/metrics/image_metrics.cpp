@@ -1,6 +1,7 @@
 #include "gld/metrics/image_metrics.h"
 
 #include "gld/base/error.h"
+#include "gld/metrics/metric.h"
 
 #include <cmath>
 #include <string>
@@ -10,6 +11,7 @@ namespace {
 
 constexpr int64_t kRadius = 5;
 constexpr int64_t kWindow = 2 * kRadius + 1;
+static_assert(kWindow == kSmallestSsimSide);
 constexpr double kWindowDeviation = 1.5;
 
 void require_same_images(const torch::Tensor& image, const torch::Tensor& prediction,
@@ -63,6 +65,23 @@ torch::Tensor ssim(const torch::Tensor& image, const torch::Tensor& prediction) 
   const auto similarity = (mean_a * mean_b * 2 + kC1) * (covariance * 2 + kC2) /
                           ((mean_a.square() + mean_b.square() + kC1) * (variance_a + variance_b + kC2));
   return similarity.reshape({image.size(0), -1}).mean(1);
+}
+
+Metric psnr_metric() {
+  return {"psnr", "dB", Better::kHigher, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
+            return metric_of_views(psnr(inputs.true_images, inputs.images), "the images are not finite");
+          }};
+}
+
+Metric ssim_metric() {
+  return {"ssim", "", Better::kHigher, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
+            const auto& truth = inputs.true_images;
+            if (truth.size(2) < kWindow || truth.size(3) < kWindow) {
+              return absent_metric("the images are smaller than its window of " + std::to_string(kWindow) +
+                                   " pixels");
+            }
+            return metric_of_views(ssim(truth, inputs.images), "the images are not finite");
+          }};
 }
 
 }  // namespace gld

@@ -5,7 +5,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
-#include "gld/metrics/image_metrics.h"
+#include "gld/metrics/metric_list.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -34,14 +34,14 @@ const std::string kEverywhere = "everywhere";
 
 // What means over scenes are taken of.
 constexpr double SampleRow::*kAveraged[] = {&SampleRow::level1_error, &SampleRow::level0_error,
-                                            &SampleRow::psnr,         &SampleRow::ssim,
-                                            &SampleRow::lpips,        &SampleRow::seconds};
+                                            &SampleRow::seconds};
 
 SamplingVariant variant_of(SolverKind solver, ScheduleKind schedule, int64_t evaluations, double scale) {
   SamplingVariant variant;
   variant.solver.solver = solver;
   variant.solver.evaluations = evaluations;
   variant.solver.schedule.schedule = schedule;
+  variant.solver.schedule.shift = 0;  // the model's
   variant.guidance.guidance_scale = scale;
   return variant;
 }
@@ -51,16 +51,6 @@ std::string guidance_text(const GuidanceOptions& guidance) {
   if (guidance.guidance_tolerance > 0) return fmt::format("dropped below {:g}", guidance.guidance_tolerance);
   if (guidance.guidance_interval[0] > 0) return fmt::format("from t = {:g}", guidance.guidance_interval[0]);
   return kEverywhere;
-}
-
-double mean_of(const torch::Tensor& values) { return values.mean().item<double>(); }
-
-// Null without weights.
-std::shared_ptr<Lpips> load_lpips_of(const SampleBenchmarkOptions& options) {
-  if (options.lpips_backbone.empty()) return nullptr;
-  auto lpips = std::make_shared<Lpips>(options.lpips, ParameterPlacement{});
-  load_lpips(*lpips, *WeightFile::open(options.lpips_backbone), *WeightFile::open(options.lpips_heads));
-  return lpips;
 }
 
 // Loading a model anew for each sample would hide what a small one takes; of a large one only the present stage's
@@ -126,12 +116,11 @@ class SceneSampler {
   }
 
   SampleRow run(const SamplingVariant& variant, PipelineResult& result) {
-    request_.flow = FlowSettings();
-    for (const auto& part : models_.bundle.generators) {
-      request_.flow.solvers.push_back(variant.solver);
-      request_.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
-    }
-    request_.flow.guidance = variant.guidance;
+    SamplingMethod method;
+    method.solver = variant.solver;
+    method.guidance_interval = variant.guidance.guidance_interval;
+    method.guidance_tolerance = variant.guidance.guidance_tolerance;
+    request_.flow = flow_settings(method, variant.guidance, models_.bundle);
     SampleRow row;
     row.scene = name_;
     row.solver = solver_names()[static_cast<size_t>(variant.solver.solver)];
@@ -139,7 +128,7 @@ class SceneSampler {
     row.count = variant.solver.evaluations;
     row.guidance_scale = variant.guidance.guidance_scale;
     row.guidance = guidance_text(variant.guidance);
-    row.psnr = row.ssim = row.lpips = row.level1_error = row.level0_error = kNan;
+    row.level1_error = row.level0_error = kNan;
     StageRecords stages;
     try {
       result = run_pipeline(models_.models, request_, stages);
@@ -156,13 +145,26 @@ class SceneSampler {
       row.evaluations += flow.evaluations;
       row.unconditional += flow.guidance.unconditional;
     }
-    if (row.non_finite == 0 && truth_.defined()) {
+    if (row.non_finite == 0) {
       const torch::NoGradGuard no_gradients;
-      row.psnr = mean_of(psnr(truth_, result.images));
-      row.ssim = mean_of(ssim(truth_, result.images));
-      if (models_.lpips) row.lpips = mean_of(models_.lpips->forward(truth_, result.images.clamp(0, 1)));
+      for (const Metric& metric : image_metric_list()) {
+        const MetricValue value = gld::measure(metric, inputs_of(result.images));
+        if (value.absent.empty()) row.quality[metric.name] = value.mean();
+      }
     }
     return row;
+  }
+
+  MetricInputs inputs_of(const torch::Tensor& images) const {
+    MetricInputs inputs;
+    inputs.true_images = truth_;
+    inputs.images = images;
+    if (models_.lpips) {
+      inputs.perceptual_distance = [this](const torch::Tensor& a, const torch::Tensor& b) {
+        return models_.lpips->forward(a, b);
+      };
+    }
+    return inputs;
   }
 
   const BenchmarkModels& models_;
@@ -214,17 +216,23 @@ class BenchmarkScenes {
   std::vector<SceneLocation> locations_;
 };
 
+enum class RowValue { kError, kPsnr };
+
+double value_of(const SampleRow& row, RowValue value) {
+  return value == RowValue::kError ? row.level0_error : row.quality_of("psnr");
+}
+
 // Error or quality against seconds, one line a variant, at one guidance scale.
-PlotPanel work_panel(const std::vector<SampleRow>& means, double SampleRow::*quality,
-                     const std::string& label, double guidance_scale) {
-  const bool error = quality == &SampleRow::level0_error;
+PlotPanel work_panel(const std::vector<SampleRow>& means, RowValue value, const std::string& label,
+                     double guidance_scale) {
+  const bool error = value == RowValue::kError;
   PlotPanel panel;
   panel.title = label + fmt::format(", guidance {:g}", guidance_scale);
   panel.x = {"seconds for both levels", AxisScale::kLog, 0, 0};
   panel.y = {label, error ? AxisScale::kLog : AxisScale::kLinear, 0, 0};
   PlotSeries front{"Pareto front", SeriesStyle::kFront, {}};
   for (const auto& row : means) {
-    if (row.guidance_scale != guidance_scale || !std::isfinite(row.*quality)) continue;
+    if (row.guidance_scale != guidance_scale || !std::isfinite(value_of(row, value))) continue;
     if (error && row.is_reference()) continue;
     auto series = std::find_if(panel.series.begin(), panel.series.end(),
                                [&](const PlotSeries& entry) { return entry.name == row.variant(); });
@@ -232,9 +240,9 @@ PlotPanel work_panel(const std::vector<SampleRow>& means, double SampleRow::*qua
       panel.series.push_back({row.variant(), SeriesStyle::kLine, {}});
       series = panel.series.end() - 1;
     }
-    series->points.emplace_back(row.seconds, row.*quality);
+    series->points.emplace_back(row.seconds, value_of(row, value));
     if (error ? row.on_error_front : row.on_quality_front)
-      front.points.emplace_back(row.seconds, row.*quality);
+      front.points.emplace_back(row.seconds, value_of(row, value));
   }
   std::sort(front.points.begin(), front.points.end());
   panel.series.push_back(std::move(front));
@@ -242,15 +250,16 @@ PlotPanel work_panel(const std::vector<SampleRow>& means, double SampleRow::*qua
 }
 
 bool has_quality(const std::vector<SampleRow>& rows) {
-  return std::any_of(rows.begin(), rows.end(), [](const SampleRow& row) { return std::isfinite(row.psnr); });
+  return std::any_of(rows.begin(), rows.end(),
+                     [](const SampleRow& row) { return row.quality.count("psnr") > 0; });
 }
 
 Figure sample_figure(const std::vector<SampleRow>& means, double guidance_scale) {
   Figure figure;
   figure.title = "Sampling: error and quality against time";
-  figure.panels = {work_panel(means, &SampleRow::level0_error, "relative latent error", guidance_scale)};
+  figure.panels = {work_panel(means, RowValue::kError, "relative latent error", guidance_scale)};
   if (has_quality(means))
-    figure.panels.push_back(work_panel(means, &SampleRow::psnr, "PSNR (dB)", guidance_scale));
+    figure.panels.push_back(work_panel(means, RowValue::kPsnr, "PSNR (dB)", guidance_scale));
   return figure;
 }
 
@@ -273,10 +282,7 @@ void SampleBenchmarkOptions::visit(FieldVisitor& visitor) {
                 {0, 1000});
   visitor.real({"reference_tolerance", "tolerance of the adaptive reference solve"}, reference_tolerance,
                {1e-10, 0.1});
-  visitor.text({"lpips_backbone", "classification network of LPIPS; empty leaves the lpips column empty"},
-               lpips_backbone);
-  visitor.text({"lpips_heads", "published linear heads of LPIPS"}, lpips_heads);
-  visitor.group({"lpips", "which LPIPS"}, lpips);
+  lpips.visit(visitor);
   visitor.text({"device", "cpu, cuda or cuda:N"}, device);
   visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
   visitor.text({"out", "run folder to write"}, out);
@@ -288,10 +294,7 @@ void SampleBenchmarkOptions::check() const {
           scene.empty() ? "neither" : "both", "add for example --synthetic 4"});
   }
   if (!scene.empty()) views.ViewSelection::check();
-  if (lpips_backbone.empty() != lpips_heads.empty()) {
-    fail({"--lpips-backbone, --lpips-heads", "both files, or neither",
-          lpips_backbone.empty() ? "only the heads" : "only the backbone", "give both files"});
-  }
+  lpips.check();
   if (counts.empty() || guidance_scales.empty()) {
     fail(
         {"counts and guidance_scales", "at least one value each", "an empty list", "write for example [16]"});
@@ -319,6 +322,11 @@ std::vector<SamplingVariant> sampling_variants(const std::vector<int64_t>& count
   return variants;
 }
 
+double SampleRow::quality_of(const std::string& metric) const {
+  const auto found = quality.find(metric);
+  return found == quality.end() ? kNan : found->second;
+}
+
 std::string SampleRow::variant() const {
   if (is_reference()) return solver;
   const bool plain = guidance.empty() || guidance == kEverywhere || guidance_scale == 1;
@@ -327,19 +335,18 @@ std::string SampleRow::variant() const {
 
 void mark_pareto_fronts(std::vector<SampleRow>& rows) {
   // Fronts minimise; quality is better when larger.
-  const auto mark = [&](const SampleRow& first, double SampleRow::*value, double sign,
-                        bool SampleRow::*on_front) {
+  const auto mark = [&](const SampleRow& first, RowValue value, double sign, bool SampleRow::*on_front) {
     std::vector<std::pair<double, double>> points;
     const auto takes_part = [&](const SampleRow& row) {
       return row.scene == first.scene && row.guidance_scale == first.guidance_scale && !row.is_reference() &&
-             std::isfinite(row.*value);
+             std::isfinite(value_of(row, value));
     };
     for (const auto& row : rows) {
-      if (takes_part(row)) points.emplace_back(row.seconds, sign * row.*value);
+      if (takes_part(row)) points.emplace_back(row.seconds, sign * value_of(row, value));
     }
     const auto front = pareto_front(points);
     for (auto& row : rows) {
-      const std::pair<double, double> point(row.seconds, sign * row.*value);
+      const std::pair<double, double> point(row.seconds, sign * value_of(row, value));
       row.*on_front =
           takes_part(row) ? std::find(front.begin(), front.end(), point) != front.end() : row.*on_front;
     }
@@ -348,24 +355,33 @@ void mark_pareto_fronts(std::vector<SampleRow>& rows) {
   for (size_t i = 0; i < rows.size(); ++i) {
     if (!done.emplace(rows[i].scene, rows[i].guidance_scale).second) continue;
     const SampleRow first = rows[i];
-    mark(first, &SampleRow::level0_error, 1, &SampleRow::on_error_front);
-    mark(first, &SampleRow::psnr, -1, &SampleRow::on_quality_front);
+    mark(first, RowValue::kError, 1, &SampleRow::on_error_front);
+    mark(first, RowValue::kPsnr, -1, &SampleRow::on_quality_front);
   }
 }
 
 Table sample_table(const std::vector<SampleRow>& rows) {
-  Table table({"scene", "solver", "schedule", "count", "guidance_scale", "guidance", "evaluations",
-               "unconditional", "level1_error", "level0_error", "psnr", "ssim", "lpips", "seconds",
-               "peak_bytes", "non_finite", "pareto"});
+  std::vector<std::string> columns{"scene",          "solver",      "schedule",    "count",
+                                   "guidance_scale", "guidance",    "evaluations", "unconditional",
+                                   "level1_error",   "level0_error"};
+  for (const Metric& metric : image_metric_list()) columns.push_back(metric.name);
+  for (const char* name : {"seconds", "peak_bytes", "non_finite", "pareto"}) columns.emplace_back(name);
+  Table table(columns);
   for (const auto& row : rows) {
     const std::string front = row.on_error_front && row.on_quality_front ? "error and psnr"
                               : row.on_error_front                       ? "error"
                               : row.on_quality_front                     ? "psnr"
                                                                          : "";
-    table.add_row({row.scene, row.solver, row.schedule, row.count, row.guidance_scale, row.guidance,
-                   row.evaluations, row.unconditional, row.level1_error, row.level0_error, row.psnr, row.ssim,
-                   std::isnan(row.lpips) ? TableCell(std::string()) : TableCell(row.lpips), row.seconds,
-                   row.peak_bytes, row.non_finite, front});
+    std::vector<TableCell> cells{row.scene,          row.solver,      row.schedule,    row.count,
+                                 row.guidance_scale, row.guidance,    row.evaluations, row.unconditional,
+                                 row.level1_error,   row.level0_error};
+    for (const Metric& metric : image_metric_list()) {
+      const auto found = row.quality.find(metric.name);
+      cells.push_back(found == row.quality.end() ? TableCell(std::string()) : TableCell(found->second));
+    }
+    cells.insert(cells.end(), {TableCell(row.seconds), TableCell(row.peak_bytes), TableCell(row.non_finite),
+                               TableCell(front)});
+    table.add_row(cells);
   }
   return table;
 }
@@ -390,6 +406,10 @@ std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows) {
     }
     auto& sum = group->sum;
     for (auto value : kAveraged) sum.*value += row.*value;
+    for (const Metric& metric : image_metric_list()) {
+      if (sum.quality.count(metric.name) == 0) continue;
+      sum.quality[metric.name] += row.quality_of(metric.name);
+    }
     sum.evaluations += row.evaluations;
     sum.unconditional += row.unconditional;
     sum.peak_bytes = std::max(sum.peak_bytes, row.peak_bytes);
@@ -402,6 +422,7 @@ std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows) {
     mean.evaluations /= group.scenes;
     mean.unconditional /= group.scenes;
     for (auto value : kAveraged) mean.*value /= static_cast<double>(group.scenes);
+    for (auto& [name, value] : mean.quality) value /= static_cast<double>(group.scenes);
     means.push_back(mean);
   }
   mark_pareto_fronts(means);
@@ -415,7 +436,7 @@ int run_sample_benchmark(const SampleBenchmarkOptions& options) {
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const BenchmarkScenes scenes(options, bundle.options());
-  const BenchmarkModels models{bundle.options(), models_of(bundle, device), load_lpips_of(options)};
+  const BenchmarkModels models{bundle.options(), models_of(bundle, device), load_lpips(options.lpips)};
   RunFolder folder(options.out, "bench sample", options);
   size_t total = 0;
   for (const double scale : options.guidance_scales)

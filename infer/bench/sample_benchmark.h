@@ -7,9 +7,10 @@
 #include "gld/report/table.h"
 #include "infer/pipeline/held_out_scenes.h"
 #include "infer/pipeline/sampling_scene.h"
-#include "models/losses/lpips.h"
+#include "models/losses/lpips_files.h"
 
 #include <cstdint>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -35,9 +36,7 @@ struct SampleBenchmarkOptions : OptionsGroup {
   std::vector<int64_t> counts{6, 12, 16, 20, 49};
   std::vector<double> guidance_scales{1, 1.5};
   double reference_tolerance = 1e-5;
-  std::string lpips_backbone;  // torchvision's network; empty: no LPIPS
-  std::string lpips_heads;     // published linear heads
-  LpipsOptions lpips;
+  LpipsFiles lpips;
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
@@ -67,9 +66,8 @@ struct SampleRow {
   int64_t unconditional = 0;  // of them with the unconditional branch
   double level1_error = 0;    // RMS of the latent's difference from the reference, over the reference's RMS
   double level0_error = 0;
-  double psnr = 0;  // of the target views in dB; NaN without truth
-  double ssim = 0;
-  double lpips = 0;        // NaN without weights
+  // Every metric of images by its name, means over the target views; one that is absent is left out.
+  std::map<std::string, double> quality;
   double seconds = 0;      // of M1 and the cascade
   int64_t peak_bytes = 0;  // largest resident memory of a stage
   int64_t non_finite = 0;  // 1 where sampling stopped at a value that was not finite
@@ -78,6 +76,7 @@ struct SampleRow {
   bool on_quality_front = false;
 
   bool is_reference() const { return count == 0; }
+  double quality_of(const std::string& metric) const;  // NaN where absent
   // "unipc3, logsnr": what a plot calls it.
   std::string variant() const;
 };

@@ -5,7 +5,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
-#include "gld/metrics/image_metrics.h"
+#include "gld/metrics/metric_list.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/device.h"
@@ -93,8 +93,7 @@ class Sampler {
 
   Run run(const BenchScene& scene, const SamplingMethod& method) const {
     PipelineRequest request = scene.request;
-    const FlowSettings settings = flow_settings(method, guidance_, bundle_);
-    request.flow = settings;
+    request.flow = flow_settings(method, guidance_, bundle_);
     StageRecords stages;
     Run run;
     run.result = run_pipeline(models_, request, stages);
@@ -111,7 +110,7 @@ class Sampler {
       return ((latent - exact).norm() / exact.norm()).item<double>();
     };
     const auto mean_psnr = [](const torch::Tensor& truth, const torch::Tensor& images) {
-      return psnr(truth, images).mean().item<double>();
+      return measure_images(metric_named("psnr"), truth, images).mean();
     };
     const Run made = run(scene, method);
     PlanSample sample;
@@ -123,7 +122,7 @@ class Sampler {
     sample.level0_error = relative(latents.begin()->second, exact.begin()->second);
     sample.psnr = mean_psnr(scene.truth, made.result.images);
     sample.psnr_difference = sample.psnr - mean_psnr(scene.truth, reference.result.images);
-    sample.psnr_to_reference = mean_psnr(reference.result.images.clamp(0, 1), made.result.images);
+    sample.psnr_to_reference = mean_psnr(reference.result.images, made.result.images);
     sample.flop = flop_of(made.result, bundle_, scene.request.views.num_sources);
     return sample;
   }

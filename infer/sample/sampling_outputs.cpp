@@ -6,7 +6,6 @@
 #include "datasets/pictures/contact_sheet.h"
 #include "datasets/pictures/depth_preview.h"
 #include "gld/base/error.h"
-#include "gld/cameras/pose_alignment.h"
 #include "gld/metrics/image_metrics.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/depth_export.h"
@@ -14,6 +13,7 @@
 #include "infer/export/ply_file.h"
 #include "infer/export/point_cloud.h"
 #include "infer/export/ray_export.h"
+#include "infer/pipeline/depth_scale.h"
 #include "infer/pipeline/predicted_cameras.h"
 
 #include <cmath>
@@ -130,27 +130,22 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
   run_.note("rays", "rays");
 }
 
-// The DPT head has a scale of its own; the predicted rays tell where it thinks the cameras are, and the given cameras
-// tell the true distances between them.
 std::optional<double> SamplingOutputs::depth_scale(const PipelineResult& result) {
-  try {
-    const auto predicted = predicted_cameras(result.geometry, scene_.size);
-    const auto& cameras = scene_.views.cameras;
-    const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
-    findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
-                                   {"scale_known", alignment.scale_known},
-                                   {"rotation_error_degrees", alignment.rotation_error},
-                                   {"centre_error", alignment.centre_error}};
-    if (alignment.scale_known) return alignment.b_from_a.scale;
-    warnings_.emplace_back(
-        "The cameras do not tell the scale of the predicted depth; depth and points.ply keep the model's own "
-        "unit.");
-  } catch (const Error& error) {
-    warnings_.push_back(fmt::format(
-        "No camera fits the predicted rays ({}) so depth and points.ply keep the model's own unit.",
-        error.what()));
+  const auto& cameras = scene_.views.cameras;
+  const DepthScale found =
+      depth_scale_of(result.geometry, {cameras.begin() + first_geometry_view_, cameras.end()}, scene_.size);
+  if (const auto& alignment = found.alignment) {
+    findings_["pose_alignment"] = {{"scale", alignment->b_from_a.scale},
+                                   {"scale_known", alignment->scale_known},
+                                   {"rotation_error_degrees", alignment->rotation_error},
+                                   {"centre_error", alignment->centre_error}};
   }
-  return std::nullopt;
+  if (!found.scale) {
+    warnings_.push_back(fmt::format("Depth and points.ply keep the model's own unit: {}{}.",
+                                    found.unknown_because,
+                                    found.detail.empty() ? "" : " (" + found.detail + ")"));
+  }
+  return found.scale;
 }
 
 void SamplingOutputs::write_points(const PipelineResult& result) {

@@ -1,6 +1,7 @@
 #include "train/objectives/backbone_objective.h"
 
 #include "gld/base/error.h"
+#include "gld/metrics/metric_list.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
 #include "train/objectives/feature_noise.h"
@@ -148,7 +149,9 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     total += result.geometry.total.item<double>();
     relative += result.geometry.absolute_relative.item<double>();
     if (result.shallow_image.defined()) {
-      pixel_psnr += mean_psnr(result.shallow_image, scene.images.to(placement_.device));
+      pixel_psnr +=
+          measure_images(metric_named("psnr"), scene.images.to(placement_.device), result.shallow_image)
+              .mean();
     }
     if (validation.rows.size() < 4) {
       PictureRow row;

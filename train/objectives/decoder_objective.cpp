@@ -1,6 +1,7 @@
 #include "train/objectives/decoder_objective.h"
 
 #include "gld/base/error.h"
+#include "gld/metrics/metric_list.h"
 #include "models/layers/imagenet.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/feature_noise.h"
@@ -231,7 +232,7 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
     const auto decoded = decoder_->decode(torch::cat(levels_of(truth), 2), grid);
     absolute += (decoded - truth).abs().mean().item<double>();
     perceptual_sum += perceptual(truth, decoded).item<double>();
-    psnr += mean_psnr(decoded, truth);
+    psnr += measure_images(metric_named("psnr"), truth, decoded).mean();
     if (validation.rows.size() < 4) {
       PictureRow row;
       row.name = scene.name;

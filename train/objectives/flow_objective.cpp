@@ -2,6 +2,7 @@
 
 #include "gld/flow/schedule.h"
 #include "models/dit/flow_matching_loss.h"
+#include "gld/metrics/metric_list.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
@@ -160,7 +161,9 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const auto decoded = decode(scene, generate(prepared, noise)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;
     const int64_t targets = scene.views.num_targets();
-    psnr += mean_psnr(decoded.narrow(0, sources, targets), on_host.images.narrow(0, sources, targets));
+    psnr += measure_images(metric_named("psnr"), on_host.images.narrow(0, sources, targets),
+                           decoded.narrow(0, sources, targets))
+                .mean();
     if (validation.rows.size() < 6) {
       PictureRow row;
       row.name = scene.name;

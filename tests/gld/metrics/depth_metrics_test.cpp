@@ -1,5 +1,6 @@
 #include "gld/metrics/depth_metrics.h"
 
+#include "gld/metrics/metric_list.h"
 #include "tests/support/shared_data.h"
 
 #include <cmath>
@@ -19,6 +20,7 @@ TEST(DepthErrors, CountOnlyPixelsWithAValidTruth) {
   const auto errors = depth_errors(truth, prediction);
   EXPECT_EQ(errors.valid_pixels[0].item<int64_t>(), 2);
   EXPECT_NEAR(errors.abs_rel[0].item<double>(), (0.5 + 0.1) / 2, 1e-7);
+  EXPECT_NEAR(errors.sq_rel[0].item<double>(), (1.0 / 2 + 0.16 / 4) / 2, 1e-6);
   EXPECT_NEAR(errors.rmse[0].item<double>(), std::sqrt((1 + 0.16) / 2), 1e-6);
   EXPECT_NEAR(errors.delta1[0].item<double>(), 0.5, 1e-12);  // 3/2 is too far, 4.4/4 is not
 }
@@ -72,6 +74,40 @@ TEST(DepthScale, RefusesScenesWithoutACommonPixel) {
             "depth metrics: expected two batches of depth maps (views, height, width) of one shape, found "
             "[1, 1, 2] "
             "and [1, 1, 3]; resize the prediction to the truth.");
+}
+
+TEST(DepthMetrics, SayWhetherTheDepthWasScaledToTheTruth) {
+  MetricInputs inputs;
+  inputs.true_depth = torch::rand({2, 8, 9}) + 1;
+  inputs.depth = inputs.true_depth / 5;
+  const auto mean = [&](const char* name) { return measure(metric_named(name), inputs).mean(); };
+  // Known up to a factor, and the cameras say half of it.
+  inputs.depth_scale = 2.5;
+  EXPECT_NEAR(mean("depth_abs_rel_median_scaled"), 0, 1e-6);
+  EXPECT_NEAR(mean("depth_delta1_median_scaled"), 1, 1e-12);
+  EXPECT_NEAR(mean("depth_abs_rel_unscaled"), 0.5, 1e-6);
+  EXPECT_NEAR(mean("depth_sq_rel_unscaled"), (inputs.true_depth / 4).mean().item<double>(), 1e-6);
+  EXPECT_NEAR(mean("depth_rmse_unscaled"),
+              (inputs.true_depth / 2).square().mean({1, 2}).sqrt().mean().item<double>(), 1e-6);
+  EXPECT_NEAR(mean("depth_delta1_unscaled"), 0, 1e-12);
+  inputs.depth_scale = 5;
+  EXPECT_NEAR(mean("depth_abs_rel_unscaled"), 0, 1e-6);
+}
+
+TEST(DepthMetrics, AreAbsentWithoutAScaleOrATruth) {
+  MetricInputs inputs;
+  inputs.true_depth = inputs.depth = torch::ones({1, 4, 4});
+  const auto absent = [&](const char* name) { return measure(metric_named(name), inputs).absent; };
+  EXPECT_EQ(absent("depth_abs_rel_median_scaled"), "");
+  EXPECT_EQ(absent("depth_abs_rel_unscaled"), "the scale of the predicted depth is unknown");
+  inputs.depth_scale = 1;
+  inputs.true_depth = torch::zeros({1, 4, 4});
+  EXPECT_EQ(absent("depth_rmse_unscaled"), "no pixel of a target view has a true depth");
+  inputs.true_depth = torch::ones({1, 4, 4});
+  inputs.depth = torch::full({1, 4, 4}, kNaN);
+  EXPECT_EQ(absent("depth_rmse_unscaled"), "the predicted depth is not finite");
+  inputs.depth = torch::zeros({1, 4, 4});
+  EXPECT_EQ(absent("depth_rmse_median_scaled"), "no predicted depth is positive where the true one is known");
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include "gld/metrics/image_metrics.h"
 
+#include "gld/metrics/metric_list.h"
 #include "tests/support/shared_data.h"
 
 #include <cmath>
@@ -42,6 +43,14 @@ TEST(ImageMetrics, BlackAndWhiteImagesGiveFiniteSimilarity) {
   EXPECT_NEAR(psnr(black, white)[0].item<double>(), 0, 1e-12);
   EXPECT_NEAR(ssim(black, white)[0].item<double>(), 1e-4 / (1 + 1e-4), 1e-9);
   EXPECT_NEAR(ssim(black, black)[0].item<double>(), 1, 1e-12);
+}
+
+TEST(ImageMetrics, SsimOfImagesSmallerThanItsWindowIsAbsent) {
+  const auto small = random_images(1, 10, 20);
+  EXPECT_EQ(measure_images(metric_named("ssim"), small, small).absent,
+            "the images are smaller than its window of 11 pixels");
+  const auto image = random_images(2, 11, 20);
+  EXPECT_NEAR(measure_images(metric_named("ssim"), image, image).mean(), 1, 1e-12);
 }
 
 TEST(ImageMetrics, RefuseWhatDoesNotFitInOneSentence) {

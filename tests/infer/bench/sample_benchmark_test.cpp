@@ -7,6 +7,7 @@
 #include "tests/support/shared_data.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <sstream>
@@ -138,9 +139,9 @@ TEST(SampleBenchmark, SamplesGeneratedScenesAndMeasuresLpips) {
   options.counts = {2};
   options.guidance_scales = {1};
   options.reference_tolerance = 0.01;
-  options.lpips_backbone = (folder.path() / "backbone.safetensors").string();
-  options.lpips_heads = (folder.path() / "heads.safetensors").string();
-  options.lpips.net = LpipsNet::kSqueeze;
+  options.lpips.lpips_backbone = (folder.path() / "backbone.safetensors").string();
+  options.lpips.lpips_heads = (folder.path() / "heads.safetensors").string();
+  options.lpips.lpips.net = LpipsNet::kSqueeze;
   options.threads = 1;
   options.out = (folder.path() / "run").string();
   check_options(options, "test");
@@ -153,6 +154,7 @@ TEST(SampleBenchmark, SamplesGeneratedScenesAndMeasuresLpips) {
   for (const auto& row : rows) {
     EXPECT_GT(std::stod(row.at("lpips")), 0);
     EXPECT_GT(std::stod(row.at("psnr")), 0);
+    EXPECT_GT(std::stod(row.at("sharpness")), 0);
   }
 }
 
@@ -164,13 +166,14 @@ TEST(SampleBenchmark, MeansAreOverScenesOfEqualVariants) {
   one.guidance = "everywhere";
   one.count = 6;
   one.evaluations = 12;
-  one.psnr = std::numeric_limits<double>::quiet_NaN();
+  one.quality["ssim"] = 0.25;  // and no psnr
   one.seconds = 1;
   one.level0_error = 0.1;
   one.peak_bytes = 5;
   SampleRow two = one;
   two.scene = "b";
   two.level0_error = 0.3;
+  two.quality["ssim"] = 0.75;
   two.peak_bytes = 7;
   SampleRow other = one;
   other.count = 12;
@@ -179,6 +182,8 @@ TEST(SampleBenchmark, MeansAreOverScenesOfEqualVariants) {
   const auto means = mean_over_scenes({one, two, other});
   ASSERT_EQ(means.size(), 2u);
   EXPECT_DOUBLE_EQ(means[0].level0_error, 0.2);
+  EXPECT_DOUBLE_EQ(means[0].quality_of("ssim"), 0.5);
+  EXPECT_TRUE(std::isnan(means[0].quality_of("psnr")));
   EXPECT_EQ(means[0].evaluations, 12);
   EXPECT_EQ(means[0].peak_bytes, 7);
   EXPECT_EQ(means[1].evaluations, 24);
@@ -197,7 +202,7 @@ TEST(SampleBenchmark, FrontsAreOfOneSceneAndScale) {
     made.count = 1;
     made.seconds = seconds;
     made.level0_error = error;
-    made.psnr = quality;
+    made.quality["psnr"] = quality;
     return made;
   };
   std::vector<SampleRow> rows{row("a", 1, 0.5, 20), row("a", 2, 0.4, 19), row("a", 3, 0.45, 21),
@@ -217,7 +222,7 @@ TEST(SampleBenchmark, RefusesToRunWithoutAScene) {
             "--scene, --synthetic: expected either a folder of images with cameras or a number of generated "
             "scenes, found neither; add for example --synthetic 4.");
   options.synthetic = 4;
-  options.lpips_heads = "heads.pth";
+  options.lpips.lpips_heads = "heads.pth";
   EXPECT_EQ(error_of([&] { options.check(); }),
             "--lpips-backbone, --lpips-heads: expected both files, or neither, found only the heads; give "
             "both files.");

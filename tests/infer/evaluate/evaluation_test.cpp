@@ -1,53 +1,139 @@
 #include "infer/evaluate/evaluation.h"
 
+#include "datasets/formats/scene_reader.h"
+#include "datasets/formats/scene_writer.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/metrics/metric_list.h"
+#include "gld/tensors/weight_tensors.h"
+#include "infer/evaluate/evaluation_report.h"
+#include "infer/evaluate/scene_evaluation.h"
+#include "infer/pipeline/bundle_models.h"
+#include "infer/sample/sampling.h"
+#include "models/bundle/random_bundle.h"
 #include "tests/support/shared_data.h"
 
 #include <cmath>
 #include <limits>
+#include <map>
+#include <sstream>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
 namespace {
 
-SceneEvaluation scene(const std::string& name, double psnr) {
-  SceneEvaluation result;
-  result.scene = name;
-  result.psnr = psnr;
-  result.psnr_nearest_source = 14.0;
-  result.psnr_mean_source = 15.5;
-  result.psnr_mean_color = 13.0;
-  result.ssim = 0.5;
-  result.depth_abs_rel = 0.125;
-  result.reconstruction_psnr = 27.0;
+using testing::HasSubstr;
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+// A scene whose columns have these values; the others are absent.
+SceneEvaluation scene_with(const std::string& name, const std::map<std::string, double>& values) {
+  SceneEvaluation scene;
+  scene.scene = name;
+  for (const EvaluationColumn& column : evaluation_columns()) {
+    const auto found = values.find(column.name);
+    scene.numbers.push_back(found == values.end() ? SceneNumber{kNaN, "it was not measured"}
+                                                  : SceneNumber{found->second, ""});
+  }
+  return scene;
+}
+
+SceneEvaluation scene(const std::string& name, double sample_psnr) {
+  return scene_with(name, {{"sample_psnr", sample_psnr},
+                           {"mean_prediction_psnr", 21.0},
+                           {"psnr_nearest_source", 14.0},
+                           {"psnr_mean_source", 15.5},
+                           {"psnr_mean_color", 19.0},
+                           {"sample_sharpness", 0.5}});
+}
+
+std::vector<std::string> cells(const std::string& line) {
+  std::vector<std::string> result;
+  std::istringstream text(line + ",");
+  for (std::string cell; std::getline(text, cell, ',');) result.push_back(cell);
   return result;
 }
 
-TEST(Evaluation, TheTableHasTheColumnsInOrder) {
-  EXPECT_EQ(evaluation_csv({scene("room_1", 18.25)}),
-            "scene,psnr,psnr_nearest_source,psnr_mean_source,psnr_mean_color,ssim,depth_abs_rel,"
-            "reconstruction_psnr\n"
-            "room_1,18.250000,14.000000,15.500000,13.000000,0.500000,0.125000,27.000000\n");
+TEST(EvaluationReport, HasBothPredictionsOfEveryMetricOfImages) {
+  std::vector<std::string> names;
+  for (const EvaluationColumn& column : evaluation_columns()) names.push_back(column.name);
+  for (const Metric& metric : image_metric_list()) {
+    for (const std::string& name : {"sample_" + metric.name, "mean_prediction_" + metric.name,
+                                    metric.name + "_nearest_source", "reconstruction_" + metric.name}) {
+      EXPECT_THAT(names, testing::Contains(name));
+    }
+  }
+  for (const char* name :
+       {"psnr_mean_source", "psnr_mean_color", "depth_abs_rel_unscaled", "rotation_error"}) {
+    EXPECT_THAT(names, testing::Contains(name));
+  }
+  EXPECT_THAT(names, testing::Not(testing::Contains("psnr")));
 }
 
-TEST(Evaluation, TheSummaryNamesTheBestTrivialPredictor) {
-  const auto summary = evaluation_summary({scene("a", 18.0), scene("b", 20.0)});
-  EXPECT_EQ(summary.at("best_trivial_predictor"), "psnr_mean_source");
-  EXPECT_NEAR(summary.at("margin_over_best_trivial_db").get<double>(), 3.5, 1e-12);
-  EXPECT_NEAR(summary.at("means").at("psnr").at("mean").get<double>(), 19.0, 1e-12);
-  // Standard deviation sqrt(2), standard error 1.
-  EXPECT_NEAR(summary.at("means").at("psnr").at("confidence_95").get<double>(), 1.96, 1e-12);
+TEST(EvaluationReport, TheTableLeavesAbsentNumbersEmpty) {
+  auto first = scene("room_1", 18.25);
+  const std::string csv = evaluation_csv({first});
+  std::istringstream text(csv);
+  std::string header, row;
+  std::getline(text, header);
+  std::getline(text, row);
+  const auto names = cells(header), values = cells(row);
+  ASSERT_EQ(values.size(), names.size());
+  std::map<std::string, std::string> by_name;
+  for (size_t i = 0; i < names.size(); ++i) by_name[names[i]] = values[i];
+  EXPECT_EQ(by_name.at("scene"), "room_1");
+  EXPECT_EQ(by_name.at("sample_psnr"), "18.250000");
+  EXPECT_EQ(by_name.at("mean_prediction_psnr"), "21.000000");
+  EXPECT_EQ(by_name.at("depth_abs_rel_unscaled"), "");
+  EXPECT_EQ(by_name.at("sample_beats_mean_source"), "1");
+  EXPECT_EQ(by_name.at("sample_beats_mean_color"), "0");
 }
 
-TEST(Evaluation, AMeanLeavesOutWhatIsNotFinite) {
-  const double none = std::numeric_limits<double>::quiet_NaN();
-  const auto mean = mean_with_interval({1.0, none, 3.0});
-  EXPECT_EQ(mean.mean, 2.0);
-  EXPECT_EQ(mean.count, 2);
-  EXPECT_TRUE(std::isnan(mean_with_interval({none}).mean));
+TEST(EvaluationReport, CountsWhereSamplesBeatTheTrivialPredictors) {
+  const auto summary = evaluation_summary({scene("a", 18.0), scene("b", 20.0), scene("c", 13.0)});
+  EXPECT_EQ(summary.at("better_than_every_trivial"), 1);
+  EXPECT_EQ(summary.at("sample_beats").at("nearest_source"), 2);
+  EXPECT_EQ(summary.at("sample_beats").at("mean_source"), 2);
+  EXPECT_EQ(summary.at("sample_beats").at("mean_color"), 1);
+  EXPECT_EQ(summary.at("best_trivial_predictor"), "psnr_mean_color");
+  EXPECT_NEAR(summary.at("sample_margin_over_best_trivial_db").get<double>(), 17 - 19, 1e-12);
+  EXPECT_NEAR(summary.at("mean_prediction_margin_over_best_trivial_db").get<double>(), 2, 1e-12);
+  EXPECT_THAT(evaluation_text(summary), HasSubstr("better than every trivial predictor in 1 of 3 scenes"));
 }
 
-TEST(Evaluation, RefusesToEvaluateNothing) {
+TEST(EvaluationReport, AMeanSaysWhatItIsOf) {
+  auto perfect = scene("b", std::numeric_limits<double>::infinity());
+  const auto summary = evaluation_summary({scene("a", 18.0), perfect, scene("c", 20.0)});
+  const auto& psnr = summary.at("means").at("sample_psnr");
+  EXPECT_NEAR(psnr.at("mean").get<double>(), 19.0, 1e-12);
+  EXPECT_NEAR(psnr.at("confidence_95").get<double>(), 1.96, 1e-12);  // standard error 1
+  EXPECT_NEAR(psnr.at("deviation").get<double>(), 1, 1e-12);
+  EXPECT_EQ(psnr.at("scenes"), 2);
+  EXPECT_EQ(psnr.at("infinite"), 1);
+  EXPECT_EQ(psnr.at("unit"), "dB");
+  EXPECT_EQ(psnr.at("better"), "higher");
+  const auto& depth = summary.at("means").at("depth_abs_rel_unscaled");
+  EXPECT_TRUE(depth.at("mean").is_null());
+  EXPECT_EQ(depth.at("scenes"), 0);
+  EXPECT_EQ(depth.at("absent").at("it was not measured"), 3);
+  EXPECT_THAT(evaluation_text(summary), HasSubstr("absent in 3 of 3 scenes, it was not measured"));
+}
+
+TEST(EvaluationOptions, SamplesAreDrawnAsGldSampleDrawsThem) {
+  const EvaluationOptions options;
+  const SampleOptions sample;
+  const DitOptions cascade;
+  EXPECT_TRUE(same_method(options.sampling_method(cascade), sample.method(cascade)));
+  EXPECT_GE(options.sampling_method(cascade).solver.evaluations, 16);
+  EXPECT_EQ(to_json(options.guidance), to_json(sample.guidance));
+  EvaluationOptions other;
+  other.solver.evaluations = 5;
+  EXPECT_EQ(other.sampling_method(cascade).solver.evaluations, 5);
+}
+
+TEST(EvaluationOptions, RefuseToEvaluateNothing) {
   EvaluationOptions options;
   options.synthetic = 0;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
@@ -56,6 +142,141 @@ TEST(Evaluation, RefusesToEvaluateNothing) {
   options.views.most_sources = 4;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "views.most_sources: expected fewer sources than views, found 4; leave at least one target.");
+  options.views.most_sources = 2;
+  options.lpips.lpips_heads = "heads.pth";
+  EXPECT_THAT(test::error_of([&] { options.check(); }), HasSubstr("only the heads"));
+}
+
+// One random model and one drawn scene for all tests.
+class Evaluation : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = new test::TemporaryFolder();
+    auto model = small_bundle_options();
+    model.trained_sizes = {"56x56"};
+    write_random_bundle(folder_->path() / "model", model, 7);
+    SyntheticOptions synthetic;
+    synthetic.seed = 5;
+    synthetic.frames = 6;
+    synthetic.width = synthetic.height = 56;
+    write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder_->path() / "scenes" / "room");
+  }
+  static void TearDownTestSuite() {
+    delete folder_;
+    folder_ = nullptr;
+  }
+
+  static EvaluationOptions options(const std::string& run) {
+    EvaluationOptions options;
+    options.model = (folder_->path() / "model").string();
+    options.scenes = (folder_->path() / "scenes").string();
+    options.synthetic = 0;
+    options.solver.evaluations = 4;
+    options.views.shortest_interval = options.views.longest_interval = 1;
+    options.threads = 1;
+    options.seed = 11;
+    options.out = (folder_->path() / run).string();
+    return options;
+  }
+
+  // Without progress on the terminal.
+  static std::string run(const EvaluationOptions& options) {
+    testing::internal::CaptureStderr();
+    const std::string text = evaluate(options);
+    testing::internal::GetCapturedStderr();
+    return text;
+  }
+
+  static nlohmann::json report(const EvaluationOptions& options) {
+    return nlohmann::json::parse(read_file(std::filesystem::path(options.out) / "report.json"));
+  }
+
+  static test::TemporaryFolder* folder_;
+};
+test::TemporaryFolder* Evaluation::folder_ = nullptr;
+
+TEST_F(Evaluation, ReportsSamplesAndMeanPredictionSideBySide) {
+  const auto asked = options("both");
+  const std::string text = run(asked);
+  const auto found = report(asked);
+  const auto& means = found.at("means");
+  const double sample = means.at("sample_psnr").at("mean"),
+               mean = means.at("mean_prediction_psnr").at("mean");
+  EXPECT_GT(std::abs(sample - mean), 0.01);
+  EXPECT_FALSE(means.contains("psnr"));
+  for (const char* name : {"sample_ssim", "sample_sharpness", "mean_prediction_sharpness",
+                           "psnr_nearest_source", "reconstruction_psnr", "depth_abs_rel_median_scaled"}) {
+    EXPECT_EQ(means.at(name).at("scenes"), 1) << name;
+  }
+  // Absent, with the reason, and not 0.
+  const auto& lpips = means.at("sample_lpips");
+  EXPECT_TRUE(lpips.at("mean").is_null());
+  EXPECT_EQ(lpips.at("absent").at("no LPIPS weights were given (--lpips-backbone, --lpips-heads)"), 1);
+  EXPECT_THAT(text, HasSubstr("lpips: absent in 1 of 1 scenes"));
+  EXPECT_THAT(found.at("methods").at("sample").at("method").get<std::string>(), HasSubstr("4 evaluations"));
+  EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "sheets" / "room.png"));
+}
+
+TEST_F(Evaluation, SolverAndGuidanceAreTheSamplesAlone) {
+  auto asked = options("one_evaluation");
+  asked.solver.evaluations = 1;
+  asked.guidance.guidance_scale = 1;
+  run(asked);
+  const auto one = report(asked).at("means");
+  // A sample of one evaluation without guidance is the prediction of the mean.
+  EXPECT_EQ(one.at("sample_psnr").at("mean"), one.at("mean_prediction_psnr").at("mean"));
+  asked = options("guided");
+  asked.guidance.guidance_scale = 3;
+  run(asked);
+  const auto guided = report(asked).at("means");
+  EXPECT_NE(guided.at("sample_psnr").at("mean"), one.at("sample_psnr").at("mean"));
+  EXPECT_EQ(guided.at("mean_prediction_psnr").at("mean"), one.at("mean_prediction_psnr").at("mean"));
+}
+
+// The same scene, views and noise through `gld sample`: the same latents to the bit, the same depth scale, and the same
+// PSNR up to the eight bits of a picture.
+TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
+  const auto asked = options("as_sampled");
+  const auto bundle = ModelBundle::open(asked.model);
+  const Scene found = open_scene(folder_->path() / "scenes" / "room");
+  const SampleKey key = held_out_key(asked.synthetic_seed, 0);
+  const SamplingScene scene = load_held_out_scene(found, asked.views, key, bundle.options());
+  EvaluationModels models;
+  models.bundle = bundle.options();
+  models.models = kept_bundle_models(bundle, torch::kCPU);
+  const FlowSettings settings =
+      flow_settings(asked.sampling_method(bundle.options().cascade), asked.guidance, bundle.options());
+  const EvaluatedScene evaluated = evaluate_scene(models, scene, settings, asked.seed);
+
+  const SampledViews views = held_out_sample(found, asked.views, key);
+  SampleOptions sampled;
+  sampled.model = asked.model;
+  sampled.scene = (folder_->path() / "scenes" / "room").string();
+  sampled.views.sources.assign(views.frames.begin(), views.frames.begin() + views.num_sources);
+  sampled.views.targets.assign(views.frames.begin() + views.num_sources, views.frames.end());
+  sampled.solver.evaluations = asked.solver.evaluations;
+  sampled.outputs = {"image", "depth", "points", "latents"};
+  sampled.seed = asked.seed;
+  sampled.threads = 1;
+  sampled.out = (folder_->path() / "sampled").string();
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  sample(sampled);
+  testing::internal::GetCapturedStdout();
+  testing::internal::GetCapturedStderr();
+  const std::filesystem::path out = sampled.out;
+  const auto latents = read_all(*WeightFile::open((out / "latents.safetensors").string()));
+  EXPECT_TRUE(torch::equal(latents.at("level0"), evaluated.sample.level0));
+  EXPECT_TRUE(torch::equal(latents.at("level1"), evaluated.sample.latents.at(1)));
+  EXPECT_FALSE(torch::equal(latents.at("level1"), evaluated.mean_prediction.latents.at(1)));
+  const auto written = nlohmann::json::parse(read_file(out / "report.json"));
+  double psnr = 0;
+  for (const auto& view : written.at("against_truth")) psnr += view.at("psnr").get<double>() / 2;
+  EXPECT_NEAR(evaluated.evaluation.number("sample_psnr").value, psnr, 0.01);
+  // Depth without scaling is there exactly where gld sample knows the scale.
+  const bool scale_known =
+      written.contains("pose_alignment") && written.at("pose_alignment").at("scale_known");
+  EXPECT_EQ(evaluated.evaluation.number("depth_abs_rel_unscaled").absent.empty(), scale_known);
 }
 
 }  // namespace

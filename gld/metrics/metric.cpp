@@ -1,0 +1,110 @@
+#include "gld/metrics/metric.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace gld {
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+const std::string& what_is_missing(MetricNeed need) {
+  static const std::vector<std::string> phrases{"there are no images to compare",
+                                                "no network for perceptual distances was given",
+                                                "the scene has no true depth",
+                                                "no depth was predicted",
+                                                "the scale of the predicted depth is unknown",
+                                                "no rays were predicted"};
+  return phrases.at(static_cast<size_t>(need));
+}
+
+}  // namespace
+
+const std::string& better_name(Better better) {
+  static const std::vector<std::string> names{"higher", "lower", "near 1"};
+  return names.at(static_cast<size_t>(better));
+}
+
+bool MetricInputs::has(MetricNeed need) const {
+  switch (need) {
+    case MetricNeed::kImages:
+      return true_images.defined() && images.defined();
+    case MetricNeed::kPerceptualDistance:
+      return static_cast<bool>(perceptual_distance);
+    case MetricNeed::kTrueDepth:
+      return true_depth.defined();
+    case MetricNeed::kDepth:
+      return depth.defined();
+    case MetricNeed::kDepthScale:
+      return depth_scale.has_value();
+    case MetricNeed::kRays:
+      return rays.defined() && !predicted_cameras.empty();
+  }
+  return false;
+}
+
+double MetricValue::mean() const {
+  if (!per_view.defined()) return kNaN;
+  return per_view.masked_select(per_view.isnan().logical_not()).mean().item<double>();
+}
+
+MetricValue absent_metric(std::string reason) {
+  MetricValue value;
+  value.absent = std::move(reason);
+  return value;
+}
+
+MetricValue metric_of_views(const torch::Tensor& per_view, const std::string& reason_without_any) {
+  if (per_view.isnan().all().item<bool>()) return absent_metric(reason_without_any);
+  MetricValue value;
+  value.per_view = per_view.to(torch::kCPU, torch::kFloat64);
+  return value;
+}
+
+bool Metric::of_images() const {
+  return std::find(needs.begin(), needs.end(), MetricNeed::kImages) != needs.end();
+}
+
+MetricValue measure(const Metric& metric, const MetricInputs& inputs) {
+  for (const MetricNeed need : metric.needs) {
+    if (inputs.has(need)) continue;
+    const auto reason = inputs.missing.find(need);
+    return absent_metric(reason == inputs.missing.end() ? what_is_missing(need) : reason->second);
+  }
+  return metric.compute(inputs);
+}
+
+MetricValue measure_images(const Metric& metric, const torch::Tensor& truth, const torch::Tensor& images) {
+  MetricInputs inputs;
+  inputs.true_images = truth;
+  inputs.images = images;
+  return measure(metric, inputs);
+}
+
+SceneStatistics statistics_over_scenes(const std::vector<double>& values) {
+  SceneStatistics result;
+  double sum = 0;
+  for (const double value : values) {
+    if (std::isinf(value)) ++result.infinite;
+    if (!std::isfinite(value)) continue;
+    sum += value;
+    ++result.count;
+  }
+  if (result.count == 0) {
+    result.mean = result.deviation = result.half_width = kNaN;
+    return result;
+  }
+  const auto count = static_cast<double>(result.count);
+  result.mean = sum / count;
+  double squares = 0;
+  for (const double value : values) {
+    if (std::isfinite(value)) squares += (value - result.mean) * (value - result.mean);
+  }
+  result.deviation = std::sqrt(squares / count);
+  if (result.count > 1) result.half_width = 1.96 * std::sqrt(squares / (count - 1) / count);
+  return result;
+}
+
+}  // namespace gld

@@ -1,0 +1,86 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+
+#include <functional>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+enum class Better { kHigher, kLower, kNearOne };
+const std::string& better_name(Better better);  // "higher", "lower", "near 1"
+
+// What a metric may need of a scene.
+enum class MetricNeed {
+  kImages,              // true and predicted images of the target views
+  kPerceptualDistance,  // a network that measures how alike two images look
+  kTrueDepth,
+  kDepth,
+  kDepthScale,  // what brings the predicted depth into the scene's unit
+  kRays,        // predicted rays of all views, and the cameras that fit them
+};
+
+// A scene's truth beside what was predicted. A quantity that is not known stays as it is here; `missing` says why.
+struct MetricInputs {
+  torch::Tensor true_images;  // (targets, 3, height, width), RGB in [0, 1]
+  torch::Tensor images;       // of the same shape; metrics clamp it to [0, 1]
+  // Two batches of images in [0, 1], (targets, 3, height, width) -> (targets): LPIPS, where its weights are there.
+  std::function<torch::Tensor(const torch::Tensor&, const torch::Tensor&)> perceptual_distance;
+  torch::Tensor true_depth;           // (targets, height, width) in the scene's unit, 0 where unknown
+  torch::Tensor depth;                // (targets, height, width) in the model's own unit
+  std::optional<double> depth_scale;  // scene units in one of the model's
+  Views views;                        // the scene's cameras, sources first
+  torch::Tensor rays;  // (views, rows, columns, 6): direction, then origin, in the model's frame
+  std::vector<Camera> predicted_cameras;      // the cameras that fit the rays best, one a view
+  std::map<MetricNeed, std::string> missing;  // one phrase each
+
+  bool has(MetricNeed need) const;
+};
+
+// A metric of the target views of one scene, or why there is none: never 0 in its place.
+struct MetricValue {
+  torch::Tensor per_view;  // (targets), float64; NaN for a view without one; undefined where absent
+  std::string absent;      // one phrase; empty where there is a value
+
+  // Over the views that have a value; NaN where absent. One perfect view makes a mean PSNR infinite.
+  double mean() const;
+};
+
+MetricValue absent_metric(std::string reason);
+// Absent for that reason where no view has a value.
+MetricValue metric_of_views(const torch::Tensor& per_view, const std::string& reason_without_any);
+
+// One number that is the same thing wherever the program reports it.
+struct Metric {
+  std::string name;  // as columns and reports call it
+  std::string unit;  // empty for ratios
+  Better better = Better::kHigher;
+  std::vector<MetricNeed> needs;
+  std::function<MetricValue(const MetricInputs&)> compute;  // called only with everything in needs
+
+  // Whether it compares images, so that any picture can be measured by it.
+  bool of_images() const;
+};
+
+// Absent, with the reason, where something is missing that the metric needs.
+MetricValue measure(const Metric& metric, const MetricInputs& inputs);
+
+// The same for a metric that needs nothing but images, (views, 3, height, width) each.
+MetricValue measure_images(const Metric& metric, const torch::Tensor& truth, const torch::Tensor& images);
+
+// A metric over scenes (docs/FILES.md): mean, population standard deviation and 95 % interval of the finite values.
+struct SceneStatistics {
+  double mean = 0;  // NaN without a finite value
+  double deviation = 0;
+  double half_width = 0;  // of the 95 % confidence interval, 1.96 standard errors
+  int64_t count = 0;      // finite values
+  int64_t infinite = 0;   // left out: PSNRs of perfect predictions
+};
+SceneStatistics statistics_over_scenes(const std::vector<double>& values);
+
+}  // namespace gld

@@ -1,0 +1,20 @@
+#pragma once
+
+#include "gld/metrics/metric.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Every metric of the program, in the order of tables: gld eval, benchmarks and the rest take them from here. A new one is
+// a file that defines `Metric NAME_metric()` and a line in metric_list.cpp.
+const std::vector<Metric>& metric_list();
+
+// Those that compare images.
+const std::vector<Metric>& image_metric_list();
+
+// Throws Error for a name that is none.
+const Metric& metric_named(const std::string& name);
+
+}  // namespace gld

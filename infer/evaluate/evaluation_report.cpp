@@ -1,0 +1,180 @@
+#include "infer/evaluate/evaluation_report.h"
+
+#include "gld/metrics/metric_list.h"
+#include "gld/report/table.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// JSON has no NaN and no infinity.
+nlohmann::ordered_json number_or_null(double value) {
+  return std::isfinite(value) ? nlohmann::ordered_json(value) : nlohmann::ordered_json();
+}
+
+double number_of(const nlohmann::ordered_json& value) {
+  return value.is_null() ? std::numeric_limits<double>::quiet_NaN() : value.get<double>();
+}
+
+nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
+                                       const std::vector<SceneEvaluation>& scenes) {
+  std::vector<double> values;
+  nlohmann::ordered_json reasons = nlohmann::ordered_json::object();
+  for (const SceneEvaluation& scene : scenes) {
+    const SceneNumber& number = scene.number(column.name);
+    values.push_back(number.value);
+    if (!number.absent.empty()) reasons[number.absent] = reasons.value(number.absent, 0) + 1;
+  }
+  const SceneStatistics statistics = statistics_over_scenes(values);
+  nlohmann::ordered_json json{{"mean", number_or_null(statistics.mean)},
+                              {"confidence_95", number_or_null(statistics.half_width)},
+                              {"deviation", number_or_null(statistics.deviation)},
+                              {"scenes", statistics.count},
+                              {"unit", column.metric.unit},
+                              {"better", better_name(column.metric.better)}};
+  if (statistics.infinite > 0) json["infinite"] = statistics.infinite;
+  if (!reasons.empty()) json["absent"] = reasons;
+  return json;
+}
+
+const EvaluationColumn* column_of(const Metric& metric, Predictor predictor) {
+  for (const EvaluationColumn& column : evaluation_columns()) {
+    if (column.metric.name == metric.name && column.of == predictor) return &column;
+  }
+  return nullptr;
+}
+
+std::string with_interval(const nlohmann::ordered_json& statistics, const std::string& unit) {
+  if (statistics.at("mean").is_null()) return statistics.contains("infinite") ? "infinite" : "absent";
+  const int digits = unit == "dB" || unit == "degrees" ? 2 : 3;
+  return fmt::format("{:.{}f} +- {:.{}f}", statistics.at("mean").get<double>(), digits,
+                     statistics.at("confidence_95").get<double>(), digits);
+}
+
+std::string name_with_unit(const Metric& metric) {
+  return metric.unit.empty() ? metric.name : metric.name + " (" + metric.unit + ")";
+}
+
+// A line a reason: "depth_abs_rel_unscaled, depth_rmse_unscaled: absent in 52 of 64 scenes, the cameras do not tell ...".
+std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
+  std::vector<std::pair<std::string, std::string>> names_by_reason;
+  for (const Metric& metric : metric_list()) {
+    const auto& statistics = means.at(column_of(metric, Predictor::kSample)->name);
+    if (!statistics.contains("absent")) continue;
+    for (const auto& item : statistics.at("absent").items()) {
+      const auto reason =
+          fmt::format("absent in {} of {} scenes, {}", item.value().get<int64_t>(), scenes, item.key());
+      const auto known = std::find_if(names_by_reason.begin(), names_by_reason.end(),
+                                      [&](const auto& entry) { return entry.first == reason; });
+      if (known == names_by_reason.end()) {
+        names_by_reason.emplace_back(reason, metric.name);
+      } else {
+        known->second += ", " + metric.name;
+      }
+    }
+  }
+  std::string text;
+  for (const auto& [reason, names] : names_by_reason) text += names + ": " + reason + "\n";
+  return text;
+}
+
+std::string image_table(const nlohmann::ordered_json& means) {
+  std::vector<std::string> header{"target views"};
+  for (const Predictor predictor : all_predictors()) {
+    std::string name = predictor_name(predictor);
+    std::replace(name.begin(), name.end(), '_', ' ');
+    header.push_back(name);
+  }
+  Table table(header);
+  for (const Metric& metric : image_metric_list()) {
+    std::vector<TableCell> row{name_with_unit(metric)};
+    for (const Predictor predictor : all_predictors()) {
+      row.emplace_back(with_interval(means.at(column_of(metric, predictor)->name), metric.unit));
+    }
+    table.add_row(row);
+  }
+  return table.markdown();
+}
+
+std::string geometry_table(const nlohmann::ordered_json& means) {
+  Table table({"geometry of the samples", "mean", "scenes"});
+  for (const Metric& metric : metric_list()) {
+    if (metric.of_images()) continue;
+    const auto& statistics = means.at(metric.name);
+    table.add_row({name_with_unit(metric), with_interval(statistics, metric.unit),
+                   std::to_string(statistics.at("scenes").get<int64_t>())});
+  }
+  return table.markdown();
+}
+
+}  // namespace
+
+std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
+  std::string text = "scene";
+  for (const EvaluationColumn& column : evaluation_columns()) text += "," + column.name;
+  for (const Predictor trivial : trivial_predictors()) text += ",sample_beats_" + predictor_name(trivial);
+  text += '\n';
+  for (const SceneEvaluation& scene : scenes) {
+    text += scene.scene;
+    for (const SceneNumber& number : scene.numbers) {
+      text += number.absent.empty() ? fmt::format(",{:.6f}", number.value) : ",";
+    }
+    for (const Predictor trivial : trivial_predictors()) text += scene.sample_beats(trivial) ? ",1" : ",0";
+    text += '\n';
+  }
+  return text;
+}
+
+nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& scenes) {
+  nlohmann::ordered_json means;
+  for (const EvaluationColumn& column : evaluation_columns()) {
+    means[column.name] = statistics_json(column, scenes);
+  }
+  const Metric& metric = metric_named("psnr");
+  const auto mean_psnr = [&](Predictor predictor) {
+    return number_of(means.at(column_of(metric, predictor)->name).at("mean"));
+  };
+  const auto& trivial = trivial_predictors();
+  const Predictor best = *std::max_element(
+      trivial.begin(), trivial.end(), [&](Predictor a, Predictor b) { return mean_psnr(a) < mean_psnr(b); });
+  nlohmann::ordered_json summary = {{"scenes", scenes.size()}, {"means", means}};
+  summary["best_trivial_predictor"] = column_of(metric, best)->name;
+  summary["sample_margin_over_best_trivial_db"] =
+      number_or_null(mean_psnr(Predictor::kSample) - mean_psnr(best));
+  summary["mean_prediction_margin_over_best_trivial_db"] =
+      number_or_null(mean_psnr(Predictor::kMeanPrediction) - mean_psnr(best));
+  for (const Predictor predictor : trivial) {
+    summary["sample_beats"][predictor_name(predictor)] =
+        std::count_if(scenes.begin(), scenes.end(),
+                      [&](const SceneEvaluation& scene) { return scene.sample_beats(predictor); });
+  }
+  summary["better_than_every_trivial"] =
+      std::count_if(scenes.begin(), scenes.end(),
+                    [](const SceneEvaluation& scene) { return scene.sample_beats_every_trivial(); });
+  return summary;
+}
+
+std::string evaluation_text(const nlohmann::ordered_json& summary) {
+  const auto& means = summary.at("means");
+  const auto scenes = summary.at("scenes").get<size_t>();
+  std::string text = image_table(means) + "\n" + geometry_table(means) + "\n";
+  text += absent_text(means, scenes);
+  text += fmt::format("samples are better than every trivial predictor in {} of {} scenes (PSNR)\n",
+                      summary.at("better_than_every_trivial").get<int64_t>(), scenes);
+  const auto margin = [&](const char* key) {
+    const auto& value = summary.at(key);
+    return value.is_null() ? std::string("unknown") : fmt::format("{:+.2f} dB", value.get<double>());
+  };
+  return text + fmt::format("over {}: samples {}, mean prediction {}\n",
+                            summary.at("best_trivial_predictor").get<std::string>(),
+                            margin("sample_margin_over_best_trivial_db"),
+                            margin("mean_prediction_margin_over_best_trivial_db"));
+}
+
+}  // namespace gld
