@@ -1,6 +1,7 @@
 #include "train/objectives/backbone_objective.h"
 
 #include "gld/base/error.h"
+#include "gld/metrics/image_metrics.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
 #include "train/objectives/feature_noise.h"
@@ -148,7 +149,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     total += result.geometry.total.item<double>();
     relative += result.geometry.absolute_relative.item<double>();
     if (result.shallow_image.defined()) {
-      pixel_psnr += mean_psnr(result.shallow_image, scene.images.to(placement_.device));
+      pixel_psnr += psnr(scene.images.to(placement_.device), result.shallow_image).mean().item<double>();
     }
     if (validation.rows.size() < 4) {
       PictureRow row;

@@ -1,7 +1,6 @@
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
-#include <cmath>
 
 namespace gld {
 
@@ -16,16 +15,6 @@ torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& g
   return patches.reshape({grid.views, grid.height, grid.width, patch, patch, 3})
       .permute({0, 5, 1, 3, 2, 4})
       .reshape({grid.views, 3, grid.height * patch, grid.width * patch});
-}
-
-double mean_psnr(const torch::Tensor& images, const torch::Tensor& truth) {
-  const auto error =
-      (images.clamp(0.0, 1.0) - truth).square().flatten(1).to(torch::kFloat64).mean(1).to(torch::kCPU);
-  double sum = 0.0;
-  for (int64_t view = 0; view < error.size(0); ++view) {
-    sum += std::min(100.0, -10.0 * std::log10(std::max(error[view].item<double>(), 1e-20)));
-  }
-  return sum / static_cast<double>(error.size(0));
 }
 
 torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range) {

@@ -17,9 +17,6 @@ torch::Tensor image_patches(const torch::Tensor& images, int64_t patch);
 // The inverse.
 torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& grid, int64_t patch);
 
-// Mean over views of 10 log10(1 / mean squared error) of images clamped to [0, 1]; at most 100.
-double mean_psnr(const torch::Tensor& images, const torch::Tensor& truth);
-
 // A depth map in shades of grey, near is bright: (height, width) -> (3, height, width). The range is that of all
 // known depths in `range`.
 torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range);
