@@ -5,6 +5,7 @@
 #include "datasets/loading/dataset.h"
 #include "datasets/pictures/contact_sheet.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/latents/noise.h"
@@ -12,15 +13,14 @@
 #include "gld/metrics/image_metrics.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
-#include "gld/tensors/torch_version.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/layers/imagenet.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <thread>
 
 #include <torch/autograd.h>
 
@@ -213,19 +213,19 @@ EvaluationOptions::EvaluationOptions() {
 
 void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder"}, model);
-  visitor.text({"out", "run folder"}, out);
+  visit_out(visitor, out);
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
-  visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
+  visit_scenes(visitor, scenes, "generated ones");
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.group({"solver", "solver of both flows"}, solver);
   visitor.group({"guidance", "guidance of both flows"}, guidance);
-  visitor.integer({"seed", "seed of the noise"}, seed, {0, 1'000'000'000'000});
+  visit_seed(visitor, seed, "the noise");
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads for computing; 0 is all processors"}, threads, {0, 1024});
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
 }
 
 void EvaluationOptions::check() const {
@@ -236,6 +236,7 @@ void EvaluationOptions::check() const {
     fail({"views.most_sources", "fewer sources than views", std::to_string(views.most_sources),
           "leave at least one target"});
   }
+  check_out(out, "runs/eval");
 }
 
 MeanWithInterval mean_with_interval(const std::vector<double>& values) {
@@ -298,8 +299,7 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
 std::string evaluate(const EvaluationOptions& options) {
   install_interrupt_handler();
   const torch::NoGradGuard no_grad;
-  const auto processors = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
-  set_thread_count(static_cast<int>(options.threads > 0 ? options.threads : processors));
+  use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const auto dataset =

@@ -22,7 +22,7 @@ struct EvaluationOptions : OptionsGroup {
   std::string out;
   int64_t synthetic = 64;                 // generated scenes; 0 when scenes are given
   int64_t synthetic_seed = kHeldOutSeed;  // training and validation use others
-  std::string scenes;                     // folder of scenes in any layout
+  std::vector<std::string> scenes;        // folders; empty: generated ones
   SyntheticOptions generator;             // what the generated scenes look like
   ViewSampling views;
   SolverOptions solver;

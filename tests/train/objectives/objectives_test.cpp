@@ -223,7 +223,8 @@ DecoderObjectiveOptions quiet_decoder() {
 std::map<std::string, torch::Tensor> discriminator_weights(const DecoderObjective& objective) {
   std::map<std::string, torch::Tensor> weights;
   for (const auto& [name, tensor] : objective.state()) {
-    const bool vector = name.size() > 2 && name.substr(name.size() - 2) == "_u";
+    const std::string end = name.substr(name.size() - 2);
+    const bool vector = end == "_u" || end == "_v";
     if (name.rfind("discriminator.", 0) == 0 && !vector) weights[name] = tensor.clone();
   }
   return weights;
