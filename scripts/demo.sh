@@ -12,7 +12,7 @@ scripts/setup.sh
 scripts/build.sh gld
 
 # Two evaluations a level: close to the mean of what could be there, which so small a model knows better than details.
-build/release/cli/gld synth --seed "$held_out_seed" --scenes 1 --frames 12 --width 112 --height 112 --out "$out/scene"
+build/release/cli/gld synth --seed "$held_out_seed" --scene-count 1 --frames 12 --width 112 --height 112 --out "$out/scene"
 scene=$(find "$out/scene" -name cameras.json -printf '%h\n' | sort | head -1)
 build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --targets 2,3,4,9 \
   --evaluations 2 --guidance-scale 1 --out "$out/targets"

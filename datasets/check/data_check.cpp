@@ -2,6 +2,7 @@
 
 #include "datasets/check/depth_warp.h"
 #include "datasets/images/image_probe.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
@@ -206,11 +207,11 @@ void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataChec
 
 }  // namespace
 
-DataCheckOptions::DataCheckOptions() { scene.broken_frames = BrokenFrames::kSkip; }
+DataCheckOptions::DataCheckOptions() { reading.broken_frames = BrokenFrames::kSkip; }
 
 void DataCheckOptions::visit(FieldVisitor& visitor) {
-  visitor.group({"scene", "how the scene is read"}, scene);
-  visitor.text({"out", "run folder for report.json and pictures; empty: only text"}, out);
+  visitor.group({"reading", "how scenes are read"}, reading);
+  visit_out(visitor, out);
   visitor.integer({"most_scenes", "checked in a folder of scenes"}, most_scenes, {1, 1'000'000});
   visitor.integer({"most_images", "decoded in each scene"}, most_images, {0, 1'000'000});
   visitor.integer({"most_pairs", "of neighbouring frames compared"}, most_pairs, {1, 1000});
@@ -243,7 +244,7 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
 }
 
 DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options) {
-  SceneReading reading = options.scene;
+  SceneReading reading = options.reading;
   reading.part = location.part;
   try {
     return check_scene(open_scene(location.path, reading), options);

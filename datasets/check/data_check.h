@@ -15,7 +15,7 @@
 namespace gld {
 
 struct DataCheckOptions : OptionsGroup {
-  SceneReading scene;
+  SceneReading reading;
   std::string out;          // run folder; empty: only text
   int64_t most_scenes = 5;  // of a folder of scenes
   int64_t most_images = 8;  // decoded to see whether they can be

@@ -21,8 +21,8 @@ nlohmann::ordered_json span_json(const Span& span) { return {span.low, span.high
 
 // Only one scene is asked for when the path is one.
 std::vector<SceneLocation> scenes_at(const std::filesystem::path& path, const DataCheckOptions& options) {
-  if (!options.scene.part.empty()) return {{path, options.scene.part}};
-  std::vector<SceneLocation> scenes = list_scenes(path, options.scene);
+  if (!options.reading.part.empty()) return {{path, options.reading.part}};
+  std::vector<SceneLocation> scenes = list_scenes(path, options.reading);
   scenes.resize(std::min<size_t>(scenes.size(), static_cast<size_t>(options.most_scenes)));
   return scenes;
 }
@@ -105,7 +105,7 @@ int run_data_check(const std::filesystem::path& path, const DataCheckOptions& op
     with_problems += check.problems.empty() ? 0 : 1;
     report["scenes"].push_back(data_check_json(check));
     if (run == nullptr || check.frames == 0) continue;
-    SceneReading reading = options.scene;
+    SceneReading reading = options.reading;
     reading.part = scenes[i].part;
     const std::string name = fmt::format("cameras_{:03}.png", i);
     write_png(run->path() / name, draw_camera_layout(open_scene(scenes[i].path, reading)));

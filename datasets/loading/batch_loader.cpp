@@ -1,5 +1,6 @@
 #include "datasets/loading/batch_loader.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 
 #include <cmath>
@@ -31,7 +32,7 @@ void check_positions(const Scene& scene, const SampledViews& sampled, double lim
 
 void BatchLoading::visit(FieldVisitor& visitor) {
   visitor.integer({"batch_size", "scenes in a batch"}, batch_size, {1, 100'000});
-  visitor.integer({"seed", "of the choice of scenes, views and sizes"}, seed, {0});
+  visit_seed(visitor, seed, "the choice of scenes, views and sizes");
   visitor.real(
       {"max_translation_norm",
        "largest distance of a camera from the origin, in the scene's unit; samples beyond are refused"},

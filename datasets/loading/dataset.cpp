@@ -7,8 +7,14 @@ constexpr size_t kScenesKept = 1000;
 
 }  // namespace
 
-FolderDataset::FolderDataset(const std::filesystem::path& root, const SceneReading& reading)
-    : reading_(reading), locations_(list_scenes(root, reading)), scenes_(locations_.size()) {}
+FolderDataset::FolderDataset(const std::vector<std::string>& roots, const SceneReading& reading)
+    : reading_(reading) {
+  for (const auto& root : roots) {
+    const auto found = list_scenes(root, reading);
+    locations_.insert(locations_.end(), found.begin(), found.end());
+  }
+  scenes_.resize(locations_.size());
+}
 
 std::string FolderDataset::scene_name(int64_t index) const {
   const SceneLocation& location = locations_.at(static_cast<size_t>(index));
@@ -24,7 +30,7 @@ Scene FolderDataset::scene(int64_t index) const {
   }
   // Read outside the lock: two threads may read the same scene once each, none waits for the other's disk.
   SceneReading reading = reading_;
-  reading.part = location.part;
+  if (!location.part.empty()) reading.part = location.part;
   auto scene = std::make_shared<const Scene>(open_scene(location.path, reading));
   const std::lock_guard<std::mutex> lock(mutex_);
   if (!scenes_[i]) kept_.push_back(i);

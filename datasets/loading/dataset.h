@@ -23,11 +23,13 @@ class Dataset {
   virtual Scene scene(int64_t index) const = 0;
 };
 
-// All scenes below a folder, in any of the layouts. The cameras of the last thousand scenes that were read are kept,
+// All scenes below some folders, folder by folder, in any of the layouts. The cameras of the last thousand scenes that were read are kept,
 // pixels are not: all cameras of RealEstate10K would take gigabytes.
 class FolderDataset : public Dataset {
  public:
-  FolderDataset(const std::filesystem::path& root, const SceneReading& reading);
+  FolderDataset(const std::filesystem::path& root, const SceneReading& reading)
+      : FolderDataset(std::vector<std::string>{root.string()}, reading) {}
+  FolderDataset(const std::vector<std::string>& roots, const SceneReading& reading);
   int64_t size() const override { return static_cast<int64_t>(locations_.size()); }
   std::string scene_name(int64_t index) const override;
   Scene scene(int64_t index) const override;

@@ -1,17 +1,11 @@
 #pragma once
 
+#include "gld/base/mixed_bits.h"
+
 #include <cstdint>
 #include <initializer_list>
 
 namespace gld {
-
-// Mixes the bits of a 64-bit number (the finaliser of SplitMix64).
-inline uint64_t mixed_bits(uint64_t x) {
-  x += 0x9E3779B97F4A7C15ULL;
-  x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ULL;
-  x = (x ^ (x >> 27)) * 0x94D049BB133111EBULL;
-  return x ^ (x >> 31);
-}
 
 // A small generator whose numbers are the same with every compiler and library, unlike the distributions of <random>:
 // scenes and view choices must be reproducible from their seed. SplitMix64.
@@ -23,7 +17,7 @@ class SeededRandom {
   }
 
   uint64_t bits() {
-    state_ += 0x9E3779B97F4A7C15ULL;
+    state_ += kSplitMixIncrement;
     return mixed_bits(state_);
   }
   // In [0, 1).

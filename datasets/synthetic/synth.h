@@ -11,7 +11,7 @@ struct SynthOptions : OptionsGroup {
   SyntheticOptions scene;
   std::string layout = "cameras-json";
   std::string out;  // run folder
-  int64_t threads = 2;
+  int64_t threads = 0;
 
   SynthOptions();
   void visit(FieldVisitor& visitor) override;

@@ -2,6 +2,7 @@
 
 #include "datasets/synthetic/synthetic_layout.h"
 #include "datasets/synthetic/synthetic_renderer.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 
 #include <memory>
@@ -11,9 +12,9 @@
 namespace gld {
 
 void SyntheticOptions::visit(FieldVisitor& visitor) {
-  visitor.integer({"seed", "of the generator; training and held-out scenes use different seeds"}, seed, {0});
+  visit_seed(visitor, seed, "the generator (training and held-out scenes use different ones)");
   visitor.integer({"first_scene", "number of the first scene"}, first_scene, {0});
-  visitor.integer({"scenes", "number of scenes"}, scenes, {1, 1'000'000'000});
+  visitor.integer({"scene_count", "number of scenes"}, scene_count, {1, 1'000'000'000});
   visitor.integer({"frames", "frames on each scene's camera path"}, frames, {1, 100'000});
   visitor.integer({"width", "of the images, pixels"}, width, {8, 8192});
   visitor.integer({"height", "of the images, pixels"}, height, {8, 8192});

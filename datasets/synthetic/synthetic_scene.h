@@ -13,7 +13,7 @@ namespace gld {
 struct SyntheticOptions : OptionsGroup {
   int64_t seed = 0;
   int64_t first_scene = 0;
-  int64_t scenes = 1000;
+  int64_t scene_count = 1000;
   int64_t frames = 24;
   int64_t width = 112;   // pixels
   int64_t height = 112;  // pixels
@@ -32,7 +32,7 @@ Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index);
 class SyntheticDataset : public Dataset {
  public:
   explicit SyntheticDataset(const SyntheticOptions& options);
-  int64_t size() const override { return options_.scenes; }
+  int64_t size() const override { return options_.scene_count; }
   std::string scene_name(int64_t index) const override;
   Scene scene(int64_t index) const override;
 

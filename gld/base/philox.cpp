@@ -1,5 +1,7 @@
 #include "gld/base/philox.h"
 
+#include "gld/base/mixed_bits.h"
+
 #include <algorithm>
 #include <cmath>
 
@@ -11,14 +13,6 @@ constexpr uint32_t kMultiplier1 = 0xCD9E8D57U;
 constexpr uint32_t kWeyl0 = 0x9E3779B9U;  // golden ratio
 constexpr uint32_t kWeyl1 = 0xBB67AE85U;  // sqrt(3) - 1
 constexpr int kRounds = 10;
-
-// The finaliser of SplitMix64.
-uint64_t mixed(uint64_t x) {
-  x += 0x9E3779B97F4A7C15ULL;
-  x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ULL;
-  x = (x ^ (x >> 27)) * 0x94D049BB133111EBULL;
-  return x ^ (x >> 31);
-}
 
 // Strictly between 0 and 1, so that its logarithm is finite.
 double open_uniform(uint32_t bits) { return (static_cast<double>(bits) + 0.5) * 0x1.0p-32; }
@@ -40,7 +34,7 @@ std::array<uint32_t, 4> philox4x32(PhiloxCounter counter, PhiloxKey key) {
 PhiloxKey philox_key(uint64_t seed, const std::string& stream) {
   uint64_t hash = 0xCBF29CE484222325ULL;  // FNV-1a
   for (const char letter : stream) hash = (hash ^ static_cast<unsigned char>(letter)) * 0x100000001B3ULL;
-  const uint64_t key = mixed(mixed(seed) ^ hash);
+  const uint64_t key = mixed_bits(mixed_bits(seed) ^ hash);
   return {static_cast<uint32_t>(key), static_cast<uint32_t>(key >> 32)};
 }
 

@@ -6,12 +6,14 @@
 
 namespace gld {
 
+std::string program_version() { return "gld " GLD_VERSION; }
+
 Provenance make_provenance(const std::string& command, const OptionsGroup& options,
                            const std::vector<std::string>& leave_out) {
   nlohmann::json values = to_json(options);
   for (const std::string& name : leave_out) values.erase(name);
   Provenance provenance;
-  provenance.program = "gld " GLD_VERSION;
+  provenance.program = program_version();
   provenance.command = command;
   provenance.options = values.dump();
   return provenance;

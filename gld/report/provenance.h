@@ -22,6 +22,9 @@ struct Provenance {
   int64_t seed = 0;
 };
 
+// "gld 0.1.0": this build.
+std::string program_version();
+
 // program is this build's; options without those named in leave_out ("out", "threads": they do not change what a
 // file shows, and an output's bytes must not depend on where it lies).
 Provenance make_provenance(const std::string& command, const OptionsGroup& options,

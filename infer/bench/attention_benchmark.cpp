@@ -2,22 +2,22 @@
 
 #include "gld/attention/attention.h"
 #include "gld/attention/composed_attention.h"
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/interrupt.h"
 #include "gld/kernels/attention_kernel.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/timing.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/product_peak.h"
 #include "gld/tensors/torch_version.h"
 
 #include <algorithm>
 #include <functional>
-#include <iostream>
-#include <thread>
 
 #include <torch/autograd.h>
 #include <torch/types.h>
@@ -223,9 +223,9 @@ void measure(const Problem& problem, int64_t repeats, std::vector<AttentionBench
   }
 }
 
-std::vector<int64_t> thread_counts(const AttentionBenchmarkOptions& options) {
-  if (!options.threads.empty()) return options.threads;
-  const auto cores = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
+std::vector<int64_t> thread_counts_of(const AttentionBenchmarkOptions& options) {
+  if (!options.thread_counts.empty()) return options.thread_counts;
+  const int64_t cores = threads_to_use(0);
   return cores == 1 ? std::vector<int64_t>{1} : std::vector<int64_t>{1, cores};
 }
 
@@ -278,19 +278,22 @@ Table overview(const std::vector<AttentionBenchmarkRow>& rows) {
 }  // namespace
 
 void AttentionBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.integers({"head_dims", "channels a head"}, head_dims, {1, 256});
   visitor.integers({"tokens", "token counts; the composition needs 8 heads tokens^2 bytes"}, tokens,
                    {1, 100000});
-  visitor.integers({"threads", "thread counts; 1 and all cores when empty"}, threads, {1, 4096});
+  visitor.integers({"thread_counts", "threads to compute with; 1 and one a core when empty"}, thread_counts,
+                   {1, kMostThreads});
   visitor.integer({"heads", "attention heads"}, heads, {1, 1024});
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
 }
 
+void AttentionBenchmarkOptions::check() const { check_out(out, "runs/bench"); }
+
 std::vector<AttentionBenchmarkRow> attention_benchmark_rows(const AttentionBenchmarkOptions& options) {
   const ThreadCountScope restore;
   std::vector<AttentionBenchmarkRow> rows;
-  const auto counts = thread_counts(options);
+  const auto counts = thread_counts_of(options);
   Progress progress("bench attention",
                     static_cast<int64_t>(counts.size() * options.head_dims.size() * options.tokens.size()));
   int64_t done = 0;
@@ -298,7 +301,7 @@ std::vector<AttentionBenchmarkRow> attention_benchmark_rows(const AttentionBench
     for (const int64_t tokens : options.tokens) {
       const Problem problem = make_problem(tokens, options.heads, head_dim);
       for (const int64_t threads : counts) {
-        set_thread_count(static_cast<int>(threads));
+        use_threads(threads);
         measure(problem, options.repeats, rows);
         progress.update(++done,
                         fmt::format("head size {}, {} tokens, {} threads", head_dim, tokens, threads));
@@ -322,7 +325,7 @@ Table attention_benchmark_table(const std::vector<AttentionBenchmarkRow>& rows, 
 int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench attention", options);
   const ThreadCountScope restore;
-  set_thread_count(static_cast<int>(thread_counts(options).back()));
+  use_threads(thread_counts_of(options).back());
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   const double multiply_add = measure_multiply_add_peak(peak);
@@ -334,27 +337,24 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
       "({}) reaches {:.0f}.\n\n{}",
       instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_name(),
       sgemm * 1e-9, overview(rows).markdown());
-  write_file_atomically(folder.path() / "attention.csv",
-                        attention_benchmark_table(rows, AttentionPass::kForward).csv());
-  write_file_atomically(folder.path() / "attention_backward.csv",
-                        attention_benchmark_table(rows, AttentionPass::kBackward).csv());
-  write_file_atomically(folder.path() / "attention.md", text);
-  const auto figure = attention_figure(rows);
-  write_svg(figure, folder.path() / "attention.svg");
-  write_png(figure, folder.path() / "attention.png");
-  folder.write_report({{"command", "bench attention"},
-                       {"options", to_json(options)},
-                       {"multiply_add_peak", multiply_add},
-                       {"sgemm_peak", sgemm},
-                       {"blas", blas_name()},
-                       {"vectors", instruction_set_name(best_instruction_set())}});
-  std::cout << text << "\n";
-  folder.note("forward passes", "attention.csv");
-  folder.note("backward passes", "attention_backward.csv");
-  folder.note("table", "attention.md");
-  folder.note("plot", "attention.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {
+      {"attention.csv", attention_benchmark_table(rows, AttentionPass::kForward).csv()},
+      {"attention_backward.csv", attention_benchmark_table(rows, AttentionPass::kBackward).csv()},
+      {"attention.md", text}};
+  results.figures = {{"attention", attention_figure(rows)}};
+  results.report = {{"command", "bench attention"},
+                    {"options", to_json(options)},
+                    {"multiply_add_peak", multiply_add},
+                    {"sgemm_peak", sgemm},
+                    {"blas", blas_name()},
+                    {"vectors", instruction_set_name(best_instruction_set())}};
+  results.notes = {{"forward passes", "attention.csv"},
+                   {"backward passes", "attention_backward.csv"},
+                   {"table", "attention.md"},
+                   {"plot", "attention.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

@@ -14,11 +14,12 @@ struct AttentionBenchmarkOptions : OptionsGroup {
   std::string out;
   std::vector<int64_t> head_dims{48, 128};
   std::vector<int64_t> tokens{1440, 5760};
-  std::vector<int64_t> threads;  // empty: 1 and all cores
+  std::vector<int64_t> thread_counts;  // empty: 1 and one a core
   int64_t heads = 2;
   int64_t repeats = 7;
 
   void visit(FieldVisitor& visitor) override;
+  void check() const override;
 };
 
 enum class AttentionPass { kForward, kBackward };

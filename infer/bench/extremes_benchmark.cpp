@@ -1,21 +1,23 @@
 #include "infer/bench/extremes_benchmark.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
 #include <chrono>
-#include <iostream>
 
 #include <ATen/core/grad_mode.h>
 
 namespace gld {
 
 void ExtremesBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.integer({"camera_sets", "random extreme camera sets to try"}, camera_sets, {0, 10000000});
 }
+
+void ExtremesBenchmarkOptions::check() const { check_out(out, "runs/bench"); }
 
 Table extremes_table(const std::vector<ExtremeRow>& rows) {
   Table table({"area", "situation", "measured", "value", "limit", "passed"});
@@ -46,19 +48,17 @@ int run_extremes_benchmark(const ExtremesBenchmarkOptions& options) {
   const auto table = extremes_table(rows);
   const auto passed =
       std::count_if(rows.begin(), rows.end(), [](const ExtremeRow& row) { return row.passed(); });
-  write_file_atomically(folder.path() / "extremes.csv", table.csv());
-  write_file_atomically(folder.path() / "extremes.md", "# Extreme cases\n\n" + table.markdown());
-  folder.write_report(
-      {{"command", "bench extremes"},
-       {"options", to_json(options)},
-       {"rows", rows.size()},
-       {"passed", passed},
-       {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}});
-  std::cout << table.markdown() << "\n";
-  folder.note("every case", "extremes.csv");
-  folder.note("table", "extremes.md");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = table.markdown();
+  results.files = {{"extremes.csv", table.csv()}, {"extremes.md", "# Extreme cases\n\n" + table.markdown()}};
+  results.report = {
+      {"command", "bench extremes"},
+      {"options", to_json(options)},
+      {"rows", rows.size()},
+      {"passed", passed},
+      {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}};
+  results.notes = {{"every case", "extremes.csv"}, {"table", "extremes.md"}};
+  finish_benchmark(folder, results);
   return passed == static_cast<int64_t>(rows.size()) ? 0 : 1;
 }
 

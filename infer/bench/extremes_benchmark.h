@@ -17,6 +17,7 @@ struct ExtremesBenchmarkOptions : OptionsGroup {
   int64_t camera_sets = 10000;
 
   void visit(FieldVisitor& visitor) override;
+  void check() const override;
 };
 
 // A measured number and the limit it must not exceed.

@@ -1,14 +1,17 @@
 #include "infer/bench/forward_benchmark.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/timing.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/product_peak.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/bench/composed_dit.h"
@@ -17,10 +20,8 @@
 
 #include <algorithm>
 #include <cmath>
-#include <iostream>
 #include <memory>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
@@ -44,21 +45,6 @@ void fill_with_random_weights(torch::nn::Module& module) {
     const double range = 1.0 / std::sqrt(static_cast<double>(parameter[0].numel()));
     parameter.uniform_(-range, range);
   }
-}
-
-Views cameras_in_a_row(const ForwardBenchmarkOptions& options, const ImageSize& size) {
-  Views views;
-  views.num_sources = options.sources;
-  for (int64_t i = 0; i < options.views; ++i) {
-    Camera camera;
-    camera.width = size.width;
-    camera.height = size.height;
-    const auto focal = static_cast<double>(size.width);
-    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(size.height), 0, 0, 1;
-    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
-    views.cameras.push_back(camera);
-  }
-  return views;
 }
 
 // A model, a scene and everything that exact savings compute once.
@@ -86,7 +72,7 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
                 channels = setting.model->options().in_channels;
   torch::manual_seed(2);
   DitSceneInputs inputs;
-  inputs.views = cameras_in_a_row(options, size);
+  inputs.views = cameras_in_a_row({options.views, options.sources, size});
   inputs.source_features = torch::randn({options.sources, tokens, channels});
   setting.scene = setting.model->prepare_scene(inputs);
   setting.time = setting.model->time_rows({kFlowTime}).front();
@@ -199,19 +185,20 @@ Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
 }  // namespace
 
 void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.text({"model", "model bundle; empty for the full-size M1 with random weights"}, model);
   visitor.integer({"views", "source and target views"}, views, {1, 1000});
   visitor.integer({"sources", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size, width x height in pixels"}, size);
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
-  visitor.integer({"threads", "computing threads; 0 for all processors"}, threads, {0, 4096});
+  visit_threads(visitor, threads);
 }
 
 void ForwardBenchmarkOptions::check() const {
   if (sources > views) {
     fail({"--sources", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
   }
+  check_out(out, "runs/bench");
 }
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options) {
@@ -252,8 +239,7 @@ Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
 
 int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench forward", options);
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  use_threads(options.threads);
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   double sgemm = measure_sgemm_peak();
@@ -273,24 +259,16 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
       "{:.2f} times as fast.\n\n{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
       overview(rows).markdown());
-  write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());
-  write_file_atomically(folder.path() / "forward.md", text);
-  const auto figure = forward_figure(rows);
-  write_svg(figure, folder.path() / "forward.svg");
-  write_png(figure, folder.path() / "forward.png");
-  folder.write_report({{"command", "bench forward"},
-                       {"options", to_json(options)},
-                       {"threads", thread_count()},
-                       {"multiply_add_peak", multiply_add},
-                       {"sgemm_peak", sgemm},
-                       {"speedup", speedup},
-                       {"blas", blas_name()}});
-  std::cout << text << "\n";
-  folder.note("parts", "forward.csv");
-  folder.note("table", "forward.md");
-  folder.note("plot", "forward.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {{"forward.csv", forward_benchmark_table(rows).csv()}, {"forward.md", text}};
+  results.figures = {{"forward", forward_figure(rows)}};
+  results.report = {{"command", "bench forward"}, {"options", to_json(options)},
+                    {"threads", thread_count()},  {"multiply_add_peak", multiply_add},
+                    {"sgemm_peak", sgemm},        {"speedup", speedup},
+                    {"blas", blas_name()}};
+  results.notes = {{"parts", "forward.csv"}, {"table", "forward.md"}, {"plot", "forward.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

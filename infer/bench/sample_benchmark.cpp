@@ -1,14 +1,18 @@
 #include "infer/bench/sample_benchmark.h"
 
+#include "datasets/loading/dataset.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/pipeline/bundle_models.h"
@@ -17,11 +21,9 @@
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <iostream>
 #include <limits>
 #include <memory>
 #include <set>
-#include <thread>
 
 #include <fmt/format.h>
 
@@ -180,31 +182,27 @@ class BenchmarkScenes {
  public:
   BenchmarkScenes(const SampleBenchmarkOptions& options, const BundleOptions& bundle)
       : options_(options), bundle_(bundle) {
-    if (options.scene.empty()) {
+    if (options.scenes.empty()) {
       const auto size = bundle.image_sizes().front();
       generator_.seed = options.synthetic_seed;
-      generator_.scenes = options.synthetic;
+      generator_.scene_count = options.synthetic;
       generator_.width = size.width;
       generator_.height = size.height;
       return;
     }
-    locations_ = list_scenes(options.scene, options.reading);
-    locations_.resize(std::min(locations_.size(), static_cast<size_t>(options.max_scenes)));
+    dataset_ = std::make_unique<FolderDataset>(options.scenes, options.reading);
   }
 
   int64_t size() const {
-    return options_.scene.empty() ? options_.synthetic : static_cast<int64_t>(locations_.size());
+    return dataset_ ? std::min(options_.max_scenes, dataset_->size()) : options_.synthetic;
   }
 
   SamplingScene load(int64_t index) const {
-    if (options_.scene.empty()) {
+    if (!dataset_) {
       const SampleKey key = held_out_key(options_.synthetic_seed, index);
       return load_held_out_scene(make_synthetic_scene(generator_, index), held_out_views(), key, bundle_);
     }
-    const auto& location = locations_[static_cast<size_t>(index)];
-    SceneReading reading = options_.reading;
-    if (!location.part.empty()) reading.part = location.part;
-    const Scene scene = open_scene(location.path, reading);
+    const Scene scene = dataset_->scene(index);
     const auto size = choose_size(options_.size, scene, bundle_.image_sizes(), bundle_.backbone.patch_side());
     return load_sampling_scene(scene, options_.views, size);
   }
@@ -213,7 +211,7 @@ class BenchmarkScenes {
   const SampleBenchmarkOptions& options_;
   const BundleOptions& bundle_;
   SyntheticOptions generator_;
-  std::vector<SceneLocation> locations_;
+  std::unique_ptr<FolderDataset> dataset_;  // none: generated scenes
 };
 
 enum class RowValue { kError, kPsnr };
@@ -267,34 +265,35 @@ Figure sample_figure(const std::vector<SampleRow>& means, double guidance_scale)
 
 void SampleBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
-  visitor.text({"scene", "folder of a scene, or of several; its views are --sources and --targets"}, scene);
-  visitor.integer({"max_scenes", "how many scenes of the folder to take"}, max_scenes, {1, 100000});
-  visitor.integer({"synthetic", "number of generated scenes, in the place of --scene; those of gld eval"},
+  visit_scenes(visitor, scenes, "generated ones, with views of their own");
+  visitor.integer({"max_scenes", "how many scenes of --scenes to take"}, max_scenes, {1, 100000});
+  visitor.integer({"synthetic", "number of generated scenes, in the place of --scenes; those of gld eval"},
                   synthetic, {0, 100000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
   visitor.group({"reading", "how scenes are read"}, reading);
   visitor.group({"views", "which views"}, views);
   visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
-  visitor.integer({"seed", "seed of the first scene's noise; each next scene has the next seed"}, seed, {0});
+  visit_seed(visitor, seed, "the first scene's noise, each next scene has the next one");
   visitor.integers({"counts", "function evaluations a level to try"}, counts, {1, 100000});
   visitor.reals({"guidance_scales", "guidance scales to try; the last is plotted"}, guidance_scales,
                 {0, 1000});
   visitor.real({"reference_tolerance", "tolerance of the adaptive reference solve"}, reference_tolerance,
                {1e-10, 0.1});
   lpips.visit(visitor);
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
-  visitor.text({"out", "run folder to write"}, out);
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
+  visit_out(visitor, out);
 }
 
 void SampleBenchmarkOptions::check() const {
-  if (scene.empty() == (synthetic == 0)) {
-    fail({"--scene, --synthetic", "either a folder of images with cameras or a number of generated scenes",
-          scene.empty() ? "neither" : "both", "add for example --synthetic 4"});
+  if (scenes.empty() == (synthetic == 0)) {
+    fail({"--scenes, --synthetic", "either folders of scenes or a number of generated scenes",
+          scenes.empty() ? "neither" : "both", "add for example --synthetic 4"});
   }
-  if (!scene.empty()) views.ViewSelection::check();
+  if (!scenes.empty()) views.ViewSelection::check();
   lpips.check();
+  check_out(out, "runs/bench");
   if (counts.empty() || guidance_scales.empty()) {
     fail(
         {"counts and guidance_scales", "at least one value each", "an empty list", "write for example [16]"});
@@ -431,8 +430,7 @@ std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows) {
 
 int run_sample_benchmark(const SampleBenchmarkOptions& options) {
   install_interrupt_handler();
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const BenchmarkScenes scenes(options, bundle.options());
@@ -472,22 +470,17 @@ int run_sample_benchmark(const SampleBenchmarkOptions& options) {
           "guidance scale a row is: of seconds and level0_error, or of seconds and PSNR.\n\n",
           bundle.options().name, scenes.size(), options.reference_tolerance) +
       sample_table(means).markdown();
-  write_file_atomically(folder.path() / "sample.md", text);
-  const auto figure = sample_figure(means, options.guidance_scales.back());
-  write_svg(figure, folder.path() / "sample.svg");
-  write_png(figure, folder.path() / "sample.png");
-  folder.write_report({{"command", "bench sample"},
-                       {"options", to_json(options)},
-                       {"model_hash", bundle.content_hash()},
-                       {"scenes", scenes.size()},
-                       {"samples", rows.size()},
-                       {"threads", thread_count()}});
-  std::cout << text << "\n";
-  folder.note("every sample", "sample.csv");
-  folder.note("means", "sample.md");
-  folder.note("error and quality against time", "sample.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {{"sample.md", text}};
+  results.figures = {{"sample", sample_figure(means, options.guidance_scales.back())}};
+  results.report = {
+      {"command", "bench sample"}, {"options", to_json(options)}, {"model_hash", bundle.content_hash()},
+      {"scenes", scenes.size()},   {"samples", rows.size()},      {"threads", thread_count()}};
+  results.notes = {{"every sample", "sample.csv"},
+                   {"means", "sample.md"},
+                   {"error and quality against time", "sample.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

@@ -16,7 +16,7 @@
 
 namespace gld {
 
-// The views of --scene; generated scenes choose theirs.
+// The views of --scenes; generated scenes choose theirs.
 struct BenchmarkViews : ViewSelection {
   void check() const override {}
 };
@@ -25,9 +25,9 @@ struct BenchmarkViews : ViewSelection {
 // scene's views or of generated scenes that training has not seen.
 struct SampleBenchmarkOptions : OptionsGroup {
   std::string model = "configs/tiny";
-  std::string scene;       // a scene, or a folder of scenes
-  int64_t max_scenes = 4;  // the first ones, by path
-  int64_t synthetic = 0;   // generated scenes, in the place of a folder
+  std::vector<std::string> scenes;  // folders
+  int64_t max_scenes = 4;           // the first ones, by folder and path
+  int64_t synthetic = 0;            // generated scenes, in the place of folders
   int64_t synthetic_seed = kHeldOutSeed;
   SceneReading reading;
   BenchmarkViews views;

@@ -2,12 +2,15 @@
 
 #include "datasets/loading/dataset.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/bench/sample_plan_table.h"
@@ -22,7 +25,6 @@
 #include <atomic>
 #include <exception>
 #include <functional>
-#include <iostream>
 #include <memory>
 #include <mutex>
 #include <thread>
@@ -193,7 +195,7 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
                   synthetic, {2, 100000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
-  visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
+  visit_scenes(visitor, scenes, "generated ones");
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.real({"guidance_scale", "guidance scale; errors hold up to it"}, guidance_scale, {0, 1000});
@@ -208,14 +210,14 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
                   workers, {0, 256});
   visitor.boolean({"write_table", "put plan_errors.json into the model bundle, where --tolerance finds it"},
                   write_table);
-  visitor.integer({"seed", "seed of the noise"}, seed, {0, 1'000'000'000'000});
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
-  visitor.text({"out", "run folder to write"}, out);
+  visit_seed(visitor, seed, "the noise");
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
+  visit_out(visitor, out);
 }
 
 void SamplePlanBenchmarkOptions::check() const {
-  if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/plan"});
+  check_out(out, "runs/plan");
   if (counts.size() < 2) {
     fail({"--counts", "at least two numbers of evaluations, to compare at equal work",
           std::to_string(counts.size()), "write for example 8,16"});
@@ -233,10 +235,7 @@ void SamplePlanBenchmarkOptions::check() const {
 
 int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   install_interrupt_handler();
-  const int threads = options.threads > 0
-                          ? static_cast<int>(options.threads)
-                          : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
-  set_thread_count(threads);
+  const int threads = use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const auto dataset =
@@ -316,32 +315,30 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
           bundle.options().name, scene_count, grid.views, grid.width, grid.height, options.guidance_scale,
           options.reference_evaluations, of_reference, bounds.exceeded, bounds.samples) +
       plan_row_table(rows).markdown();
-  write_file_atomically(folder.path() / "samples.csv", plan_sample_table(rows).csv());
-  write_file_atomically(folder.path() / "sample_plan.csv", plan_row_table(rows).csv());
-  write_file_atomically(folder.path() / "sample_plan.md", text);
-  write_file_atomically(folder.path() / kPlanErrorsFile, table_text);
-  const auto figure = plan_figure(rows);
-  write_svg(figure, folder.path() / "sample_plan.svg");
-  write_png(figure, folder.path() / "sample_plan.png");
   if (options.write_table) write_file_atomically(bundle.folder() / kPlanErrorsFile, table_text);
-  folder.write_report({{"command", "bench sample-plan"},
-                       {"options", to_json(options)},
-                       {"model_hash", table.model_hash},
-                       {"scenes", scene_count},
-                       {"methods", rows.size()},
-                       {"reference_error", of_reference},
-                       {"bound_samples", bounds.samples},
-                       {"bound_exceeded", bounds.exceeded},
-                       {"workers", workers},
-                       {"threads", threads}});
-  std::cout << text << "\n";
-  folder.note("methods", "sample_plan.csv");
-  folder.note("table", "sample_plan.md");
-  folder.note("error and quality against work and time", "sample_plan.png");
-  folder.note("every sample", "samples.csv");
-  folder.note("measured errors for --tolerance", kPlanErrorsFile);
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {{"samples.csv", plan_sample_table(rows).csv()},
+                   {"sample_plan.csv", plan_row_table(rows).csv()},
+                   {"sample_plan.md", text},
+                   {kPlanErrorsFile, table_text}};
+  results.figures = {{"sample_plan", plan_figure(rows)}};
+  results.report = {{"command", "bench sample-plan"},
+                    {"options", to_json(options)},
+                    {"model_hash", table.model_hash},
+                    {"scenes", scene_count},
+                    {"methods", rows.size()},
+                    {"reference_error", of_reference},
+                    {"bound_samples", bounds.samples},
+                    {"bound_exceeded", bounds.exceeded},
+                    {"workers", workers},
+                    {"threads", threads}};
+  results.notes = {{"methods", "sample_plan.csv"},
+                   {"table", "sample_plan.md"},
+                   {"error and quality against work and time", "sample_plan.png"},
+                   {"every sample", "samples.csv"},
+                   {"measured errors for --tolerance", kPlanErrorsFile}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

@@ -15,7 +15,7 @@ struct SamplePlanBenchmarkOptions : OptionsGroup {
   std::string model = "configs/tiny";
   int64_t synthetic = 16;
   int64_t synthetic_seed = 888000;  // neither training nor gld eval uses it
-  std::string scenes;
+  std::vector<std::string> scenes;  // folders; empty: generated ones
   SyntheticOptions generator;
   ViewSampling views;
   double guidance_scale = 1.5;

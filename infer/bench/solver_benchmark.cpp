@@ -1,9 +1,10 @@
 #include "infer/bench/solver_benchmark.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "infer/bench/solver_benchmark_figures.h"
@@ -11,7 +12,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <iostream>
 #include <limits>
 
 #include <ATen/core/grad_mode.h>
@@ -198,7 +198,7 @@ std::string report_text(const std::vector<SolverRow>& rows, const std::vector<So
 }  // namespace
 
 void SolverBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.text({"problem", "problem file (safetensors); default: the shared mixture, or a generated one"},
                problem);
   visitor.integers({"counts", "function evaluations to try"}, counts, {1, 100000});
@@ -209,6 +209,7 @@ void SolverBenchmarkOptions::visit(FieldVisitor& visitor) {
 void SolverBenchmarkOptions::check() const {
   if (counts.empty())
     fail({"counts", "at least one number of evaluations", "none", "write for example [6, 12]"});
+  check_out(out, "runs/bench");
 }
 
 SolverRow solve_problem(const FlowProblem& problem, const SolverOptions& options) {
@@ -324,35 +325,30 @@ int run_solver_benchmark(const SolverBenchmarkOptions& options) {
   progress.finish();
 
   const auto text = report_text(rows, targets, unseen, guidance, stochastic);
-  write_file_atomically(folder.path() / "solvers.csv", solver_table(rows).csv());
-  write_file_atomically(folder.path() / "guidance.csv", guidance.csv());
-  write_file_atomically(folder.path() / "stochastic.csv", stochastic.csv());
-  write_file_atomically(folder.path() / "solvers.md", text);
-  const std::vector<std::pair<std::string, Figure>> figures{{"work_precision", work_precision_figure(rows)},
-                                                            {"schedules", schedule_figure(rows)},
-                                                            {"widths", width_figure(rows)}};
-  for (const auto& [name, figure] : figures) {
-    write_svg(figure, folder.path() / (name + ".svg"));
-    write_png(figure, folder.path() / (name + ".png"));
-  }
   const SolverOptions defaults;
-  folder.write_report(
-      {{"command", "bench solvers"},
-       {"options", to_json(options)},
-       {"default_solver", solver_names()[static_cast<size_t>(defaults.solver)]},
-       {"default_schedule", schedule_names()[static_cast<size_t>(defaults.schedule.schedule)]},
-       {"targets", target_report(targets)},
-       {"published_error_rms", published_row.error_rms},
-       {"rows", rows.size()},
-       {"seconds", seconds_since(start)}});
-  std::cout << text << "\n";
-  folder.note("every solve", "solvers.csv");
-  folder.note("tables", "solvers.md");
-  folder.note("error against work", "work_precision.png");
-  folder.note("schedules", "schedules.png");
-  folder.note("narrow data", "widths.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {{"solvers.csv", solver_table(rows).csv()},
+                   {"guidance.csv", guidance.csv()},
+                   {"stochastic.csv", stochastic.csv()},
+                   {"solvers.md", text}};
+  results.figures = {{"work_precision", work_precision_figure(rows)},
+                     {"schedules", schedule_figure(rows)},
+                     {"widths", width_figure(rows)}};
+  results.report = {{"command", "bench solvers"},
+                    {"options", to_json(options)},
+                    {"default_solver", solver_names()[static_cast<size_t>(defaults.solver)]},
+                    {"default_schedule", schedule_names()[static_cast<size_t>(defaults.schedule.schedule)]},
+                    {"targets", target_report(targets)},
+                    {"published_error_rms", published_row.error_rms},
+                    {"rows", rows.size()},
+                    {"seconds", seconds_since(start)}};
+  results.notes = {{"every solve", "solvers.csv"},
+                   {"tables", "solvers.md"},
+                   {"error against work", "work_precision.png"},
+                   {"schedules", "schedules.png"},
+                   {"narrow data", "widths.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

@@ -1,8 +1,9 @@
 #include "infer/bench/stiff_benchmark.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/interrupt.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -10,7 +11,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <iostream>
 #include <limits>
 
 #include <ATen/core/grad_mode.h>
@@ -88,12 +88,14 @@ Figure stiff_figure(const std::vector<StiffRow>& rows) {
 }  // namespace
 
 void StiffBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.reals({"tolerances", "tolerances of the adaptive solvers"}, tolerances, {1e-14, 1});
   visitor.integer({"max_evaluations", "where an adaptive solver gives up"}, max_evaluations, {1, 1000000000});
   visitor.integer({"fixed_evaluations", "evaluations of the fixed-step solvers"}, fixed_evaluations,
                   {1, 10000000});
 }
+
+void StiffBenchmarkOptions::check() const { check_out(out, "runs/bench"); }
 
 StiffRow solve_stiff_problem(const StiffProblem& problem, const SolverOptions& options) {
   constexpr double kAcceptedTolerances = 100, kFixedStepError = 0.01;
@@ -172,25 +174,20 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
       "tolerance; a "
       "dash is a failure, whose reason is in the second table.\n\n" +
       overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
-  write_file_atomically(folder.path() / "stiff.csv", stiff_table(rows).csv());
-  write_file_atomically(folder.path() / "stiff.md", text);
-  const auto figure = stiff_figure(rows);
-  write_svg(figure, folder.path() / "stiff.svg");
-  write_png(figure, folder.path() / "stiff.png");
   const auto finished =
       std::count_if(rows.begin(), rows.end(), [](const StiffRow& row) { return row.finished; });
-  folder.write_report(
-      {{"command", "bench stiff"},
-       {"options", to_json(options)},
-       {"solves", rows.size()},
-       {"finished", finished},
-       {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}});
-  std::cout << overview(rows) << "\n";
-  folder.note("every solve", "stiff.csv");
-  folder.note("tables", "stiff.md");
-  folder.note("error against work", "stiff.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = overview(rows);
+  results.files = {{"stiff.csv", stiff_table(rows).csv()}, {"stiff.md", text}};
+  results.figures = {{"stiff", stiff_figure(rows)}};
+  results.report = {
+      {"command", "bench stiff"},
+      {"options", to_json(options)},
+      {"solves", rows.size()},
+      {"finished", finished},
+      {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}};
+  results.notes = {{"every solve", "stiff.csv"}, {"tables", "stiff.md"}, {"error against work", "stiff.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

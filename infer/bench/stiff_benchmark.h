@@ -19,6 +19,7 @@ struct StiffBenchmarkOptions : OptionsGroup {
   int64_t fixed_evaluations = 2000;
 
   void visit(FieldVisitor& visitor) override;
+  void check() const override;
 };
 
 // A solve counts as finished only where its error is known to be small; a failure carries no error, so that no wrong

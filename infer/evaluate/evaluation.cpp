@@ -5,18 +5,17 @@
 #include "datasets/loading/dataset.h"
 #include "datasets/pictures/contact_sheet.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
-#include "gld/tensors/torch_version.h"
 #include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
 #include "infer/pipeline/bundle_models.h"
 
-#include <algorithm>
-#include <thread>
 #include <vector>
 
 #include <fmt/format.h>
@@ -63,21 +62,20 @@ EvaluationOptions::EvaluationOptions() : views(held_out_views()) {}
 
 void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder"}, model);
-  visitor.text({"out", "run folder"}, out);
+  visit_out(visitor, out);
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
-  visitor.text({"scenes", "folder of scenes in any layout, in the place of generated ones"}, scenes);
+  visit_scenes(visitor, scenes, "generated ones");
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.group({"solver", "solver of both flows, for the samples"}, solver);
   visitor.group({"guidance", "guidance of both flows, for the samples"}, guidance);
-  visitor.integer({"seed", "seed of the first scene's noise; each next scene has the next seed"}, seed,
-                  {0, 1'000'000'000'000});
+  visit_seed(visitor, seed, "the first scene's noise, each next scene has the next one");
   lpips.visit(visitor);
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads for computing; 0 is all processors"}, threads, {0, 1024});
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
 }
 
 void EvaluationOptions::check() const {
@@ -89,19 +87,19 @@ void EvaluationOptions::check() const {
           "leave at least one target"});
   }
   lpips.check();
+  check_out(out, "runs/eval");
 }
 
-SamplingMethod EvaluationOptions::sampling_method(const DitOptions& cascade) const {
+SamplingMethod EvaluationOptions::sampling_method(const BundleOptions& bundle) const {
   SampleOptions sample;
   sample.solver = solver;
   sample.guidance = guidance;
-  return sample.method(cascade);
+  return sample.method(bundle);
 }
 
 std::string evaluate(const EvaluationOptions& options) {
   install_interrupt_handler();
-  const auto processors = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
-  set_thread_count(static_cast<int>(options.threads > 0 ? options.threads : processors));
+  use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const auto dataset =
@@ -109,7 +107,7 @@ std::string evaluate(const EvaluationOptions& options) {
   RunFolder folder(options.out, "eval", options);
   const EvaluationModels models{bundle.options(), kept_bundle_models(bundle, device),
                                 load_lpips(options.lpips), device};
-  const SamplingMethod method = options.sampling_method(bundle.options().cascade);
+  const SamplingMethod method = options.sampling_method(bundle.options());
   const FlowSettings sampling = flow_settings(method, options.guidance, bundle.options());
 
   std::vector<SceneEvaluation> results;

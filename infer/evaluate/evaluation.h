@@ -21,7 +21,7 @@ struct EvaluationOptions : OptionsGroup {
   std::string out;
   int64_t synthetic = 64;                 // generated scenes; 0 when scenes are given
   int64_t synthetic_seed = kHeldOutSeed;  // training and validation use others
-  std::string scenes;                     // folder of scenes in any layout
+  std::vector<std::string> scenes;        // folders; empty: generated ones
   SyntheticOptions generator;             // what the generated scenes look like
   ViewSampling views;
   SolverOptions solver = SampleOptions().solver;
@@ -37,7 +37,7 @@ struct EvaluationOptions : OptionsGroup {
   void check() const override;
 
   // How gld sample would draw the samples with this solver and guidance.
-  SamplingMethod sampling_method(const DitOptions& cascade) const;
+  SamplingMethod sampling_method(const BundleOptions& bundle) const;
 };
 
 // Runs the evaluation and writes the run folder: eval.csv, report.json, sheets/. Returns the tables and the closing box

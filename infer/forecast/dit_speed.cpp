@@ -1,5 +1,6 @@
 #include "infer/forecast/dit_speed.h"
 
+#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/machine/timing.h"
 #include "models/cost/branch_choice.h"
 #include "models/cost/cost_model.h"
@@ -29,21 +30,6 @@ LatentGrid probe_grid(const DitOptions& probe, LatentGrid grid) {
   return grid;
 }
 
-Views cameras_in_a_row(const LatentGrid& grid, int64_t patch_size) {
-  Views views;
-  views.num_sources = 1;
-  for (int64_t i = 0; i < grid.views; ++i) {
-    Camera camera;
-    camera.width = grid.width * patch_size;
-    camera.height = grid.height * patch_size;
-    const auto focal = static_cast<double>(camera.width);
-    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(camera.height), 0, 0, 1;
-    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
-    views.cameras.push_back(camera);
-  }
-  return views;
-}
-
 }  // namespace
 
 DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request, const MachineSpeed& speed) {
@@ -58,7 +44,8 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   }
   const int64_t tokens = model.tokens_per_view(part);
   DitSceneInputs inputs;
-  inputs.views = cameras_in_a_row(part, probe.camera_patch_size);
+  const int64_t side = probe.camera_patch_size;
+  inputs.views = cameras_in_a_row({part.views, 1, {part.width * side, part.height * side}});
   inputs.source_features = torch::randn({1, tokens, probe.in_channels});
   const DitScene scene = model.prepare_scene(inputs);
   const DitTimeRow time = model.time_rows({kFlowTime}).front();

@@ -1,15 +1,17 @@
 #include "infer/forecast/doctor.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/machine/instruction_set.h"
 #include "gld/machine/stage_record.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
 #include "models/bundle/bundle.h"
 
-#include <algorithm>
-#include <thread>
+#include <optional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -27,18 +29,26 @@ struct Machine {
   int64_t total_memory = 0;
   int64_t available_memory = 0;
   MachineSpeed speed;
+  std::string origin;  // of the speed, a sentence
 };
 
-Machine examine_machine() {
+Machine examine_machine(const DoctorOptions& options) {
   Machine machine;
   machine.torch = torch_version();
   machine.blas = blas_name();
   machine.instruction_set = instruction_set_name(best_instruction_set());
-  machine.cores = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  machine.cores = static_cast<int>(threads_to_use(0));
   machine.threads = thread_count();
   machine.total_memory = total_memory_bytes();
   machine.available_memory = available_memory_bytes();
-  machine.speed = measure_machine_speed();
+  const auto file = machine_rates_file();
+  const auto kept =
+      options.measure || file.empty() ? std::nullopt : kept_machine_speed(file, present_rate_key());
+  const KnownSpeed known =
+      kept ? KnownSpeed{*kept, "rates kept in " + file.string() + "; --measure renews them"}
+           : renew_machine_speed();
+  machine.speed = known.speed;
+  machine.origin = known.origin;
   return machine;
 }
 
@@ -108,7 +118,7 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.flow.guidance = options.guidance;
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
-  predict_seconds(result.plan, bundle.options(), request, machine.speed);
+  predict_seconds(result.plan, machine.speed);
   result.advice = advice_for(result.plan, options, machine);
   return result;
 }
@@ -125,7 +135,10 @@ nlohmann::ordered_json machine_json(const Machine& machine) {
           {"sgemm_gflops", machine.speed.matrix_product / 1e9},
           {"linear_gflops", machine.speed.linear / 1e9},
           {"attention_gflops", machine.speed.attention / 1e9},
-          {"loading_gigabytes_per_second", machine.speed.loading / 1e9}};
+          {"loading_gigabytes_per_second", machine.speed.loading / 1e9},
+          {"small_model_factor", machine.speed.small_model},
+          {"large_model_factor", machine.speed.large_model},
+          {"rates", machine.origin}};
 }
 
 std::string machine_text(const Machine& machine) {
@@ -138,12 +151,15 @@ std::string machine_text(const Machine& machine) {
       "BLAS products    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "linear layers    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n"
-      "loading weights  {:.1f} GB/s\n",
+      "loading weights  {:.1f} GB/s\n"
+      "small models     {:.2f} of the time of their products, large ones {:.2f}\n"
+      "                 {}\n",
       machine.torch, machine.blas, machine.cores, machine.threads, machine.instruction_set,
       bytes_text(machine.available_memory), bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9,
       speed.matrix_product / 1e9, 100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
       100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
-      100 * speed.attention / speed.multiply_add_peak, speed.loading / 1e9);
+      100 * speed.attention / speed.multiply_add_peak, speed.loading / 1e9, speed.small_model,
+      speed.large_model, machine.origin);
 }
 
 }  // namespace
@@ -159,7 +175,8 @@ void DoctorOptions::visit(FieldVisitor& visitor) {
   visitor.text({"size", "WIDTHxHEIGHT of the forecast, in pixels"}, size);
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
-  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
+  visit_threads(visitor, threads);
+  visitor.boolean({"measure", "measure the machine's rates anew, also where some are kept"}, measure);
   visitor.boolean({"json", "write JSON"}, json);
 }
 
@@ -171,9 +188,8 @@ void DoctorOptions::check() const {
 }
 
 std::string doctor_report(const DoctorOptions& options) {
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
-  const Machine machine = examine_machine();
+  use_threads(options.threads);
+  const Machine machine = examine_machine(options);
   const auto wrong = complaints(machine);
   if (options.json) {
     nlohmann::ordered_json report{{"machine", machine_json(machine)}, {"complaints", wrong}};

@@ -17,6 +17,7 @@ struct DoctorOptions : OptionsGroup {
   SolverOptions solver;
   GuidanceOptions guidance;
   int64_t threads = 0;
+  bool measure = false;
   bool json = false;
 
   DoctorOptions();
@@ -25,7 +26,8 @@ struct DoctorOptions : OptionsGroup {
 };
 
 // gld doctor: what LibTorch, BLAS, processor and memory this program found, how fast they are, what is wrong with
-// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON.
+// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The machine's rates are
+// measured where none are kept, and with measure always; they are kept for other commands (infer/forecast/machine_rates.h).
 std::string doctor_report(const DoctorOptions& options);
 
 }  // namespace gld

@@ -1,14 +1,8 @@
 #include "infer/forecast/sampling_plan.h"
 
-#include "gld/attention/attention.h"
-#include "gld/kernels/multiply_add_peak.h"
-#include "gld/machine/block_memory.h"
+#include "gld/cameras/latent_grid.h"
 #include "gld/machine/stage_record.h"
-#include "gld/machine/timing.h"
 #include "gld/report/progress.h"
-#include "gld/tensors/product_peak.h"
-#include "gld/tensors/torch_version.h"
-#include "gld/tensors/transposed_product.h"
 #include "infer/forecast/dit_speed.h"
 #include "infer/forecast/stage_speed.h"
 #include "models/cost/branch_choice.h"
@@ -17,39 +11,10 @@
 #include <algorithm>
 #include <array>
 
-#include <ATen/ops/randn.h>
-#include <ATen/ops/zeros.h>
-
 #include <fmt/format.h>
 
 namespace gld {
 namespace {
-
-// A linear layer of DA3-Base's feed-forward part on one 504x504 image.
-double measure_linear_speed() {
-  constexpr int64_t kRows = 1296, kInputs = 768, kOutputs = 3072;
-  const torch::NoGradGuard no_gradients;
-  const auto x = at::randn({kRows, kInputs}), weight = at::randn({kOutputs, kInputs});
-  return 2.0 * kRows * kInputs * kOutputs / fastest_seconds_of([&] { times_transposed(x, weight); });
-}
-
-double measure_loading_speed() {
-  constexpr int64_t kCount = 16'000'000;
-  const auto stored = at::zeros({kCount}, at::kHalf);
-  release_kept_blocks();
-  return static_cast<double>(kCount * kFloatBytes) / seconds_of([&] { stored.to(at::kFloat); });
-}
-
-// Operations a second of softmax attention at head size 64: between the 48 and 128 of the published models.
-double measure_attention_speed() {
-  constexpr int64_t kTokens = 1440, kHeads = 4, kHeadDim = 64;
-  AttentionInputs inputs;
-  inputs.query = at::randn({1, kTokens, kHeads, kHeadDim});
-  inputs.key = at::randn({1, kTokens, kHeads, kHeadDim});
-  inputs.value = at::randn({1, kTokens, kHeads, kHeadDim});
-  const torch::NoGradGuard no_gradients;
-  return 4.0 * kTokens * kTokens * kHeads * kHeadDim / fastest_seconds_of([&] { attention(inputs); });
-}
 
 bool guided_at(double t, const GuidanceOptions& guidance) {
   return guidance.guidance_scale != 1 && t >= guidance.guidance_interval[0] &&
@@ -179,11 +144,6 @@ void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const Plan
   stage.peak_bytes = predicted_peak_bytes(stage.memory);
 }
 
-LatentGrid with_views(LatentGrid grid, int64_t views) {
-  grid.views = views;
-  return grid;
-}
-
 // Of the stages that run once.
 Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const auto& backbone = bundle.backbone.architecture();
@@ -243,23 +203,6 @@ PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, c
   return runs;
 }
 
-MachineSpeed measure_machine_speed() {
-  PeakMeasurement measurement;
-  measurement.settings.threads = thread_count();
-  MachineSpeed speed;
-  speed.multiply_add_peak = measure_multiply_add_peak(measurement);
-  speed.matrix_product = measure_sgemm_peak();
-  speed.linear = measure_linear_speed();
-  speed.attention = measure_attention_speed();
-  speed.loading = measure_loading_speed();
-  return speed;
-}
-
-double computing_seconds(const Cost& cost, const MachineSpeed& speed) {
-  return cost.linear_flop / speed.linear + cost.convolution_flop / speed.matrix_product +
-         cost.attention_flop / speed.attention;
-}
-
 double SamplingPlan::flop() const {
   double total = 0;
   for (const auto& stage : stages) total += stage.cost.flop();
@@ -300,7 +243,17 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   return plan;
 }
 
-void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
+  for (auto& stage : plan.stages) {
+    if (!stage.runs) continue;
+    // A pass is one of both parts of a flow's model.
+    const auto passes = static_cast<double>(stage.parts.condition_encoder + stage.parts.velocity_decoder) / 2;
+    stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed) +
+                    static_cast<double>(stage.memory.weights) / speed.loading;
+  }
+}
+
+void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed) {
   // What a stage that runs once may take for it to be run beforehand.
   constexpr double kShort = 0.2;

@@ -3,6 +3,7 @@
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/machine/stage_record.h"
+#include "infer/forecast/machine_rates.h"
 #include "infer/forecast/stage_memory.h"
 #include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_pipeline.h"
@@ -18,19 +19,6 @@
 #include <nlohmann/json.hpp>
 
 namespace gld {
-
-// How fast this machine is, measured: floating-point operations a second, but for loading.
-struct MachineSpeed {
-  double multiply_add_peak = 0;  // independent multiply-adds in registers: what fractions of peak refer to
-  double matrix_product = 0;     // large products by BLAS; LibTorch's convolutions are about as fast
-  double linear = 0;             // linear layers as sampling computes them (gld/tensors/transposed_product.h)
-  double attention = 0;          // softmax attention of the models' head sizes
-  double loading = 0;            // bytes a second of float32 weights made from float16 ones in fresh memory
-};
-// Takes about a second, with the present thread setting.
-MachineSpeed measure_machine_speed();
-// What these operations take at these speeds.
-double computing_seconds(const Cost& cost, const MachineSpeed& speed);
 
 // What sampling is planned for.
 struct PlanRequest {
@@ -78,10 +66,11 @@ struct SamplingPlan {
 
 // The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
-// Fills in PlannedStage::seconds, loading included: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of
-// other stages from their operations and the machine's speed where they are long, otherwise from a run
-// (infer/forecast/stage_speed.h). Takes a few seconds at full size.
-void predict_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
+// Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. Runs nothing.
+void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
+// The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where they are
+// short from a run (infer/forecast/stage_speed.h). Takes a few seconds at full size: for gld plan --measure.
+void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed);
 
 // A table, one line a stage, for people.

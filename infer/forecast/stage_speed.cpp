@@ -1,5 +1,6 @@
 #include "infer/forecast/stage_speed.h"
 
+#include "gld/cameras/latent_grid.h"
 #include "gld/machine/timing.h"
 #include "models/backbones/backbone.h"
 #include "models/decoders/dpt_head.h"
@@ -22,11 +23,6 @@ void fill(torch::nn::Module& module) {
         parameter.dim() < 2 ? 0.5 : 1 / std::sqrt(static_cast<double>(parameter.numel() / parameter.size(0)));
     parameter.uniform_(-range, range);
   }
-}
-
-LatentGrid with_views(LatentGrid grid, int64_t views) {
-  grid.views = views;
-  return grid;
 }
 
 std::vector<torch::Tensor> random_levels(const BundleOptions& bundle, const LatentGrid& grid) {

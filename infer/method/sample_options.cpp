@@ -1,5 +1,6 @@
 #include "infer/method/sample_options.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 
@@ -47,12 +48,12 @@ SampleOptions::SampleOptions() {
 
 void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
-  visitor.text({"scene", "folder of the scene: images with cameras"}, scene);
+  visit_scene(visitor, scene);
   visitor.group({"reading", "how the scene is read"}, reading);
   visitor.group({"views", "which views"}, views);
   visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
   visitor.texts({"outputs", "what to make: image, depth, rays, points, latents"}, outputs);
-  visitor.integer({"seed", "seed of the noise; the same seed gives the same bytes"}, seed, {0});
+  visit_seed(visitor, seed, "the noise");
   visit_choice(visitor, {"preset", "published: the release's sampler, whatever the solver options say"},
                preset, {"options", "published"});
   visit_choice(visitor,
@@ -70,16 +71,16 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads; 0: one a core"}, threads, {0, 4096});
-  visitor.text({"out", "run folder to write"}, out);
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
+  visit_out(visitor, out);
 }
 
 void SampleOptions::check() const {
   if (scene.empty()) {
     fail({"--scene", "a folder of images with cameras", "nothing", "add for example --scene my_photos"});
   }
-  if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out runs/sample"});
+  check_out(out, "runs/sample");
   requested();
   savings();
   refuse_two_methods(*this);

@@ -17,16 +17,16 @@ ViewSampling held_out_views() {
   return views;
 }
 
-std::unique_ptr<Dataset> held_out_dataset(const std::string& folder, const SyntheticOptions& generator,
-                                          int64_t seed, int64_t count) {
-  if (!folder.empty()) {
+std::unique_ptr<Dataset> held_out_dataset(const std::vector<std::string>& folders,
+                                          const SyntheticOptions& generator, int64_t seed, int64_t count) {
+  if (!folders.empty()) {
     SceneReading reading;
     reading.broken_frames = BrokenFrames::kSkip;
-    return std::make_unique<FolderDataset>(folder, reading);
+    return std::make_unique<FolderDataset>(folders, reading);
   }
   SyntheticOptions scenes = generator;
   scenes.seed = seed;
-  scenes.scenes = count;
+  scenes.scene_count = count;
   return std::make_unique<SyntheticDataset>(scenes);
 }
 

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 namespace gld {
 
@@ -18,10 +19,10 @@ namespace gld {
 constexpr int64_t kHeldOutSeed = 777000;
 ViewSampling held_out_views();
 
-// The scenes below folder, without their broken frames; where folder is empty, `count` scenes of that seed from the
+// The scenes below folders, without their broken frames; where there are none, `count` scenes of that seed from the
 // generator, whose own seed and number do not count.
-std::unique_ptr<Dataset> held_out_dataset(const std::string& folder, const SyntheticOptions& generator,
-                                          int64_t seed, int64_t count);
+std::unique_ptr<Dataset> held_out_dataset(const std::vector<std::string>& folders,
+                                          const SyntheticOptions& generator, int64_t seed, int64_t count);
 
 // Of a scene's choice of views: its number in the dataset, under the seed of the scenes.
 SampleKey held_out_key(int64_t seed, int64_t index);

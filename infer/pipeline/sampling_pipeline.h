@@ -87,7 +87,7 @@ struct PipelineResult {
   torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
   std::vector<FlowReport> flows;
-  // Which views attended to each other, where request.approximate asked to leave some out.
+  // Which views attended to each other, where flow.approximate asked to leave some out.
   std::optional<ViewVisibility> view_pairs;
   std::vector<std::string> warnings;
 };

@@ -29,8 +29,6 @@ void add_target_frames(const Scene& scene, const ViewSelection& selection, const
     const auto plan = plan_resize_crop(frame.camera.width, frame.camera.height, size);
     sampling.views.cameras.push_back(resize_crop(frame.camera, plan));
     sampling.view_names.push_back(frame.name);
-    sampling.true_images.push_back(frame.has_image() ? resize_crop(frame.image(), plan) : Image());
-    sampling.true_depths.push_back(frame.has_depth() ? resize_crop(frame.depth(), plan) : DepthMap());
   }
 }
 
@@ -56,8 +54,6 @@ void add_target_path(const Scene& scene, const ViewSelection& selection, Samplin
     const auto plan = plan_resize_crop(cameras[i].width, cameras[i].height, sampling.size);
     sampling.views.cameras.push_back(resize_crop(cameras[i], plan));
     sampling.view_names.push_back(fmt::format("path_{:02}", i));
-    sampling.true_images.emplace_back();
-    sampling.true_depths.emplace_back();
   }
 }
 
@@ -90,7 +86,7 @@ void ViewSelection::check() const {
   }
 }
 
-SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
+SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
   SamplingScene sampling;
   sampling.name = scene.name;
   sampling.metric = scene.metric;
@@ -98,10 +94,9 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selec
   sampling.warnings = scene.warnings;
   for (const int64_t number : selection.sources) {
     const Frame& frame = frame_of(scene, number, "--sources");
-    SizedFrame sized = load_sized(frame, size, FrameParts::kImage);
-    sampling.views.cameras.push_back(sized.camera);
+    sampling.views.cameras.push_back(
+        resize_crop(frame.camera, plan_resize_crop(frame.camera.width, frame.camera.height, size)));
     sampling.view_names.push_back(frame.name);
-    sampling.source_images.push_back(std::move(sized.image));
   }
   sampling.views.num_sources = sampling.views.size();
   if (selection.path.path.empty()) {
@@ -111,6 +106,24 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selec
   }
   const auto camera_warnings = check_cameras(sampling.views, scene.name);
   sampling.warnings.insert(sampling.warnings.end(), camera_warnings.begin(), camera_warnings.end());
+  return sampling;
+}
+
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
+  SamplingScene sampling = sampling_views(scene, selection, size);
+  for (const int64_t number : selection.sources) {
+    sampling.source_images.push_back(
+        load_sized(frame_of(scene, number, "--sources"), size, FrameParts::kImage).image);
+  }
+  sampling.true_images.resize(static_cast<size_t>(sampling.views.num_targets()));
+  sampling.true_depths.resize(sampling.true_images.size());
+  if (!selection.path.path.empty()) return sampling;
+  for (size_t i = 0; i < selection.targets.size(); ++i) {
+    const Frame& frame = frame_of(scene, selection.targets[i], "--targets");
+    const auto plan = plan_resize_crop(frame.camera.width, frame.camera.height, size);
+    if (frame.has_image()) sampling.true_images[i] = resize_crop(frame.image(), plan);
+    if (frame.has_depth()) sampling.true_depths[i] = resize_crop(frame.depth(), plan);
+  }
   return sampling;
 }
 

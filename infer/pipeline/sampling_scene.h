@@ -37,6 +37,10 @@ struct SamplingScene {
   std::vector<std::string> warnings;    // what is unusual about the cameras, one sentence each
 };
 
+// The selected frames and views without their pixels, for which no image file is decoded: images and depths are empty.
+// Throws Error as load_sampling_scene does.
+SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
+
 // Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
 // numbers that the scene does not have and for cameras that make no sense (gld/cameras/camera_checks.h).
 SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size);

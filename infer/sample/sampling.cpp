@@ -7,6 +7,7 @@
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
@@ -20,7 +21,6 @@
 #include <algorithm>
 #include <iostream>
 #include <memory>
-#include <thread>
 
 #include <fmt/format.h>
 
@@ -93,13 +93,15 @@ struct PreparedSampling {
   SamplingScene scene;
 };
 
-PreparedSampling prepare(const SampleOptions& options) {
+using SceneLoader = SamplingScene (*)(const Scene&, const ViewSelection&, const ImageSize&);
+
+PreparedSampling prepare(const SampleOptions& options, SceneLoader load) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
   const Scene found = open_scene(options.scene, options.reading);
   const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
                                      bundle.options().backbone.patch_side());
-  return {device, bundle, found, load_sampling_scene(found, options.views, size)};
+  return {device, bundle, found, load(found, options.views, size)};
 }
 
 // The method and what it would take. model_hash is called where the bundle's measured errors are needed.
@@ -107,11 +109,12 @@ struct PlannedSampling {
   ChosenMethod choice;
   FlowSettings settings;
   SamplingPlan plan;
+  std::string speed_origin;  // of the machine's speed that the plan's times come from
   // By the cameras alone; the pipeline may find fewer pairs with the sources' depth.
   ViewVisibility visibility;
 };
 
-PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options,
+PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
                         const std::function<std::string()>& model_hash) {
   const BundleOptions& bundle = prepared.bundle.options();
   const Views& views = prepared.scene.views;
@@ -126,13 +129,19 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
   request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
-  predict_seconds(planned.plan, bundle, request, measure_machine_speed());
+  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
+  planned.speed_origin = known.origin;
+  if (timing == PlanTiming::kMeasured) {
+    measure_seconds(planned.plan, bundle, request, known.speed);
+  } else {
+    predict_seconds(planned.plan, known.speed);
+  }
   return planned;
 }
 
 std::string planned_text(const PlannedSampling& planned) {
   const bool some_pairs = planned.settings.approximate.view_pairs == ViewPairs::kVisible;
-  return choice_text(planned.choice) + plan_text(planned.plan) +
+  return choice_text(planned.choice) + plan_text(planned.plan) + planned.speed_origin + "\n" +
          (some_pairs ? view_visibility_text(planned.visibility) : "");
 }
 
@@ -141,17 +150,12 @@ std::string scene_line(const SamplingScene& scene) {
                      scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height);
 }
 
-void use_threads(const SampleOptions& options) {
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
-}
-
 }  // namespace
 
-std::string sampling_plan_report(const SampleOptions& options) {
-  use_threads(options);
-  const PreparedSampling prepared = prepare(options);
-  const auto planned = plan_of(prepared, options, [&] { return prepared.bundle.content_hash(); });
+std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing) {
+  use_threads(options.threads);
+  const PreparedSampling prepared = prepare(options, sampling_views);
+  const auto planned = plan_of(prepared, options, timing, [&] { return prepared.bundle.content_hash(); });
   std::string text = scene_line(prepared.scene) + planned_text(planned);
   for (const auto& list : {planned.choice.notes, prepared.scene.warnings}) {
     for (const auto& warning : list) text += "warning: " + warning + "\n";
@@ -161,8 +165,8 @@ std::string sampling_plan_report(const SampleOptions& options) {
 
 void sample(const SampleOptions& options) {
   install_interrupt_handler();
-  use_threads(options);
-  const PreparedSampling prepared = prepare(options);
+  use_threads(options.threads);
+  const PreparedSampling prepared = prepare(options, load_sampling_scene);
   const ModelBundle& bundle = prepared.bundle;
   const SamplingScene& scene = prepared.scene;
 
@@ -176,8 +180,8 @@ void sample(const SampleOptions& options) {
     }
     return provenance.model_hash;
   };
-  const PlannedSampling planned = plan_of(prepared, options, wait_for_hash);
-  // Not before the plan, which measures how fast this machine computes.
+  const PlannedSampling planned = plan_of(prepared, options, PlanTiming::kPredicted, wait_for_hash);
+  // Not before the plan, which may estimate how fast this machine computes.
   if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
   RunFolder run(options.out, "sample", options);
   const RequestedOutputs requested = options.requested();

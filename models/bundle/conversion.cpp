@@ -1,6 +1,7 @@
 #include "models/bundle/conversion.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/tensors/weight_tensors.h"
@@ -224,12 +225,11 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
                weights, {"ema", "model", "plain"});
   visit_choice(visitor, {"precision", "how floating-point weights are stored"}, precision,
                {"fp32", "fp16", "bf16"});
-  visitor.text({"out", "folder of the bundle"}, out);
+  visit_out(visitor, out);
 }
 
 void ConversionOptions::check() const {
-  if (out.empty())
-    fail({"--out", "a folder to write the bundle into", "nothing", "add for example --out models/gld"});
+  check_out(out, "models/gld");
   if (sources_of(*this, BundleOptions()).empty()) {
     fail({"gld convert", "at least one file to convert", "none",
           "give --da3, --level1, ... (see gld convert --help)"});

@@ -1,16 +1,19 @@
 #include "train/bench/train_benchmark.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/block_memory.h"
 #include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/product_peak.h"
 #include "gld/tensors/torch_version.h"
 #include "models/bundle/bundle.h"
@@ -20,9 +23,7 @@
 #include "train/optim/optimiser.h"
 
 #include <algorithm>
-#include <iostream>
 #include <memory>
-#include <thread>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/types.h>
@@ -36,32 +37,10 @@ constexpr double kFlowTime = 0.7;
 // A training step is a forward pass and two products for each of its products.
 constexpr double kForwardsAStep = 3;
 
-struct Size {
-  int64_t views = 0;
-  int64_t sources = 0;
-  ImageSize image;
-};
-
-Views cameras_in_a_row(const Size& size) {
-  Views views;
-  views.num_sources = size.sources;
-  for (int64_t i = 0; i < size.views; ++i) {
-    Camera camera;
-    camera.width = size.image.width;
-    camera.height = size.image.height;
-    const auto focal = static_cast<double>(size.image.width);
-    camera.intrinsics << focal, 0, 0.5 * focal, 0, focal, 0.5 * static_cast<double>(size.image.height), 0, 0,
-        1;
-    camera.world_from_camera.translation().x() = 0.2 * static_cast<double>(i);
-    views.cameras.push_back(camera);
-  }
-  return views;
-}
-
 // Flow matching of one random latent again and again, by the model and the loss that FlowObjective trains with.
 class RepeatedScene : public Objective {
  public:
-  RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const Size& size)
+  RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size)
       : grid_(bundle.backbone.grid_of(size.views, size.image.height, size.image.width)) {
     auto generator = at::detail::createCPUGenerator(1);
     dit_ = std::make_shared<DitDh>(options, ParameterPlacement{});
@@ -151,7 +130,7 @@ DitOptions with_depth(DitOptions options, const std::vector<int64_t>& depth) {
 }
 
 // Full width, activations kept and computed again in turns.
-void measure_storage(const std::string& name, const Size& size, const std::vector<int64_t>& depth,
+void measure_storage(const std::string& name, const CameraRow& size, const std::vector<int64_t>& depth,
                      int64_t repeats, std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
   RepeatedScene objective(bundle, with_depth(bundle.generators.front().dit, depth), size);
@@ -173,7 +152,7 @@ struct Stored {
   double peak = 0;
 };
 
-Stored measure_stored(const Size& size, const std::vector<int64_t>& depth, ActivationStorage storage) {
+Stored measure_stored(const CameraRow& size, const std::vector<int64_t>& depth, ActivationStorage storage) {
   const BundleOptions bundle;
   RepeatedScene objective(bundle, with_depth(bundle.generators.front().dit, depth), size);
   FlatParameters parameters(objective.parameters());
@@ -191,7 +170,7 @@ Stored measure_stored(const Size& size, const std::vector<int64_t>& depth, Activ
 
 // The same at full depth, from models of few blocks: two encoder blocks, which may share a kept input, add as much as
 // the two before. The velocity decoder has its own depth.
-Stored stored_at_full_depth(const Size& size, ActivationStorage storage) {
+Stored stored_at_full_depth(const CameraRow& size, ActivationStorage storage) {
   const BundleOptions bundle;
   const auto& depth = bundle.generators.front().dit.depth;
   const Stored two = measure_stored(size, {2, depth[1]}, storage),
@@ -205,8 +184,8 @@ Stored stored_at_full_depth(const Size& size, ActivationStorage storage) {
 // backward pass meets at a time (kTokensRecomputedAtOnce), so that what it needs for these is in the part that stays.
 void extrapolate_storage(std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
-  const Size fewer = {4, 2, {252, 252}}, more = {6, 3, {252, 252}}, full = {8, 4, {504, 504}};
-  const auto tokens = [&](const Size& size) {
+  const CameraRow fewer = {4, 2, {252, 252}}, more = {6, 3, {252, 252}}, full = {8, 4, {504, 504}};
+  const auto tokens = [&](const CameraRow& size) {
     return static_cast<double>(
         size.views *
         bundle.backbone.grid_of(size.views, size.image.height, size.image.width).tokens_per_view());
@@ -356,7 +335,7 @@ std::string ratio_text(const std::vector<TrainBenchmarkRow>& rows, const std::st
 }  // namespace
 
 void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"out", "folder to write into"}, out);
+  visit_out(visitor, out);
   visitor.boolean(
       {"full_width", "measure the full-width model; otherwise the small one and the optimiser only"},
       full_width);
@@ -373,7 +352,7 @@ void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
                   {1000, 10'000'000'000});
   visitor.integer({"repeats", "measurements of each, of which the median counts; the large case has one"},
                   repeats, {1, 1000});
-  visitor.integer({"threads", "computing threads; 0 for all processors"}, threads, {0, 4096});
+  visit_threads(visitor, threads);
 }
 
 void TrainBenchmarkOptions::check() const {
@@ -385,18 +364,19 @@ void TrainBenchmarkOptions::check() const {
       fail({"--depth", "two numbers", std::to_string(blocks->size()), "write for example --depth 5,1"});
     }
   }
+  check_out(out, "runs/bench");
 }
 
 std::vector<TrainBenchmarkRow> train_benchmark_rows(const TrainBenchmarkOptions& options) {
   std::vector<TrainBenchmarkRow> rows;
   Progress progress("bench train", 5);
   if (options.full_width) {
-    const Size size = {options.views, options.sources, image_size_from_text(options.size, "--size")};
+    const CameraRow size = {options.views, options.sources, image_size_from_text(options.size, "--size")};
     measure_storage("full_width", size, options.depth, options.repeats, rows);
     progress.update(1, "full width");
     if (options.large_views > 0) {
-      const Size large = {options.large_views, std::max<int64_t>(1, options.large_views / 2),
-                          image_size_from_text(options.large_size, "--large-size")};
+      const CameraRow large = {options.large_views, std::max<int64_t>(1, options.large_views / 2),
+                               image_size_from_text(options.large_size, "--large-size")};
       measure_storage("large", large, options.large_depth, 1, rows);
     }
     progress.update(2, "large");
@@ -422,8 +402,7 @@ Table train_benchmark_table(const std::vector<TrainBenchmarkRow>& rows) {
 
 int run_train_benchmark(const TrainBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench train", options);
-  set_thread_count(options.threads > 0 ? static_cast<int>(options.threads)
-                                       : static_cast<int>(std::max(1U, std::thread::hardware_concurrency())));
+  use_threads(options.threads);
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   const double multiply_add = measure_multiply_add_peak(peak);
@@ -449,24 +428,16 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
         ratio_text(rows, "full_width"), options.large_views > 0 ? "; " + ratio_text(rows, "large") : "");
   }
   text += overview(rows).markdown();
-  write_file_atomically(folder.path() / "train.csv", train_benchmark_table(rows).csv());
-  write_file_atomically(folder.path() / "train.md", text);
-  const auto figure = train_figure(rows);
-  write_svg(figure, folder.path() / "train.svg");
-  write_png(figure, folder.path() / "train.png");
-  folder.write_report({{"command", "bench train"},
-                       {"options", to_json(options)},
-                       {"threads", thread_count()},
-                       {"multiply_add_peak", multiply_add},
-                       {"sgemm_peak", sgemm},
-                       {"optimiser_share", share},
-                       {"blas", blas_name()}});
-  std::cout << text << "\n";
-  folder.note("cases", "train.csv");
-  folder.note("table", "train.md");
-  folder.note("plot", "train.png");
-  folder.note("report", "report.json");
-  std::cout << folder.closing_box();
+  BenchmarkResults results;
+  results.text = text;
+  results.files = {{"train.csv", train_benchmark_table(rows).csv()}, {"train.md", text}};
+  results.figures = {{"train", train_figure(rows)}};
+  results.report = {{"command", "bench train"},  {"options", to_json(options)},
+                    {"threads", thread_count()}, {"multiply_add_peak", multiply_add},
+                    {"sgemm_peak", sgemm},       {"optimiser_share", share},
+                    {"blas", blas_name()}};
+  results.notes = {{"cases", "train.csv"}, {"table", "train.md"}, {"plot", "train.png"}};
+  finish_benchmark(folder, results);
   return 0;
 }
 

@@ -1,6 +1,7 @@
 #include "train/data/training_data.h"
 
 #include "datasets/loading/batching.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
@@ -10,19 +11,19 @@ namespace {
 
 Mixture mixture_of(const TrainingDataOptions& options) {
   std::vector<MixturePart> parts;
-  if (options.folders.empty()) {
+  if (options.scenes.empty()) {
     MixturePart part;
     part.name = "synthetic";
     part.dataset = std::make_shared<SyntheticDataset>(options.synthetic);
     part.views = options.views;
     parts.push_back(std::move(part));
   }
-  for (size_t i = 0; i < options.folders.size(); ++i) {
+  for (size_t i = 0; i < options.scenes.size(); ++i) {
     MixturePart part;
-    part.name = options.folders[i];
+    part.name = options.scenes[i];
     SceneReading reading;
     reading.broken_frames = BrokenFrames::kSkip;
-    part.dataset = std::make_shared<FolderDataset>(options.folders[i], reading);
+    part.dataset = std::make_shared<FolderDataset>(options.scenes[i], reading);
     part.weight = options.weights.empty() ? 1.0 : options.weights[i];
     part.views = options.views;
     if (!options.longest_intervals.empty()) part.views.longest_interval = options.longest_intervals[i];
@@ -61,11 +62,11 @@ TrainingScene to_training_scene(const LoadedScene& loaded) {
 
 TrainingDataOptions::TrainingDataOptions() {
   synthetic.seed = 1;
-  synthetic.scenes = 1'000'000;
+  synthetic.scene_count = 1'000'000;
 }
 
 void TrainingDataOptions::visit(FieldVisitor& visitor) {
-  visitor.texts({"folders", "folders of scenes in any layout; none trains on generated scenes"}, folders);
+  visit_scenes(visitor, scenes, "generated ones");
   visitor.reals({"weights", "share of the samples from each folder; none is equal shares"}, weights,
                 {1e-9, 1e9});
   visitor.integers(
@@ -90,15 +91,15 @@ void TrainingDataOptions::visit(FieldVisitor& visitor) {
 }
 
 void TrainingDataOptions::check() const {
-  if (!weights.empty() && weights.size() != folders.size()) {
-    fail({"data.weights", std::to_string(folders.size()) + " weights, one a folder",
+  if (!weights.empty() && weights.size() != scenes.size()) {
+    fail({"data.weights", std::to_string(scenes.size()) + " weights, one a folder",
           std::to_string(weights.size()), "give as many or none"});
   }
-  if (!longest_intervals.empty() && longest_intervals.size() != folders.size()) {
-    fail({"data.longest_intervals", std::to_string(folders.size()) + " intervals, one a folder",
+  if (!longest_intervals.empty() && longest_intervals.size() != scenes.size()) {
+    fail({"data.longest_intervals", std::to_string(scenes.size()) + " intervals, one a folder",
           std::to_string(longest_intervals.size()), "give as many or none"});
   }
-  if (folders.empty() && validation_folder.empty() && synthetic.seed == validation_seed) {
+  if (scenes.empty() && validation_folder.empty() && synthetic.seed == validation_seed) {
     fail({"data.validation_seed", "another seed than synthetic.seed", std::to_string(validation_seed),
           "choose one that training never sees"});
   }
@@ -155,7 +156,7 @@ std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options,
   if (options.validation_folder.empty()) {
     SyntheticOptions synthetic = options.synthetic;
     synthetic.seed = options.validation_seed;
-    synthetic.scenes = options.validation_scenes;
+    synthetic.scene_count = options.validation_scenes;
     dataset = std::make_shared<SyntheticDataset>(synthetic);
   } else {
     SceneReading reading;

@@ -16,7 +16,7 @@ namespace gld {
 
 // What a run trains on: generated scenes, or folders of scenes in any layout mixed by weight.
 struct TrainingDataOptions : OptionsGroup {
-  std::vector<std::string> folders;        // empty: generated scenes
+  std::vector<std::string> scenes;         // folders; empty: generated scenes
   std::vector<double> weights;             // one a folder; empty: equal
   std::vector<int64_t> longest_intervals;  // one a folder; empty: views.longest_interval for all
   std::vector<double> size_weights;        // one a trained size of the model; empty: equal

@@ -26,12 +26,14 @@ MetricsLog::MetricsLog(std::filesystem::path file, int64_t last_step) : file_(st
 }
 
 void MetricsLog::append(const nlohmann::ordered_json& line) {
+  const std::string text = line.dump();
   std::ofstream stream(file_, std::ios::app);
-  stream << line.dump() << '\n' << std::flush;
+  stream << text << '\n' << std::flush;
   if (!stream) {
     fail({file_.string(), "to append a line", "a write that failed", "check the disk and its free space"});
   }
-  lines_.push_back(line);
+  // As a resumed run reads it: numbers that are not finite (the PSNR of equal images) are null and not drawn.
+  lines_.push_back(nlohmann::ordered_json::parse(text));
 }
 
 std::vector<std::pair<double, double>> MetricsLog::series(const std::string& key) const {

@@ -1,5 +1,6 @@
 #include "train/loop/training_loop.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/report/progress.h"
@@ -402,7 +403,7 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"steps", "optimiser steps of the whole run"}, steps, {1, kLargest});
   visitor.integer({"micro_batches", "micro-batches whose gradients are summed for one step"}, micro_batches,
                   {1, 100000});
-  visitor.integer({"seed", "seed of everything random in the run"}, seed, {0, kLargest});
+  visit_seed(visitor, seed, "everything random in the run");
   visitor.integer({"log_every", "steps between two lines of metrics.jsonl"}, log_every, {1, kLargest});
   visitor.integer({"checkpoint_every", "steps between two checkpoints"}, checkpoint_every, {1, kLargest});
   visitor.integer({"keep_last", "newest checkpoints that are kept, beside the best"}, keep_last, {1, 1000});

@@ -2,10 +2,8 @@
 
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
-#include "models/layers/imagenet.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/feature_noise.h"
-#include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
 #include <cmath>
@@ -46,7 +44,8 @@ void AdversarialOptions::visit(FieldVisitor& visitor) {
   visitor.group({"dino", "the DINO-based discriminator"}, dino);
   visitor.group({"convolutional", "the convolutional discriminator"}, convolutional);
   visitor.group({"augment", "augmentation of what the discriminator sees"}, augment);
-  visitor.group({"learning_rate", "course of the discriminator's learning rate"}, learning_rate);
+  visitor.group({"learning_rate", "course of the discriminator's learning rate, over its own steps"},
+                learning_rate);
   visitor.group({"optimiser", "the discriminator's optimiser"}, optimiser);
 }
 
@@ -193,46 +192,55 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
     losses.total = losses.total + options_.adversarial.weight * adaptive * loss;
   }
   if (discriminator_) {
-    last_truth_ = truth;
-    last_decoded_ = decoded.detach();
+    // A step that was skipped leaves its images behind.
+    if (context.step != judged_step_) judged_.clear();
+    judged_step_ = context.step;
+    judged_.push_back({truth, decoded.detach()});
   }
   return losses;
 }
 
 std::vector<std::pair<std::string, double>> DecoderObjective::after_step(const StepContext& context) {
-  if (!discriminator_ || context.step < options_.adversarial.discriminator_start) return {};
+  const std::vector<JudgedImages> judged = std::exchange(judged_, {});
+  const AdversarialOptions& options = options_.adversarial;
+  if (judged.empty() || context.step < options.discriminator_start) return {};
   torch::Generator generator = context.generator;
-  const auto corner = draw_corner(last_truth_, generator);
-  // Rounded to 8 bits like the real images, so that the discriminator cannot tell them by their precision.
-  const auto decoded = torch::round(last_decoded_.clamp(0.0, 1.0) * 255.0) / 255.0;
-  const auto fake = diff_augment(crop(to_signed(decoded), corner), options_.adversarial.augment, generator);
-  const auto real =
-      diff_augment(crop(to_signed(last_truth_), corner), options_.adversarial.augment, generator);
   discriminator_->train();
   discriminator_parameters_->zero_gradients();
-  const auto fake_logits = discriminator_->logits(fake);
-  const auto real_logits = discriminator_->logits(real);
-  const auto loss = 0.5 * (torch::relu(1.0 - real_logits).mean() + torch::relu(1.0 + fake_logits).mean());
-  loss.backward();
+  const auto share = 1.0 / static_cast<double>(judged.size());
+  double loss_sum = 0.0, accuracy = 0.0;
+  for (const auto& [truth, images] : judged) {
+    const auto corner = draw_corner(truth, generator);
+    // Rounded to 8 bits like the real images, so that the discriminator cannot tell them by their precision.
+    const auto decoded = torch::round(images.clamp(0.0, 1.0) * 255.0) / 255.0;
+    const auto fake = diff_augment(crop(to_signed(decoded), corner), options.augment, generator);
+    const auto real = diff_augment(crop(to_signed(truth), corner), options.augment, generator);
+    const auto fake_logits = discriminator_->logits(fake);
+    const auto real_logits = discriminator_->logits(real);
+    const auto loss = 0.5 * (torch::relu(1.0 - real_logits).mean() + torch::relu(1.0 + fake_logits).mean());
+    (share * loss).backward();
+    loss_sum += share * loss.item<double>();
+    accuracy += share * real_logits.gt(fake_logits).to(torch::kFloat32).mean().item<double>();
+  }
   const double norm = discriminator_optimiser_->gradient_norm();
   if (std::isfinite(norm)) {
-    discriminator_optimiser_->step(
-        learning_rate(options_.adversarial.learning_rate, context.step, context.total_steps), norm);
+    const int64_t own_step = discriminator_optimiser_->steps_taken();
+    const int64_t own_steps = context.total_steps - options.discriminator_start;
+    discriminator_optimiser_->step(learning_rate(options.learning_rate, own_step, own_steps), norm);
   }
-  return {{"discriminator", loss.item<double>()},
-          {"discriminator_accuracy", real_logits.gt(fake_logits).to(torch::kFloat32).mean().item<double>()}};
+  return {{"discriminator", loss_sum}, {"discriminator_accuracy", accuracy}};
 }
 
 Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double absolute = 0.0, perceptual_sum = 0.0, psnr = 0.0;
+  double absolute = 0.0, perceptual_sum = 0.0, psnr_sum = 0.0;
   for (const TrainingScene& scene : scenes) {
     const auto truth = scene.images.to(placement_.device);
     const auto grid = backbone_->architecture().grid_of(truth.size(0), truth.size(2), truth.size(3));
     const auto decoded = decoder_->decode(torch::cat(levels_of(truth), 2), grid);
     absolute += (decoded - truth).abs().mean().item<double>();
     perceptual_sum += perceptual(truth, decoded).item<double>();
-    psnr += measure_images(metric_named("psnr"), truth, decoded).mean();
+    psnr_sum += measure_images(metric_named("psnr"), truth, decoded).mean();
     if (validation.rows.size() < 4) {
       PictureRow row;
       row.name = scene.name;
@@ -244,8 +252,9 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
     }
   }
   const auto count = static_cast<double>(scenes.size());
-  validation.values = {
-      {"reconstruction", absolute / count}, {"perceptual", perceptual_sum / count}, {"psnr", psnr / count}};
+  validation.values = {{"reconstruction", absolute / count},
+                       {"perceptual", perceptual_sum / count},
+                       {"psnr", psnr_sum / count}};
   return validation;
 }
 

@@ -30,6 +30,7 @@ struct AdversarialOptions : OptionsGroup {
   DinoDiscriminatorOptions dino;
   ConvolutionalDiscriminatorOptions convolutional;
   DiffAugmentOptions augment;
+  // Counted in the discriminator's own steps: its warm-up starts when it starts to learn.
   LearningRateOptions learning_rate;
   OptimiserOptions optimiser;
 
@@ -98,7 +99,13 @@ class DecoderObjective : public Objective {
   std::shared_ptr<Discriminator> discriminator_;
   std::unique_ptr<FlatParameters> discriminator_parameters_;
   std::unique_ptr<Optimiser> discriminator_optimiser_;
-  torch::Tensor last_truth_, last_decoded_;  // of the last micro-batch, for the discriminator
+  // What the discriminator learns from after the step: images of every micro-batch of that step, in their order.
+  struct JudgedImages {
+    torch::Tensor truth;
+    torch::Tensor decoded;  // without gradients
+  };
+  std::vector<JudgedImages> judged_;
+  int64_t judged_step_ = -1;  // the step they are of
 };
 
 }  // namespace gld

@@ -1,8 +1,8 @@
 #include "train/objectives/flow_objective.h"
 
 #include "gld/flow/schedule.h"
-#include "models/dit/flow_matching_loss.h"
 #include "gld/metrics/metric_list.h"
+#include "models/dit/flow_matching_loss.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
@@ -142,7 +142,7 @@ torch::Tensor FlowObjective::generate(const Prepared& prepared, const torch::Ten
 Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
   constexpr int kTimes = 4;
   Validation validation;
-  double all = 0.0, source = 0.0, target = 0.0, one_step = 0.0, psnr = 0.0;
+  double all = 0.0, source = 0.0, target = 0.0, one_step = 0.0, psnr_sum = 0.0;
   auto generator = at::detail::createCPUGenerator(kValidationSeed);
   for (const TrainingScene& on_host : scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
@@ -161,9 +161,9 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const auto decoded = decode(scene, generate(prepared, noise)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;
     const int64_t targets = scene.views.num_targets();
-    psnr += measure_images(metric_named("psnr"), on_host.images.narrow(0, sources, targets),
-                           decoded.narrow(0, sources, targets))
-                .mean();
+    psnr_sum += measure_images(metric_named("psnr"), on_host.images.narrow(0, sources, targets),
+                               decoded.narrow(0, sources, targets))
+                    .mean();
     if (validation.rows.size() < 6) {
       PictureRow row;
       row.name = scene.name;
@@ -181,7 +181,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
                        {"flow_loss_source", source / count},
                        {"flow_loss_target", target / count},
                        {"one_step_error_target", one_step / count}};
-  if (frozen_.rgb_decoder) validation.values.emplace_back("target_psnr", psnr / count);
+  if (frozen_.rgb_decoder) validation.values.emplace_back("target_psnr", psnr_sum / count);
   return validation;
 }
 

@@ -1,7 +1,6 @@
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
-#include <cmath>
 
 namespace gld {
 

@@ -1,10 +1,12 @@
 #include "train/stages/latent_stages.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/latents/latent_statistics.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/latent_spaces/geometric_latent_space.h"
 #include "train/objectives/level_objective.h"
@@ -120,10 +122,10 @@ StatsOptions::StatsOptions() { data.validation_scenes = 0; }
 
 void StatsOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder with a trained backbone"}, model);
-  visitor.text({"out", "run folder"}, out);
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads for computing; 0 is all processors"}, threads, {0, 1024});
-  visitor.integer({"scenes", "training scenes to look at"}, scenes, {1, 1'000'000'000});
+  visit_out(visitor, out);
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
+  visitor.integer({"scene_count", "training scenes to look at"}, scene_count, {1, 1'000'000'000});
   visitor.group({"data", "the training data"}, data);
 }
 
@@ -132,12 +134,13 @@ void StatsOptions::check() const {
     fail({"--model", "a bundle folder with a trained backbone", "nothing",
           "add for example --model configs/tiny"});
   }
+  check_out(out, "runs/stats");
 }
 
 std::string compute_statistics(const StatsOptions& options) {
   const torch::NoGradGuard no_grad;
   install_interrupt_handler();
-  use_training_threads(options.threads);
+  use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;
   placement.device = device_from_text(options.device);
@@ -147,13 +150,13 @@ std::string compute_statistics(const StatsOptions& options) {
   RunFolder folder(options.out, "stats", options);
 
   std::vector<LevelMoments> moments = moments_of(model);
-  Progress progress("latent statistics", options.scenes);
+  Progress progress("latent statistics", options.scene_count);
   int64_t scenes = 0;
-  for (int64_t index = 0; scenes < options.scenes; ++index) {
+  for (int64_t index = 0; scenes < options.scene_count; ++index) {
     stop_if_interrupted("statistics stopped after " + std::to_string(scenes) +
                         " scenes; nothing was written");
     for (const TrainingScene& on_host : data.batch(index).scenes) {
-      if (scenes == options.scenes) break;
+      if (scenes == options.scene_count) break;
       const TrainingScene scene = on_host.to(placement.device);
       const auto levels = space.encode(scene.images, model.level_set().deepest_generated());
       for (auto& moment : moments) {

@@ -26,7 +26,7 @@ struct StatsOptions : OptionsGroup {
   std::string out;
   std::string device = "cpu";
   int64_t threads = 0;
-  int64_t scenes = 512;
+  int64_t scene_count = 512;
   TrainingDataOptions data;
 
   StatsOptions();

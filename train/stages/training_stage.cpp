@@ -1,14 +1,14 @@
 #include "train/stages/training_stage.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/report/run_folder.h"
+#include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
-#include "gld/tensors/torch_version.h"
 
 #include <algorithm>
 #include <iostream>
-#include <thread>
 
 #include <nlohmann/json.hpp>
 
@@ -31,10 +31,10 @@ DType file_dtype_of(ExportPrecision precision) {
 
 void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder: model.yaml and the parts trained before"}, model);
-  visitor.text({"out", "run folder"}, out);
+  visit_out(visitor, out);
   visitor.boolean({"resume", "continue the run in the run folder"}, resume);
-  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
-  visitor.integer({"threads", "threads for computing; 0 is all processors"}, threads, {0, 1024});
+  visit_device(visitor, device);
+  visit_threads(visitor, threads);
   visit_choice(visitor, {"weights", "precision of the exported weights"}, weights,
                {"float32", "float16", "bfloat16"});
   visitor.group({"data", "what to train on"}, data);
@@ -45,11 +45,7 @@ void TrainOptions::check() const {
   if (model.empty()) {
     fail({"--model", "a bundle folder with a model.yaml", "nothing", "add for example --model configs/tiny"});
   }
-}
-
-void use_training_threads(int64_t threads) {
-  const auto available = static_cast<int64_t>(std::max(1U, std::thread::hardware_concurrency()));
-  set_thread_count(static_cast<int>(threads > 0 ? threads : available));
+  check_out(out, "runs/train");
 }
 
 // Parts of the bundle that the run did not make itself.
@@ -66,7 +62,7 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw) {
   install_interrupt_handler();
-  use_training_threads(options.threads);
+  use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;
   placement.device = device_from_text(options.device);

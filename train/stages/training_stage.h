@@ -50,8 +50,6 @@ struct TrainingStage {
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw);
 
-// 0 is one thread a processor.
-void use_training_threads(int64_t threads);
 // Copies the parts that a run did not make itself.
 void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
                       const std::vector<BundlePart>& made);

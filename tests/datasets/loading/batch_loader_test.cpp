@@ -16,7 +16,7 @@ using test::error_of;
 
 std::shared_ptr<SyntheticDataset> small_scenes() {
   SyntheticOptions options;
-  options.scenes = 5;
+  options.scene_count = 5;
   options.frames = 10;
   options.width = 40;
   options.height = 30;

@@ -109,7 +109,7 @@ TEST(ViewSampling, ContradictionsAreRefused) {
 
 MixturePart part(const std::string& name, double weight) {
   SyntheticOptions options;
-  options.scenes = 7;
+  options.scene_count = 7;
   MixturePart part;
   part.name = name;
   part.dataset = std::make_shared<SyntheticDataset>(options);

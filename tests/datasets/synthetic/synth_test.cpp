@@ -15,7 +15,7 @@ using test::TemporaryFolder;
 SynthOptions small(const std::filesystem::path& out) {
   SynthOptions options;
   options.out = out.string();
-  options.scene.scenes = 3;
+  options.scene.scene_count = 3;
   options.scene.frames = 4;
   options.scene.width = options.scene.height = 32;
   return options;

@@ -28,7 +28,7 @@ TEST(AttentionBenchmark, ReportsAllVariantsWithSmallErrors) {
   AttentionBenchmarkOptions options;
   options.head_dims = {16, 48};
   options.tokens = {100};
-  options.threads = {1, 2};
+  options.thread_counts = {1, 2};
   options.repeats = 2;
   const auto rows = attention_benchmark_rows(options);
   ASSERT_EQ(rows.size(), 2U * 2 * 3 * 2);

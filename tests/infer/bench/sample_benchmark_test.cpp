@@ -72,7 +72,7 @@ TEST(SampleBenchmark, MeasuresEveryVariantAgainstTheReference) {
   write_random_bundle(bundle, small_bundle_options(), 5);
   SampleBenchmarkOptions options;
   options.model = bundle.string();
-  options.scene = (test::shared_data() / "scenes" / "gld_layout_5e040cd0758dcc96").string();
+  options.scenes = {(test::shared_data() / "scenes" / "gld_layout_5e040cd0758dcc96").string()};
   options.views.sources = {0, 7};
   options.views.targets = {3};
   options.size = "56x56";
@@ -219,8 +219,8 @@ TEST(SampleBenchmark, FrontsAreOfOneSceneAndScale) {
 TEST(SampleBenchmark, RefusesToRunWithoutAScene) {
   SampleBenchmarkOptions options;
   EXPECT_EQ(error_of([&] { options.check(); }),
-            "--scene, --synthetic: expected either a folder of images with cameras or a number of generated "
-            "scenes, found neither; add for example --synthetic 4.");
+            "--scenes, --synthetic: expected either folders of scenes or a number of generated scenes, found "
+            "neither; add for example --synthetic 4.");
   options.synthetic = 4;
   options.lpips.lpips_heads = "heads.pth";
   EXPECT_EQ(error_of([&] { options.check(); }),

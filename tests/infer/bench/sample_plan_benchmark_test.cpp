@@ -131,7 +131,7 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
   asked.threads = 1;
   asked.out = (folder.path() / "sample").string();
   asked.tolerance = 5;
-  const auto plan = sampling_plan_report(asked);
+  const auto plan = sampling_plan_report(asked, PlanTiming::kPredicted);
   EXPECT_THAT(plan,
               HasSubstr("measured methods with an error below --tolerance 5; relative latent error at most"));
   testing::internal::CaptureStdout();
@@ -151,15 +151,15 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
 
   asked.guidance.guidance_scale = 3;
   EXPECT_THAT(
-      error_of([&] { sampling_plan_report(asked); }),
+      error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
       HasSubstr("--tolerance: expected a guidance scale of at most 1.5, with which errors were measured, "
                 "found 3"));
   asked.guidance.guidance_scale = 1.5;
   write_random_bundle(model, bundle, 6);
-  EXPECT_THAT(error_of([&] { sampling_plan_report(asked); }),
+  EXPECT_THAT(error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
               HasSubstr("expected errors measured with this bundle's weights, found those of other weights"));
   std::filesystem::remove(model / kPlanErrorsFile);
-  EXPECT_THAT(error_of([&] { sampling_plan_report(asked); }),
+  EXPECT_THAT(error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
               HasSubstr("expected the measured errors of sampling with this model, found no such file"));
 }
 

@@ -124,13 +124,13 @@ TEST(EvaluationReport, AMeanSaysWhatItIsOf) {
 TEST(EvaluationOptions, SamplesAreDrawnAsGldSampleDrawsThem) {
   const EvaluationOptions options;
   const SampleOptions sample;
-  const DitOptions cascade;
-  EXPECT_TRUE(same_method(options.sampling_method(cascade), sample.method(cascade)));
-  EXPECT_GE(options.sampling_method(cascade).solver.evaluations, 16);
+  const BundleOptions bundle;
+  EXPECT_TRUE(same_method(options.sampling_method(bundle), sample.method(bundle)));
+  EXPECT_GE(options.sampling_method(bundle).solver.evaluations, 16);
   EXPECT_EQ(to_json(options.guidance), to_json(sample.guidance));
   EvaluationOptions other;
   other.solver.evaluations = 5;
-  EXPECT_EQ(other.sampling_method(cascade).solver.evaluations, 5);
+  EXPECT_EQ(other.sampling_method(bundle).solver.evaluations, 5);
 }
 
 TEST(EvaluationOptions, RefuseToEvaluateNothing) {
@@ -245,7 +245,7 @@ TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   models.bundle = bundle.options();
   models.models = kept_bundle_models(bundle, torch::kCPU);
   const FlowSettings settings =
-      flow_settings(asked.sampling_method(bundle.options().cascade), asked.guidance, bundle.options());
+      flow_settings(asked.sampling_method(bundle.options()), asked.guidance, bundle.options());
   const EvaluatedScene evaluated = evaluate_scene(models, scene, settings, asked.seed);
 
   const SampledViews views = held_out_sample(found, asked.views, key);

@@ -11,10 +11,12 @@
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
+#include "infer/forecast/machine_rates.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/shared_data.h"
 
 #include <csignal>
+#include <cstdlib>
 #include <filesystem>
 
 #include <gmock/gmock.h>
@@ -32,6 +34,7 @@ class Sampling : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     folder_ = new test::TemporaryFolder();
+    ::setenv("XDG_CACHE_HOME", (folder_->path() / "cache").c_str(), 1);  // no rates of the tester's
     write_random_bundle(folder_->path() / "model", small_bundle_options(), 7);
     SyntheticOptions synthetic;
     synthetic.seed = 5;
@@ -260,7 +263,7 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
   }
   testing::internal::GetCapturedStdout();
   testing::internal::GetCapturedStderr();
-  EXPECT_THAT(done, testing::MatchesRegex("M1 had reached flow time [0-9.]+; nothing of it was written"));
+  EXPECT_THAT(done, testing::MatchesRegex("M1: [0-9]+ steps to flow time [0-9.]+"));
   for (const auto& entry : std::filesystem::recursive_directory_iterator(asked.out)) {
     EXPECT_THAT(entry.path().filename().string(), testing::Not(HasSubstr("partial")));
   }
@@ -270,11 +273,44 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
 TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
   auto asked = options("unused");
   asked.outputs = {"image"};
-  const auto text = sampling_plan_report(asked);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
   EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
   EXPECT_THAT(text,
               testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
   EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
+}
+
+TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
+  const auto scene = folder_->path() / "cut_short";
+  std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(scene)) {
+    // The header, which tells the size, stays.
+    if (entry.path().extension() == ".png") std::filesystem::resize_file(entry.path(), 200);
+  }
+  auto asked = options("unused");
+  asked.scene = scene.string();
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  EXPECT_THAT(text, HasSubstr("2 source and 2 target views at 112x56"));
+  EXPECT_THROW(sample(asked), Error);
+}
+
+// Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
+TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
+  auto asked = options("kept_rates");
+  asked.outputs = {"latents"};
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("quick estimate"));
+  EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
+  MachineSpeed slow;
+  slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
+  set_thread_count(1);
+  keep_machine_speed(machine_rates_file(), present_rate_key(), slow);
+  const auto report = run(asked);
+  EXPECT_THAT(printed_, HasSubstr("rates that gld doctor measured"));
+  const auto& level1 = report.at("plan").at(1);
+  EXPECT_EQ(level1.at("stage"), "M1");
+  EXPECT_NEAR(level1.at("predicted_seconds").get<double>() / (level1.at("tflop").get<double>() * 1e6), 1,
+              0.5);
+  std::filesystem::remove(machine_rates_file());
 }
 
 TEST_F(Sampling, TheDoctorForecastsForAModel) {
@@ -287,6 +323,10 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
   EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
   ASSERT_EQ(report.at("forecast").size(), 6u);
+  EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
+  const auto again = nlohmann::json::parse(doctor_report(asked));
+  EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
+  EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
   for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
   asked.sources = asked.views;
   EXPECT_EQ(

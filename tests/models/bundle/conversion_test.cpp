@@ -216,9 +216,8 @@ TEST_F(Conversion, NeedsAFileAndAFolder) {
             "gld convert "
             "--help).");
   options.out.clear();
-  EXPECT_EQ(
-      error_of([&] { options.check(); }),
-      "--out: expected a folder to write the bundle into, found nothing; add for example --out models/gld.");
+  EXPECT_EQ(error_of([&] { options.check(); }),
+            "--out: expected a folder to write into, found nothing; add for example --out models/gld.");
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 // Two steps of every kind of training with a shrunken configuration, and what each objective promises.
+#include "gld/metrics/image_metrics.h"
 #include "models/bundle/bundle.h"
 #include "tests/support/shared_data.h"
 #include "tests/train/small_training.h"
@@ -203,7 +204,87 @@ TEST(DecoderTraining, StartStepsDelayThePartsOfTheLoss) {
     EXPECT_EQ(objective.losses(data.batch(0), {step, 10, generator}).parts.size(), parts) << step;
     EXPECT_TRUE(objective.after_step({step, 10, generator}).empty());
   }
+  objective.losses(data.batch(0), {7, 10, generator});
   EXPECT_EQ(objective.after_step({7, 10, generator}).size(), 2U);
+}
+
+// A decoder without anything random in its loss, so that only the images decide how the discriminator moves.
+DecoderObjectiveOptions quiet_decoder() {
+  auto options = small_decoder();
+  options.level_dropout = 0;
+  options.latent_noise = 0;
+  options.adversarial.crop = 56;
+  options.adversarial.augment.probability = 0;
+  options.adversarial.generator_start = 1000;
+  return options;
+}
+
+// What moves the discriminator's weights, without the vectors of its spectral normalisation.
+std::map<std::string, torch::Tensor> discriminator_weights(const DecoderObjective& objective) {
+  std::map<std::string, torch::Tensor> weights;
+  for (const auto& [name, tensor] : objective.state()) {
+    const std::string end = name.substr(name.size() - 2);
+    const bool vector = end == "_u" || end == "_v";
+    if (name.rfind("discriminator.", 0) == 0 && !vector) weights[name] = tensor.clone();
+  }
+  return weights;
+}
+
+double largest_difference(const std::map<std::string, torch::Tensor>& a,
+                          const std::map<std::string, torch::Tensor>& b) {
+  double largest = 0;
+  for (const auto& [name, tensor] : a) {
+    largest = std::max(largest, (tensor - b.at(name)).abs().max().item<double>());
+  }
+  return largest;
+}
+
+TEST(DecoderTraining, TheDiscriminatorWarmsUpFromItsOwnFirstStep) {
+  auto options = quiet_decoder();
+  options.adversarial.discriminator_start = 64;
+  options.adversarial.learning_rate = {};
+  options.adversarial.learning_rate.peak = 1e-2;
+  options.adversarial.learning_rate.warmup_steps = 100;
+  DecoderObjective objective(test::small_model(), options, random_backbone(), {}, 1);
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  auto generator = at::detail::createCPUGenerator(2);
+  objective.losses(data.batch(0), {64, 1000, generator});
+  const auto before = discriminator_weights(objective);
+  objective.after_step({64, 1000, generator});
+  // The first step of Adam moves a weight by the learning rate: 1e-2 / 100, not 1e-2 * 65 / 100.
+  EXPECT_NEAR(largest_difference(before, discriminator_weights(objective)), 1e-4, 2e-6);
+}
+
+TEST(DecoderTraining, EveryMicroBatchOfAStepTrainsTheDiscriminator) {
+  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto judged = [&](const std::vector<std::pair<int64_t, int64_t>>& steps_and_batches) {
+    DecoderObjective objective(test::small_model(), quiet_decoder(), random_backbone(), {}, 1);
+    auto generator = at::detail::createCPUGenerator(2);
+    for (const auto& [step, batch] : steps_and_batches) {
+      objective.losses(data.batch(batch), {step, 10, generator});
+    }
+    const auto values = objective.after_step({steps_and_batches.back().first, 10, generator});
+    return std::make_pair(values.front().second, discriminator_weights(objective));
+  };
+  const auto both = judged({{3, 0}, {3, 1}}), first = judged({{3, 0}}), second = judged({{3, 1}});
+  EXPECT_GT(largest_difference(both.second, second.second), 1e-6);
+  // The vectors of the spectral normalisation advance with each pass, so the mean is not exact.
+  EXPECT_NEAR(both.first, 0.5 * (first.first + second.first), 0.02);
+  // A step that was skipped because its loss was not finite leaves nothing to the next one.
+  const auto after_skipped = judged({{2, 0}, {3, 1}});
+  EXPECT_EQ(after_skipped.first, second.first);
+  EXPECT_EQ(largest_difference(after_skipped.second, second.second), 0);
+}
+
+TEST(DecoderTraining, AnExactPictureHasAnInfinitePsnrThatTheLogHoldsAsNull) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "metrics.jsonl";
+  MetricsLog log(file, 0);
+  const auto image = torch::rand({1, 3, 8, 8});
+  log.append({{"step", 1}, {"validation_psnr", psnr(image, image).mean().item<double>()}});
+  log.append({{"step", 2}, {"validation_psnr", 20.0}});
+  EXPECT_EQ(log.series("validation_psnr"), (std::vector<std::pair<double, double>>{{2.0, 20.0}}));
+  EXPECT_EQ(MetricsLog(file, 2).series("validation_psnr"), log.series("validation_psnr"));
 }
 
 TEST(ScenePixels, PatchesAndImagesAreInverse) {

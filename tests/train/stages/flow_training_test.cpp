@@ -48,7 +48,7 @@ class TrainedChain : public testing::Test {
     stats.model = path("decoder/model").string();
     stats.out = path("stats").string();
     stats.threads = 1;
-    stats.scenes = 5;
+    stats.scene_count = 5;
     stats.data = test::small_data();
     compute_statistics(stats);
     train_level(stage_options<TrainLevelOptions>(path("stats/model"), path("level")), {});

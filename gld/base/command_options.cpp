@@ -1,0 +1,45 @@
+#include "gld/base/command_options.h"
+
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <thread>
+
+namespace gld {
+
+void visit_out(FieldVisitor& visitor, std::string& out) {
+  visitor.text({"out", "folder to write into: a new one, or one of an earlier run of the same command"}, out);
+}
+
+void check_out(const std::string& out, const std::string& example) {
+  if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out " + example});
+}
+
+void visit_threads(FieldVisitor& visitor, int64_t& threads) {
+  visitor.integer({"threads", "threads that compute; 0: one a core"}, threads, {0, kMostThreads});
+}
+
+int64_t threads_to_use(int64_t threads) {
+  // The system may not tell, which is 0 too.
+  return threads > 0 ? threads : std::max<int64_t>(1, std::thread::hardware_concurrency());
+}
+
+void visit_device(FieldVisitor& visitor, std::string& device) {
+  visitor.text({"device", "cpu, cuda or cuda:N"}, device);
+}
+
+void visit_seed(FieldVisitor& visitor, int64_t& seed, const std::string& of) {
+  visitor.integer({"seed", "seed of " + of + "; the same seed gives the same bytes"}, seed, {0});
+}
+
+void visit_scene(FieldVisitor& visitor, std::string& scene) {
+  visitor.text({"scene", "folder that is one scene: images with cameras, in any layout of gld check-data"},
+               scene);
+}
+
+void visit_scenes(FieldVisitor& visitor, std::vector<std::string>& scenes, const std::string& instead_of) {
+  visitor.texts({"scenes", "folders of scenes, in any layout of gld check-data; none: " + instead_of},
+                scenes);
+}
+
+}  // namespace gld

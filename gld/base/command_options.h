@@ -1,0 +1,36 @@
+#pragma once
+
+#include "gld/base/options.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Options that several commands have. Each is declared here only, so that it has one name, range and help everywhere; a
+// command's visit() calls those that the command uses.
+
+constexpr int64_t kMostThreads = 4096;
+
+// --out: the folder a command writes into.
+void visit_out(FieldVisitor& visitor, std::string& out);
+// Throws Error for an empty one; example is such a folder, "runs/sample".
+void check_out(const std::string& out, const std::string& example);
+
+// --threads, 0 to kMostThreads. 0 is one a core: threads_to_use() says how many that is.
+void visit_threads(FieldVisitor& visitor, int64_t& threads);
+int64_t threads_to_use(int64_t threads);
+
+// --device; gld/tensors/device.h reads it.
+void visit_device(FieldVisitor& visitor, std::string& device);
+
+// --seed, from 0; of says what is drawn with it: "the noise".
+void visit_seed(FieldVisitor& visitor, int64_t& seed, const std::string& of);
+
+// --scene: one folder that is one scene.
+void visit_scene(FieldVisitor& visitor, std::string& scene);
+// --scenes: folders that are scenes or hold some; instead_of says what is taken where there are none.
+void visit_scenes(FieldVisitor& visitor, std::vector<std::string>& scenes, const std::string& instead_of);
+
+}  // namespace gld

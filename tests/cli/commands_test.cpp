@@ -1,0 +1,91 @@
+// What all commands of the program promise together.
+#include "cli/commands.h"
+
+#include "gld/base/configuration.h"
+
+#include <map>
+#include <set>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+void collect(const std::vector<Command>& commands, std::vector<Command>& runnable) {
+  for (const auto& command : commands) {
+    if (command.subcommands.empty()) runnable.push_back(command);
+    collect(command.subcommands, runnable);
+  }
+}
+
+std::vector<Command> runnable_commands() {
+  std::vector<Command> runnable;
+  collect(all_commands(), runnable);
+  return runnable;
+}
+
+int quietly(const std::vector<std::string>& arguments) {
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  const int status = run_command_line(all_commands(), arguments);
+  testing::internal::GetCapturedStdout();
+  testing::internal::GetCapturedStderr();
+  return status;
+}
+
+std::vector<std::string> words_of(const Command& command) {
+  const auto space = command.name.find(' ');
+  if (space == std::string::npos) return {command.name};
+  return {command.name.substr(0, space), command.name.substr(space + 1)};
+}
+
+// A folder, a file or a number has one name and one declaration, whichever command takes it.
+TEST(Commands, SharedOptionsAreTheSameEverywhere) {
+  const std::set<std::string> shared{"out", "threads", "device", "seed", "scene", "scenes"};
+  std::map<std::string, std::set<std::string>> declarations;
+  for (const auto& command : runnable_commands()) {
+    if (!command.options) continue;
+    for (const auto& option : describe_options(*command.options)) {
+      const std::string name = option.key.substr(option.key.rfind('.') + 1);
+      EXPECT_NE(name, "folders") << command.name;
+      if (shared.count(name) == 0) continue;
+      // What a seed draws and what stands in for scenes is said behind the words that all have in common.
+      std::string help = option.help;
+      if (name == "seed") help = help.substr(0, 8) + help.substr(help.find(';'));
+      if (name == "scenes") help = help.substr(0, help.find(';'));
+      declarations[name].insert(option.type + " " + option.range + " " + help);
+    }
+  }
+  EXPECT_EQ(declarations.size(), shared.size());
+  for (const auto& [name, different] : declarations) {
+    EXPECT_EQ(different.size(), 1U) << name << ": " << testing::PrintToString(different);
+  }
+}
+
+// 0 for help, 2 for wrong usage: nothing was begun.
+TEST(Commands, ExitStatusSaysWhatWentWrong) {
+  for (const auto& command : runnable_commands()) {
+    auto help = words_of(command), unknown = words_of(command);
+    help.emplace_back("--help");
+    unknown.emplace_back("--no-such-flag");
+    EXPECT_EQ(quietly(help), 0) << command.name;
+    EXPECT_EQ(quietly(unknown), 2) << command.name;
+  }
+  EXPECT_EQ(quietly({}), 2);
+  EXPECT_EQ(quietly({"inspect", "/no/such/file"}), 1);
+}
+
+TEST(Commands, ThoseThatWriteAskForAFolderBeforeTheyBegin) {
+  for (const auto& command : runnable_commands()) {
+    if (!command.options || command.arguments.minimum > 0 || command.name == "plan") continue;
+    const auto options = describe_options(*command.options);
+    if (std::none_of(options.begin(), options.end(), [](const auto& option) { return option.key == "out"; }))
+      continue;
+    auto words = words_of(command);
+    EXPECT_EQ(quietly(words), 2) << command.name;
+  }
+}
+
+}  // namespace
+}  // namespace gld
