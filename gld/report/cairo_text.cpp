@@ -96,6 +96,27 @@ std::string with_code_points(const std::vector<Character>& text, const std::vect
   return result;
 }
 
+// Where the text may be cut: byte offsets from 0 to its end, a character with its accents between two of them.
+std::vector<size_t> character_ends(const std::string& text, const TextFont& font) {
+  const std::vector<Character> all = characters(text);
+  std::string valid;
+  for (const Character& character : all) {
+    char bytes[6];
+    valid.append(bytes, static_cast<size_t>(g_unichar_to_utf8(character.code, bytes)));
+  }
+  const Layout layout = make_layout(font);
+  pango_layout_set_text(layout.get(), valid.data(), static_cast<int>(valid.size()));
+  int count = 0;  // one more than characters
+  const PangoLogAttr* attributes = pango_layout_get_log_attrs_readonly(layout.get(), &count);
+  std::vector<size_t> ends;
+  size_t at = 0;
+  for (size_t i = 0; i < static_cast<size_t>(count); ++i) {
+    if (attributes[i].is_cursor_position != 0) ends.push_back(at);
+    if (i < all.size()) at += all[i].bytes.size();
+  }
+  return ends;
+}
+
 Layout drawable_layout(const std::string& text, const TextFont& font) {
   Layout layout = make_layout(font);
   const std::string drawable = drawable_text(text, font);
@@ -155,34 +176,21 @@ void show_text(cairo_t* cairo, double x, double y, const std::string& text, cons
 }
 
 std::string shortened_text(const std::string& text, double width, const TextFont& font) {
-  const Layout layout = drawable_layout(text, font);
-  if (width_of(layout.get()) <= width) return text;
-  // Where a cursor may stand, a character with its accents ends.
-  const std::string whole = pango_layout_get_text(layout.get());
-  int count = 0;
-  const PangoLogAttr* attributes = pango_layout_get_log_attrs_readonly(layout.get(), &count);
-  std::vector<size_t> cuts;
-  const char* at = whole.data();
-  for (int i = 0; i < count; ++i) {
-    if (attributes[i].is_cursor_position != 0) cuts.push_back(static_cast<size_t>(at - whole.data()));
-    if (i + 1 < count) at = g_utf8_next_char(at);
-  }
-  const auto fits = [&](const std::string& candidate) {
-    pango_layout_set_text(layout.get(), candidate.data(), static_cast<int>(candidate.size()));
-    return width_of(layout.get()) <= width;
-  };
+  const auto fits = [&](const std::string& candidate) { return text_extent(candidate, font).width <= width; };
+  if (fits(text)) return text;
+  if (!fits(kEllipsis)) return "";
+  const std::vector<size_t> cuts = character_ends(text, font);
   // The end gets the odd character: there the number is.
   const auto with_kept = [&](size_t kept) {
     const size_t beginning = cuts[kept / 2], end = cuts[cuts.size() - 1 - (kept - kept / 2)];
-    return whole.substr(0, beginning) + kEllipsis + whole.substr(end);
+    return text.substr(0, beginning) + kEllipsis + text.substr(end);
   };
-  if (!fits(kEllipsis)) return "";
-  size_t fitting = 0, too_many = cuts.empty() ? 0 : cuts.size() - 1;
+  size_t fitting = 0, too_many = cuts.size() - 1;
   while (fitting + 1 < too_many) {
     const size_t middle = (fitting + too_many) / 2;
     (fits(with_kept(middle)) ? fitting : too_many) = middle;
   }
-  return cuts.empty() ? kEllipsis : with_kept(fitting);
+  return with_kept(fitting);
 }
 
 }  // namespace gld

@@ -84,5 +84,16 @@ TEST(CairoText, ShorteningKeepsCharactersAndTheirAccentsWhole) {
               testing::AllOf(testing::StartsWith("Оч"), testing::EndsWith("0012")));
 }
 
+TEST(CairoText, ShorteningKeepsCodePointsWhole) {
+  std::string name;
+  for (int i = 0; i < 30; ++i) name += kMissing;
+  const std::string cut = shortened_text(name, 300, kFont);
+  EXPECT_EQ(cut.find("…") % kMissing.size(), 0U);
+  const std::string drawn = drawable_text(cut, kFont);
+  EXPECT_THAT(drawn, testing::AllOf(testing::StartsWith("U+10FFFD"), testing::HasSubstr("U+10FFFD…U+10FFFD"),
+                                    testing::EndsWith("U+10FFFD")));
+  EXPECT_THAT(shortened_text(std::string(40, '\xff'), 200, kFont), testing::HasSubstr("…"));
+}
+
 }  // namespace
 }  // namespace gld
