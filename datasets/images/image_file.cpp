@@ -1,12 +1,14 @@
 #include "datasets/images/image_file.h"
 
 #include "datasets/images/image_probe.h"
+#include "datasets/images/png_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <vector>
 
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -92,15 +94,6 @@ cv::Mat bgr_view(const Image& image, const std::string& where) {
   return bgr;
 }
 
-void encode(const std::filesystem::path& file, const std::string& extension, const cv::Mat& pixels,
-            const std::vector<int>& parameters) {
-  std::vector<uint8_t> bytes;
-  if (!cv::imencode(extension, pixels, bytes, parameters)) {
-    fail({file.string(), "to encode an image", "an encoder error", "check the installation of OpenCV"});
-  }
-  write_file_atomically(file, std::string(bytes.begin(), bytes.end()));
-}
-
 }  // namespace
 
 Image read_image(const std::filesystem::path& file, ImageOrientation orientation) {
@@ -155,22 +148,24 @@ ValidityMask read_mask(const std::filesystem::path& file) {
 }
 
 void write_png(const std::filesystem::path& file, const Image& image) {
-  encode(file, ".png", bgr_view(image, file.string()), {cv::IMWRITE_PNG_COMPRESSION, 6});
+  write_file_atomically(file, encode_png(image, {}));
 }
 
 void write_jpeg(const std::filesystem::path& file, const Image& image, int quality) {
-  encode(file, ".jpg", bgr_view(image, file.string()), {cv::IMWRITE_JPEG_QUALITY, quality});
+  std::vector<uint8_t> bytes;
+  if (!cv::imencode(".jpg", bgr_view(image, file.string()), bytes, {cv::IMWRITE_JPEG_QUALITY, quality})) {
+    fail({file.string(), "to encode an image", "an encoder error", "check the installation of OpenCV"});
+  }
+  write_file_atomically(file, std::string(bytes.begin(), bytes.end()));
 }
 
 void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit) {
-  cv::Mat pixels(static_cast<int>(depth.height), static_cast<int>(depth.width), CV_16UC1);
-  for (int y = 0; y < pixels.rows; ++y) {
-    auto* row = pixels.ptr<uint16_t>(y);
-    for (int x = 0; x < pixels.cols; ++x) {
-      row[x] = static_cast<uint16_t>(std::clamp(std::round(depth.at(x, y) / metres_per_unit), 0.0, 65535.0));
-    }
+  Grey16 pixels{depth.width, depth.height, {}};
+  for (const float metres : depth.metres) {
+    const double units = std::round(metres / metres_per_unit);
+    pixels.values.push_back(static_cast<uint16_t>(std::clamp(units, 0.0, 65535.0)));
   }
-  encode(file, ".png", pixels, {cv::IMWRITE_PNG_COMPRESSION, 6});
+  write_file_atomically(file, encode_png(pixels, {}));
 }
 
 }  // namespace gld

@@ -5,13 +5,17 @@
 
 #include <algorithm>
 #include <fstream>
+#include <memory>
+
+#include <libexif/exif-data.h>
 
 namespace gld {
 namespace {
 
 constexpr int64_t kLargestSide = 65535;
-constexpr std::streamsize kHeaderBytes =
-    1 << 18;  // more than most headers have; otherwise the whole file is read
+// More than most headers have; otherwise the whole file is read.
+constexpr std::streamsize kHeaderBytes = 1 << 18;
+const std::string kExifStart("Exif\0\0", 6);
 
 // How much of a file is looked at.
 enum class Extent { kHeader, kWhole };
@@ -30,37 +34,30 @@ class Bytes {
   }
   uint32_t big16(size_t offset) const { return at(offset) << 8 | at(offset + 1); }
   uint32_t big32(size_t offset) const { return big16(offset) << 16 | big16(offset + 2); }
-  uint32_t little16(size_t offset) const { return at(offset) | at(offset + 1) << 8; }
-  uint32_t little32(size_t offset) const { return little16(offset) | little16(offset + 2) << 16; }
 
  private:
   const std::string& bytes_;
   const std::string& where_;
 };
 
-constexpr uint32_t kOrientationTag = 0x0112;
-
-// The orientation in a TIFF structure at [begin, end), 1 when it has none or is damaged: a picture with broken
-// metadata is still a picture.
-int tiff_orientation(const Bytes& bytes, size_t begin, size_t end) {
-  if (end > bytes.size() || end - begin < 8) return 1;
-  const bool little = bytes.at(begin) == 'I';
-  const auto read16 = [&](size_t offset) { return little ? bytes.little16(offset) : bytes.big16(offset); };
-  const auto read32 = [&](size_t offset) { return little ? bytes.little32(offset) : bytes.big32(offset); };
-  const size_t directory = begin + read32(begin + 4);
-  if (directory + 2 > end) return 1;
-  const size_t entries = read16(directory);
-  for (size_t i = 0; i < entries; ++i) {
-    const size_t entry = directory + 2 + 12 * i;
-    if (entry + 12 > end) return 1;
-    if (read16(entry) != kOrientationTag) continue;
-    const uint32_t value = read16(entry + 8);
-    return value >= 1 && value <= 8 ? static_cast<int>(value) : 1;
-  }
-  return 1;
+// The orientation that EXIF metadata ("Exif", two zeros, a TIFF structure) ask for; 1 when they have none or are damaged:
+// a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but cameras may
+// belong to the picture as stored.
+int exif_orientation(const std::string& metadata) {
+  const std::unique_ptr<ExifData, decltype(&exif_data_unref)> exif(exif_data_new(), exif_data_unref);
+  if (!exif) return 1;
+  // Otherwise missing entries are made up.
+  exif_data_unset_option(exif.get(), EXIF_DATA_OPTION_FOLLOW_SPECIFICATION);
+  exif_data_load_data(exif.get(), reinterpret_cast<const unsigned char*>(metadata.data()),
+                      static_cast<unsigned int>(metadata.size()));
+  const ExifEntry* entry = exif_content_get_entry(exif->ifd[EXIF_IFD_0], EXIF_TAG_ORIENTATION);
+  if (entry == nullptr || entry->format != EXIF_FORMAT_SHORT || entry->size < 2) return 1;
+  const ExifShort value = exif_get_short(entry->data, exif_data_get_byte_order(exif.get()));
+  return value >= 1 && value <= 8 ? value : 1;
 }
 
-ImageFileInfo probe_png(const Bytes& bytes, Extent extent, const std::string& where) {
+ImageFileInfo probe_png(const Bytes& bytes, const std::string& text, Extent extent,
+                        const std::string& where) {
   ImageFileInfo info;
   info.width = bytes.big32(16);
   info.height = bytes.big32(20);
@@ -72,7 +69,7 @@ ImageFileInfo probe_png(const Bytes& bytes, Extent extent, const std::string& wh
     if (type == 0x49444154 && extent == Extent::kHeader) return info;  // IDAT
     if (next > bytes.size()) fail_truncated(where);
     if (type == 0x65584966) {  // eXIf
-      info.orientation = tiff_orientation(bytes, offset + 8, offset + 8 + length);
+      info.orientation = exif_orientation(kExifStart + text.substr(offset + 8, length));
     }
     if (type == 0x49454E44) return info;  // IEND
     offset = next;
@@ -107,8 +104,8 @@ ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent ext
       info.height = bytes.big16(offset + 3);
       info.width = bytes.big16(offset + 5);
     }
-    if (marker == 0xE1 && length >= 16 && text.compare(offset + 2, 6, std::string("Exif\0\0", 6)) == 0) {
-      info.orientation = tiff_orientation(bytes, offset + 8, offset + length);
+    if (marker == 0xE1 && text.compare(offset + 2, kExifStart.size(), kExifStart) == 0) {
+      info.orientation = exif_orientation(text.substr(offset + 2, length - 2));
     }
     if (marker == 0xDA) {
       if (extent == Extent::kWhole && !has_end_marker(text, offset)) fail_truncated(where);
@@ -122,7 +119,7 @@ ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& 
   const Bytes reader(bytes, where);
   ImageFileInfo info;
   if (bytes.compare(0, 8, "\x89PNG\r\n\x1A\n") == 0) {
-    info = probe_png(reader, extent, where);
+    info = probe_png(reader, bytes, extent, where);
   } else if (bytes.compare(0, 2, "\xFF\xD8") == 0) {
     info = probe_jpeg(reader, bytes, extent, where);
   } else {

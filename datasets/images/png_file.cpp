@@ -4,118 +4,223 @@
 #include "gld/base/error.h"
 
 #include <algorithm>
+#include <array>
+#include <csetjmp>
+#include <cstring>
+#include <utility>
 
-#include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
-#include <zlib.h>
+#include <png.h>
 
 namespace gld {
 namespace {
 
-constexpr size_t kSignatureBytes = 8;
-constexpr size_t kHeaderEnd = kSignatureBytes + 25;  // the IHDR chunk is always 25 bytes
-const char* const kSignature = "\x89PNG\r\n\x1a\n";
+// What libpng has to say, instead of printing it.
+struct Complaint {
+  std::array<char, 200> text{};
+};
 
-std::string big_endian(uint32_t value) {
-  std::string bytes(4, '\0');
-  for (int i = 0; i < 4; ++i) bytes[i] = static_cast<char>((value >> (24 - 8 * i)) & 0xff);
+void keep(png_structp png, png_const_charp message) {
+  auto* complaint = static_cast<Complaint*>(png_get_error_ptr(png));
+  std::strncpy(complaint->text.data(), message, complaint->text.size() - 1);
+}
+
+// libpng leaves a function by longjmp(), which runs no destructors: the functions below that call setjmp() own nothing.
+[[noreturn]] void on_error(png_structp png, png_const_charp message) {
+  keep(png, message);
+  png_longjmp(png, 1);
+}
+
+void on_reading_warning(png_structp, png_const_charp) {}
+
+// A PNG of this program must not be repaired by leaving something out.
+[[noreturn]] void on_writing_warning(png_structp png, png_const_charp message) { on_error(png, message); }
+
+struct Writer {
+  Complaint complaint;
+  png_structp png = nullptr;
+  png_infop info = nullptr;
+
+  Writer() : png(png_create_write_struct(PNG_LIBPNG_VER_STRING, &complaint, on_error, on_writing_warning)) {
+    if (png != nullptr) info = png_create_info_struct(png);
+  }
+  ~Writer() { png_destroy_write_struct(&png, &info); }
+  Writer(const Writer&) = delete;
+  Writer& operator=(const Writer&) = delete;
+};
+
+struct Reader {
+  Complaint complaint;
+  png_structp png = nullptr;
+  png_infop info = nullptr;
+
+  Reader() : png(png_create_read_struct(PNG_LIBPNG_VER_STRING, &complaint, on_error, on_reading_warning)) {
+    if (png != nullptr) info = png_create_info_struct(png);
+  }
+  ~Reader() { png_destroy_read_struct(&png, &info, nullptr); }
+  Reader(const Reader&) = delete;
+  Reader& operator=(const Reader&) = delete;
+};
+
+struct Raster {
+  int64_t width = 0;
+  int64_t height = 0;
+  int bits = 8;
+  int colour_type = PNG_COLOR_TYPE_RGB;
+  std::vector<png_bytep> rows;  // libpng does not write to them
+};
+
+void append(png_structp png, png_bytep data, size_t count) {
+  try {
+    static_cast<std::string*>(png_get_io_ptr(png))->append(reinterpret_cast<const char*>(data), count);
+    return;
+  } catch (const std::exception&) {
+  }
+  png_error(png, "no memory for the file");
+}
+
+void flush_nothing(png_structp) {}
+
+// Whether libpng wrote the picture; otherwise the writer's complaint says why not.
+bool write(Writer& writer, const Raster& raster, std::vector<png_text>& texts, std::string& bytes) {
+  if (writer.info == nullptr) return false;
+  if (setjmp(png_jmpbuf(writer.png)) != 0) return false;
+  png_set_write_fn(writer.png, &bytes, append, flush_nothing);
+  png_set_compression_level(writer.png, 6);
+  png_set_IHDR(writer.png, writer.info, static_cast<png_uint_32>(raster.width),
+               static_cast<png_uint_32>(raster.height), raster.bits, raster.colour_type, PNG_INTERLACE_NONE,
+               PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+  if (!texts.empty()) png_set_text(writer.png, writer.info, texts.data(), static_cast<int>(texts.size()));
+  png_write_info(writer.png, writer.info);
+  if (raster.bits == 16) png_set_swap(writer.png);  // our values are little-endian, the file's big-endian
+  png_write_image(writer.png, const_cast<png_bytepp>(raster.rows.data()));
+  png_write_end(writer.png, nullptr);
+  return true;
+}
+
+bool is_ascii(const std::string& text) {
+  return std::all_of(text.begin(), text.end(), [](char c) { return (c >= 32 && c < 127) || c == '\n'; });
+}
+
+// Points into name and text.
+png_text text_chunk(const std::string& name, const std::string& text) {
+  if (name.empty() || name.size() > PNG_KEYWORD_MAX_LENGTH || !is_ascii(name)) {
+    fail({"PNG text", "a name of 1 to 79 ASCII characters", "\"" + name + "\"", "shorten it"});
+  }
+  if (text.find('\0') != std::string::npos) {
+    fail({"PNG text " + name, "a text without zero bytes", "one", "leave them out"});
+  }
+  png_text chunk{};
+  chunk.compression = is_ascii(text) ? PNG_TEXT_COMPRESSION_NONE : PNG_ITXT_COMPRESSION_NONE;
+  chunk.key = const_cast<png_charp>(name.c_str());
+  chunk.text = const_cast<png_charp>(text.c_str());
+  chunk.text_length = text.size();
+  static char no_language[] = "";
+  chunk.lang = no_language;
+  chunk.lang_key = no_language;
+  return chunk;
+}
+
+std::string encode(const Raster& raster, const TextItems& texts) {
+  std::vector<png_text> chunks;
+  chunks.reserve(texts.size());
+  for (const auto& [name, text] : texts) chunks.push_back(text_chunk(name, text));
+  std::string bytes;
+  Writer writer;
+  if (!write(writer, raster, chunks, bytes)) {
+    fail({"PNG", "libpng to encode the image", std::string("\"") + writer.complaint.text.data() + "\"", ""});
+  }
   return bytes;
 }
 
-uint32_t read_big_endian(const std::string& bytes, size_t offset) {
-  uint32_t value = 0;
-  for (size_t i = 0; i < 4; ++i) value = (value << 8) | static_cast<uint8_t>(bytes[offset + i]);
-  return value;
-}
-
-uint32_t checksum(const std::string& bytes, size_t offset, size_t count) {
-  const auto* data = reinterpret_cast<const Bytef*>(bytes.data() + offset);
-  return static_cast<uint32_t>(crc32(crc32(0, nullptr, 0), data, static_cast<uInt>(count)));
-}
-
-std::string chunk(const std::string& type, const std::string& data) {
-  const std::string body = type + data;
-  return big_endian(static_cast<uint32_t>(data.size())) + body + big_endian(checksum(body, 0, body.size()));
-}
-
-std::string text_chunk(const std::string& name, const std::string& text) {
-  const auto ascii = [](char c) { return (c >= 32 && c < 127) || c == '\n'; };
-  if (name.empty() || name.size() > 79 || !std::all_of(name.begin(), name.end(), ascii)) {
-    fail({"PNG text", "a name of 1 to 79 ASCII characters", "\"" + name + "\"", "shorten it"});
-  }
-  // Behind the name: end, no compression (2 bytes), no language, no translated name.
-  if (std::all_of(text.begin(), text.end(), ascii)) return chunk("tEXt", name + '\0' + text);
-  return chunk("iTXt", name + std::string(5, '\0') + text);
-}
-
-std::string encode(const cv::Mat& pixels, const TextItems& texts) {
-  std::vector<unsigned char> encoded;
-  if (!cv::imencode(".png", pixels, encoded, {cv::IMWRITE_PNG_COMPRESSION, 6})) {
-    fail({"PNG", "OpenCV to encode the image", "a refusal", "check how OpenCV was built"});
-  }
-  std::string bytes(encoded.begin(), encoded.begin() + kHeaderEnd);
-  for (const auto& [name, text] : texts) bytes += text_chunk(name, text);
-  return bytes.append(encoded.begin() + kHeaderEnd, encoded.end());
-}
-
-void check_pixels(int64_t width, int64_t height, size_t values, size_t channels) {
+template <class Value>
+Raster raster_of(int64_t width, int64_t height, const std::vector<Value>& values, size_t channels) {
   if (width < 1 || height < 1 ||
-      values != static_cast<size_t>(width) * static_cast<size_t>(height) * channels) {
-    fail(
-        {"PNG", "an image with pixels",
-         std::to_string(width) + "x" + std::to_string(height) + " with " + std::to_string(values) + " values",
-         "check what made it"});
+      values.size() != static_cast<size_t>(width) * static_cast<size_t>(height) * channels) {
+    fail({"PNG", "an image with pixels",
+          std::to_string(width) + "x" + std::to_string(height) + " with " + std::to_string(values.size()) +
+              " values",
+          "check what made it"});
   }
+  Raster raster;
+  raster.width = width;
+  raster.height = height;
+  raster.bits = 8 * sizeof(Value);
+  raster.colour_type = channels == 3 ? PNG_COLOR_TYPE_RGB : PNG_COLOR_TYPE_GRAY;
+  for (int64_t y = 0; y < height; ++y) {
+    const Value* row = values.data() + static_cast<size_t>(y * width) * channels;
+    raster.rows.push_back(reinterpret_cast<png_bytep>(const_cast<Value*>(row)));
+  }
+  return raster;
+}
+
+// Bytes in memory that libpng reads.
+struct Source {
+  const std::string& bytes;
+  size_t at = 0;
+  bool ended_early = false;
+};
+
+void take(png_structp png, png_bytep data, size_t count) {
+  auto* source = static_cast<Source*>(png_get_io_ptr(png));
+  if (count > source->bytes.size() - source->at) {
+    source->ended_early = true;
+    png_error(png, "early end");
+  }
+  std::memcpy(data, source->bytes.data() + source->at, count);
+  source->at += count;
+}
+
+// Whether the whole file was read, row being room for its pixels; otherwise the reader's complaint says why not.
+bool read(Reader& reader, Source& source, std::vector<png_byte>& row) {
+  if (reader.info == nullptr) return false;
+  if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
+  png_set_read_fn(reader.png, &source, take);
+  // A chunk longer than the file is an error before room for it is made.
+  png_set_chunk_malloc_max(reader.png, source.bytes.size());
+  png_set_benign_errors(reader.png, 0);
+  png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
+  png_read_info(reader.png, reader.info);
+  const int passes = png_set_interlace_handling(reader.png);
+  png_read_update_info(reader.png, reader.info);
+  row.resize(png_get_rowbytes(reader.png, reader.info));
+  const png_uint_32 height = png_get_image_height(reader.png, reader.info);
+  for (int pass = 0; pass < passes; ++pass) {
+    for (png_uint_32 y = 0; y < height; ++y) png_read_row(reader.png, row.data(), nullptr);
+  }
+  png_read_end(reader.png, reader.info);
+  return true;
 }
 
 }  // namespace
 
 std::string encode_png(const Image& image, const TextItems& texts) {
-  check_pixels(image.width, image.height, image.rgb.size(), 3);
-  const cv::Mat rgb(static_cast<int>(image.height), static_cast<int>(image.width), CV_8UC3,
-                    const_cast<uint8_t*>(image.rgb.data()));
-  cv::Mat bgr;
-  cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-  return encode(bgr, texts);
+  return encode(raster_of(image.width, image.height, image.rgb, 3), texts);
 }
 
 std::string encode_png(const Grey16& image, const TextItems& texts) {
-  check_pixels(image.width, image.height, image.values.size(), 1);
-  return encode(cv::Mat(static_cast<int>(image.height), static_cast<int>(image.width), CV_16UC1,
-                        const_cast<uint16_t*>(image.values.data())),
-                texts);
+  return encode(raster_of(image.width, image.height, image.values, 1), texts);
 }
 
 TextItems read_png_texts(const std::filesystem::path& file) {
   const std::string bytes = read_file(file);
-  if (bytes.compare(0, kSignatureBytes, kSignature) != 0) {
+  constexpr size_t kSignature = 8;
+  if (bytes.size() < kSignature ||
+      png_sig_cmp(reinterpret_cast<png_const_bytep>(bytes.data()), 0, kSignature) != 0) {
     fail({file.string(), "a PNG file", "another one", "check the path"});
   }
-  TextItems texts;
-  size_t offset = kSignatureBytes;
-  std::string type;
-  while (type != "IEND") {
-    // Length, type and checksum take 12 bytes.
-    const size_t left = bytes.size() - offset;
-    const size_t length = left < 12 ? 0 : read_big_endian(bytes, offset);
-    if (left < 12 || length > left - 12) {
-      fail({file.string(), "a whole PNG file", "one that ends early", "write it again"});
-    }
-    type = bytes.substr(offset + 4, 4);
-    if (checksum(bytes, offset + 4, length + 4) != read_big_endian(bytes, offset + 8 + length)) {
-      fail({file.string(), "a right checksum of the chunk " + type, "a wrong one", "write it again"});
-    }
-    const std::string data = bytes.substr(offset + 8, length);
-    const size_t end = data.find('\0');
-    if (type == "tEXt" && end != std::string::npos) {
-      texts.emplace_back(data.substr(0, end), data.substr(end + 1));
-    }
-    // Only uncompressed texts without language, as this program writes them.
-    if (type == "iTXt" && end != std::string::npos && data.compare(end, 5, std::string(5, '\0')) == 0) {
-      texts.emplace_back(data.substr(0, end), data.substr(end + 5));
-    }
-    offset += 12 + length;
+  Source source{bytes};
+  Reader reader;
+  std::vector<png_byte> row;
+  if (!read(reader, source, row)) {
+    const std::string found = std::string("\"") + reader.complaint.text.data() + "\"";
+    fail({file.string(), "a whole PNG file", source.ended_early ? "one that ends early" : found,
+          "write it again"});
   }
+  png_textp chunks = nullptr;
+  int count = 0;
+  png_get_text(reader.png, reader.info, &chunks, &count);
+  TextItems texts;
+  for (int i = 0; i < count; ++i) texts.emplace_back(chunks[i].key, chunks[i].text);
   return texts;
 }
 

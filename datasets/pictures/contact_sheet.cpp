@@ -170,10 +170,13 @@ void place_picture(Image& sheet, const Image& picture, const PixelRect& cell) {
 void draw_name(Image& sheet, const SheetView& view, const PixelRect& line) {
   const TextStyle name{14, kInk, TextWeight::kRegular};
   const TextStyle note{13, kFaintInk, TextWeight::kRegular};
-  const std::string shown = fitted_text(view.name, line.width, name);
-  draw_text(sheet, line.x, line.y, shown, name);
   const int64_t note_width = text_width(view.note, note);
-  if (note_width + text_width(shown, name) + 8 <= line.width) {
+  const int64_t beside_note = line.width - note_width - 8;
+  // A long name makes room for the note where enough of it is left to tell it by.
+  const int64_t name_room = beside_note >= line.width / 2 ? beside_note : line.width;
+  const std::string shown = fitted_text(view.name, name_room, name);
+  draw_text(sheet, line.x, line.y, shown, name);
+  if (text_width(shown, name) <= beside_note) {
     draw_text(sheet, line.x + line.width - note_width, line.y, view.note, note);
   }
 }

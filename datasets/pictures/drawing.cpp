@@ -1,38 +1,16 @@
 #include "datasets/pictures/drawing.h"
 
+#include "gld/base/error.h"
+
 #include <algorithm>
 #include <cmath>
+#include <memory>
 
+#include <cairo.h>
 #include <opencv2/imgproc.hpp>
 
 namespace gld {
 namespace {
-
-// OpenCV's stroke fonts look ragged at small sizes; text is drawn this many times larger and averaged down.
-constexpr int kOversampling = 4;
-constexpr int kFont = cv::FONT_HERSHEY_SIMPLEX;
-
-// A capital letter of the font is 21 units high at scale 1.
-double font_scale(const TextStyle& style) {
-  return kOversampling * static_cast<double>(style.size) / 1.4 / 21;
-}
-
-int stroke(const TextStyle& style) {
-  const double relative = style.weight == TextWeight::kBold ? 0.13 : 0.085;
-  return std::max(1,
-                  static_cast<int>(std::lround(relative * kOversampling * static_cast<double>(style.size))));
-}
-
-// One byte a character, as the font wants it; the continuation bytes of UTF-8 are dropped.
-std::string printable(const std::string& text) {
-  std::string result;
-  for (const char c : text) {
-    const auto byte = static_cast<uint8_t>(c);
-    if ((byte & 0xc0) == 0x80) continue;
-    result += byte >= 32 && byte < 127 ? c : '?';
-  }
-  return result;
-}
 
 cv::Mat view_of(const Image& image) {
   return cv::Mat(static_cast<int>(image.height), static_cast<int>(image.width), CV_8UC3,
@@ -47,6 +25,8 @@ PixelRect clipped(const Image& image, const PixelRect& rect) {
   result.height = std::clamp<int64_t>(rect.y + rect.height, result.y, image.height) - result.y;
   return result;
 }
+
+TextFont font_of(const TextStyle& style) { return {static_cast<double>(style.size), style.weight}; }
 
 }  // namespace
 
@@ -82,43 +62,68 @@ Image resized(const Image& picture, int64_t width, int64_t height) {
   return result;
 }
 
-int64_t text_width(const std::string& text, const TextStyle& style) {
-  int baseline = 0;
-  const cv::Size size = cv::getTextSize(printable(text), kFont, font_scale(style), stroke(style), &baseline);
-  return (size.width + kOversampling - 1) / kOversampling;
-}
-
-void draw_text(Image& image, int64_t x, int64_t y, const std::string& text, const TextStyle& style) {
-  if (text.empty()) return;
-  const int margin = 2;  // pixels around the text that a stroke may reach into
-  const int width = static_cast<int>(text_width(text, style)) + 2 * margin;
-  const int height = static_cast<int>(style.size) * 2;
-  cv::Mat large = cv::Mat::zeros(height * kOversampling, width * kOversampling, CV_8UC1);
-  cv::putText(large, printable(text),
-              cv::Point(margin * kOversampling, static_cast<int>(style.size) * kOversampling), kFont,
-              font_scale(style), cv::Scalar(255), stroke(style), cv::LINE_AA);
-  cv::Mat cover;
-  cv::resize(large, cover, cv::Size(width, height), 0, 0, cv::INTER_AREA);
-  for (int row = 0; row < height; ++row) {
-    for (int column = 0; column < width; ++column) {
-      const int64_t to_x = x + column - margin;
-      const int64_t to_y = y + row;
-      if (to_x < 0 || to_y < 0 || to_x >= image.width || to_y >= image.height) continue;
-      const int alpha = cover.at<uint8_t>(row, column);
-      uint8_t* pixel = image.pixel(to_x, to_y);
-      for (size_t channel = 0; channel < 3; ++channel) {
-        pixel[channel] = static_cast<uint8_t>(
-            (pixel[channel] * (255 - alpha) + style.colour[channel] * alpha + 127) / 255);
-      }
+void paint_with_cairo(Image& image, const PixelRect& rect, const std::function<void(cairo_t*)>& paint) {
+  const PixelRect inside = clipped(image, rect);
+  if (inside.width == 0 || inside.height == 0) return;
+  const std::unique_ptr<cairo_surface_t, decltype(&cairo_surface_destroy)> surface(
+      cairo_image_surface_create(CAIRO_FORMAT_RGB24, static_cast<int>(inside.width),
+                                 static_cast<int>(inside.height)),
+      cairo_surface_destroy);
+  if (cairo_surface_status(surface.get()) != CAIRO_STATUS_SUCCESS) {
+    fail({"drawing", "cairo to make a picture", cairo_status_to_string(cairo_surface_status(surface.get())),
+          ""});
+  }
+  uint8_t* const data = cairo_image_surface_get_data(surface.get());
+  const int stride = cairo_image_surface_get_stride(surface.get());
+  // cairo's pixel is a 32-bit number 0xRRGGBB, in the machine's byte order.
+  const auto row_of = [&](int64_t y) { return reinterpret_cast<uint32_t*>(data + y * stride); };
+  for (int64_t y = 0; y < inside.height; ++y) {
+    for (int64_t x = 0; x < inside.width; ++x) {
+      const uint8_t* pixel = image.pixel(inside.x + x, inside.y + y);
+      row_of(y)[x] = static_cast<uint32_t>(pixel[0] << 16 | pixel[1] << 8 | pixel[2]);
+    }
+  }
+  cairo_surface_mark_dirty(surface.get());
+  const std::unique_ptr<cairo_t, decltype(&cairo_destroy)> cairo(cairo_create(surface.get()), cairo_destroy);
+  cairo_translate(cairo.get(), static_cast<double>(-inside.x), static_cast<double>(-inside.y));
+  paint(cairo.get());
+  cairo_surface_flush(surface.get());
+  for (int64_t y = 0; y < inside.height; ++y) {
+    for (int64_t x = 0; x < inside.width; ++x) {
+      const uint32_t value = row_of(y)[x];
+      uint8_t* pixel = image.pixel(inside.x + x, inside.y + y);
+      pixel[0] = static_cast<uint8_t>(value >> 16);
+      pixel[1] = static_cast<uint8_t>(value >> 8);
+      pixel[2] = static_cast<uint8_t>(value);
     }
   }
 }
 
+void set_source(cairo_t* cairo, const Rgb& colour) {
+  cairo_set_source_rgb(cairo, colour[0] / 255.0, colour[1] / 255.0, colour[2] / 255.0);
+}
+
+int64_t text_width(const std::string& text, const TextStyle& style) {
+  return static_cast<int64_t>(std::ceil(text_extent(text, font_of(style)).width));
+}
+
+void draw_text(Image& image, int64_t x, int64_t y, const std::string& text, const TextStyle& style) {
+  const TextExtent extent = text_extent(text, font_of(style));
+  const int64_t baseline = y + style.size * 19 / 20;
+  // Accents and tall scripts reach over their line; the edges of letters may be spread over one more pixel.
+  const int64_t left = x + static_cast<int64_t>(std::floor(extent.left)) - 1;
+  const int64_t right = x + static_cast<int64_t>(std::ceil(extent.right)) + 1;
+  const int64_t top = baseline + static_cast<int64_t>(std::floor(extent.top)) - 1;
+  const int64_t bottom = baseline + static_cast<int64_t>(std::ceil(extent.bottom)) + 1;
+  const PixelRect rect{left, top, right - left, bottom - top};
+  paint_with_cairo(image, rect, [&](cairo_t* cairo) {
+    set_source(cairo, style.colour);
+    show_text(cairo, static_cast<double>(x), static_cast<double>(baseline), text, font_of(style));
+  });
+}
+
 std::string fitted_text(const std::string& text, int64_t width, const TextStyle& style) {
-  if (text_width(text, style) <= width) return text;
-  std::string beginning = printable(text);
-  while (!beginning.empty() && text_width(beginning + "..", style) > width) beginning.pop_back();
-  return beginning.empty() ? beginning : beginning + "..";
+  return shortened_text(text, static_cast<double>(width), font_of(style));
 }
 
 }  // namespace gld

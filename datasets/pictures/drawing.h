@@ -2,8 +2,10 @@
 
 #include "datasets/images/image.h"
 #include "datasets/pictures/colour_map.h"
+#include "gld/report/cairo_text.h"
 
 #include <cstdint>
+#include <functional>
 #include <string>
 
 namespace gld {
@@ -17,10 +19,8 @@ struct PixelRect {
   int64_t height = 0;
 };
 
-enum class TextWeight { kRegular, kBold };
-
 struct TextStyle {
-  int64_t size = 14;  // height of a capital letter in pixels, times 1.4
+  int64_t size = 14;  // of an em, pixels
   Rgb colour{235, 235, 235};
   TextWeight weight = TextWeight::kRegular;
 };
@@ -34,13 +34,18 @@ void paste(Image& image, const Image& picture, int64_t x, int64_t y);
 // The picture at another size: averaged when smaller, cubic when larger.
 Image resized(const Image& picture, int64_t width, int64_t height);
 
-// Characters that are not printable ASCII are drawn as a question mark.
+// Paints with cairo on the part of the image inside rect; the context's unit is a pixel, its origin the image's top left
+// corner. paint must not fail.
+void paint_with_cairo(Image& image, const PixelRect& rect, const std::function<void(cairo_t*)>& paint);
+void set_source(cairo_t* cairo, const Rgb& colour);
+
+// Texts are UTF-8 in any script that an installed font has; the rest as code points (gld/report/cairo_text.h).
 int64_t text_width(const std::string& text, const TextStyle& style);
 
 // y is the top of a line of the style's size.
 void draw_text(Image& image, int64_t x, int64_t y, const std::string& text, const TextStyle& style);
 
-// The longest beginning of text that fits, with ".." behind it where something was cut off.
+// The text, without its middle where it is wider than that.
 std::string fitted_text(const std::string& text, int64_t width, const TextStyle& style);
 
 }  // namespace gld

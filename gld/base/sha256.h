@@ -1,30 +1,29 @@
 #pragma once
 
 #include "gld/base/mapped_file.h"
-#include "gld/base/sha256_blocks.h"
 
-#include <array>
-#include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <string>
+
+struct evp_md_ctx_st;  // OpenSSL's EVP_MD_CTX
 
 namespace gld {
 
-// SHA-256 (FIPS 180-4), fed piece by piece.
+// SHA-256 (FIPS 180-4) by OpenSSL, which takes the processor's instructions for it; fed piece by piece.
 class Sha256 {
  public:
+  Sha256();  // Error when this OpenSSL was built or configured without SHA-256
   void update(ByteView bytes);
   void update(const std::string& bytes);
   // 64 hexadecimal digits; the object must not be used afterwards.
   std::string hex_digest();
 
  private:
-  void add_blocks(const uint8_t* data, size_t blocks);
-
-  Sha256State state_ = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
-                        0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-  std::array<uint8_t, 64> pending_ = {};
-  uint64_t length_ = 0;  // bytes so far
+  struct FreeContext {
+    void operator()(evp_md_ctx_st* context) const;
+  };
+  std::unique_ptr<evp_md_ctx_st, FreeContext> context_;
 };
 
 std::string sha256_of_file(const std::filesystem::path& file);

@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/report/cairo_text.h"
 #include "gld/report/plot_axis.h"
 
 #include <algorithm>
@@ -48,7 +49,6 @@ enum class Align { kLeft, kCentre, kRight };
 class Canvas {
  public:
   explicit Canvas(cairo_surface_t* surface) : cairo_(cairo_create(surface), cairo_destroy) {
-    cairo_select_font_face(get(), "sans-serif", CAIRO_FONT_SLANT_NORMAL, CAIRO_FONT_WEIGHT_NORMAL);
     set({1, 1, 1});
     cairo_paint(get());
   }
@@ -61,16 +61,11 @@ class Canvas {
     cairo_line_to(get(), x1, y1);
     cairo_stroke(get());
   }
-  double text_width(const std::string& text, double size) {
-    cairo_set_font_size(get(), size);
-    cairo_text_extents_t extents;
-    cairo_text_extents(get(), text.c_str(), &extents);
-    return extents.x_advance;
-  }
+  static double text_width(const std::string& text, double size) { return text_extent(text, {size}).width; }
   void text(double x, double y, const std::string& text, double size, Align align) {
     const double width = text_width(text, size);
-    cairo_move_to(get(), x - (align == Align::kLeft ? 0 : align == Align::kCentre ? width / 2 : width), y);
-    cairo_show_text(get(), text.c_str());
+    const double left = x - (align == Align::kLeft ? 0 : align == Align::kCentre ? width / 2 : width);
+    show_text(get(), left, y, text, {size});
   }
   void marker(double x, double y, int shape) {
     constexpr double r = kMarkerRadius;
@@ -290,10 +285,8 @@ struct FigureSize {
 constexpr double kTop = 62, kLeft = 72, kRight = 18, kBottom = 56;
 
 FigureSize figure_size(const Figure& figure, const std::vector<PlotSeries>& entries) {
-  const Surface scratch(cairo_image_surface_create(CAIRO_FORMAT_RGB24, 1, 1), cairo_surface_destroy);
-  Canvas canvas(scratch.get());
   double longest = 0;
-  for (const auto& entry : entries) longest = std::max(longest, canvas.text_width(entry.name, kTextSize));
+  for (const auto& entry : entries) longest = std::max(longest, Canvas::text_width(entry.name, kTextSize));
   const double legend = entries.empty() ? 0 : 4 + 33 + longest + 16;
   const double panels = static_cast<double>(figure.panels.size()) * static_cast<double>(figure.panel_width);
   const double rows = kTop + 19 * static_cast<double>(entries.size()) + 20;

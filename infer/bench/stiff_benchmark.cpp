@@ -170,9 +170,11 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
   const auto start = std::chrono::steady_clock::now();
   const auto rows = stiff_rows(options);
   const std::string text =
-      "# Stiff problems\n\nFunction evaluations (RMS error) of the solves that finished, by solver and "
-      "tolerance; a "
-      "dash is a failure, whose reason is in the second table.\n\n" +
+      "# Stiff problems\n"
+      "\n"
+      "Function evaluations (RMS error) of the solves that finished, by solver and tolerance; "
+      "a dash is a failure, whose reason is in the second table.\n"
+      "\n" +
       overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
   const auto finished =
       std::count_if(rows.begin(), rows.end(), [](const StiffRow& row) { return row.finished; });

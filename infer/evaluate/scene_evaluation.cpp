@@ -3,7 +3,7 @@
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
-#include "infer/pipeline/depth_scale.h"
+#include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/scene_request.h"
 
 #include <algorithm>
@@ -117,15 +117,17 @@ class SceneMetrics {
   }
 
   // Of the geometry of all views.
-  MetricInputs of_geometry(const GeometryOutput& geometry, const ImageSize& picture) const {
+  MetricInputs of_geometry(const GeometryOutput& geometry) const {
     MetricInputs inputs = truth_;
     const Views& views = truth_.views;
     inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     inputs.rays = geometry.rays;
-    const DepthScale scale = depth_scale_of(geometry, views.cameras, picture);
-    inputs.depth_scale = scale.scale;
-    inputs.predicted_cameras = scale.predicted_cameras;
-    inputs.missing[MetricNeed::kDepthScale] = inputs.missing[MetricNeed::kRays] = scale.unknown_because;
+    const GeometryPlacement placement = place_geometry(geometry, views.cameras);
+    if (placement.scale) inputs.depth_scale = placement.scale->scale;
+    inputs.predicted_cameras = placement.predicted;
+    inputs.missing[MetricNeed::kDepthScale] = inputs.missing[MetricNeed::kRays] =
+        placement.predicted.empty() ? "no camera fits the predicted rays"
+                                    : "the cameras do not tell the scale of the predicted depth";
     return inputs;
   }
 
@@ -222,7 +224,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   } else {
     set(Predictor::kReconstruction, metrics.of_images(torch::Tensor()));
   }
-  const MetricInputs geometry = metrics.of_geometry(result.sample.geometry, scene.size);
+  const MetricInputs geometry = metrics.of_geometry(result.sample.geometry);
 
   result.evaluation.scene = scene.name;
   for (const EvaluationColumn& column : evaluation_columns()) {

@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
+#include <zlib.h>
 
 namespace gld {
 namespace {
@@ -112,6 +113,70 @@ TEST(ImageFile, ExifRotationIsAppliedOnlyWhenAsked) {
   }
 }
 
+uint32_t checksum(const std::string& bytes) {
+  return static_cast<uint32_t>(
+      crc32(0, reinterpret_cast<const Bytef*>(bytes.data()), static_cast<uInt>(bytes.size())));
+}
+
+std::string big_endian(uint32_t value) {
+  std::string bytes;
+  for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift & 255);
+  return bytes;
+}
+
+// Two entries, little-endian: the maker and the orientation.
+std::string little_endian_tiff(char orientation) {
+  std::string tiff("II\x2A\0\x08\0\0\0\x02\0", 10);
+  tiff += std::string("\x0F\x01\x02\0\x04\0\0\0abc\0", 12);
+  tiff += std::string("\x12\x01\x03\0\x01\0\0\0", 8) + orientation + std::string("\0\0\0", 3);
+  return tiff + std::string("\0\0\0\0", 4);
+}
+
+void write_png_with_exif(const std::filesystem::path& file, const std::string& tiff) {
+  write_png(file, gradient(8, 4));
+  const std::string bytes = read_file(file);
+  constexpr size_t kHeaderEnd = 33;
+  const std::string body = "eXIf" + tiff;
+  write_file_atomically(file, bytes.substr(0, kHeaderEnd) + big_endian(static_cast<uint32_t>(tiff.size())) +
+                                  body + big_endian(checksum(body)) + bytes.substr(kHeaderEnd));
+}
+
+TEST(ImageFile, ExifOfPngIsReadWhateverItsByteOrder) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "turned.png";
+  for (char orientation = 1; orientation <= 8; ++orientation) {
+    write_png_with_exif(file, little_endian_tiff(orientation));
+    EXPECT_EQ(probe_image_file(file).orientation, orientation);
+    EXPECT_EQ(read_image(file, ImageOrientation::kUpright).width, orientation >= 5 ? 4 : 8);
+    write_png_with_exif(file, exif_segment(orientation).substr(10));
+    EXPECT_EQ(probe_image_file(file).orientation, orientation);
+  }
+}
+
+TEST(ImageFile, BrokenExifMeansAsStored) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "turned.png";
+  const std::string whole = little_endian_tiff(6);
+  testing::internal::CaptureStderr();
+  for (size_t size = 0; size + 8 < whole.size(); ++size) {
+    write_png_with_exif(file, whole.substr(0, size));
+    EXPECT_EQ(probe_image_file(file).orientation, 1) << size;
+  }
+  for (const char value : {'\0', '\x09', '\x7f'}) {
+    write_png_with_exif(file, little_endian_tiff(value));
+    EXPECT_EQ(probe_image_file(file).orientation, 1);
+  }
+  // A directory far behind the end, and more entries than there are.
+  std::string far = whole, many = whole;
+  far[7] = '\x7f';
+  many[9] = '\x7f';
+  write_png_with_exif(file, far);
+  EXPECT_EQ(probe_image_file(file).orientation, 1);
+  write_png_with_exif(file, many);
+  probe_image_file(file);  // whatever it says, it says it without harm
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
+}
+
 TEST(ImageFile, RefusesWhatIsNoPicture) {
   const TemporaryFolder folder;
   const auto file = folder.path() / "a.png";
@@ -167,11 +232,10 @@ TEST(ImageFile, DepthPngKeepsMillimetres) {
   EXPECT_NEAR(read.metres[2], 1.2345, 5.1e-4);
   EXPECT_NEAR(read.metres[4], 65.535, 1e-4);
   write_png(folder.path() / "colour.png", gradient(4, 4));
-  EXPECT_EQ(
-      error_of([&] { read_depth_png(folder.path() / "colour.png", 1e-3); }),
-      (folder.path() / "colour.png").string() +
-          ": expected a 16-bit image with one channel, found another pixel type; write depth as 16-bit grey "
-          "PNG.");
+  EXPECT_EQ(error_of([&] { read_depth_png(folder.path() / "colour.png", 1e-3); }),
+            (folder.path() / "colour.png").string() +
+                ": expected a 16-bit image with one channel, found another pixel type; "
+                "write depth as 16-bit grey PNG.");
 }
 
 }  // namespace

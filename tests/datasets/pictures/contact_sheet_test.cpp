@@ -7,6 +7,7 @@
 #include <cmath>
 #include <map>
 
+#include <cairo.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -204,10 +205,41 @@ TEST(Drawing, ClipsAndCutsText) {
   EXPECT_NE(image.pixel(16, 4)[0], 9);
   const TextStyle style;
   EXPECT_EQ(fitted_text("short", 200, style), "short");
-  const std::string cut = fitted_text("a rather long name of a view", 80, style);
-  EXPECT_LE(text_width(cut, style), 80);
-  EXPECT_THAT(cut, testing::AllOf(testing::StartsWith("a ra"), testing::EndsWith("..")));
-  EXPECT_EQ(text_width("Zürich", style), text_width("Z?rich", style));
+  const std::string cut = fitted_text("a rather long name of a view 0012", 110, style);
+  EXPECT_LE(text_width(cut, style), 110);
+  EXPECT_THAT(
+      cut, testing::AllOf(testing::StartsWith("a ra"), testing::HasSubstr("…"), testing::EndsWith("0012")));
+}
+
+TEST(Drawing, NamesInOtherScriptsAreLetters) {
+  const TextStyle style{20, {255, 255, 255}, TextWeight::kRegular};
+  const auto drawn = [&](const std::string& text) {
+    Image image = filled_image(400, 40, {0, 0, 0});
+    draw_text(image, 10, 5, text, style);
+    return image.rgb;
+  };
+  EXPECT_NE(drawn("Zürich"), drawn("Zurich"));
+  EXPECT_NE(drawn("Комната"), drawn("???????"));
+  EXPECT_NE(drawn("Комната"), drawn("Комнаты"));
+  // In a plane that is left to private use, where no usual font has anything.
+  EXPECT_EQ(drawn("a\U0010FFFDb"), drawn("aU+10FFFDb"));
+}
+
+TEST(Drawing, PaintsWithCairoOnlyInsideItsRectangle) {
+  Image image = filled_image(6, 4, {10, 20, 30});
+  paint_with_cairo(image, {2, 1, 100, 2}, [](cairo_t* cairo) {
+    set_source(cairo, {200, 100, 50});
+    cairo_paint(cairo);
+  });
+  for (int64_t y = 0; y < 4; ++y) {
+    for (int64_t x = 0; x < 6; ++x) {
+      const bool inside = x >= 2 && (y == 1 || y == 2);
+      const uint8_t* pixel = image.pixel(x, y);
+      EXPECT_EQ((Rgb{pixel[0], pixel[1], pixel[2]}), (inside ? Rgb{200, 100, 50} : Rgb{10, 20, 30}))
+          << x << " " << y;
+    }
+  }
+  paint_with_cairo(image, {6, 4, 2, 2}, [](cairo_t*) { FAIL() << "nothing is left to paint on"; });
 }
 
 }  // namespace

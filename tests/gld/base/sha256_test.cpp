@@ -4,7 +4,7 @@
 #include "tests/support/shared_data.h"
 
 #include <string>
-#include <vector>
+#include <utility>
 
 #include <gtest/gtest.h>
 
@@ -40,17 +40,20 @@ TEST(Sha256, PiecesDoNotMatter) {
   EXPECT_EQ(sha256_of_file(folder.path() / "f"), digest(text));
 }
 
-TEST(Sha256, InstructionsAgreeWithPortableRounds) {
-  const Sha256Blocks fast = sha256_blocks_with_instructions();
-  if (fast == nullptr) return;  // the portable rounds are what the other tests have checked
-  std::vector<uint8_t> bytes(kSha256BlockBytes * 33);
-  for (size_t i = 0; i < bytes.size(); ++i) bytes[i] = static_cast<uint8_t>(i * i + i / 7);
-  for (const size_t blocks : {0, 1, 2, 33}) {
-    Sha256State a = {1, 2, 3, 4, 5, 6, 7, 0xffffffff}, b = a;
-    sha256_blocks_portable(a, bytes.data(), blocks);
-    fast(b, bytes.data(), blocks);
-    EXPECT_EQ(a, b) << blocks;
-  }
+TEST(Sha256, AnObjectTakenOverGoesOn) {
+  Sha256 first;
+  first.update(std::string("ab"));
+  Sha256 second = std::move(first);
+  second.update(ByteView());
+  second.update(std::string("c"));
+  EXPECT_EQ(second.hex_digest(), digest("abc"));
+}
+
+TEST(Sha256, SaysWhichFileIsMissing) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "weights";
+  EXPECT_EQ(test::error_of([&] { sha256_of_file(file); }),
+            file.string() + ": expected a readable file, found No such file or directory; check the path.");
 }
 
 }  // namespace

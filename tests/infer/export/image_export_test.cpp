@@ -110,9 +110,8 @@ TEST(PngTexts, RefusesBrokenFiles) {
   std::string altered = whole;
   altered[33 + 8 + 5] = 'T';  // inside the text chunk behind the header
   write_file_atomically(file, altered);
-  EXPECT_EQ(
-      test::error_of([&] { read_png_texts(file); }),
-      file.string() + ": expected a right checksum of the chunk tEXt, found a wrong one; write it again.");
+  EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
+            file.string() + ": expected a whole PNG file, found \"tEXt: CRC error\"; write it again.");
   write_file_atomically(file, "GIF89a");
   EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
             file.string() + ": expected a PNG file, found another one; check the path.");
@@ -121,7 +120,46 @@ TEST(PngTexts, RefusesBrokenFiles) {
   endless[33] = '\x7f';
   write_file_atomically(file, endless);
   EXPECT_EQ(test::error_of([&] { read_png_texts(file); }),
-            file.string() + ": expected a whole PNG file, found one that ends early; write it again.");
+            file.string() +
+                ": expected a whole PNG file, found \"tEXt: chunk data is too large\"; write it again.");
+}
+
+TEST(PngTexts, RefusesWhatThePngFormatWouldChange) {
+  EXPECT_EQ(
+      test::error_of([] {
+        encode_png(ramp(2, 2), {{"two  blanks", "text"}});
+      }),
+      "PNG: expected libpng to encode the image, found \"keyword \"two  blanks\": bad character '0x20'\".");
+  EXPECT_EQ(test::error_of([] {
+              encode_png(ramp(2, 2), {{"name", std::string("a\0b", 3)}});
+            }),
+            "PNG text name: expected a text without zero bytes, found one; leave them out.");
+}
+
+TEST(PngTexts, LongTextsAndPicturesKeepEveryByte) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "long.png";
+  const std::string ascii(3'000'000, 'x');
+  const TextItems texts{{"ascii", ascii}, {"unicode", "漢字 " + ascii}, {"lines", "a\nb"}, {"empty", ""}};
+  write_file_atomically(file, encode_png(ramp(301, 203), texts));
+  EXPECT_EQ(read_png_texts(file), texts);
+  EXPECT_EQ(read_image(file).rgb, ramp(301, 203).rgb);
+}
+
+TEST(PngTexts, NothingReachesTheTerminal) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "broken.png";
+  const std::string whole = encode_png(ramp(9, 9), {{"name", "text"}});
+  testing::internal::CaptureStderr();
+  for (size_t i = 8; i < whole.size(); ++i) {
+    std::string altered = whole;
+    altered[i] = static_cast<char>(altered[i] ^ 0x41);
+    write_file_atomically(file, altered);
+    const std::string error = test::error_of([&] { read_png_texts(file); });
+    EXPECT_EQ(error.find('\n'), std::string::npos) << i;
+    EXPECT_EQ(error.rfind(file.string() + ": expected ", 0), 0U) << i << ": " << error;
+  }
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
 }
 
 TEST(ImageFromPlanes, RoundsClampsAndBlackensWhatIsNoNumber) {
