@@ -69,7 +69,9 @@ class Da3Backbone : public torch::nn::Module {
 
   // images: (views, 3, height, width), ImageNet-normalised, sides whole patches. Returns levels
   // 0..last_level, each (views, 1 + tokens, 2 embed_dim); blocks behind last_level's are not run.
-  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const;
+  // taps: what training wants of the attention of global blocks; others stay empty.
+  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
+                                    std::vector<AttentionTap>* taps = nullptr) const;
 
   // Runs the blocks behind start.level. Returns levels start.level (as given) to the last.
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const;
@@ -94,7 +96,7 @@ class Da3Backbone : public torch::nn::Module {
   };
   // Runs blocks first_block..; calls with every level that is reached, up to last_level.
   std::vector<torch::Tensor> run_blocks(TokenState state, int64_t first_block, int64_t last_level,
-                                        const LatentGrid& grid) const;
+                                        const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   torch::Tensor with_camera_tokens(const torch::Tensor& tokens) const;
   void require_level(int64_t level) const;
 

@@ -28,7 +28,8 @@ struct DitBlockContext {
   // One a branch of guidance: the input holds the views of one branch after the other, and each branch attends within
   // itself.
   std::vector<const PropeTables*> prope;
-  torch::Tensor view_mask;  // which view pairs attend (gld/attention.h); every pair when undefined
+  torch::Tensor view_mask;      // which view pairs attend (gld/attention.h); every pair when undefined
+  AttentionTap* tap = nullptr;  // filled by forward() with the first branch's, where it is given
 };
 
 // A block of DiT^DH: x + gate * attention(modulate(norm1(x))), then x + gate * swiglu(modulate(norm2(x))).

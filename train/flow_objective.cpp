@@ -1,5 +1,6 @@
 #include "train/flow_objective.h"
 
+#include "gld/error.h"
 #include "gld/schedule.h"
 #include "models/imagenet.h"
 #include "train/scene_pixels.h"
@@ -8,6 +9,8 @@
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -26,6 +29,12 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.boolean(
       {"checkpoint_blocks", "keep few activations of blocks and compute the others again: memory for time"},
       checkpoint_blocks);
+  visitor.real({"correspondence_weight",
+                "weight of the attention's error against true correspondence; needs scenes with depth"},
+               correspondence_weight, {0.0, 1e6});
+  visitor.integers({"correspondence_blocks",
+                    "whose attention has that loss, counted from 0, the condition encoder's first"},
+                   correspondence_blocks, {0, 1000});
   visitor.real({"kept_latents_gib",
                 "memory for the latents of scenes that come again (data.distinct_batches), in float16; 0 "
                 "encodes them every time"},
@@ -42,6 +51,17 @@ FlowObjective::FlowObjective(const BundleOptions& model, const DitOptions& dit, 
       placement_(placement),
       kept_latents_(options.kept_latents_gib) {
   model_.check();
+  const int64_t blocks = dit.encoder_blocks() + dit.decoder_blocks();
+  for (const int64_t block : options_.correspondence_blocks) {
+    if (block >= blocks) {
+      fail({"objective.correspondence_blocks", fmt::format("blocks from 0 to {}", blocks - 1),
+            std::to_string(block), "choose others"});
+    }
+  }
+  if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
+    fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
+          fmt::format("{:g}", options_.correspondence_weight), "switch one of the two off"});
+  }
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   dit_ = std::make_shared<DitDh>(dit, placement);
   dit_->initialise(generator);
@@ -69,9 +89,15 @@ std::vector<torch::Tensor> FlowObjective::encode(const TrainingScene& scene, int
 }
 
 FlowObjective::Errors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
-                                                     double time, DitBranch branch) const {
+                                                     double time, DitBranch branch,
+                                                     const TokenCorrespondence& truth) const {
   const auto noisy = (1.0 - time) * prepared.clean + time * noise;
-  const auto scene = dit_->prepare_scene(prepared.inputs);
+  auto scene = dit_->prepare_scene(prepared.inputs);
+  std::vector<AttentionTap> taps;
+  if (truth.shares.defined()) {
+    for (const int64_t block : options_.correspondence_blocks) taps.push_back({block, {}, {}});
+    scene.taps = &taps;
+  }
   const auto velocity = dit_->velocity(scene, noisy, dit_->time_rows({time}).front(), branch);
   const auto error = (velocity - (noise - prepared.clean)).square();
   const int64_t sources = prepared.inputs.views.num_sources;
@@ -79,6 +105,12 @@ FlowObjective::Errors FlowObjective::velocity_errors(const Prepared& prepared, c
   errors.all = error.mean();
   errors.source = error.detach().narrow(0, 0, sources).mean();
   errors.target = error.detach().narrow(0, sources, error.size(0) - sources).mean();
+  for (const AttentionTap& tap : taps) {
+    const auto off = correspondence_loss(tap, truth, {dit_->options().num_special_tokens, sources});
+    if (!off.defined()) break;
+    const auto share = off / static_cast<double>(taps.size());
+    errors.correspondence = errors.correspondence.defined() ? errors.correspondence + share : share;
+  }
   return errors;
 }
 
@@ -99,8 +131,17 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
     const auto branch = draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional
                                                                           : DitBranch::kConditional;
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
-    const Errors errors = velocity_errors(prepared, noise, time, branch);
-    losses.total = losses.total.defined() ? losses.total + share * errors.all : share * errors.all;
+    TokenCorrespondence truth;
+    if (options_.correspondence_weight > 0 && branch == DitBranch::kConditional) {
+      truth = token_correspondence(on_host, model_.backbone.patch_size);
+    }
+    const Errors errors = velocity_errors(prepared, noise, time, branch, truth);
+    auto total = errors.all;
+    if (errors.correspondence.defined()) {
+      total = total + options_.correspondence_weight * errors.correspondence;
+      parts.add("correspondence", errors.correspondence, share);
+    }
+    losses.total = losses.total.defined() ? losses.total + share * total : share * total;
     parts.add("source", errors.source, share);
     parts.add("target", errors.target, share);
   }

@@ -47,6 +47,7 @@ void TrainCascadeOptions::visit(FieldVisitor& visitor) {
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train level";
+  if (options.objective.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
   stage.made = {BundlePart::kLevel1};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     if (options.level != bundle.options().boundary_level) {
@@ -57,7 +58,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
     tell_narrow_decoder("level1", bundle.options().level1);
     auto objective = std::make_unique<LevelObjective>(
         bundle.options(), options.objective, frozen_parts(bundle, placement), placement, options.loop.seed);
-    if (options.objective.start == FlowStart::kBundle) {
+    if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_level1(placement));
     }
     return objective;
@@ -68,6 +69,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train cascade";
+  if (options.objective.flow.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
   stage.made = {BundlePart::kCascade};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder("cascade", bundle.options().cascade);
@@ -75,7 +77,7 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
     frozen.level0_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel0).to(placement.device);
     auto objective = std::make_unique<CascadeObjective>(bundle.options(), options.objective,
                                                         std::move(frozen), placement, options.loop.seed);
-    if (options.objective.flow.start == FlowStart::kBundle) {
+    if (options.objective.flow.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_cascade(placement));
     }
     return objective;
