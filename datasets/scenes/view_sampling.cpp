@@ -32,6 +32,13 @@ std::vector<int64_t> random_positions(SeededRandom& random, int64_t count, int64
   return all;
 }
 
+void shuffle(SeededRandom& random, std::vector<int64_t>& frames, size_t first, size_t end) {
+  for (size_t i = first; i + 1 < end; ++i) {
+    const auto other = random.integer(static_cast<int64_t>(i), static_cast<int64_t>(end) - 1);
+    std::swap(frames[i], frames[static_cast<size_t>(other)]);
+  }
+}
+
 SampledViews arranged(const std::vector<int64_t>& frames, const std::vector<int64_t>& sources) {
   SampledViews views;
   std::vector<bool> is_source(frames.size(), false);
@@ -70,6 +77,9 @@ void ViewSampling::visit(FieldVisitor& visitor) {
                 "how source views are chosen: at random, spread evenly with the targets between, or the "
                 "first ones"},
                sources, {"random", "interpolate", "prefix"});
+  visit_choice(visitor,
+               {"order", "of random sources, and of the targets behind them: shuffled, or that of the video"},
+               order, {"shuffled", "time"});
 }
 
 void ViewSampling::check() const {
@@ -101,7 +111,13 @@ std::optional<SampledViews> sample_views(const ViewSampling& sampling, int64_t n
   for (int64_t& frame : frames) frame += start;
   if (sampling.sources != SourceChoice::kRandom) return arranged(frames, evaluation_sources(sampling));
   const int64_t count = random.integer(sampling.fewest_sources, sampling.most_sources);
-  return arranged(frames, random_positions(random, count, sampling.views));
+  SampledViews sampled = arranged(frames, random_positions(random, count, sampling.views));
+  if (sampling.order == ViewOrder::kShuffled) {
+    const auto sources = static_cast<size_t>(sampled.num_sources);
+    shuffle(random, sampled.frames, 0, sources);
+    shuffle(random, sampled.frames, sources, sampled.frames.size());
+  }
+  return sampled;
 }
 
 std::optional<SampledViews> spread_views(const ViewSampling& sampling, int64_t num_frames) {

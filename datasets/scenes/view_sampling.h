@@ -14,6 +14,11 @@ enum class SourceChoice {
   kPrefix,       // evaluation: the first views are the sources
 };
 
+// In which order a random choice hands out its sources, and after them its targets. The first view and the last one are
+// special (the backbone's reference, the frame of the cameras): a model that only meets them as the earliest source and
+// the latest target works for no other order. The release permutes all views.
+enum class ViewOrder { kShuffled, kTime };
+
 // Which frames of a video make a training scene (paper A.3): a random start, then independent uniform intervals.
 struct ViewSampling : OptionsGroup {
   int64_t views = 8;
@@ -22,6 +27,7 @@ struct ViewSampling : OptionsGroup {
   int64_t fewest_sources = 1;
   int64_t most_sources = 4;
   SourceChoice sources = SourceChoice::kRandom;
+  ViewOrder order = ViewOrder::kShuffled;  // of random sources; evaluations keep the order of the video
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
@@ -36,7 +42,7 @@ struct SampleKey {
 };
 
 struct SampledViews {
-  std::vector<int64_t> frames;  // sources first; within each part in the order of the video
+  std::vector<int64_t> frames;  // sources first; within each part in the sampling's order
   int64_t num_sources = 0;
 };
 

@@ -3,6 +3,7 @@
 #include "datasets/scenes/frame_checks.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include <Eigen/Geometry>
@@ -200,6 +201,105 @@ void light_up(SeededRandom& random, SyntheticWorld& world) {
 
 double smooth(double t) { return t * t * (3 - 2 * t); }
 
+Thing draw_chair(SeededRandom& random) {
+  Thing chair;
+  const double side = random.uniform(0.4, 0.5), seat = random.uniform(0.42, 0.5);
+  const Material wood = draw_object(random);
+  chair.solids.push_back(box({0, 0, seat}, {side, side, 0.06}, draw_object(random)));
+  chair.solids.push_back(box({0, 0.46 * side, seat + 0.3}, {side, 0.05, 0.5}, wood));
+  for (double x : {-0.44, 0.44}) {
+    for (double y : {-0.44, 0.44}) {
+      chair.solids.push_back(box({x * side, y * side, 0.5 * seat}, {0.05, 0.05, seat}, wood));
+    }
+  }
+  chair.radius = 0.72 * side;
+  return chair;
+}
+
+Thing draw_sofa(SeededRandom& random) {
+  Thing sofa;
+  const double width = random.uniform(1.1, 1.7), depth = random.uniform(0.7, 0.85);
+  const Material cloth = draw_object(random);
+  sofa.solids.push_back(box({0, 0, 0.2}, {width, depth, 0.4}, cloth));
+  sofa.solids.push_back(box({0, 0.42 * depth, 0.55}, {width, 0.16 * depth, 0.4}, cloth));
+  for (double x : {-0.47, 0.47}) {
+    sofa.solids.push_back(box({x * width, 0, 0.5}, {0.08 * width, depth, 0.22}, cloth));
+  }
+  sofa.solids.push_back(
+      box({random.uniform(-0.25, 0.25) * width, 0.2 * depth, 0.55}, {0.35, 0.12, 0.3}, draw_object(random)));
+  sofa.radius = 0.5 * std::hypot(width, depth);
+  return sofa;
+}
+
+Thing draw_shelf(SeededRandom& random) {
+  Thing shelf;
+  const double width = random.uniform(0.7, 1.1), height = random.uniform(1.2, 1.9);
+  constexpr double kDepth = 0.3;
+  const Material wood = draw_object(random);
+  for (double x : {-0.5, 0.5}) {
+    shelf.solids.push_back(box({x * width, 0, 0.5 * height}, {0.04, kDepth, height}, wood));
+  }
+  const int64_t boards = random.integer(3, 4);
+  for (int64_t i = 0; i < boards; ++i) {
+    const double z = height * (static_cast<double>(i) + 0.5) / static_cast<double>(boards);
+    shelf.solids.push_back(box({0, 0, z}, {width, kDepth, 0.04}, wood));
+    const Vector3d size(random.uniform(0.15, 0.6) * width, 0.2, random.uniform(0.12, 0.28));
+    shelf.solids.push_back(
+        box({random.uniform(-0.15, 0.15) * width, 0, z + 0.02 + 0.5 * size.z()}, size, draw_object(random)));
+  }
+  shelf.radius = 0.5 * std::hypot(width, kDepth);
+  return shelf;
+}
+
+// A floor lamp (not lit) or a plant in a pot.
+Thing draw_tall(SeededRandom& random) {
+  Thing thing;
+  thing.radius = random.uniform(0.2, 0.3);
+  if (random.chance(0.5)) {
+    const double height = random.uniform(1.1, 1.6);
+    const Material metal = draw_object(random);
+    thing.solids.push_back(cylinder({0, 0, 0}, 0.7 * thing.radius, 0.05, metal));
+    thing.solids.push_back(cylinder({0, 0, 0.05}, 0.03, height, metal));
+    thing.solids.push_back(cylinder({0, 0, height}, thing.radius, 0.3, draw_object(random)));
+    return thing;
+  }
+  const double pot = random.uniform(0.3, 0.5);
+  thing.solids.push_back(cylinder({0, 0, 0}, 0.7 * thing.radius, pot, draw_object(random)));
+  Material leaves;
+  leaves.seed = random.bits();
+  leaves.pattern = Pattern::kMarble;
+  leaves.first = colour_from_hsv(random.uniform(0.25, 0.4), 0.6, random.uniform(0.45, 0.7));
+  leaves.second = 0.5 * leaves.first;
+  leaves.period = 0.12;
+  for (int64_t i = 0; i < 4; ++i) {
+    const double radius = random.uniform(0.4, 0.6) * thing.radius;
+    thing.solids.push_back(sphere({random.uniform(-0.4, 0.4) * thing.radius,
+                                   random.uniform(-0.4, 0.4) * thing.radius, pot + random.uniform(0.1, 0.5)},
+                                  radius, leaves));
+  }
+  return thing;
+}
+
+// Slow sines with random phases, in [-1, 1] about: how a hand drifts.
+class Sway {
+ public:
+  explicit Sway(SeededRandom& random) {
+    for (Wave& wave : waves_) wave = {random.uniform(1.5, 6.0), random.uniform(0, 2 * kPi)};
+  }
+  double at(double progress) const {
+    double sum = 0;
+    for (const Wave& wave : waves_) sum += std::sin(2 * kPi * wave.frequency * progress + wave.phase);
+    return sum / static_cast<double>(waves_.size());
+  }
+
+ private:
+  struct Wave {
+    double frequency = 0;  // over the whole path
+    double phase = 0;
+  };
+  std::array<Wave, 3> waves_;
+};
+
 struct PathPoint {
   Vector3d eye;
   Vector3d target;
@@ -291,6 +391,40 @@ SyntheticWorld draw_world(SeededRandom& random, const ObjectCount& objects) {
   return world;
 }
 
+void vary_world(SeededRandom& random, SyntheticWorld& world) {
+  const int64_t wanted = random.integer(1, 4);
+  int64_t placed = 0;
+  for (int64_t attempt = 0; attempt < 30 * wanted && placed < wanted; ++attempt) {
+    const double kind = random.uniform();
+    Thing thing = kind < 0.3   ? draw_chair(random)
+                  : kind < 0.5 ? draw_sofa(random)
+                  : kind < 0.7 ? draw_shelf(random)
+                               : draw_tall(random);
+    const double reach_x = world.room.half_x - thing.radius - 0.05;
+    const double reach_y = world.room.half_y - thing.radius - 0.05;
+    const Vector2d centre(random.uniform(-reach_x, reach_x), random.uniform(-reach_y, reach_y));
+    const double turn = random.uniform(0, 2 * kPi);
+    const bool free = std::none_of(world.solids.begin(), world.solids.end(), [&](const Solid& other) {
+      return (other.centre.head<2>() - centre).norm() < other.bounding_radius() + thing.radius;
+    });
+    if (!free) continue;
+    place(thing, centre, turn);
+    world.solids.insert(world.solids.end(), thing.solids.begin(), thing.solids.end());
+    ++placed;
+  }
+  const auto finish = [&](Material& material, double glossy, double dark) {
+    if (random.chance(glossy)) material.gloss = random.uniform(0.2, 0.8);
+    if (random.chance(dark)) {
+      const double share = random.uniform(0.08, 0.3);
+      material.first *= share;
+      material.second *= share;
+    }
+  };
+  for (Solid& solid : world.solids) finish(solid.material, 0.3, 0.12);
+  for (int face = 0; face < 4; ++face) finish(world.room.faces[face], 0.05, 0.05);
+  finish(world.room.faces[4], 0.3, 0.1);
+}
+
 Eigen::Isometry3d look_at(const Vector3d& eye, const Vector3d& target) {
   const Vector3d forward = (target - eye).normalized();
   const Vector3d right = forward.cross(Vector3d::UnitZ()).normalized();
@@ -307,6 +441,9 @@ std::vector<Camera> draw_camera_path(SeededRandom& random, const SyntheticWorld&
   const double field = random.uniform(draw.field_of_view_low, draw.field_of_view_high) * kPi / 180;
   const double focal = 0.5 * static_cast<double>(std::max(draw.width, draw.height)) / std::tan(0.5 * field);
   const Path path = draw_free_path(random, world);
+  // Drawn last, so that the steady path is the same with a hand and without.
+  const std::array<Sway, 3> eye_sways = {Sway(random), Sway(random), Sway(random)};
+  const std::array<Sway, 3> turn_sways = {Sway(random), Sway(random), Sway(random)};
   std::vector<Camera> cameras;
   for (int64_t i = 0; i < draw.frames; ++i) {
     const double progress =
@@ -317,7 +454,17 @@ std::vector<Camera> draw_camera_path(SeededRandom& random, const SyntheticWorld&
     camera.height = draw.height;
     camera.intrinsics = intrinsic_matrix(focal, focal, 0.5 * static_cast<double>(draw.width),
                                          0.5 * static_cast<double>(draw.height));
-    camera.world_from_camera = look_at(point.eye, point.target);
+    Vector3d eye = point.eye;
+    for (int axis = 0; axis < 3; ++axis)
+      eye[axis] += draw.hand.sway * eye_sways[static_cast<size_t>(axis)].at(progress);
+    camera.world_from_camera = look_at(eye, point.target);
+    const Vector3d largest(draw.hand.aim, draw.hand.aim, draw.hand.roll);  // about x, y, z of the camera
+    if (!largest.isZero()) {
+      for (int axis = 0; axis < 3; ++axis) {
+        const double angle = largest[axis] * kPi / 180 * turn_sways[static_cast<size_t>(axis)].at(progress);
+        camera.world_from_camera.rotate(Eigen::AngleAxisd(angle, Vector3d::Unit(axis)));
+      }
+    }
     cameras.push_back(camera);
   }
   return cameras;

@@ -18,12 +18,24 @@ struct ObjectCount {
 // tables, stacks) standing on the floor without touching each other.
 SyntheticWorld draw_world(SeededRandom& random, const ObjectCount& objects);
 
+// Makes a world of draw_world less tidy: chairs, sofas, shelves, floor lamps and plants beside what stands there already,
+// some surfaces glossy and some dark.
+void vary_world(SeededRandom& random, SyntheticWorld& world);
+
+// How a hand holds the camera: slow sways about the smooth path, their largest sizes.
+struct HandHeld {
+  double sway = 0;  // metres, of the eye
+  double aim = 0;   // degrees, of the viewing direction
+  double roll = 0;  // degrees about the viewing direction
+};
+
 struct PathDraw {
   int64_t frames = 24;
   int64_t width = 112;
   int64_t height = 112;
   double field_of_view_low = 50;   // degrees, across the larger side
   double field_of_view_high = 75;  // degrees
+  HandHeld hand;
 };
 
 // A smooth camera path through the free space of the room that looks at its middle: an arc around it, a walk towards

@@ -18,6 +18,7 @@ struct Material {
   double period = 1;                                 // metres
   double angle = 0;                                  // radians, turns the pattern
   uint64_t seed = 0;                                 // of the irregularities
+  double gloss = 0;                                  // strength of the lamps' reflections, 0 is matte
 };
 
 // Linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.

@@ -84,14 +84,32 @@ class Shader {
     const Vector3d surface = decal != nullptr ? decal_colour(*decal, hit) : surface_colour(hit, footprint);
     Vector3d light = world_.ambient * ((0.8 + 0.2 * hit.normal.z()) * openness(hit));
     for (const Lamp& lamp : world_.lamps) light += from_lamp(lamp, hit);
-    return surface.cwiseProduct(light);
+    Vector3d colour = surface.cwiseProduct(light);
+    const double gloss = decal == nullptr ? material_of(hit).gloss : 0;
+    if (gloss > 0) {
+      for (const Lamp& lamp : world_.lamps) colour += gloss * reflection(lamp, hit, ray);
+    }
+    return colour;
   }
 
  private:
   Vector3d surface_colour(const Hit& hit, double footprint) const {
-    const Material& material = hit.solid >= 0 ? world_.solids[static_cast<size_t>(hit.solid)].material
-                                              : world_.room.faces[hit.room_face];
-    return albedo(material, hit.u, hit.v, footprint);
+    return albedo(material_of(hit), hit.u, hit.v, footprint);
+  }
+
+  const Material& material_of(const Hit& hit) const {
+    return hit.solid >= 0 ? world_.solids[static_cast<size_t>(hit.solid)].material
+                          : world_.room.faces[hit.room_face];
+  }
+
+  // A lamp in the polish of a surface (Blinn's half vector): the one thing here that moves with the camera.
+  Vector3d reflection(const Lamp& lamp, const Hit& hit, const Ray& ray) const {
+    constexpr double kSharpness = 50;
+    const Vector3d towards = (lamp.centre - hit.point).normalized();
+    if (hit.normal.dot(towards) <= 0) return Vector3d::Zero();
+    const double aligned = hit.normal.dot((towards - ray.direction.normalized()).normalized());
+    if (aligned < 0.8) return Vector3d::Zero();  // below 2e-5 there
+    return lamp.power * (std::pow(aligned, kSharpness) * visible_part(lamp, hit, towards));
   }
 
   static Vector3d decal_colour(const Decal& decal, const Hit& hit) {

@@ -12,6 +12,9 @@
 namespace gld {
 
 void SyntheticOptions::visit(FieldVisitor& visitor) {
+  visit_choice(visitor,
+               {"rooms", "tidy ones (first), or also cluttered, glossy and dark ones and hand-held cameras"},
+               rooms, {"first", "varied"});
   visit_seed(visitor, seed, "the generator (training and held-out scenes use different ones)");
   visitor.integer({"first_scene", "number of the first scene"}, first_scene, {0});
   visitor.integer({"scene_count", "number of scenes"}, scene_count, {1, 1'000'000'000});
@@ -41,9 +44,21 @@ Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index) {
   const int64_t number = options.first_scene + index;
   SeededRandom world_random({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 1});
   SeededRandom path_random({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 2});
-  const auto world = std::make_shared<const SyntheticWorld>(
+  auto drawn = std::make_shared<SyntheticWorld>(
       draw_world(world_random, {options.fewest_objects, options.most_objects}));
   PathDraw draw;
+  if (options.rooms == SyntheticRooms::kVaried) {
+    // A stream of its own: the room that is varied is the one of that number in kFirst.
+    SeededRandom variety({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 3});
+    const double kind = variety.uniform();
+    if (kind > 0.5) {
+      vary_world(variety, *drawn);
+      draw.hand.sway = variety.uniform(0.0, 0.08);
+      draw.hand.aim = variety.uniform(0.0, 4.0);
+      draw.hand.roll = variety.uniform(0.0, 8.0);
+    }
+  }
+  const std::shared_ptr<const SyntheticWorld> world = drawn;
   draw.frames = options.frames;
   draw.width = options.width;
   draw.height = options.height;

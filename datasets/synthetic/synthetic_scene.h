@@ -8,9 +8,16 @@
 
 namespace gld {
 
+// Which rooms are generated.
+enum class SyntheticRooms {
+  kFirst,  // the first small model's: tidy, matte, filmed from a smooth path; measurements are made with these
+  kVaried,  // half of them as before; in the others more kinds of furniture, glossy and dark things, a hand-held camera
+};
+
 // Generated rooms. Scene i of a seed is the same whatever the number of scenes, on every machine with the same
 // compiler; different seeds give different scenes.
 struct SyntheticOptions : OptionsGroup {
+  SyntheticRooms rooms = SyntheticRooms::kFirst;
   int64_t seed = 0;
   int64_t first_scene = 0;
   int64_t scene_count = 1000;

@@ -2,6 +2,7 @@
 
 #include "gld/cameras/prope.h"
 
+#include <cstdint>
 #include <optional>
 
 #include <torch/types.h>
@@ -20,6 +21,14 @@ struct AttentionInputs {
   const PropeTables* prope = nullptr;
   // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
   torch::Tensor view_mask;
+};
+
+// What one block's attention multiplies with each other, for a loss on it (train/objectives/correspondence.h): queries and keys after
+// normalisation and camera or rotary encoding, (1, tokens of all views, heads, head_dim), with their gradients.
+struct AttentionTap {
+  int64_t block = 0;  // counted over the whole model
+  torch::Tensor query;
+  torch::Tensor key;
 };
 
 // Returns (batch, tokens, heads, head_dim), contiguous. scale is 1/sqrt(head_dim). A row with no key is zero.

@@ -103,7 +103,8 @@ Evaluation evaluate(const Setting& setting, const Model& model) {
       [&] { result.condition = model.condition_encoder(setting.scene, tokens, setting.time, branch); });
   result.decoder_seconds += seconds_of([&] {
     result.velocity = setting.model->velocity_from_features(
-        model.velocity_features(setting.scene, tokens, result.condition, setting.time, branch));
+        model.velocity_features(setting.scene, tokens, result.condition, setting.time, branch), setting.noisy,
+        kFlowTime);
   });
   return result;
 }

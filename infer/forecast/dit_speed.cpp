@@ -65,7 +65,9 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const auto condition = model.condition_encoder_batch(scene, embedded, time, branches);
   result.velocity_decoder = fastest_seconds_of([&] {
     const auto own = model.embed_noisy(scene, noisy);
-    model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches));
+    const auto state = batched ? torch::cat({noisy, noisy}) : noisy;
+    model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches), state,
+                                 kFlowTime);
   });
   const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
     whole.attention_flop *= request.attention_share();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/attention/attention.h"
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
 #include "models/layers/layers.h"
@@ -36,6 +37,10 @@ class BackboneArchitecture : public OptionsGroup {
   // Tokens in front of the patch tokens of a level: class, camera and register tokens.
   virtual int64_t leading_tokens() const = 0;
 
+  virtual int64_t blocks() const = 0;
+  // Whether that block's attention is over the tokens of all views and not of one alone.
+  virtual bool attends_over_views(int64_t block) const = 0;
+
   // Of Backbone::encode up to that level, and of Backbone::propagate from it, for all views of the grid.
   virtual Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const = 0;
   virtual Cost propagation_cost(const LatentGrid& grid, int64_t level) const = 0;
@@ -64,7 +69,12 @@ class Backbone : public torch::nn::Module {
 
   // images: (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns levels 0..last_level, each
   // (views, leading tokens + tokens, C), raw; blocks behind last_level's are not run.
-  virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const = 0;
+  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const {
+    return encode(images, last_level, nullptr);
+  }
+  // taps: what training wants of the attention of blocks that attend over all views; null for nothing.
+  virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
+                                            std::vector<AttentionTap>* taps) const = 0;
 
   // The leading tokens that propagation from that level gives to every view, (1, leading tokens, C) raw: new views have
   // no image to take them from, so all get those of `first_source` (1, 3, height, width), RGB in [0, 1], encoded alone.

@@ -65,11 +65,10 @@ Cost Da3BackboneOptions::blocks_cost(const LatentGrid& grid, int64_t first_block
   const double rows = views * per_view;
   Cost cost;
   for (int64_t block = first_block; block < last_block; ++block) {
-    const bool over_all_views = alternating_start >= 0 && block >= alternating_start && block % 2 == 1;
     add_linear(cost, rows, width, 4 * width);
     add_linear(cost, rows, width, 2 * hidden);
-    cost.attention_flop += over_all_views ? gld::attention_flop(rows, rows, width)
-                                          : views * gld::attention_flop(per_view, per_view, width);
+    cost.attention_flop += attends_over_views(block) ? gld::attention_flop(rows, rows, width)
+                                                     : views * gld::attention_flop(per_view, per_view, width);
   }
   if (first_block == 0) {
     const auto patch_values = static_cast<double>(3 * patch_size * patch_size);
@@ -149,7 +148,8 @@ torch::Tensor Da3Backbone::with_camera_tokens(const torch::Tensor& tokens) const
 }
 
 std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t first_block, int64_t last_level,
-                                                   const LatentGrid& grid) const {
+                                                   const LatentGrid& grid,
+                                                   std::vector<AttentionTap>* taps) const {
   RotaryTables local_tables, global_tables;
   if (options_.rope_start >= 0 && options_.rope_frequency > 0) {
     RotaryGrid rotary_grid;
@@ -164,13 +164,17 @@ std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t fir
   const int64_t last_block = options_.out_layers[static_cast<size_t>(last_level)];
   for (int64_t i = first_block; i <= last_block; ++i) {
     if (i == options_.alternating_start) state.current = with_camera_tokens(state.current);
-    const bool global = options_.alternating_start >= 0 && i >= options_.alternating_start && i % 2 == 1;
+    const bool global = options_.attends_over_views(i);
     const bool turned = options_.rope_start >= 0 && i >= options_.rope_start;
     const RotaryTables none;
     const RotaryTables& tables = !turned ? none : global ? global_tables : local_tables;
     const auto& block = *blocks_[static_cast<size_t>(i)];
-    state.current =
-        block.forward(state.current, global ? AttentionScope::kGlobal : AttentionScope::kLocal, tables);
+    AttentionTap* wanted = nullptr;
+    if (taps != nullptr && global) {
+      for (AttentionTap& tap : *taps) wanted = tap.block == i ? &tap : wanted;
+    }
+    state.current = block.forward(state.current, global ? AttentionScope::kGlobal : AttentionScope::kLocal,
+                                  tables, wanted);
     if (!global) state.local = state.current;
     if (std::find(options_.out_layers.begin(), options_.out_layers.end(), i) != options_.out_layers.end()) {
       levels.push_back(torch::cat({state.local, state.current}, -1));
@@ -179,7 +183,8 @@ std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t fir
   return levels;
 }
 
-std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int64_t last_level) const {
+std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int64_t last_level,
+                                               std::vector<AttentionTap>* taps) const {
   require_level(last_level);
   if (images.dim() != 4 || images.size(0) == 0 || images.size(1) != 3) {
     fail({"backbone", "images (views, 3, height, width)", "a tensor of shape " + c10::str(images.sizes()),
@@ -190,7 +195,7 @@ std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int6
   const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(imagenet_normalise(images))}, 1);
   TokenState state;
   state.current = tokens + position_embedding(grid);
-  return run_blocks(state, 0, last_level, grid);
+  return run_blocks(state, 0, last_level, grid, taps);
 }
 
 std::vector<DecodableLevel> Da3Backbone::propagate(const PropagationStart& start) const {
@@ -209,7 +214,7 @@ std::vector<DecodableLevel> Da3Backbone::propagate(const PropagationStart& start
   state.local = start.tokens.narrow(-1, 0, options_.embed_dim);
   state.current = start.tokens.narrow(-1, options_.embed_dim, options_.embed_dim);
   const int64_t first_block = options_.out_layers[static_cast<size_t>(start.level)] + 1;
-  for (const auto& level : run_blocks(state, first_block, last_level, start.grid))
+  for (const auto& level : run_blocks(state, first_block, last_level, start.grid, nullptr))
     levels.push_back(decodable(level));
   return levels;
 }

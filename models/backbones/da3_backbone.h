@@ -40,6 +40,10 @@ struct Da3BackboneOptions : BackboneArchitecture {
   int64_t levels() const override { return static_cast<int64_t>(out_layers.size()); }
   int64_t level_channels() const override { return 2 * embed_dim; }
   int64_t leading_tokens() const override { return 1; }  // the class token
+  int64_t blocks() const override { return depth; }
+  bool attends_over_views(int64_t block) const override {
+    return alternating_start >= 0 && block >= alternating_start && block % 2 == 1;
+  }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost propagation_cost(const LatentGrid& grid, int64_t level) const override;
   // Blocks first_block up to, not including, last_block.
@@ -56,7 +60,9 @@ class Da3Backbone : public Backbone {
   Da3Backbone(const Da3BackboneOptions& options, const ParameterPlacement& placement);
 
   const Da3BackboneOptions& architecture() const override { return options_; }
-  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level) const override;
+  using Backbone::encode;
+  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
+                                    std::vector<AttentionTap>* taps) const override;
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   // The second half of the channels goes through the final LayerNorm.
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
@@ -74,7 +80,7 @@ class Da3Backbone : public Backbone {
   };
   // Runs blocks first_block..; calls with every level that is reached, up to last_level.
   std::vector<torch::Tensor> run_blocks(TokenState state, int64_t first_block, int64_t last_level,
-                                        const LatentGrid& grid) const;
+                                        const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   torch::Tensor with_camera_tokens(const torch::Tensor& tokens) const;
   void require_level(int64_t level) const;
 

@@ -101,7 +101,13 @@ torch::Tensor DitBlock::finish(const torch::Tensor& x, const torch::Tensor& atte
 
 torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {
   std::vector<torch::Tensor> attended;
-  for (const auto& inputs : attention_inputs(x, context)) attended.push_back(attention(inputs));
+  for (const auto& inputs : attention_inputs(x, context)) {
+    if (context.tap != nullptr && attended.empty()) {
+      context.tap->query = encode_query(*inputs.prope, inputs.query);
+      context.tap->key = encode_key_value(*inputs.prope, inputs.key);
+    }
+    attended.push_back(attention(inputs));
+  }
   return finish(x, attended.size() == 1 ? attended.front() : torch::cat(attended), context);
 }
 

@@ -29,6 +29,7 @@ struct DitBlockContext {
   // itself.
   std::vector<const PropeTables*> prope;
   torch::Tensor view_mask;  // which view pairs attend (gld/attention/attention.h); every pair when undefined
+  AttentionTap* tap = nullptr;  // filled by forward() with the first branch's, where it is given
 };
 
 // A block of DiT^DH: x + gate * attention(modulate(norm1(x))), then x + gate * swiglu(modulate(norm2(x))).

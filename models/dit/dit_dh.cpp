@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "models/layers/position_embedding.h"
 
+#include <algorithm>
 #include <string>
 #include <utility>
 
@@ -171,12 +172,22 @@ torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x
 }
 
 torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
-                                DitBlockContext context, const std::vector<Modulation>& modulations) const {
+                                DitBlockContext context, const std::vector<Modulation>& modulations,
+                                std::vector<AttentionTap>* taps) const {
+  const size_t before = &blocks == &decoder_blocks_ ? encoder_blocks_.size() : 0;
+  const auto tap_of = [&](size_t block) -> AttentionTap* {
+    if (taps == nullptr) return nullptr;
+    for (AttentionTap& tap : *taps) {
+      if (tap.block == static_cast<int64_t>(before + block)) return &tap;
+    }
+    return nullptr;
+  };
   const bool keep = activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled();
   // Several branches at once are for sampling, where nothing is recorded.
   if (keep || context.prope.size() > 1) {
     for (size_t i = 0; i < blocks.size(); ++i) {
       context.modulation = modulations[i];
+      context.tap = tap_of(i);
       x = blocks[i]->forward(x, context);
     }
     return x;
@@ -237,7 +248,7 @@ torch::Tensor DitDh::condition_encoder_batch(const DitScene& scene, const DitNoi
   for (const auto& rows : time.encoder_modulation) {
     modulations.push_back({branch_rows(rows, branches.size()), {}});
   }
-  return run_blocks(encoder_blocks_, x, context, modulations);
+  return run_blocks(encoder_blocks_, x, context, modulations, scene.taps);
 }
 
 torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
@@ -257,7 +268,8 @@ torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoi
   context.view_mask = scene.view_mask;
   auto x = branch_tokens(tokens.decoder, cameras,
                          options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
-  x = run_blocks(decoder_blocks_, x, context, std::vector<Modulation>(decoder_blocks_.size(), modulation));
+  const std::vector<Modulation> modulations(decoder_blocks_.size(), modulation);
+  x = run_blocks(decoder_blocks_, x, context, modulations, scene.taps);
   return by_storage(
       [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
         return final_layer_->features(tokens, {{}, activation});
@@ -265,20 +277,25 @@ torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoi
       x, modulation.activation);
 }
 
-torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features) const {
-  auto velocity = final_layer_->project(features);
+torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
+                                            double time) const {
+  auto output = final_layer_->project(features);
   const int64_t special = options_.num_special_tokens;
-  if (special == 0) return velocity;
-  return torch::cat({special_projection_->forward(velocity.narrow(1, 0, special)),
-                     velocity.narrow(1, special, velocity.size(1) - special)},
-                    1);
+  if (special > 0) {
+    output = torch::cat({special_projection_->forward(output.narrow(1, 0, special)),
+                         output.narrow(1, special, output.size(1) - special)},
+                        1);
+  }
+  if (options_.prediction == FlowPrediction::kVelocity) return output;
+  // x_t = (1 - t) data + t noise, so that v = noise - data = (x_t - data) / t.
+  return (noisy - output) * std::min(1.0 / time, options_.largest_inverse_time);
 }
 
 torch::Tensor DitDh::velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
                               DitBranch branch) const {
   const auto tokens = embed_noisy(scene, noisy);
   const auto condition = condition_encoder(scene, tokens, time, branch);
-  return velocity_from_features(velocity_features(scene, tokens, condition, time, branch));
+  return velocity_from_features(velocity_features(scene, tokens, condition, time, branch), noisy, time.time);
 }
 
 }  // namespace gld

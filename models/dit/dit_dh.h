@@ -60,8 +60,10 @@ class DitDh : public torch::nn::Module {
   torch::Tensor velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
                                         const torch::Tensor& condition, const DitTimeRow& time,
                                         const std::vector<DitBranch>& branches) const;
-  // The last linear layer, which is affine: (views, tokens, channels).
-  torch::Tensor velocity_from_features(const torch::Tensor& features) const;
+  // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time, is
+  // where the velocity of a model that predicts the data starts from; branches mixed before need it once.
+  torch::Tensor velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
+                                       double time) const;
 
   // All of it: (views, tokens, channels).
   torch::Tensor velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
@@ -76,7 +78,8 @@ class DitDh : public torch::nn::Module {
  private:
   // One after the other; modulations: one a block, in the place of the context's.
   torch::Tensor run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
-                           DitBlockContext context, const std::vector<Modulation>& modulations) const;
+                           DitBlockContext context, const std::vector<Modulation>& modulations,
+                           std::vector<AttentionTap>* taps) const;
   // A part without attention, kept or computed again as the blocks are.
   torch::Tensor by_storage(const PartFunction& part, const torch::Tensor& x,
                            const torch::Tensor& conditioning) const;

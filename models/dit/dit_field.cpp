@@ -81,7 +81,8 @@ torch::Tensor DitField::features(const DitNoisyTokens& tokens, const DitTimeRow&
 
 torch::Tensor DitField::branch_velocity(const torch::Tensor& state, double t, DitBranch branch) {
   torch::NoGradGuard no_grad;
-  return model_.velocity_from_features(features(model_.embed_noisy(scene_, state), time_row(t), branch));
+  return model_.velocity_from_features(features(model_.embed_noisy(scene_, state), time_row(t), branch),
+                                       state, t);
 }
 
 torch::Tensor DitField::conditional(const torch::Tensor& state, double t) {
@@ -129,8 +130,8 @@ BranchVelocities DitField::both_features(const torch::Tensor& state, double t) {
 BranchVelocities DitField::both(const torch::Tensor& state, double t) {
   torch::NoGradGuard no_grad;
   const auto branches = both_features(state, t);
-  return {model_.velocity_from_features(branches.conditional),
-          model_.velocity_from_features(branches.unconditional)};
+  return {model_.velocity_from_features(branches.conditional, state, t),
+          model_.velocity_from_features(branches.unconditional, state, t)};
 }
 
 torch::Tensor DitField::guided(const torch::Tensor& state, double t, double scale) {
@@ -138,11 +139,11 @@ torch::Tensor DitField::guided(const torch::Tensor& state, double t, double scal
   auto branches = both_features(state, t);
   const bool combined = scene_.savings.combined_last_linear;
   if (!combined) {
-    branches = {model_.velocity_from_features(branches.conditional),
-                model_.velocity_from_features(branches.unconditional)};
+    branches = {model_.velocity_from_features(branches.conditional, state, t),
+                model_.velocity_from_features(branches.unconditional, state, t)};
   }
   const auto mixed = branches.unconditional + scale * (branches.conditional - branches.unconditional);
-  return combined ? model_.velocity_from_features(mixed) : mixed;
+  return combined ? model_.velocity_from_features(mixed, state, t) : mixed;
 }
 
 }  // namespace gld

@@ -56,6 +56,10 @@ void DitOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor, {"position_embedding", "absolute positions of the tokens"}, position_embedding,
                {"none", "sincos"});
   visitor.reals({"pixel_offset", "where in a pixel its ray starts, [x, y]"}, pixel_offset, {-10, 10});
+  visit_choice(visitor, {"prediction", "what the last layer gives; the velocity of data follows from it"},
+               prediction, {"velocity", "data"});
+  visitor.real({"largest_inverse_time", "prediction of data: bound of 1/t where the velocity is formed"},
+               largest_inverse_time, {1, 1000});
 }
 
 void DitOptions::check() const {

@@ -17,6 +17,10 @@ enum class DitConditioning { kNone, kDeeperLevel };
 enum class UnconditionalIntrinsics { kIdentity, kKeep };
 enum class CameraEmbeddingInput { kConditionEncoder, kVelocityDecoder };
 enum class PositionEmbedding { kNone, kSinCos };
+// What the last layer gives: the velocity, as the published models, or the data, from which the velocity follows as
+// (x_t - data) min(1/t, largest_inverse_time). Below t = 1 / largest_inverse_time the layer's target is then x_t minus
+// that share of the velocity, which is still exact: the bound only keeps its errors from growing without limit.
+enum class FlowPrediction { kVelocity, kData };
 
 // A DiT^DH (DESIGN.md section 4). Pairs are [condition encoder, velocity decoder]. Defaults are a new level model
 // on DA3-Base features; apply_published_conventions() sets what the released checkpoints were trained with.
@@ -39,6 +43,8 @@ struct DitOptions : OptionsGroup {
   CameraEmbeddingInput camera_embedding_input = CameraEmbeddingInput::kConditionEncoder;
   PositionEmbedding position_embedding = PositionEmbedding::kNone;
   std::vector<double> pixel_offset = {0.5, 0.5};
+  FlowPrediction prediction = FlowPrediction::kVelocity;
+  double largest_inverse_time = 5;  // prediction of data only
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/attention/attention.h"
 #include "gld/cameras/camera.h"
 #include "gld/cameras/prope.h"
 #include "gld/cameras/relative_cameras.h"
@@ -47,6 +48,9 @@ struct DitScene {
   // every evaluation.
   torch::Tensor encoder_source;  // with the deeper level in a cascade
   torch::Tensor decoder_source;
+  // Training with ActivationStorage::kKeep: what is wanted of blocks' attention, the condition encoder's blocks counted
+  // first; filled by every evaluation. Belongs to whoever prepared the scene.
+  std::vector<AttentionTap>* taps = nullptr;
 
   int64_t num_sources() const { return cameras.views.num_sources; }
   const std::vector<std::string>& warnings() const { return cameras.warnings; }

@@ -6,7 +6,8 @@ namespace gld {
 
 FlowMatchingErrors flow_matching_errors(const DitDh& model, const DitSceneInputs& scene,
                                         const FlowMatchingDraw& draw) {
-  const auto prepared = model.prepare_scene(scene);
+  auto prepared = model.prepare_scene(scene);
+  prepared.taps = draw.taps;
   const auto velocity = model.velocity(prepared, interpolate(draw.clean, draw.noise, draw.time),
                                        model.time_rows({draw.time}).front(), draw.branch);
   const auto squared = (velocity - velocity_target(draw.clean, draw.noise)).square();

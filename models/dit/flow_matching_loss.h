@@ -2,6 +2,8 @@
 
 #include "models/dit/dit_dh.h"
 
+#include <vector>
+
 #include <torch/types.h>
 
 namespace gld {
@@ -12,6 +14,7 @@ struct FlowMatchingDraw {
   torch::Tensor noise;  // likewise
   double time = 0.5;
   DitBranch branch = DitBranch::kConditional;
+  std::vector<AttentionTap>* taps = nullptr;  // DitScene::taps, for losses on attention
 };
 
 // Mean squared errors of the velocity noise - clean over all views, and over the source and the target views apart;

@@ -53,8 +53,8 @@ VitBlock::VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placeme
   feed_forward_scale_ = register_scale(*this, "ls2", channels, placement);
 }
 
-torch::Tensor VitBlock::attend(const torch::Tensor& x, AttentionScope scope,
-                               const RotaryTables& rotary) const {
+torch::Tensor VitBlock::attend(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
+                               AttentionTap* tap) const {
   const int64_t views = x.size(0), tokens = x.size(1), heads = sizes_.num_heads;
   const int64_t head_dim = sizes_.embed_dim / heads;
   const auto qkv = qkv_->forward(x).view({views, tokens, 3, heads, head_dim});
@@ -79,6 +79,10 @@ torch::Tensor VitBlock::attend(const torch::Tensor& x, AttentionScope scope,
   inputs.query = query;
   inputs.key = key;
   inputs.value = value;
+  if (tap != nullptr) {
+    tap->query = query;
+    tap->key = key;
+  }
   return projection_->forward(attention(inputs).reshape({views, tokens, sizes_.embed_dim}));
 }
 
@@ -90,9 +94,9 @@ torch::Tensor VitBlock::feed_forward(const torch::Tensor& x) const {
                                expanded.narrow(-1, width, width));
 }
 
-torch::Tensor VitBlock::forward(const torch::Tensor& x, AttentionScope scope,
-                                const RotaryTables& rotary) const {
-  const auto attended = torch::addcmul(x, attend(norm1_->forward(x), scope, rotary), attention_scale_);
+torch::Tensor VitBlock::forward(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
+                                AttentionTap* tap) const {
+  const auto attended = torch::addcmul(x, attend(norm1_->forward(x), scope, rotary, tap), attention_scale_);
   return torch::addcmul(attended, feed_forward(norm2_->forward(attended)), feed_forward_scale_);
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/attention/attention.h"
 #include "models/layers/layers.h"
 #include "models/layers/rotary_embedding.h"
 
@@ -32,10 +33,13 @@ class VitBlock : public torch::nn::Module {
   VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placement);
 
   // x: (views, tokens, embed_dim) -> the same shape. rotary turns queries and keys where it is defined.
-  torch::Tensor forward(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary) const;
+  // tap, where it is given, gets what a global block's attention multiplies.
+  torch::Tensor forward(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
+                        AttentionTap* tap = nullptr) const;
 
  private:
-  torch::Tensor attend(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary) const;
+  torch::Tensor attend(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
+                       AttentionTap* tap) const;
   torch::Tensor feed_forward(const torch::Tensor& x) const;
 
   VitBlockSizes sizes_;

@@ -88,6 +88,8 @@ void TrainingDataOptions::visit(FieldVisitor& visitor) {
                   {0, 1'000'000'000'000});
   visitor.integer({"validation_scenes", "number of validation scenes; 0 validates nothing"},
                   validation_scenes, {0, 100000});
+  visitor.integer({"validation_sources", "source views of a validation scene; 0 is views.most_sources"},
+                  validation_sources, {0, 999});
 }
 
 void TrainingDataOptions::check() const {
@@ -165,7 +167,9 @@ std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options,
   }
   ViewSampling sampling = options.views;
   sampling.sources = SourceChoice::kInterpolate;
+  if (options.validation_sources > 0) sampling.most_sources = options.validation_sources;
   sampling.most_sources = std::min(sampling.most_sources, sampling.views - 1);
+  sampling.fewest_sources = std::min(sampling.fewest_sources, sampling.most_sources);
   std::vector<TrainingScene> scenes;
   const int64_t count = std::min(options.validation_scenes, dataset->size());
   for (int64_t index = 0; index < count; ++index) {

@@ -27,6 +27,7 @@ struct TrainingDataOptions : OptionsGroup {
   std::string validation_folder;     // empty: generated scenes of validation_seed
   int64_t validation_seed = 900000;  // must differ from synthetic.seed
   int64_t validation_scenes = 8;
+  int64_t validation_sources = 0;  // 0: views.most_sources
 
   TrainingDataOptions();
   void visit(FieldVisitor& visitor) override;
@@ -49,7 +50,8 @@ class LoadedBatches : public BatchSource {
   mutable std::map<int64_t, std::shared_ptr<const LoadedBatch>> kept_;  // by number, below distinct_
 };
 
-// The validation scenes: views spread by views.longest_interval, the first and the last ones are sources.
+// The validation scenes: views spread by views.longest_interval, the first and the last ones are sources
+// (with more than two sources, those evenly between them too).
 std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
                                              FrameParts parts);
 

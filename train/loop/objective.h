@@ -15,6 +15,12 @@
 
 namespace gld {
 
+// What a model is trained from.
+enum class ModelStart {
+  kRandom,  // from nothing
+  kBundle,  // from the weights that the bundle holds: fine-tuning, or going on where checkpoints are lost
+};
+
 struct StepContext {
   int64_t step = 0;            // from 0
   int64_t total_steps = 0;     // of the run

@@ -4,10 +4,12 @@
 #include "gld/metrics/metric_list.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
+#include "train/objectives/correspondence.h"
 #include "train/objectives/feature_noise.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
@@ -19,13 +21,22 @@ namespace gld {
 
 void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor,
-               {"training", "from_scratch (backbone and DPT head) or head_only (goes on with the bundle's)"},
-               training, {"from_scratch", "head_only"});
+               {"training",
+                "backbone and DPT head from_scratch or from_bundle (going on), or head_only (the bundle's)"},
+               training, {"from_scratch", "from_bundle", "head_only"});
   visitor.group({"loss", "weights of the geometry losses"}, loss);
   visitor.reals({"pixel_weights", "weight of the pixel error read off each level, from level 0"},
                 pixel_weights, {0.0, 1e6});
+  visitor.reals({"geometry_weights", "weight of the depth and rays read off each level, from level 0"},
+                geometry_weights, {0.0, 1e6});
+  visitor.real({"head_probability", "probability of running the DPT head on a scene; it is most of a step"},
+               head_probability, {0.0, 1.0});
   visitor.real({"all_views_probability", "probability of showing all views; otherwise the first 1..V-1"},
                all_views_probability, {0.0, 1.0});
+  visitor.real({"correspondence_weight", "weight of the attention's error against true correspondence"},
+               correspondence_weight, {0.0, 1e6});
+  visitor.integers({"correspondence_blocks", "whose attention over all views has that loss, counted from 0"},
+                   correspondence_blocks, {0, 1000});
   visitor.real({"feature_noise", "head_only: strength of noise on the features, in deviations of a channel"},
                feature_noise, {0.0, 100.0});
 }
@@ -39,29 +50,57 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     fail({"objective.pixel_weights", "at most " + std::to_string(model_.backbone.levels()) + " levels",
           std::to_string(options_.pixel_weights.size()), "leave out the last ones"});
   }
+  if (static_cast<int64_t>(options_.geometry_weights.size()) > model_.backbone.levels()) {
+    fail({"objective.geometry_weights", "at most " + std::to_string(model_.backbone.levels()) + " levels",
+          std::to_string(options_.geometry_weights.size()), "leave out the last ones"});
+  }
+  const auto none_positive = [](const std::vector<double>& weights) {
+    return std::none_of(weights.begin(), weights.end(), [](double weight) { return weight > 0; });
+  };
+  if (options_.head_probability < 1 && !head_only() && none_positive(options_.pixel_weights) &&
+      none_positive(options_.geometry_weights)) {
+    fail({"objective.head_probability", "1 where nothing but the head has a loss",
+          fmt::format("{:g}", options_.head_probability), "give geometry_weights or pixel_weights"});
+  }
   if (options_.feature_noise > 0 && !head_only()) {
     fail({"objective.feature_noise", "0 while the backbone is trained, whose features have to be exact",
           fmt::format("{:g}", options_.feature_noise), "set objective.training to head_only"});
   }
-  if (head_only()) {
+  const auto& backbone = model_.backbone.architecture();
+  for (const int64_t block : options_.correspondence_blocks) {
+    if (block >= backbone.blocks() || !backbone.attends_over_views(block)) {
+      fail({"objective.correspondence_blocks",
+            fmt::format("blocks below {} that attend over all views", backbone.blocks()),
+            std::to_string(block), "choose others"});
+    }
+  }
+  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
+  if (options_.training == GeometryTraining::kFromScratch) {
+    backbone_ = model_.backbone.make(placement);
+    head_ = std::make_shared<DptHead>(model_.dpt_head, placement);
+    backbone_->initialise(generator);
+    head_->initialise(generator);
+  } else {
     if (!trained.backbone || !trained.head) {
-      fail({"objective.training head_only", "a bundle with a trained backbone and DPT head", "none",
-            "train them from_scratch first"});
+      fail({head_only() ? "objective.training head_only" : "objective.training from_bundle",
+            "a bundle with a trained backbone and DPT head", "none", "train them from_scratch first"});
     }
     backbone_ = trained.backbone;
     head_ = trained.head;
-    return;
   }
-  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
-  backbone_ = model_.backbone.make(placement);
-  head_ = std::make_shared<DptHead>(model_.dpt_head, placement);
-  backbone_->initialise(generator);
-  head_->initialise(generator);
+  if (head_only()) return;
   const int64_t patch = model_.backbone.patch_side();
   for (size_t level = 0; level < options_.pixel_weights.size(); ++level) {
     const LinearSizes sizes = {model_.backbone.level_channels(), 3 * patch * patch};
     pixel_layers_.push_back(std::make_shared<Linear>(sizes, placement));
     initialise_parameters(*pixel_layers_.back(), MatrixInitialisation::kXavierUniform, generator);
+  }
+  for (const double weight : options_.geometry_weights) {
+    geometry_layers_.emplace_back();
+    if (weight <= 0) continue;
+    const LinearSizes sizes = {model_.backbone.level_channels(), kTokenGeometry};
+    geometry_layers_.back() = std::make_shared<Linear>(sizes, placement);
+    initialise_parameters(*geometry_layers_.back(), MatrixInitialisation::kXavierUniform, generator);
   }
 }
 
@@ -73,11 +112,17 @@ std::vector<NamedParameter> BackboneObjective::parameters() const {
     const std::string prefix = "pixels." + std::to_string(level) + ".";
     for (auto& item : named_parameters(*pixel_layers_[level], prefix)) result.push_back(std::move(item));
   }
+  for (size_t level = 0; level < geometry_layers_.size(); ++level) {
+    if (!geometry_layers_[level]) continue;
+    const std::string prefix = "geometry." + std::to_string(level) + ".";
+    for (auto& item : named_parameters(*geometry_layers_[level], prefix)) result.push_back(std::move(item));
+  }
   return result;
 }
 
-BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& scene, int64_t views,
-                                                           torch::Generator* noisy) const {
+BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& scene,
+                                                           const Showing& showing) const {
+  const int64_t views = showing.views;
   TrainingScene shown = scene.to(placement_.device);
   shown.images = shown.images.narrow(0, 0, views);
   if (shown.depth.defined()) shown.depth = shown.depth.narrow(0, 0, views);
@@ -86,19 +131,50 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   const auto grid = model_.backbone.grid_of(views, shown.height(), shown.width());
   const auto pixels = imagenet_normalise(shown.images);
   std::vector<torch::Tensor> levels;
+  const bool wants_correspondence = options_.correspondence_weight > 0 && !head_only() && views > 1;
+  std::vector<AttentionTap> taps;
   {
     const torch::AutoGradMode gradients(torch::GradMode::is_enabled() && !head_only());
-    for (const auto& level : backbone_->encode(shown.images, model_.backbone.levels() - 1)) {
+    for (const int64_t block :
+         wants_correspondence ? options_.correspondence_blocks : std::vector<int64_t>{}) {
+      taps.push_back({block, {}, {}});
+    }
+    for (const auto& level : backbone_->encode(shown.images, model_.backbone.levels() - 1, &taps)) {
       levels.push_back(backbone_->decodable(level).patches);
     }
   }
 
-  if (noisy != nullptr) levels = with_feature_noise(std::move(levels), options_.feature_noise, *noisy);
+  if (showing.noisy != nullptr) {
+    levels = with_feature_noise(std::move(levels), options_.feature_noise, *showing.noisy);
+  }
 
   SceneResult result;
-  result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
-  const RayGrid rays = {result.output.rays.size(1), result.output.rays.size(2)};
-  result.geometry = geometry_losses(result.output, geometry_targets(shown, rays), options_.loss);
+  if (showing.head) {
+    result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
+    const RayGrid rays = {result.output.rays.size(1), result.output.rays.size(2)};
+    const GeometryTargets targets = geometry_targets(shown, rays);
+    result.geometry = geometry_losses(result.output, targets, options_.loss);
+    if (!torch::GradMode::is_enabled()) result.rays = ray_errors(result.output.rays, targets);
+  }
+  result.token_errors.resize(geometry_layers_.size());
+  if (!geometry_layers_.empty()) {
+    const auto targets =
+        geometry_targets(shown, {kTokenDepthsASide * grid.height, kTokenDepthsASide * grid.width});
+    for (size_t level = 0; level < geometry_layers_.size(); ++level) {
+      if (!geometry_layers_[level]) continue;
+      result.token_errors[level] = token_geometry_losses(geometry_layers_[level]->forward(levels[level]),
+                                                         targets, {grid.height, grid.width}, options_.loss);
+    }
+  }
+  if (!taps.empty()) {
+    const auto truth = token_correspondence(shown, model_.backbone.patch_side());
+    for (const AttentionTap& tap : taps) {
+      const auto error = correspondence_loss(tap, truth, {model_.backbone.leading_tokens(), views});
+      if (!error.defined()) break;
+      const auto share = error / static_cast<double>(taps.size());
+      result.correspondence = result.correspondence.defined() ? result.correspondence + share : share;
+    }
+  }
   const auto patches = image_patches(pixels, model_.backbone.patch_side());
   for (size_t level = 0; level < pixel_layers_.size(); ++level) {
     const auto read = pixel_layers_[level]->forward(levels[level]);
@@ -118,22 +194,38 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
   PartSums parts;
   for (const TrainingScene& scene : batch.scenes) {
     const int64_t all = scene.views.size();
-    const auto draws = torch::rand({2}, generator, torch::kFloat64);
+    const auto draws = torch::rand({3}, generator, torch::kFloat64);
     int64_t views = all;
     if (all > 1 && draws[0].item<double>() >= options_.all_views_probability) {
       views =
           1 + std::min(static_cast<int64_t>(draws[1].item<double>() * static_cast<double>(all - 1)), all - 2);
     }
-    const SceneResult result = evaluate(scene, views, &generator);
-    torch::Tensor total = result.geometry.total;
+    Showing showing;
+    showing.views = views;
+    showing.head = head_only() || draws[2].item<double>() < options_.head_probability;
+    showing.noisy = &generator;
+    const SceneResult result = evaluate(scene, showing);
+    torch::Tensor total = showing.head ? result.geometry.total : torch::zeros({}, scene.images.options());
     for (size_t level = 0; level < result.pixel_errors.size(); ++level) {
       total = total + options_.pixel_weights[level] * result.pixel_errors[level];
       parts.add("pixels_level" + std::to_string(level), result.pixel_errors[level], share);
     }
+    for (size_t level = 0; level < result.token_errors.size(); ++level) {
+      const auto& error = result.token_errors[level].total;
+      if (!error.defined()) continue;
+      total = total + options_.geometry_weights[level] * error;
+      parts.add("geometry_level" + std::to_string(level), error, share);
+    }
+    if (result.correspondence.defined()) {
+      total = total + options_.correspondence_weight * result.correspondence;
+      parts.add("correspondence", result.correspondence, share);
+    }
     losses.total = losses.total.defined() ? losses.total + share * total : share * total;
+    if (!showing.head) continue;
     parts.add("depth", result.geometry.depth, share);
     parts.add("depth_gradient", result.geometry.gradient, share);
     parts.add("rays", result.geometry.ray, share);
+    parts.add("origins", result.geometry.origin, share);
     parts.add("points", result.geometry.point, share);
     parts.add("depth_abs_rel", result.geometry.absolute_relative, share);
   }
@@ -143,11 +235,22 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
 
 Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double total = 0.0, relative = 0.0, pixel_psnr = 0.0;
+  double total = 0.0, relative = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
+  RayErrors rays;
+  std::vector<RayErrors> token_rays(geometry_layers_.size());
+  std::vector<double> token_depth(geometry_layers_.size());
   for (const TrainingScene& scene : scenes) {
-    const SceneResult result = evaluate(scene, scene.views.size());
+    Showing showing;
+    showing.views = scene.views.size();
+    const SceneResult result = evaluate(scene, showing);
     total += result.geometry.total.item<double>();
     relative += result.geometry.absolute_relative.item<double>();
+    if (result.correspondence.defined()) correspondence += result.correspondence.item<double>();
+    rays += result.rays;
+    for (size_t level = 0; level < token_rays.size(); ++level) {
+      token_rays[level] += result.token_errors[level].rays;
+      token_depth[level] += result.token_errors[level].depth_abs_rel;
+    }
     if (result.shallow_image.defined()) {
       pixel_psnr +=
           measure_images(metric_named("psnr"), scene.images.to(placement_.device), result.shallow_image)
@@ -171,7 +274,24 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     }
   }
   const auto count = static_cast<double>(scenes.size());
-  validation.values = {{"geometry_loss", total / count}, {"depth_abs_rel", relative / count}};
+  validation.values = {{"geometry_loss", total / count},
+                       {"depth_abs_rel", relative / count},
+                       {"direction_degrees", rays.direction_degrees / count},
+                       {"rotation_degrees", rays.rotation_degrees / count},
+                       {"translation_degrees", rays.translation_degrees / count},
+                       {"origin_error", rays.origin / count}};
+  for (size_t level = 0; level < token_rays.size(); ++level) {
+    if (!geometry_layers_[level]) continue;
+    const std::string name = "level" + std::to_string(level) + "_";
+    validation.values.emplace_back(name + "depth_abs_rel", token_depth[level] / count);
+    validation.values.emplace_back(name + "rotation_degrees", token_rays[level].rotation_degrees / count);
+    validation.values.emplace_back(name + "translation_degrees",
+                                   token_rays[level].translation_degrees / count);
+    validation.values.emplace_back(name + "origin_error", token_rays[level].origin / count);
+  }
+  if (options_.correspondence_weight > 0 && !head_only()) {
+    validation.values.emplace_back("correspondence", correspondence / count);
+  }
   if (!pixel_layers_.empty()) validation.values.emplace_back("pixel_psnr", pixel_psnr / count);
   return validation;
 }

@@ -14,6 +14,7 @@ namespace gld {
 
 enum class GeometryTraining {
   kFromScratch,  // backbone and DPT head, from random weights
+  kFromBundle,   // both go on learning from the bundle's weights
   kHeadOnly,  // the DPT head of the bundle goes on learning; the backbone is frozen, so that decoders and latent
               // models that were trained on its features stay valid
 };
@@ -22,7 +23,11 @@ struct BackboneObjectiveOptions : OptionsGroup {
   GeometryTraining training = GeometryTraining::kFromScratch;
   GeometryLossOptions loss;
   std::vector<double> pixel_weights = {1.0, 0.5};  // of levels 0, 1, ...
+  std::vector<double> geometry_weights = {};       // the same
+  double head_probability = 1.0;
   double all_views_probability = 0.5;
+  double correspondence_weight = 0;
+  std::vector<int64_t> correspondence_blocks;  // counted from 0; blocks that attend over all views
   // kHeadOnly: of the noise on what the head reads, in deviations of a channel (feature_noise.h).
   double feature_noise = 0;
 
@@ -42,11 +47,18 @@ struct TrainedGeometry {
 // an absolute error. A linear layer, because it leaves the work to the backbone: what it can read off, the
 // decoder and the latent models find there as well. The pixel layers are not part of the exported model.
 //
+// In the same way geometry_weights have linear layers read depth and rays off each level's tokens: what makes a shallow
+// level one of geometry. They cost next to nothing, whereas the DPT head is most of a step: with head_probability below
+// 1 it sees only that share of the scenes, and the backbone learns from several times as many in the same time.
+//
+// With correspondence_weight the attention of correspondence_blocks is taught where each token is seen in the other views
+// (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be learnt.
+//
 // A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views
 // alone and single views too.
 class BackboneObjective : public Objective {
  public:
-  // model: the architecture; trained: the parts that kHeadOnly goes on with, null for kFromScratch.
+  // model: the architecture; trained: the parts that are gone on with, null for kFromScratch.
   BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
                     const ParameterPlacement& placement, int64_t seed, const TrainedGeometry& trained = {});
 
@@ -60,13 +72,20 @@ class BackboneObjective : public Objective {
 
  private:
   struct SceneResult {
-    GeometryLosses geometry;
-    std::vector<torch::Tensor> pixel_errors;  // a level each, scalars
-    GeometryOutput output;
-    torch::Tensor shallow_image;  // (views, 3, height, width), what level 0 still shows
+    GeometryLosses geometry;                        // of the head; undefined where it was left out
+    std::vector<torch::Tensor> pixel_errors;        // a level each, scalars
+    std::vector<TokenGeometryLosses> token_errors;  // the same; undefined totals where the weight is 0
+    GeometryOutput output;                          // undefined where the head was left out
+    RayErrors rays;                                 // without gradients only: validation
+    torch::Tensor correspondence;                   // scalar; undefined without such a loss
+    torch::Tensor shallow_image;                    // (views, 3, height, width), what level 0 still shows
   };
-  // noisy: where feature_noise is drawn from; none for validation.
-  SceneResult evaluate(const TrainingScene& scene, int64_t views, torch::Generator* noisy = nullptr) const;
+  struct Showing {
+    int64_t views = 0;  // the first ones
+    bool head = true;
+    torch::Generator* noisy = nullptr;  // where feature_noise is drawn from; none for validation
+  };
+  SceneResult evaluate(const TrainingScene& scene, const Showing& showing) const;
   bool head_only() const { return options_.training == GeometryTraining::kHeadOnly; }
 
   BundleOptions model_;
@@ -75,6 +94,7 @@ class BackboneObjective : public Objective {
   std::shared_ptr<Backbone> backbone_;
   std::shared_ptr<DptHead> head_;
   std::vector<std::shared_ptr<Linear>> pixel_layers_;
+  std::vector<std::shared_ptr<Linear>> geometry_layers_;  // null where the weight is 0
 };
 
 }  // namespace gld

@@ -52,6 +52,7 @@ struct PerceptualOptions : OptionsGroup {
 };
 
 struct DecoderObjectiveOptions : OptionsGroup {
+  ModelStart start = ModelStart::kRandom;
   double reconstruction_weight = 1.0;
   double level_dropout = 0.1;
   double latent_noise = 0.0;
@@ -71,6 +72,8 @@ class DecoderObjective : public Objective {
   DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
                    std::shared_ptr<const Backbone> backbone, const ParameterPlacement& placement,
                    int64_t seed);
+  // Goes on with a trained decoder of the same architecture, in the place of random weights.
+  void start_from(std::shared_ptr<RgbDecoder> trained) { decoder_ = std::move(trained); }
 
   std::string kind() const override { return "decoder"; }
   torch::Device device() const override { return placement_.device; }

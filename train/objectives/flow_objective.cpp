@@ -1,5 +1,6 @@
 #include "train/objectives/flow_objective.h"
 
+#include "gld/base/error.h"
 #include "gld/flow/schedule.h"
 #include "gld/metrics/metric_list.h"
 #include "models/dit/flow_matching_loss.h"
@@ -9,6 +10,8 @@
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -27,6 +30,12 @@ void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.boolean(
       {"checkpoint_blocks", "keep few activations of blocks and compute the others again: memory for time"},
       checkpoint_blocks);
+  visitor.real({"correspondence_weight",
+                "weight of the attention's error against true correspondence; needs scenes with depth"},
+               correspondence_weight, {0.0, 1e6});
+  visitor.integers({"correspondence_blocks",
+                    "whose attention has that loss, counted from 0, the condition encoder's first"},
+                   correspondence_blocks, {0, 1000});
   visitor.real({"kept_latents_gib",
                 "memory for the latents of scenes that come again (data.distinct_batches), in float16; 0 "
                 "encodes them every time"},
@@ -44,8 +53,20 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
       placement_(placement),
       kept_latents_(options.kept_latents_gib) {
   model_.check();
+  const DitOptions& dit = model_.generator(generator).dit;
+  const int64_t blocks = dit.encoder_blocks() + dit.decoder_blocks();
+  for (const int64_t block : options_.correspondence_blocks) {
+    if (block >= blocks) {
+      fail({"objective.correspondence_blocks", fmt::format("blocks from 0 to {}", blocks - 1),
+            std::to_string(block), "choose others"});
+    }
+  }
+  if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
+    fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
+          fmt::format("{:g}", options_.correspondence_weight), "switch one of the two off"});
+  }
   auto random = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
-  dit_ = std::make_shared<DitDh>(model_.generator(generator).dit, placement);
+  dit_ = std::make_shared<DitDh>(dit, placement);
   dit_->initialise(random);
   if (options_.checkpoint_blocks) dit_->set_activation_storage(ActivationStorage::kRecompute);
 }
@@ -94,9 +115,24 @@ void FlowObjective::export_model(const std::filesystem::path& folder, DType dtyp
   save_bundle_part(folder, BundlePart::of(generator_), named_tensors(*dit_), dtype);
 }
 
-FlowMatchingErrors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
-                                                  double time, DitBranch branch) const {
-  return flow_matching_errors(*dit_, prepared.inputs, {prepared.clean, noise, time, branch});
+FlowObjective::Errors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
+                                                     double time, DitBranch branch,
+                                                     const TokenCorrespondence& truth) const {
+  std::vector<AttentionTap> taps;
+  FlowMatchingDraw draw{prepared.clean, noise, time, branch, nullptr};
+  if (truth.shares.defined()) {
+    for (const int64_t block : options_.correspondence_blocks) taps.push_back({block, {}, {}});
+    draw.taps = &taps;
+  }
+  Errors errors{flow_matching_errors(*dit_, prepared.inputs, draw), {}};
+  const int64_t sources = prepared.inputs.views.num_sources;
+  for (const AttentionTap& tap : taps) {
+    const auto off = correspondence_loss(tap, truth, {dit_->options().num_special_tokens, sources});
+    if (!off.defined()) break;
+    const auto share = off / static_cast<double>(taps.size());
+    errors.correspondence = errors.correspondence.defined() ? errors.correspondence + share : share;
+  }
+  return errors;
 }
 
 Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& context) {
@@ -116,10 +152,19 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
     const auto branch = draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional
                                                                           : DitBranch::kConditional;
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
-    const FlowMatchingErrors errors = velocity_errors(prepared, noise, time, branch);
-    losses.total = losses.total.defined() ? losses.total + share * errors.all : share * errors.all;
-    parts.add("source", errors.source, share);
-    parts.add("target", errors.target, share);
+    TokenCorrespondence truth;
+    if (options_.correspondence_weight > 0 && branch == DitBranch::kConditional) {
+      truth = token_correspondence(on_host, model_.backbone.patch_side());
+    }
+    const Errors errors = velocity_errors(prepared, noise, time, branch, truth);
+    auto total = errors.velocity.all;
+    if (errors.correspondence.defined()) {
+      total = total + options_.correspondence_weight * errors.correspondence;
+      parts.add("correspondence", errors.correspondence, share);
+    }
+    losses.total = losses.total.defined() ? losses.total + share * total : share * total;
+    parts.add("source", errors.velocity.source, share);
+    parts.add("target", errors.velocity.target, share);
   }
   losses.parts = parts.take();
   return losses;
@@ -150,13 +195,14 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
     for (int i = 0; i < kTimes; ++i) {
       const double time = shifted_time((i + 0.5) / kTimes, training_shift_);
-      const FlowMatchingErrors errors = velocity_errors(prepared, noise, time, DitBranch::kConditional);
+      const FlowMatchingErrors errors =
+          velocity_errors(prepared, noise, time, DitBranch::kConditional).velocity;
       all += errors.all.item<double>() / kTimes;
       source += errors.source.item<double>() / kTimes;
       target += errors.target.item<double>() / kTimes;
     }
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
-    one_step += velocity_errors(prepared, noise, 1.0, DitBranch::kConditional).target.item<double>();
+    one_step += velocity_errors(prepared, noise, 1.0, DitBranch::kConditional).velocity.target.item<double>();
     if (!frozen_.rgb_decoder) continue;
     const auto decoded = decode(scene, generate(prepared, noise)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;

@@ -5,6 +5,7 @@
 #include "models/dit/flow_matching_loss.h"
 #include "models/latent_spaces/latent_space.h"
 #include "train/loop/objective.h"
+#include "train/objectives/correspondence.h"
 #include "train/objectives/scene_latents.h"
 
 #include <cstdint>
@@ -16,17 +17,14 @@
 
 namespace gld {
 
-enum class FlowStart {
-  kRandom,  // from nothing
-  kBundle,  // from the model that the bundle holds: fine-tuning
-};
-
 struct FlowObjectiveOptions : OptionsGroup {
-  FlowStart start = FlowStart::kRandom;
+  ModelStart start = ModelStart::kRandom;
   double camera_dropout = 0.1;
   int64_t validation_evaluations = 8;
   bool checkpoint_blocks = false;
-  double kept_latents_gib = 0;  // of scenes seen before; 0 encodes every time
+  double correspondence_weight = 0;
+  std::vector<int64_t> correspondence_blocks;  // counted from 0, the condition encoder's first
+  double kept_latents_gib = 0;                 // of scenes seen before; 0 encodes every time
 
   void visit(FieldVisitor& visitor) override;
 };
@@ -43,6 +41,10 @@ struct FrozenParts {
 // then shifted; x_t = (1 - t) x_data + t noise for all views; mean squared error of the velocity noise - x_data over
 // all views, with the parts of source and target views logged apart. With probability camera_dropout a scene is
 // shown without cameras, as the unconditional branch of guidance sees it.
+//
+// With correspondence_weight (scenes with depth) the attention of correspondence_blocks is taught in which tokens of the
+// source views the surface of each token is seen (train/objectives/correspondence.h): novel views are made by fetching it there, and
+// by the flow's loss alone attention finds that out late.
 class FlowObjective : public Objective {
  public:
   torch::Device device() const override { return placement_.device; }
@@ -92,8 +94,13 @@ class FlowObjective : public Objective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
-  FlowMatchingErrors velocity_errors(const Prepared& prepared, const torch::Tensor& noise, double time,
-                                     DitBranch branch) const;
+  struct Errors {
+    FlowMatchingErrors velocity;
+    torch::Tensor correspondence;  // a scalar; undefined where it was not asked for or nothing is seen twice
+  };
+  // truth: undefined shares leave the correspondence out.
+  Errors velocity_errors(const Prepared& prepared, const torch::Tensor& noise, double time, DitBranch branch,
+                         const TokenCorrespondence& truth = {}) const;
   // Euler steps on the shifted grid; the first evaluations' prediction of the data is kept.
   torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise) const;
 

@@ -30,6 +30,9 @@ class FlatParameters {
   const torch::Tensor& gradients() const { return gradients_; }  // (padded length)
   int64_t parameter_count() const { return parameter_count_; }   // without padding
 
+  // Where parameter `index` starts in the flat tensors.
+  int64_t offset(size_t index) const { return offsets_[index]; }
+
   void zero_gradients();
   // The part of a flat tensor that belongs to parameter `index`, in its shape.
   torch::Tensor part(const torch::Tensor& flat, size_t index) const;

@@ -34,9 +34,12 @@ void load_into(torch::Tensor& target, const std::map<std::string, torch::Tensor>
 }  // namespace
 
 void OptimiserOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"algorithm", "adamw (decoupled weight decay) or adam"}, algorithm,
-               {"adamw", "adam"});
+  visit_choice(visitor,
+               {"algorithm",
+                "adamw (decoupled weight decay), adam, or muon for blocks' matrices and adamw for the rest"},
+               algorithm, {"adamw", "adam", "muon"});
   visitor.reals({"betas", "decay of the first and the second moment"}, betas, {0.0, 0.999999});
+  visitor.real({"momentum", "muon: decay of the momentum"}, momentum, {0.0, 0.999999});
   visitor.real({"epsilon", "added to the root of the second moment"}, epsilon, {0.0, 1.0});
   visitor.real({"weight_decay", "weight decay"}, weight_decay, {0.0, 10.0});
   visitor.real({"clip_norm", "largest global gradient norm; 0 does not clip"}, clip_norm, {0.0, 1e12});
@@ -86,7 +89,7 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
   const double scale =
       options_.clip_norm > 0.0 ? std::min(1.0, options_.clip_norm / (gradient_norm + 1e-6)) : 1.0;
   step.gradient_scale = static_cast<float>(scale);
-  const bool decoupled = options_.algorithm == OptimiserAlgorithm::kAdamW;
+  const bool decoupled = options_.algorithm != OptimiserAlgorithm::kAdam;
   step.value_scale = static_cast<float>(decoupled ? 1.0 - learning_rate * options_.weight_decay : 1.0);
   step.coupled_decay = static_cast<float>(decoupled ? 0.0 : options_.weight_decay);
   step.first_beta = static_cast<float>(options_.betas[0]);
@@ -96,23 +99,94 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
   step.epsilon = static_cast<float>(options_.epsilon);
   step.average_decay = static_cast<float>(options_.ema_decay);
 
-  torch::Tensor values = parameters_->values();
-  torch::Tensor gradients = parameters_->gradients();
+  if (options_.algorithm != OptimiserAlgorithm::kMuon) {
+    adam_step(step, 0, parameters_->values().numel());
+    return;
+  }
+  // Runs of parameters between Muon's matrices are Adam's; the average of the matrices is taken with them, so here it is
+  // Muon's own.
+  const auto& parameters = parameters_->parameters();
+  int64_t begin = 0;
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    if (!is_block_matrix(parameters[i])) continue;
+    adam_step(step, begin, parameters_->offset(i));
+    begin = parameters_->offset(i) + parameters[i].parameter.numel();
+  }
+  adam_step(step, begin, parameters_->values().numel());
+  muon_step(learning_rate, scale);
+}
+
+void Optimiser::adam_step(const AdamStep& step, int64_t begin, int64_t end) {
+  if (begin >= end) return;
+  const auto part = [&](const torch::Tensor& flat) { return flat.narrow(0, begin, end - begin); };
+  torch::Tensor values = part(parameters_->values());
+  torch::Tensor gradients = part(parameters_->gradients());
+  torch::Tensor first_moment = part(first_moment_);
+  torch::Tensor second_moment = part(second_moment_);
+  torch::Tensor average = average_.defined() ? part(average_) : torch::Tensor();
   if (values.is_cpu()) {
     const AdamArrays arrays = {values.data_ptr<float>(), gradients.data_ptr<float>(),
-                               first_moment_.data_ptr<float>(), second_moment_.data_ptr<float>(),
-                               average_.defined() ? average_.data_ptr<float>() : nullptr};
+                               first_moment.data_ptr<float>(), second_moment.data_ptr<float>(),
+                               average.defined() ? average.data_ptr<float>() : nullptr};
     at::parallel_for(0, values.numel(), kBlock,
-                     [&](int64_t begin, int64_t end) { adam_update(arrays, step, begin, end); });
+                     [&](int64_t first, int64_t last) { adam_update(arrays, step, first, last); });
     return;
   }
   gradients.mul_(step.gradient_scale);
   if (step.coupled_decay != 0.0F) gradients.add_(values, step.coupled_decay);
-  first_moment_.mul_(step.first_beta).add_(gradients, 1.0F - step.first_beta);
-  second_moment_.mul_(step.second_beta).addcmul_(gradients, gradients, 1.0F - step.second_beta);
-  const auto denominator = second_moment_.sqrt().mul_(step.inverse_correction).add_(step.epsilon);
-  values.mul_(step.value_scale).addcdiv_(first_moment_, denominator, -step.step_size);
-  if (average_.defined()) average_.mul_(step.average_decay).add_(values, 1.0F - step.average_decay);
+  first_moment.mul_(step.first_beta).add_(gradients, 1.0F - step.first_beta);
+  second_moment.mul_(step.second_beta).addcmul_(gradients, gradients, 1.0F - step.second_beta);
+  const auto denominator = second_moment.sqrt().mul_(step.inverse_correction).add_(step.epsilon);
+  values.mul_(step.value_scale).addcdiv_(first_moment, denominator, -step.step_size);
+  if (average.defined()) average.mul_(step.average_decay).add_(values, 1.0F - step.average_decay);
+}
+
+void Optimiser::muon_step(double learning_rate, double gradient_scale) {
+  const auto& parameters = parameters_->parameters();
+  std::vector<size_t> matrices;
+  for (size_t i = 0; i < parameters.size(); ++i) {
+    if (is_block_matrix(parameters[i])) matrices.push_back(i);
+  }
+  // One matrix a thread; inside, products then run on that thread alone.
+  at::parallel_for(0, static_cast<int64_t>(matrices.size()), 1, [&](int64_t first, int64_t last) {
+    const torch::NoGradGuard no_grad;
+    for (int64_t i = first; i < last; ++i) {
+      const size_t index = matrices[static_cast<size_t>(i)];
+      torch::Tensor value = parameters_->part(parameters_->values(), index);
+      torch::Tensor momentum = parameters_->part(first_moment_, index);
+      const auto gradient = parameters_->part(parameters_->gradients(), index) * gradient_scale;
+      momentum.lerp_(gradient, 1.0 - options_.momentum);
+      const auto ahead = torch::lerp(gradient, momentum, options_.momentum);
+      const double size = 0.2 * std::sqrt(static_cast<double>(std::max(value.size(0), value.size(1))));
+      value.mul_(1.0 - learning_rate * options_.weight_decay)
+          .add_(nearly_orthogonal(ahead), -learning_rate * size);
+      if (average_.defined()) {
+        parameters_->part(average_, index).mul_(options_.ema_decay).add_(value, 1.0 - options_.ema_decay);
+      }
+    }
+  });
+}
+
+bool Optimiser::is_block_matrix(const NamedParameter& item) {
+  // The published names: blocks.I of backbones and DiTs, decoder_layers.I of the RGB decoder. AdaLN's matrix makes vectors
+  // from one condition, as an embedding does.
+  const auto contains = [&](const char* part) { return item.name.find(part) != std::string::npos; };
+  return item.parameter.dim() == 2 && (contains("blocks.") || contains("decoder_layers.")) &&
+         !contains("adaLN_modulation");
+}
+
+torch::Tensor nearly_orthogonal(const torch::Tensor& matrix) {
+  constexpr double kFirst = 3.4445, kThird = -4.7750, kFifth = 2.0315;
+  constexpr int kSteps = 5;
+  const bool tall = matrix.size(0) > matrix.size(1);
+  auto x = tall ? matrix.t() : matrix;
+  x = x / (x.norm() + 1e-7);
+  for (int i = 0; i < kSteps; ++i) {
+    const auto squares = torch::mm(x, x.t());
+    const auto terms = torch::addmm(squares, squares, squares, kThird, kFifth);
+    x = torch::addmm(x, terms, x, kFirst, 1.0);
+  }
+  return tall ? x.t() : x;
 }
 
 std::map<std::string, torch::Tensor> Optimiser::state() const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
+#include "gld/kernels/adam_kernel.h"
 #include "train/optim/flat_parameters.h"
 
 #include <map>
@@ -11,12 +12,13 @@
 
 namespace gld {
 
-enum class OptimiserAlgorithm { kAdamW, kAdam };
+enum class OptimiserAlgorithm { kAdamW, kAdam, kMuon };
 
 // DESIGN.md section 4, "Training numbers".
 struct OptimiserOptions : OptionsGroup {
   OptimiserAlgorithm algorithm = OptimiserAlgorithm::kAdamW;
   std::vector<double> betas = {0.9, 0.95};
+  double momentum = 0.95;  // muon's
   double epsilon = 1e-8;
   double weight_decay = 0.0;
   double clip_norm = 1.0;
@@ -28,6 +30,11 @@ struct OptimiserOptions : OptionsGroup {
 
 // Adam (Kingma & Ba, algorithm 1) or AdamW (Loshchilov & Hutter, algorithm 2) with clipping by the global
 // gradient norm and an exponential moving average of the values, over flat buffers.
+//
+// Muon (Jordan et al. 2024; update size of Liu et al. 2025, "Muon is scalable for LLM training", section 2.2): a matrix of a
+// block moves by the orthogonal factor of its Nesterov momentum, approximated by five Newton-Schulz steps, times
+// 0.2 sqrt(larger side), which gives an update the root mean square of AdamW's, so that one learning rate serves both.
+// Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
  public:
   // The average starts at the present values.
@@ -42,12 +49,18 @@ class Optimiser {
   bool has_average() const { return average_.defined(); }
   const torch::Tensor& average() const { return average_; }  // flat; the values themselves without one
 
+  // Whether that parameter is one of Muon's matrices.
+  static bool is_block_matrix(const NamedParameter& item);
+
   // Everything step() depends on beside values and gradients.
   std::map<std::string, torch::Tensor> state() const;
   // Throws Error naming the tensor that is missing or misshapen.
   void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
 
  private:
+  void adam_step(const AdamStep& step, int64_t begin, int64_t end);
+  void muon_step(double learning_rate, double gradient_scale);
+
   FlatParameters* parameters_;
   OptimiserOptions options_;
   int64_t steps_ = 0;
@@ -55,6 +68,10 @@ class Optimiser {
   torch::Tensor second_moment_;
   torch::Tensor average_;
 };
+
+// The orthogonal factor U V^T of a matrix U S V^T, roughly: singular values come out between about 0.7 and 1.2, whatever
+// they were. Five steps of the quintic Newton-Schulz iteration of Muon.
+torch::Tensor nearly_orthogonal(const torch::Tensor& matrix);
 
 // Puts the moving average in the place of the parameters for as long as it lives (validation, export).
 class AverageInPlace {

@@ -29,9 +29,10 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
   stage.made = {BundlePart::dpt_head()};
   if (!head_only) stage.made.push_back(BundlePart::backbone());
-  stage.objective = [&options, head_only](const ModelBundle& bundle, const ParameterPlacement& placement) {
+  const bool goes_on = options.objective.training != GeometryTraining::kFromScratch;
+  stage.objective = [&options, goes_on](const ModelBundle& bundle, const ParameterPlacement& placement) {
     TrainedGeometry trained;
-    if (head_only) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
+    if (goes_on) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
     return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
                                                options.loop.seed, trained);
   };
@@ -43,8 +44,12 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
   stage.command = "train decoder";
   stage.made = {BundlePart::rgb_decoder()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
-    return std::make_unique<DecoderObjective>(bundle.options(), options.objective,
-                                              bundle.load_backbone(placement), placement, options.loop.seed);
+    auto objective = std::make_unique<DecoderObjective>(
+        bundle.options(), options.objective, bundle.load_backbone(placement), placement, options.loop.seed);
+    if (options.objective.start == ModelStart::kBundle) {
+      objective->start_from(bundle.load_rgb_decoder(placement));
+    }
+    return objective;
   };
   return run_training_stage(options, options, stage, draw);
 }

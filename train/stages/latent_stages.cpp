@@ -82,13 +82,14 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
   const LevelGenerator generator = level_model(options.level);
   TrainingStage stage;
   stage.command = "train level";
+  if (options.objective.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
     auto objective = std::make_unique<LevelObjective>(bundle.options(), options.level, options.objective,
                                                       frozen_parts(bundle, generator, placement), placement,
                                                       options.loop.seed);
-    if (options.objective.start == FlowStart::kBundle) {
+    if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
     return objective;
@@ -104,13 +105,14 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
   }
   TrainingStage stage;
   stage.command = "train cascade";
+  if (options.objective.flow.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
     auto objective = std::make_unique<CascadeObjective>(bundle.options(), generator, options.objective,
                                                         frozen_parts(bundle, generator, placement), placement,
                                                         options.loop.seed);
-    if (options.objective.flow.start == FlowStart::kBundle) {
+    if (options.objective.flow.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
     return objective;

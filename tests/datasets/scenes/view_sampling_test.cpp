@@ -80,6 +80,28 @@ TEST(ViewSampling, ShortVideosShrinkTheIntervals) {
   }
 }
 
+TEST(ViewSampling, ViewsComeInRandomOrderSourcesFirst) {
+  ViewSampling shuffled, timed;
+  shuffled.fewest_sources = shuffled.most_sources = timed.fewest_sources = timed.most_sources = 3;
+  timed.order = ViewOrder::kTime;
+  // By how many of the views before it in time a view comes first among the sources, or last of all.
+  std::array<int, 3> first{};
+  std::array<int, 5> last{};
+  for (uint64_t index = 0; index < 3000; ++index) {
+    const auto views = sample_views(shuffled, 200, {1, 2, index})->frames;
+    const auto in_time = sample_views(timed, 200, {1, 2, index})->frames;
+    const auto sources_end = in_time.begin() + 3;
+    EXPECT_TRUE(std::is_sorted(in_time.begin(), sources_end) && std::is_sorted(sources_end, in_time.end()));
+    // The same views, sources and targets apart.
+    EXPECT_TRUE(std::is_permutation(in_time.begin(), sources_end, views.begin()));
+    EXPECT_TRUE(std::is_permutation(sources_end, in_time.end(), views.begin() + 3));
+    ++first[static_cast<size_t>(std::find(in_time.begin(), sources_end, views.front()) - in_time.begin())];
+    ++last[static_cast<size_t>(std::find(sources_end, in_time.end(), views.back()) - sources_end)];
+  }
+  for (const int count : first) EXPECT_NEAR(count, 1000, 110);
+  for (const int count : last) EXPECT_NEAR(count, 600, 90);
+}
+
 TEST(ViewSampling, EvaluationModes) {
   ViewSampling sampling;
   sampling.views = 6;

@@ -183,6 +183,76 @@ TEST(SyntheticScene, ThingsStandOnTheFloorInsideTheRoom) {
   }
 }
 
+TEST(SyntheticScene, VariedRoomsKeepHalfAsTheyWereAndClutterTheRest) {
+  SyntheticOptions first = small_options(), varied = small_options();
+  varied.rooms = SyntheticRooms::kVaried;
+  int same = 0, rolled = 0;
+  for (int64_t index = 0; index < 60; ++index) {
+    const Scene a = make_synthetic_scene(first, index), b = make_synthetic_scene(varied, index);
+    const Eigen::Matrix3d turn = b.frames[2].camera.world_from_camera.linear();
+    if (a.frames[2].camera.world_from_camera.matrix() == b.frames[2].camera.world_from_camera.matrix()) {
+      ++same;
+    } else if (std::abs(turn(2, 0)) > 0.01) {
+      ++rolled;  // the image's horizontal is not the room's
+    }
+  }
+  EXPECT_NEAR(same, 30, 9);
+  EXPECT_GT(rolled, 15);
+}
+
+TEST(SyntheticScene, VariedRoomsAreExactToo) {
+  SyntheticOptions options = small_options();
+  options.rooms = SyntheticRooms::kVaried;
+  options.frames = 24;
+  for (int64_t index = 0; index < 6; ++index) {
+    const Scene scene = make_synthetic_scene(options, index);
+    const Frame& a = scene.frames[8];
+    const Frame& b = scene.frames[11];
+    const WarpResult warp = warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.01);
+    EXPECT_GT(warp.share_agreeing, 0.7) << index;
+    EXPECT_LT(warp.median_error, 2e-3) << index;
+    EXPECT_EQ(make_synthetic_scene(options, index).frames[8].image().rgb, a.image().rgb);
+  }
+  for (uint64_t seed = 0; seed < 40; ++seed) {
+    SeededRandom world_random({seed, 1}), variety({seed, 3}), path_random({seed, 2});
+    SyntheticWorld world = draw_world(world_random, {3, 8});
+    const size_t before = world.solids.size();
+    vary_world(variety, world);
+    EXPECT_GT(world.solids.size(), before) << seed;
+    PathDraw draw;
+    draw.hand = {0.08, 4, 8};
+    for (const Solid& solid : world.solids) {
+      EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
+      EXPECT_LT(std::abs(solid.centre.x()), world.room.half_x);
+      EXPECT_LT(std::abs(solid.centre.y()), world.room.half_y);
+      EXPECT_LT(solid.centre.z() + solid.half_size.z(), world.room.height);
+    }
+    for (const Camera& camera : draw_camera_path(path_random, world, draw)) {
+      EXPECT_GT(clearance(world, camera.world_from_camera.translation()), 0.0) << seed;
+      EXPECT_LT((camera.world_from_camera.linear().transpose() * camera.world_from_camera.linear() -
+                 Eigen::Matrix3d::Identity())
+                    .norm(),
+                1e-12);
+    }
+  }
+}
+
+TEST(SyntheticScene, GlossShowsTheLampWhereItIsMirrored) {
+  SyntheticWorld world = bare_room();
+  world.room.faces[4].first = Vector3d::Constant(0.2);
+  const Camera camera = camera_at({-1, 0, 1.4}, {0.4, 0, 0});
+  const Image matte = render_image(world, camera);
+  world.room.faces[4].gloss = 0.8;
+  const Image glossy = render_image(world, camera);
+  // The lamp at (0, 0, 2.5) seen from (-1, 0, 1.4) is mirrored by the floor at x = -1 + 1.4 / 3.9.
+  const Vector3d mirrored(-1 + 1.4 / 3.9, 0, 0);
+  const Vector3d pixel = camera.intrinsics * (camera.camera_from_world() * mirrored);
+  const auto x = static_cast<int64_t>(pixel.x() / pixel.z()), y = static_cast<int64_t>(pixel.y() / pixel.z());
+  ASSERT_TRUE(x >= 0 && x < 64 && y >= 0 && y < 48);
+  EXPECT_GT(glossy.pixel(x, y)[0], matte.pixel(x, y)[0] + 30);
+  EXPECT_EQ(glossy.pixel(0, 0)[0], matte.pixel(0, 0)[0]);  // far from it, on a wall
+}
+
 TEST(SyntheticScene, ImagesUseTheWholeRange) {
   for (int64_t index = 0; index < 8; ++index) {
     const Image image = make_synthetic_scene(small_options(), index).frames[0].image();

@@ -58,6 +58,12 @@ std::vector<Configuration> configurations() {
          o.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
          o.prope_image_size = "504";
        }},
+      {"predicts_data", [](DitOptions& o) { o.prediction = FlowPrediction::kData; }},
+      {"predicts_data_bounded",
+       [](DitOptions& o) {
+         o.prediction = FlowPrediction::kData;
+         o.largest_inverse_time = 2;  // 1/t is 2.7 here
+       }},
       {"special",
        [](DitOptions& o) {
          o.num_special_tokens = 3;
@@ -182,6 +188,23 @@ TEST(DitDh, GroupsOfViewsChangeNothing) {
   const torch::NoGradGuard no_grad;
   const auto groups = model->velocity(model->prepare_scene(scene.inputs), scene.noisy, time);
   EXPECT_LT(relative_difference(groups, whole), 2e-6);
+}
+
+TEST(DitDh, TapsGiveWhatAttentionMultiplies) {
+  const auto model = random_dit(small_dit_options());
+  const auto scene = random_dit_scene(model->options(), {3, 1, 28, 42});
+  auto prepared = model->prepare_scene(scene.inputs);
+  std::vector<AttentionTap> taps = {{1, {}, {}}, {2, {}, {}}, {7, {}, {}}};
+  prepared.taps = &taps;
+  const auto time = model->time_rows({0.5}).front();
+  const auto tapped = model->velocity(prepared, scene.noisy, time);
+  prepared.taps = nullptr;
+  EXPECT_TRUE(torch::equal(tapped, model->velocity(prepared, scene.noisy, time)));
+  // Block 1 is the condition encoder's last, block 2 the velocity decoder's first; there is no block 7.
+  EXPECT_EQ(taps[0].query.sizes(), (std::vector<int64_t>{1, 18, 2, 16}));
+  EXPECT_EQ(taps[1].key.sizes(), (std::vector<int64_t>{1, 18, 3, 16}));
+  EXPECT_FALSE(taps[2].query.defined());
+  EXPECT_TRUE(taps[1].query.requires_grad());
 }
 
 TEST(DitDh, MaskedViewsDoNotSeeEachOther) {

@@ -36,7 +36,9 @@ class DitFieldTest : public testing::Test {
 };
 
 TEST_F(DitFieldTest, GuidanceCombinesTheBranches) {
-  for (const auto& options : {small_dit_options(), small_cascade_options()}) {
+  auto data = small_dit_options();
+  data.prediction = FlowPrediction::kData;
+  for (const auto& options : {small_dit_options(), small_cascade_options(), data}) {
     build(options);
     auto dit = field();
     const auto conditional = dit.conditional(scene_.noisy, 0.4);

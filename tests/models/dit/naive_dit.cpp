@@ -2,6 +2,7 @@
 
 #include "gld/cameras/camera_conditioning.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <Eigen/LU>
@@ -220,7 +221,9 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
                                  const std::map<std::string, torch::Tensor>& weights,
                                  const NaiveDitInputs& inputs) {
   const torch::NoGradGuard no_grad;
-  return NaiveDit(options, weights, inputs).velocity();
+  const auto output = NaiveDit(options, weights, inputs).velocity();
+  if (options.prediction == FlowPrediction::kVelocity) return output;
+  return (inputs.noisy - output) * std::min(1 / inputs.time, options.largest_inverse_time);
 }
 
 }  // namespace gld::test

@@ -163,5 +163,91 @@ TEST(LearningRate, WarmsUpAndFalls) {
   EXPECT_DOUBLE_EQ(learning_rate(options, 80, 100), 0.1);
 }
 
+TEST(Muon, OrthogonalisesAMatrix) {
+  auto generator = at::detail::createCPUGenerator(4);
+  for (const auto& [rows, columns] : std::vector<std::pair<int64_t, int64_t>>{{24, 60}, {60, 24}, {32, 32}}) {
+    const auto matrix = torch::empty({rows, columns}).normal_(0, 3, generator);
+    const auto [u, s, vh] = torch::linalg_svd(matrix, /*full_matrices=*/false);
+    const auto values = std::get<1>(torch::linalg_svd(nearly_orthogonal(matrix), /*full_matrices=*/false));
+    EXPECT_GT(values.min().item<double>(), 0.3) << rows << " x " << columns;
+    EXPECT_LT(values.max().item<double>(), 1.3) << rows << " x " << columns;
+    // The same singular directions: U^T X V is diagonal.
+    const auto turned = torch::mm(torch::mm(u.t(), nearly_orthogonal(matrix)), vh.t());
+    EXPECT_LT((turned - torch::diag(turned.diag())).abs().max().item<double>(), 1e-4);
+  }
+}
+
+TEST(Muon, MovesBlockMatricesByItsRuleAndTheRestByAdamW) {
+  auto generator = at::detail::createCPUGenerator(8);
+  const std::vector<std::string> names = {"x_embedder.weight", "blocks.0.attn.qkv.weight",
+                                          "blocks.0.adaLN_modulation.1.weight", "blocks.0.attn.qkv.bias",
+                                          "decoder_layers.1.output.dense.weight"};
+  const std::vector<bool> muons = {false, true, false, false, true};
+  std::vector<NamedParameter> with_muon, with_adam;
+  for (const std::string& name : names) {
+    const bool vector = name.find("bias") != std::string::npos;
+    const auto value = torch::empty(vector ? std::vector<int64_t>{9} : std::vector<int64_t>{12, 7});
+    value.normal_(0, 1, generator);
+    with_muon.push_back({name, value.clone()});
+    with_adam.push_back({name, value.clone()});
+  }
+  FlatParameters muon_parameters(with_muon), adam_parameters(with_adam);
+  OptimiserOptions options;
+  options.weight_decay = 0.1;
+  options.clip_norm = 1.0;
+  options.ema_decay = 0.9;
+  Optimiser adam(adam_parameters, options);
+  options.algorithm = OptimiserAlgorithm::kMuon;
+  Optimiser muon(muon_parameters, options);
+  std::vector<torch::Tensor> value, momentum, average;
+  for (const auto& item : with_muon) {
+    value.push_back(item.parameter.detach().clone());
+    momentum.push_back(torch::zeros_like(value.back()));
+    average.push_back(value.back().clone());
+  }
+  constexpr double kRate = 0.02;
+  for (int step = 0; step < 3; ++step) {
+    double squares = 0;
+    for (size_t i = 0; i < names.size(); ++i) {
+      with_muon[i].parameter.mutable_grad().normal_(0, 2, generator);
+      with_adam[i].parameter.mutable_grad().copy_(with_muon[i].parameter.grad());
+      squares += with_muon[i].parameter.grad().square().sum().item<double>();
+    }
+    const double clip = std::min(1.0, 1.0 / std::sqrt(squares));
+    for (size_t i = 0; i < names.size(); ++i) {
+      if (!muons[i]) continue;
+      const auto gradient = clip * with_muon[i].parameter.grad();
+      momentum[i] = 0.95 * momentum[i] + 0.05 * gradient;
+      const auto ahead = 0.95 * momentum[i] + 0.05 * gradient;
+      value[i] = (1 - kRate * 0.1) * value[i] - kRate * 0.2 * std::sqrt(12.0) * nearly_orthogonal(ahead);
+      average[i] = 0.9 * average[i] + 0.1 * value[i];
+    }
+    adam.step(kRate, adam.gradient_norm());
+    muon.step(kRate, muon.gradient_norm());
+  }
+  for (size_t i = 0; i < names.size(); ++i) {
+    EXPECT_EQ(Optimiser::is_block_matrix(with_muon[i]), muons[i]) << names[i];
+    const auto& expected = muons[i] ? value[i] : with_adam[i].parameter.detach();
+    const auto& expected_average = muons[i] ? average[i] : adam_parameters.part(adam.average(), i);
+    EXPECT_LT((with_muon[i].parameter.detach() - expected).abs().max().item<double>(), 1e-4) << names[i];
+    EXPECT_LT((muon_parameters.part(muon.average(), i) - expected_average).abs().max().item<double>(), 1e-4)
+        << names[i];
+  }
+}
+
+TEST(LearningRate, FallsOnlyFromTheStartOfItsDecay) {
+  LearningRateOptions options;
+  options.schedule = LearningRateSchedule::kLinear;
+  options.peak = 1.0;
+  options.final = 0.0;
+  options.warmup_steps = 10;
+  options.decay_start_step = 100;
+  EXPECT_NEAR(learning_rate(options, 4, 200), 0.5, 1e-12);
+  EXPECT_EQ(learning_rate(options, 10, 200), 1.0);
+  EXPECT_EQ(learning_rate(options, 99, 200), 1.0);
+  EXPECT_NEAR(learning_rate(options, 150, 200), 0.5, 1e-12);
+  EXPECT_NEAR(learning_rate(options, 200, 200), 0.0, 1e-12);
+}
+
 }  // namespace
 }  // namespace gld

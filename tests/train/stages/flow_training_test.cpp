@@ -159,19 +159,72 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
     return torch::cat(parts);
   };
   auto options = stage_options<TrainLevelOptions>(path("level/model"), path("tuned"));
-  options.objective.start = FlowStart::kBundle;
+  options.objective.start = ModelStart::kBundle;
   options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
   options.loop.seed = 99;
   train_level(options, {});
   EXPECT_LT((weights("tuned/model") - weights("level/model")).abs().max().item<double>(), 1e-6);
   options.out = path("fresh").string();
-  options.objective.start = FlowStart::kRandom;
+  options.objective.start = ModelStart::kRandom;
   train_level(options, {});
   EXPECT_GT((weights("fresh/model") - weights("level/model")).abs().max().item<double>(), 1e-2);
   options.model = path("stats/model").string();
   options.out = path("without").string();
-  options.objective.start = FlowStart::kBundle;
+  options.objective.start = ModelStart::kBundle;
   EXPECT_THROW(train_level(options, {}), Error);
+}
+
+TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("taught"));
+  options.objective.correspondence_weight = 0.1;
+  options.objective.correspondence_blocks = {1, 2};
+  options.objective.camera_dropout = 0;
+  options.data.views.fewest_sources = 2;
+  train_level(options, {});
+  const MetricsLog log(path("taught") / "metrics.jsonl", 2);
+  for (const auto& point : log.series("correspondence")) EXPECT_GT(point.second, 0.0);
+  EXPECT_EQ(log.series("correspondence").size(), 2U);
+  options.out = path("refused").string();
+  options.objective.correspondence_blocks = {3};
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            "objective.correspondence_blocks: expected blocks from 0 to 2, found 3; choose others.");
+  options.objective.correspondence_blocks = {2};
+  options.objective.checkpoint_blocks = true;
+  EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
+            "objective.correspondence_weight: expected 0 with checkpoint_blocks, which keeps no queries and "
+            "keys, found 0.1; switch one of the two off.");
+}
+
+TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
+  const auto flat = [](const torch::nn::Module& module) {
+    std::vector<torch::Tensor> parts;
+    for (const auto& tensor : module.parameters()) parts.push_back(tensor.flatten());
+    return torch::cat(parts).detach();
+  };
+  const auto still = [](TrainOptions& options) {
+    options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
+    options.loop.learning_rate.warmup_steps = 0;
+    options.loop.seed = 99;
+  };
+  const auto before = ModelBundle::open(path("decoder/model"));
+  auto backbone = stage_options<TrainBackboneOptions>(path("decoder/model"), path("backbone_on"));
+  still(backbone);
+  backbone.objective.training = GeometryTraining::kFromBundle;
+  train_backbone(backbone, {});
+  const auto with_backbone = ModelBundle::open(path("backbone_on/model"));
+  EXPECT_LT((flat(*with_backbone.load_backbone()) - flat(*before.load_backbone())).abs().max().item<double>(),
+            1e-6);
+  EXPECT_LT((flat(*with_backbone.load_dpt_head()) - flat(*before.load_dpt_head())).abs().max().item<double>(),
+            1e-6);
+  auto decoder = stage_options<TrainDecoderOptions>(path("decoder/model"), path("decoder_on"));
+  still(decoder);
+  decoder.objective.adversarial.weight = 0;
+  decoder.objective.start = ModelStart::kBundle;
+  train_decoder(decoder, {});
+  const auto with_decoder = ModelBundle::open(path("decoder_on/model"));
+  EXPECT_LT(
+      (flat(*with_decoder.load_rgb_decoder()) - flat(*before.load_rgb_decoder())).abs().max().item<double>(),
+      1e-6);
 }
 
 TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
