@@ -30,11 +30,11 @@ function(gld_room_target target room)
   set(${target} ${name} PARENT_SCOPE)
 endfunction()
 
-# gld_room([SOURCES a.cpp ...] [TORCH_SOURCES b.cpp ...] [LIBRARIES x ...])
+# gld_room([SOURCES a.cpp ...] [TORCH_SOURCES b.cpp ...] [LIBRARIES x ...] [PRIVATE_LIBRARIES y ...])
 # The library of the room in the current folder, linked with the rooms that docs/ARCHITECTURE.md lets it include.
-# TORCH_SOURCES include LibTorch; GLD_SANITIZE leaves them out, and a room of them alone with them.
+# PRIVATE_LIBRARIES are those that only its sources include. TORCH_SOURCES include LibTorch; GLD_SANITIZE leaves them out, and a room of them alone with them.
 function(gld_room)
-  cmake_parse_arguments(arg "" "" "SOURCES;TORCH_SOURCES;LIBRARIES" ${ARGN})
+  cmake_parse_arguments(arg "" "" "SOURCES;TORCH_SOURCES;LIBRARIES;PRIVATE_LIBRARIES" ${ARGN})
   file(RELATIVE_PATH room ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   if(NOT room IN_LIST GLD_ROOMS)
     message(FATAL_ERROR "${room} is no room: add it to the table in docs/ARCHITECTURE.md.")
@@ -54,7 +54,7 @@ function(gld_room)
       target_link_libraries(${target} PUBLIC ${library})
     endif()
   endforeach()
-  target_link_libraries(${target} PUBLIC ${arg_LIBRARIES})
+  target_link_libraries(${target} PUBLIC ${arg_LIBRARIES} PRIVATE ${arg_PRIVATE_LIBRARIES})
   if(arg_TORCH_SOURCES)
     target_link_libraries(${target} PUBLIC gld_torch_headers)
     target_precompile_headers(${target} REUSE_FROM gld_torch_headers)

@@ -77,7 +77,11 @@ PoseAlignment align_poses(const std::vector<Camera>& in_a, const std::vector<Cam
                                                in_b[i].world_from_camera.linear()) /
                                 static_cast<double>(in_a.size());
   }
-  alignment.centre_error = std::sqrt(square_error / static_cast<double>(in_a.size()));
+  const auto count = static_cast<double>(in_a.size());
+  alignment.centre_error = std::sqrt(square_error / count);
+  alignment.spread = std::sqrt(square_b / count);
+  // Three coordinates a centre, less the translation's three and the scale; the rotation comes from the orientations.
+  if (alignment.scale_known) alignment.scale_deviation = std::sqrt(square_error / (3 * count - 4) / square_a);
   return alignment;
 }
 

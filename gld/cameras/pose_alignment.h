@@ -21,10 +21,12 @@ struct Similarity {
 
 struct PoseAlignment {
   Similarity b_from_a;
-  bool scale_known =
-      false;  // false: the cameras stand at one place in a or b (or contradict), and scale is 1
-  double rotation_error = 0;  // mean angle left between the cameras, degrees
-  double centre_error = 0;    // root mean square distance left between the centres, in b
+  // False: the cameras stand at one place in a or b (or contradict), and scale is 1.
+  bool scale_known = false;
+  double scale_deviation = 0;  // standard error of the scale by what is left between the centres
+  double rotation_error = 0;   // mean angle left between the cameras, degrees
+  double centre_error = 0;     // root mean square distance left between the centres, in b
+  double spread = 0;           // root mean square distance of the centres from their mean, in b
 };
 
 // The similarity that maps the cameras of frame a (such as those recovered from rays) onto the same cameras in frame b

@@ -195,6 +195,8 @@ std::vector<double> angles(const std::vector<Ray>& rays, const Pinhole& pinhole)
   return result;
 }
 
+enum class PrincipalPoint { kFree, kFixed };
+
 void refine(const std::vector<Ray>& rays, PrincipalPoint principal_point, Pinhole& pinhole) {
   const int unknowns = principal_point == PrincipalPoint::kFree ? 7 : 5;
   for (int iteration = 0; iteration < 12; ++iteration) {
@@ -250,7 +252,7 @@ Eigen::Vector3d robust_centre(const std::vector<Ray>& rays, double& origin_error
 }  // namespace
 
 RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confidence, const ImageSize& size,
-                                 PrincipalPoint principal_point) {
+                                 const std::optional<Eigen::Vector2d>& principal_point) {
   if (!confidence.empty() && (confidence.width != map.width || confidence.height != map.height)) {
     fail({"camera from rays",
           "confidences of the rays' size " + std::to_string(map.width) + "x" + std::to_string(map.height),
@@ -264,11 +266,12 @@ RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confide
   }
   level_confidences(rays);
   Pinhole pinhole = pinhole_of(linear_fit(rays));
-  if (principal_point == PrincipalPoint::kCentre) {
-    // The turn that moving the principal point to the middle asks for is found by the refinement.
-    pinhole.principal.setZero();
+  const Eigen::Vector2d half(static_cast<double>(size.width) / 2, static_cast<double>(size.height) / 2);
+  if (principal_point) {
+    // The turn that moving the principal point asks for is found by the refinement.
+    pinhole.principal = kReach * (principal_point->cwiseQuotient(half) - Eigen::Vector2d::Ones());
   }
-  refine(rays, principal_point, pinhole);
+  refine(rays, principal_point ? PrincipalPoint::kFixed : PrincipalPoint::kFree, pinhole);
 
   RecoveredCamera recovered;
   const std::vector<double> errors = angles(rays, pinhole);
@@ -277,7 +280,6 @@ RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confide
   recovered.inliers = static_cast<double>(std::count_if(errors.begin(), errors.end(),
                                                         [&](double error) { return error <= believed; })) /
                       static_cast<double>(errors.size());
-  const Eigen::Vector2d half(static_cast<double>(size.width) / 2, static_cast<double>(size.height) / 2);
   Camera& camera = recovered.camera;
   camera.width = size.width;
   camera.height = size.height;

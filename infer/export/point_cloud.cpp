@@ -19,7 +19,7 @@ std::string size_text(int64_t width, int64_t height) {
   return std::to_string(width) + "x" + std::to_string(height);
 }
 
-void check_view(const PointView& view, size_t index) {
+void check_view(const PointView& view, size_t index, PointLifting lifting) {
   const std::string where = "point cloud, view " + std::to_string(index);
   if (view.image.empty()) fail({where, "an image to colour the points", "none", "decode the image as well"});
   if (view.camera.width < 1 || view.camera.height < 1) {
@@ -30,6 +30,9 @@ void check_view(const PointView& view, size_t index) {
       (view.confidence.width != view.depth.width || view.confidence.height != view.depth.height)) {
     fail({where, "confidences of the depth's size " + size_text(view.depth.width, view.depth.height),
           size_text(view.confidence.width, view.confidence.height), "check what made them"});
+  }
+  if (lifting == PointLifting::kRays && view.rays.empty()) {
+    fail({where, "a ray map to lift the depth with", "none", "predict rays as well"});
   }
 }
 
@@ -74,22 +77,34 @@ Limits find_limits(const std::vector<PointView>& views, const PointCloudOptions&
   return limits;
 }
 
-// Adds the points of one view.
+// Where a position lies between the middles of two neighbouring cells of a map; the share is outside 0..1 beyond the
+// outermost middles.
+struct Between {
+  int64_t first = 0;
+  int64_t second = 0;
+  double share = 0;  // of the second
+};
+
+Between between_cells(double position, int64_t cells) {
+  const double from_first_middle = position * static_cast<double>(cells) - 0.5;
+  if (cells < 2) return {};
+  const auto first = std::clamp<int64_t>(static_cast<int64_t>(std::floor(from_first_middle)), 0, cells - 2);
+  return {first, first + 1, from_first_middle - static_cast<double>(first)};
+}
+
+// The points of one view.
 class ViewLifter {
  public:
-  ViewLifter(const PointView& view, double depth_scale)
-      : view_(view),
-        depth_scale_(depth_scale),
-        pixels_x_(static_cast<double>(view.camera.width) / static_cast<double>(view.depth.width)),
-        pixels_y_(static_cast<double>(view.camera.height) / static_cast<double>(view.depth.height)) {}
+  ViewLifter(const PointView& view, double depth_scale, PointLifting lifting)
+      : view_(view), depth_scale_(depth_scale), lifting_(lifting) {}
 
+  // Not finite where the ray is not.
   Eigen::Vector3d x_in_world(int64_t x, int64_t y) const {
-    const Eigen::Matrix3d& k = view_.camera.intrinsics;
-    const double u = (static_cast<double>(x) + 0.5) * pixels_x_;
-    const double v = (static_cast<double>(y) + 0.5) * pixels_y_;
+    // Of the picture's width and height.
+    const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(view_.depth.width);
+    const double down = (static_cast<double>(y) + 0.5) / static_cast<double>(view_.depth.height);
     const double z = static_cast<double>(view_.depth.at(x, y)) * depth_scale_;
-    return view_.camera.world_from_camera *
-           Eigen::Vector3d((u - k(0, 2)) / k(0, 0) * z, (v - k(1, 2)) / k(1, 1) * z, z);
+    return lifting_ == PointLifting::kRays ? by_ray(right, down, z) : by_camera(right, down, z);
   }
 
   Rgb colour(int64_t x, int64_t y) const {
@@ -100,16 +115,40 @@ class ViewLifter {
   }
 
  private:
+  Eigen::Vector3d by_camera(double right, double down, double z) const {
+    const Camera& camera = view_.camera;
+    const Eigen::Matrix3d& k = camera.intrinsics;
+    const double u = right * static_cast<double>(camera.width);
+    const double v = down * static_cast<double>(camera.height);
+    return camera.world_from_camera *
+           Eigen::Vector3d((u - k(0, 2)) / k(0, 0) * z, (v - k(1, 2)) / k(1, 1) * z, z);
+  }
+
+  Eigen::Vector3d by_ray(double right, double down, double z) const {
+    const Between column = between_cells(right, view_.rays.width);
+    const Between row = between_cells(down, view_.rays.height);
+    Eigen::Matrix<double, 6, 1> ray = Eigen::Matrix<double, 6, 1>::Zero();
+    for (const bool lower : {false, true}) {
+      for (const bool righter : {false, true}) {
+        const double weight =
+            (lower ? row.share : 1 - row.share) * (righter ? column.share : 1 - column.share);
+        const float* corner =
+            view_.rays.ray(righter ? column.second : column.first, lower ? row.second : row.first);
+        ray += weight * Eigen::Map<const Eigen::Matrix<float, 6, 1>>(corner).cast<double>();
+      }
+    }
+    return view_.world_from_rays * (ray.tail<3>() + z * ray.head<3>());
+  }
+
   const PointView& view_;
   double depth_scale_;
-  double pixels_x_;
-  double pixels_y_;
+  PointLifting lifting_;
 };
 
-void add_view(const PointView& view, double depth_scale, const Limits& limits, double edge_step,
-              PointCloud& cloud) {
-  const ViewLifter lifter(view, depth_scale);
-  const std::vector<uint8_t> edges = depth_edges(view.depth, edge_step);
+void add_view(const PointView& view, double depth_scale, const Limits& limits,
+              const PointCloudOptions& options, PointCloud& cloud) {
+  const ViewLifter lifter(view, depth_scale, options.lifting);
+  const std::vector<uint8_t> edges = depth_edges(view.depth, options.edge_step);
   PointCounts& counts = cloud.counts;
   for (int64_t y = 0; y < view.depth.height; ++y) {
     for (int64_t x = 0; x < view.depth.width; ++x) {
@@ -123,9 +162,15 @@ void add_view(const PointView& view, double depth_scale, const Limits& limits, d
         ++counts.depth_edges;
       } else {
         const Eigen::Vector3d point = lifter.x_in_world(x, y);
-        // The negation also catches what is not a number.
-        if (view.depth.at(x, y) > limits.depth || !(point.cwiseAbs().maxCoeff() < kLargestCoordinate) ||
-            !point.allFinite()) {
+        if (view.depth.at(x, y) > limits.depth) {
+          ++counts.too_far;
+          continue;
+        }
+        if (!point.allFinite()) {
+          ++counts.unknown_depth;
+          continue;
+        }
+        if (point.cwiseAbs().maxCoeff() >= kLargestCoordinate) {
           ++counts.too_far;
           continue;
         }
@@ -175,7 +220,16 @@ std::vector<size_t> kept_points(const PointCloud& cloud, std::vector<GridCell> c
 
 }  // namespace
 
+const std::vector<std::string>& point_lifting_names() {
+  static const std::vector<std::string> names{"cameras", "rays"};
+  return names;
+}
+
 void PointCloudOptions::visit(FieldVisitor& visitor) {
+  visit_choice(visitor,
+               {"lifting",
+                "what turns depth into points: the views' cameras, or the predicted rays (the paper's way)"},
+               lifting, point_lifting_names());
   visitor.real({"confidence_quantile", "fraction of the least sure pixels to leave out"}, confidence_quantile,
                {0, 1});
   visitor.real({"edge_step", "relative step of inverse depth that counts as an edge"}, edge_step,
@@ -210,10 +264,10 @@ PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_s
   if (!(depth_scale > 0) || !std::isfinite(depth_scale)) {
     fail({"point cloud", "a positive depth scale", std::to_string(depth_scale), "check the cameras"});
   }
-  for (size_t i = 0; i < views.size(); ++i) check_view(views[i], i);
+  for (size_t i = 0; i < views.size(); ++i) check_view(views[i], i, options.lifting);
   const Limits limits = find_limits(views, options);
   PointCloud cloud;
-  for (const PointView& view : views) add_view(view, depth_scale, limits, options.edge_step, cloud);
+  for (const PointView& view : views) add_view(view, depth_scale, limits, options, cloud);
   thin_point_cloud(cloud, options.max_points);
   return cloud;
 }

@@ -4,16 +4,27 @@
 #include "datasets/pictures/colour_map.h"
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
+#include "gld/cameras/pose_alignment.h"
 #include "gld/cameras/view_maps.h"
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include <Eigen/Core>
 
 namespace gld {
 
+// What turns a pixel and its depth into a point.
+enum class PointLifting {
+  kCameras,  // the view's camera
+  kRays,     // the predicted ray map: origin + depth * direction (GLD's paper, section 5.7)
+};
+
+const std::vector<std::string>& point_lifting_names();
+
 struct PointCloudOptions : OptionsGroup {
+  PointLifting lifting = PointLifting::kCameras;
   double confidence_quantile = 0.25;
   double edge_step = 0.08;
   double far_limit = 20;
@@ -29,12 +40,17 @@ struct PointView {
   Image image;
   DepthMap depth;
   ConfidenceMap confidence;
+  // Only for PointLifting::kRays. The map is coarser than the depth; between the middles of its cells, and beyond the
+  // outermost ones, rays are linear.
+  RayMap rays;
+  Similarity world_from_rays;
 };
 
 // Pixels of all views, and why those that are no point were left out.
 struct PointCounts {
   int64_t pixels = 0;
-  int64_t unknown_depth = 0;  // not positive and finite, or a confidence that is not
+  int64_t unknown_depth =
+      0;  // not positive and finite, or a confidence that is not, or a ray that is not finite
   int64_t low_confidence = 0;
   int64_t depth_edges = 0;
   int64_t too_far = 0;
@@ -50,9 +66,10 @@ struct PointCloud {
   int64_t size() const { return static_cast<int64_t>(x_in_world.size()); }
 };
 
-// Lifts the depth of every view. depth_scale is the length in the world of one unit of the depth maps
-// (gld/cameras/pose_alignment.h finds it where the DPT head has a scale of its own). The order is view by view, row by row.
-// A view whose depth and confidence differ in size, or whose image is empty, is an Error.
+// Lifts the depth of every view. depth_scale is the length of one unit of the depth maps, in the world where cameras
+// lift (gld/cameras/depth_scale.h finds it where the DPT head has a scale of its own), in the frame of the rays where they
+// do. The order is view by view, row by row. A view whose depth and confidence differ in size, or whose image is empty,
+// or that lacks the rays that lift it, is an Error.
 PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_scale,
                              const PointCloudOptions& options);
 

@@ -57,16 +57,18 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                preset, {"options", "published"});
   visit_choice(visitor,
                {"quality",
-                "how to sample: as the solver, guidance and approximate options say, or a fixed "
-                "choice instead of them"},
+                "how to sample: as the solver, guidance and approximate options say, "
+                "or a fixed choice instead of them"},
                quality, sampling_quality_names());
   visitor.real({"tolerance",
-                "instead of them: the largest relative error of the latents, for which the cheapest "
-                "measured way is taken; 0: none (an adaptive solver's is --solver.tolerance)"},
+                "instead of them: the largest relative error of the latents, "
+                "for which the cheapest measured way is taken; 0: "
+                "none (an adaptive solver's is --solver.tolerance)"},
                tolerance, {0, 10});
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
   visitor.group({"approximate", "work left out with an error"}, approximate);
+  visitor.group({"points", "how the point cloud is made"}, points);
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);

@@ -4,6 +4,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/sampling_scene.h"
 #include "models/dit/approximate_savings.h"
@@ -52,6 +53,7 @@ struct SampleOptions : OptionsGroup {
   SolverOptions solver;
   GuidanceOptions guidance;
   ApproximateSavings approximate;
+  PointCloudOptions points;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   std::string device = "cpu";
   int64_t threads = 0;

@@ -38,8 +38,7 @@ double depth_unit(const Views& views, const GeometryOutput& geometry) {
     fail({"source depth", "predicted cameras that fit the given ones", found, "the cameras alone decide"});
   };
   const auto given = source_cameras(views);
-  const ImageSize picture{given.front().width, given.front().height};
-  const auto alignment = align_poses(predicted_cameras(geometry, picture), given);
+  const auto alignment = align_poses(predicted_cameras(geometry, given), given);
   if (!alignment.scale_known) fail_with("cameras that do not tell its unit");
   if (alignment.rotation_error > kLargestTurn) {
     fail_with(fmt::format("cameras turned by {:.0f} degrees", alignment.rotation_error));

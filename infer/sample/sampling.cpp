@@ -193,7 +193,7 @@ void sample(const SampleOptions& options) {
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
   provenance.seed = options.seed;
-  SamplingOutputs outputs(run, scene, requested, provenance);
+  SamplingOutputs outputs(run, scene, requested, options.points, provenance);
   FlowProgress progress;
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
     progress.update(stage, solve);

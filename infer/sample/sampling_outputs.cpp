@@ -6,7 +6,6 @@
 #include "datasets/pictures/contact_sheet.h"
 #include "datasets/pictures/depth_preview.h"
 #include "gld/base/error.h"
-#include "gld/cameras/pose_alignment.h"
 #include "gld/metrics/image_metrics.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/depth_export.h"
@@ -31,8 +30,13 @@ DepthMap depth_map(const torch::Tensor& depth) {
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
-                                 const RequestedOutputs& requested, const Provenance& provenance)
-    : run_(run), scene_(scene), requested_(requested), provenance_(provenance) {
+                                 const RequestedOutputs& requested, const PointCloudOptions& point_options,
+                                 const Provenance& provenance)
+    : run_(run),
+      scene_(scene),
+      requested_(requested),
+      point_options_(point_options),
+      provenance_(provenance) {
   // A point cloud takes the depth of the source views as well.
   first_geometry_view_ = requested.points ? 0 : scene.views.num_sources;
 }
@@ -69,6 +73,7 @@ void SamplingOutputs::compare_with_truth() {
 }
 
 void SamplingOutputs::write_rest(const PipelineResult& result, const std::string& sheet_subtitle) {
+  if (requested_.needs_rays()) place(result);
   if (requested_.needs_depth()) write_depth(result);
   if (requested_.rays) write_rays(result);
   if (requested_.points) write_points(result);
@@ -80,9 +85,8 @@ void SamplingOutputs::write_rest(const PipelineResult& result, const std::string
 void SamplingOutputs::write_depth(const PipelineResult& result) {
   const auto& depth = result.geometry.depth;
   // All depth files are in the unit of the poses, so that cameras.json describes one scene.
-  const auto known_scale = requested_.needs_rays() ? depth_scale(result) : std::nullopt;
-  const double scale = known_scale.value_or(1);
-  depth_has_scene_unit_ = known_scale.has_value();
+  depth_has_scene_unit_ = placement_.scale.has_value();
+  const double scale = depth_has_scene_unit_ ? placement_.scale->scale : 1;
   for (int64_t i = 0; i < depth.size(0); ++i) {
     depths_.push_back(depth_map(depth[i]));
     for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
@@ -114,9 +118,11 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
     warnings_.push_back(
         fmt::format("{} predicted rays were not finite; they are zero in the files.", not_finite));
   }
-  try {
+  if (placement_.predicted.empty()) {
+    warnings_.push_back("rays/predicted_cameras.json is left out.");
+  } else {
     CameraList list;
-    for (const Camera& camera : predicted_cameras(result.geometry, scene_.size)) {
+    for (const Camera& camera : placement_.predicted) {
       CameraRecord record;
       record.name =
           view_name(first_geometry_view_ + static_cast<int64_t>(list.records.size()), scene_.views.size());
@@ -124,50 +130,53 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
       list.records.push_back(record);
     }
     write_cameras_json(folder / "predicted_cameras.json", list);
-  } catch (const Error& error) {
-    warnings_.push_back(fmt::format("rays/predicted_cameras.json is left out ({})", error.what()));
   }
   run_.note("rays", "rays");
 }
 
-// The DPT head has a scale of its own; the predicted rays tell where it thinks the cameras are, and the given cameras
-// tell the true distances between them.
-std::optional<double> SamplingOutputs::depth_scale(const PipelineResult& result) {
-  try {
-    const auto predicted = predicted_cameras(result.geometry, scene_.size);
-    const auto& cameras = scene_.views.cameras;
-    const auto alignment = align_poses(predicted, {cameras.begin() + first_geometry_view_, cameras.end()});
-    findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
-                                   {"scale_known", alignment.scale_known},
-                                   {"rotation_error_degrees", alignment.rotation_error},
-                                   {"centre_error", alignment.centre_error}};
-    if (alignment.scale_known) return alignment.b_from_a.scale;
-    warnings_.emplace_back(
-        "The cameras do not tell the scale of the predicted depth; depth and points.ply keep the model's own "
-        "unit.");
-  } catch (const Error& error) {
-    warnings_.push_back(fmt::format(
-        "No camera fits the predicted rays ({}) so depth and points.ply keep the model's own unit.",
-        error.what()));
+std::vector<Camera> SamplingOutputs::geometry_cameras() const {
+  const auto& cameras = scene_.views.cameras;
+  return {cameras.begin() + first_geometry_view_, cameras.end()};
+}
+
+void SamplingOutputs::place(const PipelineResult& result) {
+  placement_ = place_geometry(result.geometry, geometry_cameras());
+  if (placement_.predicted.empty()) {
+    warnings_.push_back(
+        fmt::format("No camera fits the predicted rays: {} Depth keeps the model's own unit, "
+                    "and points.ply its frame as well.",
+                    placement_.problem));
+    return;
   }
-  return std::nullopt;
+  const PoseAlignment& alignment = *placement_.alignment;
+  findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
+                                 {"scale_known", alignment.scale_known},
+                                 {"rotation_error_degrees", alignment.rotation_error},
+                                 {"centre_error", alignment.centre_error}};
+  if (placement_.scale) {
+    const DepthScale& scale = *placement_.scale;
+    findings_["depth_scale"] = {{"estimator", scale.estimator},
+                                {"scale", scale.scale},
+                                {"interval", {scale.low, scale.high}},
+                                {"residual", scale.residual}};
+    return;
+  }
+  warnings_.emplace_back(
+      "The cameras do not tell the scale of the predicted depth: "
+      "depth keeps the model's own unit, and points.ply is seen from the predicted cameras, "
+      "turned and moved to the given ones.");
 }
 
 void SamplingOutputs::write_points(const PipelineResult& result) {
-  std::vector<PointView> views;
-  for (size_t i = 0; i < depths_.size(); ++i) {
-    PointView view;
-    view.camera = scene_.views.cameras[i];
-    view.image =
-        i < scene_.source_images.size() ? scene_.source_images[i] : images_[i - scene_.source_images.size()];
-    view.depth = depths_[i];
-    view.confidence = to_confidence_map(result.geometry.depth_confidence[static_cast<int64_t>(i)]);
-    views.push_back(std::move(view));
-  }
-  const PointCloud cloud = build_point_cloud(views, 1, PointCloudOptions());
+  std::vector<Image> images = scene_.source_images;
+  images.insert(images.end(), images_.begin(), images_.end());
+  const PointCloud cloud =
+      point_cloud_of(result.geometry, placement_, geometry_cameras(), images, point_options_);
   export_ply(run_.path() / "points.ply", cloud, provenance_);
   const PointCounts& counts = cloud.counts;
+  const PointLifting lifting = lifting_of(placement_, point_options_);
   findings_["points"] = {{"written", cloud.size()},
+                         {"lifted_by", point_lifting_names()[static_cast<size_t>(lifting)]},
                          {"pixels", counts.pixels},
                          {"unknown_depth", counts.unknown_depth},
                          {"low_confidence", counts.low_confidence},

@@ -5,8 +5,8 @@
 #include "infer/method/sample_options.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/pipeline/sampling_scene.h"
+#include "infer/sample/geometry_placement.h"
 
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,9 +17,9 @@ namespace gld {
 // Writes what the pipeline made into a run folder (docs/FILES.md lists the files).
 class SamplingOutputs {
  public:
-  // All four must outlive this object.
+  // All five must outlive this object.
   SamplingOutputs(RunFolder& run, const SamplingScene& scene, const RequestedOutputs& requested,
-                  const Provenance& provenance);
+                  const PointCloudOptions& point_options, const Provenance& provenance);
 
   // images/: the target views, (targets, 3, height, width). Keeps them for the sheet and the point cloud.
   void write_images(const torch::Tensor& images);
@@ -37,8 +37,9 @@ class SamplingOutputs {
   void write_latents(const PipelineResult& result);
   void write_cameras();
   void write_contact_sheet(const std::string& subtitle);
-  // From the unit of the depth to that of the cameras; nothing where it is not known.
-  std::optional<double> depth_scale(const PipelineResult& result);
+  // Fills placement_, with what is unusual about it among the warnings.
+  void place(const PipelineResult& result);
+  std::vector<Camera> geometry_cameras() const;
   // "m" where depth is in metres.
   std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
   void compare_with_truth();
@@ -46,10 +47,12 @@ class SamplingOutputs {
   RunFolder& run_;
   const SamplingScene& scene_;
   const RequestedOutputs& requested_;
+  const PointCloudOptions& point_options_;
   const Provenance& provenance_;
   std::vector<Image> images_;     // one a target view
   std::vector<double> psnr_;      // one a target view; NaN without truth
   std::vector<DepthMap> depths_;  // one a geometry view
+  GeometryPlacement placement_;   // empty where no rays were asked for
   double depth_unit_ = 0;
   bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
   int64_t first_geometry_view_ = 0;    // 0, or the first target where only targets have geometry

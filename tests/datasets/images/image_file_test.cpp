@@ -232,11 +232,10 @@ TEST(ImageFile, DepthPngKeepsMillimetres) {
   EXPECT_NEAR(read.metres[2], 1.2345, 5.1e-4);
   EXPECT_NEAR(read.metres[4], 65.535, 1e-4);
   write_png(folder.path() / "colour.png", gradient(4, 4));
-  EXPECT_EQ(
-      error_of([&] { read_depth_png(folder.path() / "colour.png", 1e-3); }),
-      (folder.path() / "colour.png").string() +
-          ": expected a 16-bit image with one channel, found another pixel type; write depth as 16-bit grey "
-          "PNG.");
+  EXPECT_EQ(error_of([&] { read_depth_png(folder.path() / "colour.png", 1e-3); }),
+            (folder.path() / "colour.png").string() +
+                ": expected a 16-bit image with one channel, found another pixel type; "
+                "write depth as 16-bit grey PNG.");
 }
 
 }  // namespace

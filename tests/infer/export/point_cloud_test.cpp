@@ -1,6 +1,7 @@
 #include "infer/export/point_cloud.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/cameras/pose_from_rays.h"
 #include "infer/export/ply_file.h"
 #include "tests/support/shared_data.h"
 
@@ -95,6 +96,57 @@ TEST(PointCloud, DepthScaleAndCoarseDepthKeepTheGeometry) {
   EXPECT_NEAR(80 * first[0] / first[2] + 33, 1, 1e-10);  // the middle of a cell of 2x2 pixels
   EXPECT_NEAR(90 * first[1] / first[2] + 17, 1, 1e-10);
   EXPECT_EQ(cloud.colours[0], (Rgb{1, 1, 0}));
+}
+
+// Rays linear in the pixel, as a camera's are, give the camera's points, also beyond the middles of the outermost cells.
+TEST(PointCloud, RaysLiftLikeTheCameraTheyBelongTo) {
+  const Camera camera = camera_of(63, 35);
+  const Eigen::Vector3d normal =
+      (camera.world_from_camera.linear() * Eigen::Vector3d(0.3, -0.2, 1)).normalized();
+  const double distance = normal.dot(camera.world_from_camera * Eigen::Vector3d(0, 0, 4));
+  PointView view = plane_view(camera, normal, distance);
+  view.rays = rays_of_camera(camera, 36, 20);
+  PointCloudOptions options = keep_all();
+  const PointCloud by_camera = build_point_cloud({view}, 1, options);
+  options.lifting = PointLifting::kRays;
+  view.camera.world_from_camera.setIdentity();  // takes no part
+  PointCloud by_rays = build_point_cloud({view}, 1, options);
+  ASSERT_EQ(by_rays.size(), by_camera.size());
+  for (size_t i = 0; i < by_rays.x_in_world.size(); ++i) {
+    EXPECT_LT((by_rays.x_in_world[i] - by_camera.x_in_world[i]).norm(), 1e-5);
+  }
+  // A similarity moves what the rays say as a whole.
+  view.world_from_rays.scale = 2;
+  view.world_from_rays.translation = {0, 0, 100};
+  const PointCloud moved = build_point_cloud({view}, 1, options);
+  EXPECT_LT((moved.x_in_world[9] - (2 * by_rays.x_in_world[9] + Eigen::Vector3d(0, 0, 100))).norm(), 1e-9);
+  // A map of one cell is the same ray everywhere.
+  view.rays = RayMap(1, 1);
+  view.rays.values = {0, 0, 1, 5, 6, 7};
+  view.world_from_rays = {};
+  for (const Eigen::Vector3d& point : build_point_cloud({view}, 1, options).x_in_world) {
+    EXPECT_EQ(point.head<2>(), Eigen::Vector2d(5, 6));
+  }
+}
+
+TEST(PointCloud, RaysThatAreNotFiniteAreUnknown) {
+  PointView view;
+  view.camera = camera_of(8, 8);
+  view.image = Image(8, 8);
+  view.depth = DepthMap(8, 8);
+  std::fill(view.depth.metres.begin(), view.depth.metres.end(), 2.0F);
+  PointCloudOptions options = keep_all();
+  options.lifting = PointLifting::kRays;
+  EXPECT_EQ(
+      test::error_of([&] { build_point_cloud({view}, 1, options); }),
+      "point cloud, view 0: expected a ray map to lift the depth with, found none; predict rays as well.");
+  view.rays = rays_of_camera(view.camera, 4, 4);
+  view.rays.ray(0, 0)[1] = kNan;
+  view.rays.ray(3, 3)[4] = kInfinity;
+  const PointCloud cloud = build_point_cloud({view}, 1, options);
+  EXPECT_GT(cloud.counts.unknown_depth, 0);
+  EXPECT_EQ(cloud.size() + cloud.counts.unknown_depth, 64);
+  for (const Eigen::Vector3d& point : cloud.x_in_world) EXPECT_TRUE(point.allFinite());
 }
 
 TEST(PointCloud, LeavesOutUnsureUnknownEdgesAndFar) {
@@ -281,8 +333,8 @@ TEST(PlyFile, RefusesPointsThatAreNotFiniteAndOtherFiles) {
   write_file_atomically(file, "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n");
   EXPECT_EQ(test::error_of([&] { read_ply(file); }),
             file.string() +
-                ": expected a point cloud of this program, found another PLY header; open it with another "
-                "program.");
+                ": expected a point cloud of this program, found another PLY header; "
+                "open it with another program.");
   write_file_atomically(file, "obj");
   EXPECT_EQ(test::error_of([&] { read_ply(file); }),
             file.string() + ": expected a PLY file, found another one; check the path.");

@@ -5,6 +5,7 @@
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/tensors/torch_version.h"
@@ -14,6 +15,7 @@
 #include "models/bundle/random_bundle.h"
 #include "tests/support/shared_data.h"
 
+#include <algorithm>
 #include <csignal>
 #include <filesystem>
 
@@ -105,6 +107,25 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   EXPECT_EQ(report.at("model").at("hash").get<std::string>().size(), 64u);
   EXPECT_THAT(printed_, HasSubstr("2 source and 2 target views at 112x56"));
   EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
+}
+
+TEST_F(Sampling, ThePointCloudFollowsItsOptions) {
+  auto asked = options("points");
+  asked.outputs = {"points"};
+  asked.points.max_points = 50;
+  asked.points.confidence_quantile = 0;
+  auto report = run(asked);
+  EXPECT_LE(report.at("points").at("written").get<int64_t>(), 50);
+  EXPECT_GT(report.at("points").at("written").get<int64_t>(), 0);
+  EXPECT_EQ(report.at("points").at("low_confidence"), 0);
+  asked = options("points_by_rays");
+  asked.outputs = {"points"};
+  asked.points.lifting = PointLifting::kRays;
+  EXPECT_EQ(run(asked).at("points").at("lifted_by"), "rays");
+  EXPECT_TRUE(std::filesystem::is_regular_file(std::filesystem::path(asked.out) / "points.ply"));
+  const auto described = describe_options(asked);
+  EXPECT_TRUE(std::any_of(described.begin(), described.end(),
+                          [](const auto& option) { return option.key == "points.max_points"; }));
 }
 
 TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
@@ -211,10 +232,9 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
       sample(asked);
     });
   };
-  EXPECT_EQ(
-      sentence([](SampleOptions& asked) { asked.views.targets = {9}; }),
-      "--targets: expected frame numbers from 0 to 5, which is what scene 'scene' has, found 9; choose among "
-      "its frames.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.targets = {9}; }),
+            "--targets: expected frame numbers from 0 to 5, which is what scene 'scene' has, found 9; "
+            "choose among its frames.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.sources.clear(); }),
             "--sources: expected at least one source view, found none; add for example --sources 0,3.");
   EXPECT_EQ(sentence([](SampleOptions& asked) {
@@ -222,9 +242,8 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
             }),
             "--sources: expected each source view once, found a frame number twice; remove the repetition.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.path.path = "orbit"; }),
-            "--targets, --path: expected either target frames or a path, found both; add for example "
-            "--targets 1,2, "
-            "or --path orbit.");
+            "--targets, --path: expected either target frames or a path, found both; "
+            "add for example --targets 1,2, or --path orbit.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.size = "100x56"; }),
             "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
   EXPECT_EQ(
