@@ -19,8 +19,10 @@ namespace gld {
 //     command.summary = "List the tensors of a weight file or model bundle";
 //     command.arguments = {"FILE|BUNDLE", 1, 1};
 //     command.options = options;
-//     command.run = [options](const std::vector<std::string>& arguments) { return inspect(arguments[0],
-//     *options); }; return command;
+//     command.run = [options](const std::vector<std::string>& arguments) {
+//       return inspect(arguments[0], *options);
+//     };
+//     return command;
 //   }
 struct Arguments {
   std::string usage;   // as --help shows it, empty when the command takes none
@@ -33,9 +35,8 @@ struct Command {
   std::string summary;      // one line for gld --help
   std::string description;  // more for gld COMMAND --help; may be empty
   Arguments arguments;
-  // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other
-  // field of the command ends like that; underscores are dashes. Booleans are --name and --no-name. All
-  // commands have
+  // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other field of the
+  // command ends like that; underscores are dashes. Booleans are --name and --no-name. All commands have
   // --config FILE.yaml and --set key=value as well.
   std::shared_ptr<OptionsGroup> options;
   // Called before options are checked, with the keys ("group.field") that flags and --set name; may be empty.

@@ -11,8 +11,6 @@
 
 namespace gld {
 
-// Classifier-free guidance of a velocity (DESIGN.md section 4): v_u + g (v_c - v_u) where the flow time lies in the
-// interval, both ends included, else v_c. With g = 1 the unconditional branch never runs.
 // How the two branches of guidance are evaluated: in one pass over the tokens of both, or one after the other. Equal
 // results up to rounding.
 enum class BranchEvaluation {
@@ -23,6 +21,8 @@ enum class BranchEvaluation {
 
 const std::vector<std::string>& branch_evaluation_names();
 
+// Classifier-free guidance of a velocity (DESIGN.md section 4): v_u + g (v_c - v_u) where the flow time lies in the
+// interval, both ends included, else v_c. With g = 1 the unconditional branch never runs.
 struct GuidanceOptions : OptionsGroup {
   double guidance_scale = 1.5;
   std::vector<double> guidance_interval{0, 1};

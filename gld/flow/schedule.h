@@ -11,16 +11,14 @@ namespace gld {
 // How flow time runs from 1 (noise) towards 0 (data). A schedule is a strictly decreasing list of times; a
 // one-evaluation-a-step solver with n evaluations takes n steps between n + 1 times.
 //
-//   published  n + 1 points from 1 to last_time on a uniform grid, each then shifted. It STOPS at a time
-//   above
+//   published  n + 1 points from 1 to last_time on a uniform grid, each then shifted. It STOPS at a time above
 //              0 (0.030 at shift 31.18): the release's sampler, whose num_times = n + 1.
 //   uniform    from 1 to 0 in equal steps.
 //   shifted    the uniform grid, shifted; ends at 0.
 //   logsnr     1, then equally spaced in log-SNR log((1 - t)/t) from first_time to final_time, then 0. Both
 //              default to the rule of log_snr_end_points().
 //   karras     the same ends, spaced as sigma = t/(1 - t) of Karras et al. 2022, equation 5, with rho = 7.
-//   file       the times of schedule_file: numbers separated by blanks, commas or lines; '#' starts a
-//   comment.
+//   file       the times of schedule_file: numbers separated by blanks, commas or lines; '#' starts a comment.
 enum class ScheduleKind { kPublished, kUniform, kShifted, kLogSnr, kKarras, kFile };
 
 struct ScheduleOptions : OptionsGroup {
@@ -55,8 +53,7 @@ struct LogSnrEndPoints {
 // mixtures with scales from 60 to 0.05, 6 to 32 evaluations; `gld bench solvers` measures it.
 LogSnrEndPoints log_snr_end_points(int64_t steps);
 
-// Checks a list of times: at least two, within [0, 1], strictly decreasing. where names its origin in the
-// Error.
+// Checks a list of times: at least two, within [0, 1], strictly decreasing. where names its origin in the Error.
 void check_times(const std::vector<double>& times, const std::string& where);
 
 }  // namespace gld

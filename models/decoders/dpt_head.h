@@ -38,8 +38,9 @@ enum class GeometryMaps { kDepth, kRays, kDepthAndRays };
 struct GeometryOutput {
   torch::Tensor depth;             // (views, height, width), > 0, in units of the backbone's scene scale
   torch::Tensor depth_confidence;  // (views, height, width), >= 1
-  torch::Tensor rays;              // (views, 8 grid height, 8 grid width, 6): direction and moment
-  torch::Tensor ray_confidence;    // (views, 8 grid height, 8 grid width), >= 1
+  torch::Tensor
+      rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/cameras/view_maps.h)
+  torch::Tensor ray_confidence;  // (views, 8 grid height, 8 grid width), >= 1
 };
 
 // Depth Anything 3's dual DPT head: one pyramid of the four levels, one decoder for depth and one for rays
