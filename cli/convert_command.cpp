@@ -13,9 +13,9 @@ Command make_convert_command() {
   command.name = "convert";
   command.summary = "Convert the published weight files into a model bundle";
   command.description =
-      "Takes DA3-Base's safetensors, GLD's .pt files and the latent statistics. Every tensor must be known "
-      "and of the "
-      "right shape. Parts can be converted one after the other into the same folder.";
+      "Takes DA3-Base's safetensors, GLD's .pt files and the latent statistics. "
+      "Every tensor must be known and of the right shape. "
+      "Parts can be converted one after the other into the same folder.";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
     std::cout << conversion_text(convert(*options));

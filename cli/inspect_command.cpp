@@ -21,9 +21,8 @@ Command make_inspect_command() {
   command.name = "inspect";
   command.summary = "List the tensors of a weight file, or the parts of a model bundle";
   command.description =
-      "Reads safetensors and PyTorch files (.pt, .pth) without running anything in them. The parts of a "
-      "bundle "
-      "are checked against its model.yaml.";
+      "Reads safetensors and PyTorch files (.pt, .pth) without running anything in them. "
+      "The parts of a bundle are checked against its model.yaml.";
   command.arguments = {"FILE|BUNDLE", 1, 1};
   command.options = options;
   command.run = [options](const std::vector<std::string>& arguments) {

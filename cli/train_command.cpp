@@ -36,8 +36,8 @@ Command make_train_command() {
       "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
       "runs/backbone\n"
       "Each kind reads a bundle (--model) and writes one with the trained part (model/ in the run folder), "
-      "which the "
-      "next kind takes. Order: backbone, decoder, then gld stats, level, cascade. --resume continues a run.";
+      "which the next kind takes. Order: backbone, decoder, then gld stats, level, cascade. "
+      "--resume continues a run.";
   command.subcommands = {
       stage_command("backbone",
                     "A geometric backbone and its DPT head on scenes with depth, or the head alone",

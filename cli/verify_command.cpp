@@ -39,10 +39,9 @@ Command make_verify_command() {
   command.summary = "Compare this program with reference tensors";
   command.description =
       "Each DIR holds case.json, inputs.safetensors, outputs.safetensors and, where the case has weights, "
-      "weights.safetensors. The module is built from case.json's configuration, and every output tensor "
-      "passes "
-      "where max|a - b| <= relative_tolerance * max(1, max|b|). The exit status is 0 only when all cases "
-      "pass.";
+      "weights.safetensors. The module is built from case.json's configuration, "
+      "and every output tensor passes where max|a - b| <= relative_tolerance * max(1, max|b|). "
+      "The exit status is 0 only when all cases pass.";
   command.arguments = {"DIR...", 1, 1000000};
   command.options = options;
   command.run = [options](const std::vector<std::string>& folders) { return verify(folders, *options); };

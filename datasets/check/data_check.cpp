@@ -170,9 +170,9 @@ void look_at_principal_point(const Scene& scene, DataCheck& check) {
   if (2 * turned <= check.frames) return;
   const Camera& camera = scene.frames.front().camera;
   check.problems.push_back(
-      fmt::format("The intrinsics seem to belong to images turned by a quarter: the principal point ({:.1f}, "
-                  "{:.1f}) is the middle of "
-                  "{}x{}, not of {}x{}; rotate the images (EXIF) or the intrinsics.",
+      fmt::format("The intrinsics seem to belong to images turned by a quarter: "
+                  "the principal point ({:.1f}, {:.1f}) is the middle of {}x{}, not of {}x{}; "
+                  "rotate the images (EXIF) or the intrinsics.",
                   camera.intrinsics(0, 2), camera.intrinsics(1, 2), camera.height, camera.width, camera.width,
                   camera.height));
 }
@@ -183,9 +183,8 @@ void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataChec
   });
   if (outliers > 0) {
     check.problems.push_back(
-        fmt::format("{} of {} cameras are farther from the origin than {} (max_translation_norm), the "
-                    "farthest at {:.4g}; "
-                    "training refuses them.",
+        fmt::format("{} of {} cameras are farther from the origin than {} (max_translation_norm), "
+                    "the farthest at {:.4g}; training refuses them.",
                     outliers, check.frames, options.max_translation_norm, check.largest_norm));
   }
   if (check.frames > 1 && check.extent < 1e-9) {
@@ -198,8 +197,7 @@ void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataChec
   if (best == PoseMeaning::kAsRead) return;
   check.problems.push_back(
       fmt::format("The poses look like {}: {:.0f} % of {} comparisons ({}) agree then, {:.0f} % as read; "
-                  "convert them or choose "
-                  "another format.",
+                  "convert them or choose another format.",
                   pose_meaning_text(best), 100 * check.poses.evidence[static_cast<size_t>(best)].agreement,
                   check.poses.comparisons, check.poses.method, 100 * check.poses.evidence.front().agreement));
 }

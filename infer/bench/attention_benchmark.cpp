@@ -329,9 +329,12 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
   const double sgemm = measure_sgemm_peak();
   const auto rows = attention_benchmark_rows(options);
   const std::string text = fmt::format(
-      "# Attention\n\n{} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix "
-      "product "
-      "({}) reaches {:.0f}.\n\n{}",
+      "# Attention\n"
+      "\n"
+      "{} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
+      "reaches {:.0f}.\n"
+      "\n"
+      "{}",
       instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_name(),
       sgemm * 1e-9, overview(rows).markdown());
   write_file_atomically(folder.path() / "attention.csv",

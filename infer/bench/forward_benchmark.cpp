@@ -264,13 +264,14 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   multiply_add = std::max(multiply_add, measure_multiply_add_peak(peak));
   const double speedup = rows[5].seconds / rows[4].seconds;
   const std::string text = fmt::format(
-      "# One evaluation of M1, {} views of {}\n\nWith {} threads the multiply-add peak is {:.0f} GFLOP/s and "
-      "a "
-      "large matrix product ({}) reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own "
-      "memory, "
-      "in turns with ours; both start from a scene prepared once. The parts add up to the evaluation, which "
-      "is "
-      "{:.2f} times as fast.\n\n{}",
+      "# One evaluation of M1, {} views of {}\n"
+      "\n"
+      "With {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
+      "reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own memory, in turns with ours; "
+      "both start from a scene prepared once. "
+      "The parts add up to the evaluation, which is {:.2f} times as fast.\n"
+      "\n"
+      "{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
       overview(rows).markdown());
   write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());

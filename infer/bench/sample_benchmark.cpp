@@ -442,10 +442,14 @@ int run_sample_benchmark(const SampleBenchmarkOptions& options) {
   const auto means = mean_over_scenes(rows);
   const std::string text =
       fmt::format(
-          "# Sampling: error, quality and time\n\nModel {}, {} scenes. Latent errors are relative to a "
-          "Dormand-Prince solve of the same noise at tolerance {:g}; `count` is evaluations a level; "
-          "evaluations, seconds and memory are of both levels together; `pareto` says on which front of a "
-          "guidance scale a row is: of seconds and level0_error, or of seconds and PSNR.\n\n",
+          "# Sampling: error, quality and time\n"
+          "\n"
+          "Model {}, {} scenes. Latent errors are relative to a Dormand-Prince solve of the same noise at "
+          "tolerance {:g}; `count` is evaluations a level; "
+          "evaluations, seconds and memory are of both levels together; "
+          "`pareto` says on which front of a guidance scale a row is: "
+          "of seconds and level0_error, or of seconds and PSNR.\n"
+          "\n",
           bundle.options().name, scenes.size(), options.reference_tolerance) +
       sample_table(means).markdown();
   write_file_atomically(folder.path() / "sample.md", text);

@@ -311,12 +311,16 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   const std::string table_text = plan_errors_json(table).dump(1) + "\n";
   const std::string text =
       fmt::format(
-          "# Ways to sample\n\nModel {}, {} scenes of {} views ({}x{} tokens), guidance scale {:g}. "
+          "# Ways to sample\n"
+          "\n"
+          "Model {}, {} scenes of {} views ({}x{} tokens), guidance scale {:g}. "
           "Errors are relative RMS differences of the normalised latents (the worse of level 1 and level 0) "
-          "from {} evaluations of the default solver with the same noise, whose own error is {:.2g} "
-          "(against twice as many). GFLOP and seconds are of M1 and the cascade of one scene. "
-          "`error_of_fewer_evaluations` is what the default solver has at the same GFLOP. Error bounds from "
-          "half of the scenes were exceeded by {} of {} samples of the other half.\n\n",
+          "from {} evaluations of the default solver with the same noise, "
+          "whose own error is {:.2g} (against twice as many). "
+          "GFLOP and seconds are of M1 and the cascade of one scene. "
+          "`error_of_fewer_evaluations` is what the default solver has at the same GFLOP. "
+          "Error bounds from half of the scenes were exceeded by {} of {} samples of the other half.\n"
+          "\n",
           bundle.options().name, scene_count, grid.views, grid.width, grid.height, options.guidance_scale,
           options.reference_evaluations, of_reference, bounds.exceeded, bounds.samples) +
       plan_row_table(rows).markdown();

@@ -183,12 +183,15 @@ std::string report_text(const std::vector<SolverRow>& rows, const std::vector<So
     met.add_row({targets[i].evaluations, targets[i].error_rms, target,
                  std::string(targets[i].error_rms <= target ? "yes" : "no")});
   }
-  return "# Solvers and schedules\n\nErrors are the RMS over samples and dimensions of (x - solution) / "
-         "standard "
-         "deviation.\n\n## The default against its targets\n\nunipc3 on the logsnr schedule; the grid's end "
-         "points "
-         "follow from the number of evaluations n alone: first_time = 1 - 0.04/n - 10.8/n^4, final_time = "
-         "min(0.022, 2.6/n^2).\n\n" +
+  return "# Solvers and schedules\n"
+         "\n"
+         "Errors are the RMS over samples and dimensions of (x - solution) / standard deviation.\n"
+         "\n"
+         "## The default against its targets\n"
+         "\n"
+         "unipc3 on the logsnr schedule; the grid's end points follow from the number of evaluations n "
+         "alone: first_time = 1 - 0.04/n - 10.8/n^4, final_time = min(0.022, 2.6/n^2).\n"
+         "\n" +
          met.markdown() + "\n## The mixture, by evaluations\n\n" + headline(rows) +
          "\n## Mixtures the rule was not fitted to (default solver and schedule)\n\n" + unseen.markdown() +
          "\n## Guidance (20 evaluations, default solver)\n\n" + guidance.markdown() +

@@ -168,9 +168,11 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
   const auto start = std::chrono::steady_clock::now();
   const auto rows = stiff_rows(options);
   const std::string text =
-      "# Stiff problems\n\nFunction evaluations (RMS error) of the solves that finished, by solver and "
-      "tolerance; a "
-      "dash is a failure, whose reason is in the second table.\n\n" +
+      "# Stiff problems\n"
+      "\n"
+      "Function evaluations (RMS error) of the solves that finished, by solver and tolerance; "
+      "a dash is a failure, whose reason is in the second table.\n"
+      "\n" +
       overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
   write_file_atomically(folder.path() / "stiff.csv", stiff_table(rows).csv());
   write_file_atomically(folder.path() / "stiff.md", text);

@@ -95,9 +95,9 @@ std::string narrow_decoder_note(const DitOptions& options) {
   const double floor =
       1.0 - static_cast<double>(options.decoder_width()) / static_cast<double>(options.in_channels);
   return fmt::format(
-      "hidden_size[1] is {}, below in_channels of {}: the loss cannot fall below {:.3f}, because the "
-      "velocity holds "
-      "the noise of every channel; widen it to {} or more",
+      "hidden_size[1] is {}, below in_channels of {}: "
+      "the loss cannot fall below {:.3f}, because the velocity holds the noise of every channel; "
+      "widen it to {} or more",
       options.decoder_width(), options.in_channels, floor, options.in_channels);
 }
 

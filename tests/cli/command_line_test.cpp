@@ -98,14 +98,13 @@ TEST_F(CommandLine, WrongUsageGetsOneSentence) {
   EXPECT_EQ(error_text_,
             "error: gld paint: expected at least 1 argument(s): FILE, found 0; see gld paint --help.\n");
   EXPECT_EQ(run({"paint", "x", "--frame-count", "0"}), 2);
-  EXPECT_EQ(
-      error_text_,
-      "error: --frame-count, key 'frame_count': expected an integer in the range [1, 100], found 0; choose a "
-      "value inside the range.\n");
+  EXPECT_EQ(error_text_,
+            "error: --frame-count, key 'frame_count': expected an integer in the range [1, 100], found 0; "
+            "choose a value inside the range.\n");
   EXPECT_EQ(run({"paint", "x", "--set", "frame_count"}), 2);
   EXPECT_EQ(error_text_,
-            "error: --set: expected key=value, found 'frame_count'; write for example --set "
-            "solver.evaluations=16.\n");
+            "error: --set: expected key=value, found 'frame_count'; "
+            "write for example --set solver.evaluations=16.\n");
 }
 
 TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {

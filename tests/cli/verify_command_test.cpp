@@ -34,10 +34,9 @@ TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
   // A folder that is no case fails with its sentence and does not stop the next.
   const auto mixed = run_verify({golden("no_such_case"), golden("metrics_image_depth")});
   EXPECT_EQ(mixed.status, 1);
-  EXPECT_NE(mixed.output.find(
-                golden("no_such_case") +
-                ": expected a folder with a reference case, found no such folder; give the folder that "
-                "holds case.json."),
+  EXPECT_NE(mixed.output.find(golden("no_such_case") +
+                              ": expected a folder with a reference case, found no such folder; "
+                              "give the folder that holds case.json."),
             std::string::npos)
       << mixed.output;
   EXPECT_NE(mixed.output.find("1 of 2 cases pass\n"), std::string::npos) << mixed.output;

@@ -427,21 +427,21 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
   const double sgemm = measure_sgemm_peak();
   const auto rows = train_benchmark_rows(options);
   std::string text = fmt::format(
-      "# Training steps\n\nWith {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix "
-      "product "
-      "({}) reaches {:.0f}. A step counts three forward passes of the cost model. Memory is what a step adds "
-      "at its "
-      "peak to weights and gradients.\n\n",
+      "# Training steps\n"
+      "\n"
+      "With {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
+      "reaches {:.0f}. A step counts three forward passes of the cost model. "
+      "Memory is what a step adds at its peak to weights and gradients.\n"
+      "\n",
       thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9);
   double share = 0;
   if (options.full_width) {
     share = optimiser_share(rows);
     text += fmt::format(
-        "M1 at full width has {}+{} blocks here, in the large case {}+{}; the extrapolated rows are full "
-        "depth, from "
-        "models of few blocks and tokens. The optimiser takes {:.2g} % of a full-size step. Recomputing "
-        "activations, "
-        "{}{}.\n\n",
+        "M1 at full width has {}+{} blocks here, in the large case {}+{}; "
+        "the extrapolated rows are full depth, from models of few blocks and tokens. "
+        "The optimiser takes {:.2g} % of a full-size step. Recomputing activations, {}{}.\n"
+        "\n",
         options.depth[0], options.depth[1], options.large_depth[0], options.large_depth[1], 100 * share,
         ratio_text(rows, "full_width"), options.large_views > 0 ? "; " + ratio_text(rows, "large") : "");
   }

@@ -153,9 +153,8 @@ TEST_F(ExifScene, CamerasOfUprightImagesAreServed) {
   EXPECT_EQ(found.turned_images, 12);
   EXPECT_EQ(found.width.low, 150);
   EXPECT_EQ(found.notes[0],
-            "12 of 12 images ask for a rotation by EXIF (orientation 6): frame_00011.jpg is stored as "
-            "200x150 and the "
-            "camera is 150x200, so the rotation is applied.");
+            "12 of 12 images ask for a rotation by EXIF (orientation 6): "
+            "frame_00011.jpg is stored as 200x150 and the camera is 150x200, so the rotation is applied.");
 }
 
 TEST_F(ExifScene, CamerasOfStoredImagesAreServed) {
@@ -167,10 +166,10 @@ TEST_F(ExifScene, CamerasOfStoredImagesAreServed) {
 TEST_F(ExifScene, TurnedIntrinsicsAreNamed) {
   const DataCheck found = check(200, 150, 75, 100);
   ASSERT_EQ(found.problems.size(), 1U);
-  EXPECT_EQ(
-      found.problems[0],
-      "The intrinsics seem to belong to images turned by a quarter: the principal point (75.0, 100.0) is the "
-      "middle of 150x200, not of 200x150; rotate the images (EXIF) or the intrinsics.");
+  EXPECT_EQ(found.problems[0],
+            "The intrinsics seem to belong to images turned by a quarter: "
+            "the principal point (75.0, 100.0) is the middle of 150x200, not of 200x150; "
+            "rotate the images (EXIF) or the intrinsics.");
 }
 
 TEST(DataCheck, NamesOutliersStandstillAndDamage) {
@@ -193,10 +192,9 @@ TEST(DataCheck, NamesOutliersStandstillAndDamage) {
 
   Scene damaged = rendered_scene(0);
   damaged.frames[0].load_image = [] { return Image(3, 3); };
-  EXPECT_EQ(
-      check_scene(damaged, {}).problems[0],
-      "frame_00000: expected an image of the camera's size 200x150, found 3x3; check that the files belong "
-      "together.");
+  EXPECT_EQ(check_scene(damaged, {}).problems[0],
+            "frame_00000: expected an image of the camera's size 200x150, found 3x3; "
+            "check that the files belong together.");
 }
 
 TEST(DataCheck, RealScenesHaveNoMistakes) {

@@ -118,11 +118,10 @@ TEST(CamerasJson, DoesNotWriteCamerasThatItWouldNotRead) {
   const auto file = folder.path() / "cameras.json";
   CameraList list = two_cameras();
   list.records[1].camera.world_from_camera.translation()[0] = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_EQ(
-      test::error_of([&] { write_cameras_json(file, list); }),
-      file.string() +
-          " view_01: expected a finite pose, found a value that is not a number or infinite; leave the frame "
-          "out.");
+  EXPECT_EQ(test::error_of([&] { write_cameras_json(file, list); }),
+            file.string() +
+                " view_01: expected a finite pose, found a value that is not a number or infinite; "
+                "leave the frame out.");
   EXPECT_FALSE(std::filesystem::exists(file));
 }
 

@@ -116,20 +116,18 @@ TEST_F(SmallColmap, ImagesThatDoNotExistAreCounted) {
   EXPECT_EQ(read.frames.size(), 2U);
   EXPECT_EQ(read.missing_files, 1);
   std::filesystem::remove_all(folder_.path() / "images");
-  EXPECT_EQ(error(),
-            folder_.path().string() +
-                ": expected a folder of images beside the model (images or images_N), found none; put the "
-                "images there or name their folder with image_folder.");
+  EXPECT_EQ(error(), folder_.path().string() +
+                         ": expected a folder of images beside the model (images or images_N), found none; "
+                         "put the images there or name their folder with image_folder.");
 }
 
 TEST_F(SmallColmap, ImagesOfAnotherShapeAreRefused) {
   write_scene(scene_, "colmap-text", folder_.path());
   write_png(folder_.path() / "images" / "frame_00001.png", Image(30, 40));
-  EXPECT_EQ(
-      error(),
-      (folder_.path() / "images" / "frame_00001.png").string() +
-          ": expected an image of the camera's size 40x30 or a scaled copy, found 30x40; check that the "
-          "camera belongs to this image and was not made for a rotated or cropped one.");
+  EXPECT_EQ(error(),
+            (folder_.path() / "images" / "frame_00001.png").string() +
+                ": expected an image of the camera's size 40x30 or a scaled copy, found 30x40; "
+                "check that the camera belongs to this image and was not made for a rotated or cropped one.");
 }
 
 TEST_F(SmallColmap, DamagedText) {
@@ -137,9 +135,8 @@ TEST_F(SmallColmap, DamagedText) {
   write_file_atomically(model("cameras.txt"), "1 PINHOLE 40 30 20 20\n");
   EXPECT_NE(error().find("expected 4 parameters for PINHOLE, found 2; correct the file."), std::string::npos);
   write_file_atomically(model("cameras.txt"), "1 FOV 40 30 20 20 20 15 0.5\n");
-  EXPECT_NE(error().find(
-                "expected a camera model such as PINHOLE, SIMPLE_RADIAL or OPENCV, found FOV; undistort the "
-                "images with COLMAP's image_undistorter."),
+  EXPECT_NE(error().find("expected a camera model such as PINHOLE, SIMPLE_RADIAL or OPENCV, found FOV; "
+                         "undistort the images with COLMAP's image_undistorter."),
             std::string::npos);
   write_file_atomically(model("cameras.txt"), "1 PINHOLE 40\n");
   EXPECT_EQ(error(),
@@ -149,16 +146,13 @@ TEST_F(SmallColmap, DamagedText) {
   EXPECT_NE(error().find("expected camera 1 in the model, found none; export the model again."),
             std::string::npos);
   write_file_atomically(model("images.txt"), "1 1 0 0 0 0 0 0 1 a.png\n1 2 3\n2 1 0 0 0\n");
-  EXPECT_EQ(error(),
-            model("images.txt").string() +
-                ":3: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, found 5 fields; check that every "
-                "image has its line of observations.");
+  EXPECT_EQ(error(), model("images.txt").string() +
+                         ":3: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, found 5 fields; "
+                         "check that every image has its line of observations.");
   write_file_atomically(model("images.txt"), "1 1 0 0 0 0 0 0 1 ../../etc/a.png\n\n");
-  EXPECT_NE(
-      error().find(
-          "expected a path inside the scene's folder, found \"../../etc/a.png\"; make the path relative "
-          "to the scene."),
-      std::string::npos);
+  EXPECT_NE(error().find("expected a path inside the scene's folder, found \"../../etc/a.png\"; "
+                         "make the path relative to the scene."),
+            std::string::npos);
 }
 
 TEST_F(SmallColmap, BinaryCountsAreCheckedAgainstTheFile) {
@@ -167,10 +161,9 @@ TEST_F(SmallColmap, BinaryCountsAreCheckedAgainstTheFile) {
   std::string bytes = good;
   bytes[6] = '\x7F';
   write_file_atomically(model("images.bin"), bytes);
-  EXPECT_EQ(error(),
-            model("images.bin").string() +
-                " at byte 8: expected a count that fits the file, found 35747322042253315 records; copy the "
-                "file again.");
+  EXPECT_EQ(error(), model("images.bin").string() +
+                         " at byte 8: expected a count that fits the file, found 35747322042253315 records; "
+                         "copy the file again.");
   write_file_atomically(model("images.bin"), good.substr(0, good.size() - 4));
   EXPECT_NE(error().find("copy the file again."), std::string::npos);
   write_file_atomically(model("images.bin"), good + "more");

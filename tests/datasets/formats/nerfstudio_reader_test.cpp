@@ -155,16 +155,14 @@ TEST_F(Nerfstudio, DepthAndMasks) {
 
 TEST_F(Nerfstudio, DamagedFiles) {
   content_["frames"][1]["transform_matrix"] = "none";
-  EXPECT_EQ(error(),
-            file().string() +
-                " frame 1 transform_matrix: expected a matrix of 3 or 4 rows of 4 numbers, found something "
-                "else; correct the matrix.");
+  EXPECT_EQ(error(), file().string() +
+                         " frame 1 transform_matrix: expected a matrix of 3 or 4 rows of 4 numbers, "
+                         "found something else; correct the matrix.");
   content_["frames"][1]["transform_matrix"] = pose(1);
   content_["camera_model"] = "EQUIRECTANGULAR";
-  EXPECT_EQ(error(),
-            file().string() +
-                " frame 0: expected camera_model OPENCV, OPENCV_FISHEYE, PINHOLE or SIMPLE_PINHOLE, found "
-                "EQUIRECTANGULAR; undistort the images first.");
+  EXPECT_EQ(error(), file().string() +
+                         " frame 0: expected camera_model OPENCV, OPENCV_FISHEYE, PINHOLE or SIMPLE_PINHOLE, "
+                         "found EQUIRECTANGULAR; undistort the images first.");
   content_.erase("camera_model");
   content_.erase("fl_x");
   EXPECT_EQ(error(), file().string() +
@@ -177,10 +175,9 @@ TEST_F(Nerfstudio, DamagedFiles) {
             ": expected positive focal lengths, found fx 0 and fy 51; check the intrinsics.");
   content_["fl_x"] = 50;
   content_["frames"][0]["file_path"] = "/etc/passwd";
-  EXPECT_EQ(error(),
-            file().string() +
-                " frame 0: expected a path inside the scene's folder, found \"/etc/passwd\"; make the path "
-                "relative to the scene.");
+  EXPECT_EQ(error(), file().string() +
+                         " frame 0: expected a path inside the scene's folder, found \"/etc/passwd\"; "
+                         "make the path relative to the scene.");
   write_file_atomically(file(), "{\"frames\": [\n{\"transform_matrix\": [[NaN]]}]}");
   EXPECT_EQ(
       error_of([&] { open_scene(folder_.path()); }),

@@ -71,10 +71,9 @@ TEST_F(DamagedNpzScene, NotANumberInAPose) {
   auto bad = pose();
   bad[3] = std::nan("");
   write_camera(1, {16, 0, 10, 0, 16, 5, 0, 0, 1}, bad);
-  EXPECT_EQ(error(),
-            camera_file(1) +
-                ": expected a finite pose, found a value that is not a number or infinite; leave the frame "
-                "out.");
+  EXPECT_EQ(error(), camera_file(1) +
+                         ": expected a finite pose, found a value that is not a number or infinite; "
+                         "leave the frame out.");
   SceneReading reading;
   reading.broken_frames = BrokenFrames::kSkip;
   const Scene scene = open_scene(folder_.path(), reading);
@@ -92,27 +91,26 @@ TEST_F(DamagedNpzScene, SingularIntrinsics) {
 
 TEST_F(DamagedNpzScene, NormalisedIntrinsics) {
   write_camera(0, {0.8, 0, 0.5, 0, 1.6, 0.5, 0, 0, 1}, pose());
-  EXPECT_EQ(error(),
-            (images() / "frame_0.png").string() +
-                ": expected intrinsics in pixels, found fx 0.8, cx 0.5 for an image 20 pixels wide, which "
-                "look divided by the image size; multiply fx and cx by the width, fy and cy by the height.");
+  EXPECT_EQ(error(), (images() / "frame_0.png").string() +
+                         ": expected intrinsics in pixels, found fx 0.8, cx 0.5 for an image 20 pixels wide, "
+                         "which look divided by the image size; "
+                         "multiply fx and cx by the width, fy and cy by the height.");
 }
 
 TEST_F(DamagedNpzScene, MirroredAndScaledRotations) {
   auto mirrored = pose();
   mirrored[0] = -1;
   write_camera(0, {16, 0, 10, 0, 16, 5, 0, 0, 1}, mirrored);
-  EXPECT_EQ(error(),
-            camera_file(0) +
-                ": expected a pose with a rotation, found a mirroring (determinant -1); check the axis "
-                "convention.");
+  EXPECT_EQ(error(), camera_file(0) +
+                         ": expected a pose with a rotation, found a mirroring (determinant -1); "
+                         "check the axis convention.");
   auto scaled = pose();
   scaled[0] = 2;
   write_camera(0, {16, 0, 10, 0, 16, 5, 0, 0, 1}, scaled);
   EXPECT_EQ(error(),
             camera_file(0) +
-                ": expected a pose with a rotation (axes of length 1), found axes stretched by 2 1 1; check "
-                "the matrix.");
+                ": expected a pose with a rotation (axes of length 1), found axes stretched by 2 1 1; "
+                "check the matrix.");
 }
 
 TEST_F(DamagedNpzScene, WrongShapesAndNames) {

@@ -86,9 +86,8 @@ TEST(Re10k, DamagedFiles) {
   std::filesystem::remove_all(folder.path() / "clip");
   EXPECT_EQ(error_of([&] { open_scene(folder.path()); }),
             file.string() +
-                ": expected the clip's frames in clip/, frames/clip/ or images/clip/, found none; extract "
-                "them from "
-                "the video, named by their times in microseconds.");
+                ": expected the clip's frames in clip/, frames/clip/ or images/clip/, found none; "
+                "extract them from the video, named by their times in microseconds.");
 }
 
 TEST(TartanAir, WarpingDepthBetweenViewsAgrees) {
@@ -217,8 +216,7 @@ TEST(Hypersim, ScenesWithoutPhysicalCameraSeeSixtyDegrees) {
   EXPECT_EQ(error_of([&] { read_hypersim_settings(folder.path()); }),
             folder.path().string() +
                 ": expected the scene's scale in _detail/metadata_scene.csv or "
-                "metadata_camera_parameters.csv, found "
-                "none; download one of these files.");
+                "metadata_camera_parameters.csv, found none; download one of these files.");
 }
 
 TEST(Hypersim, DamagedFiles) {
@@ -233,11 +231,10 @@ TEST(Hypersim, DamagedFiles) {
   const Scene scene = open_scene(path);
   for (size_t size : {size_t{0}, size_t{7}, size_t{200}, bytes.size() / 2, bytes.size() - 5}) {
     write_file_atomically(colour, bytes.substr(0, size));
-    EXPECT_EQ(
-        error_of([&] { scene.frames[1].image(); }),
-        colour.string() +
-            ": expected an HDF5 file, found a damaged or truncated one, or another kind of file; copy or "
-            "download it again.");
+    EXPECT_EQ(error_of([&] { scene.frames[1].image(); }),
+              colour.string() +
+                  ": expected an HDF5 file, found a damaged or truncated one, or another kind of file; "
+                  "copy or download it again.");
   }
   write_hdf5(colour, "other", {{2}, {1, 2}});
   EXPECT_EQ(error_of([&] { scene.frames[1].image(); }),
@@ -249,21 +246,19 @@ TEST(Hypersim, DamagedFiles) {
             (path / "_detail" / "cam_00" / "camera_keyframe_orientations.hdf5").string() +
                 ": expected shape (2, 3, 3), found (3, 3, 3); check that the files belong together.");
   write_hdf5(positions, "dataset", {{3, 3}, {0, 0, 0, NAN, 1, 1, 2, 2, 2}});
-  EXPECT_EQ(
-      error_of([&] { open_scene(path); }),
-      (path / "_detail" / "cam_00").string() +
-          " frame 1: expected a finite pose, found a value that is not a number or infinite; leave the frame "
-          "out.");
+  EXPECT_EQ(error_of([&] { open_scene(path); }),
+            (path / "_detail" / "cam_00").string() +
+                " frame 1: expected a finite pose, found a value that is not a number or infinite; "
+                "leave the frame out.");
   SceneReading skip;
   skip.broken_frames = BrokenFrames::kSkip;
   EXPECT_EQ(open_scene(path, skip).broken_frames, 1);
   const auto table = path / "metadata_camera_parameters.csv";
   write_file_atomically(table, replaced(read_file(table), "M_cam_from_uv_00", "M_other"));
-  EXPECT_EQ(
-      error_of([&] { open_scene(path); }),
-      path.string() +
-          " metadata_camera_parameters.csv: expected the column M_cam_from_uv_00, found none; download the "
-          "table again.");
+  EXPECT_EQ(error_of([&] { open_scene(path); }),
+            path.string() +
+                " metadata_camera_parameters.csv: expected the column M_cam_from_uv_00, found none; "
+                "download the table again.");
 }
 
 TEST(Hypersim, SeveralCamerasAreSeveralScenes) {

@@ -145,9 +145,9 @@ TEST(SceneWriter, RefusesWhatALayoutCannotHold) {
   options.field_of_view_low = 90;
   options.field_of_view_high = 90;
   EXPECT_EQ(error_of([&] { write_scene(make_synthetic_scene(options, 0), "tartanair", folder.path()); }),
-            "tartanair layout: expected images of 4:3 with a field of view of 90 degrees, found 32x32 with "
-            "fx 16; set "
-            "width, height, field_of_view_low and field_of_view_high so, or choose another layout.");
+            "tartanair layout: expected images of 4:3 with a field of view of 90 degrees, "
+            "found 32x32 with fx 16; set width, height, field_of_view_low and field_of_view_high so, "
+            "or choose another layout.");
   EXPECT_EQ(error_of([&] { write_scene(make_synthetic_scene(options, 0), "colmab", folder.path()); }),
             "layout: expected a layout that can be written, found \"colmab\"; did you mean \"colmap\"?");
 }
@@ -159,12 +159,12 @@ TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
       error_of([&] { open_scene(folder.path()); }),
       path +
           ": expected one of: cameras.json (cameras-json), images_N/ with a .npz beside each image (npz), "
-          "transforms.json with frames (nerfstudio), _detail/cam_XX/camera_keyframe_positions.hdf5 "
-          "(hypersim), "
-          "pose_left.txt (tartanair), dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
-          "sparse/0 "
-          "with cameras.bin or cameras.txt (colmap), a camera text file that starts with a video's address "
-          "(re10k), found none of them; check the folder or force a layout with --format.");
+          "transforms.json with frames (nerfstudio), "
+          "_detail/cam_XX/camera_keyframe_positions.hdf5 (hypersim), pose_left.txt (tartanair), "
+          "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
+          "sparse/0 with cameras.bin or cameras.txt (colmap), "
+          "a camera text file that starts with a video's address (re10k), found none of them; "
+          "check the folder or force a layout with --format.");
   EXPECT_EQ(error_of([&] { open_scene(folder.path() / "nowhere"); }),
             path + "/nowhere: expected a scene's folder, found nothing; check the path.");
   SceneReading reading;

@@ -143,10 +143,9 @@ TEST(BatchLoader, ReplacesAndCountsWhatCannotBeUsed) {
 
   const LoadingReport image = report_for(PartlyBroken::Fault::kBrokenImage);
   EXPECT_GT(image.broken_samples, 5);
-  EXPECT_NE(
-      image.last_problem.find("expected an image of the camera's size 40x30, found 3x3; check that the files "
-                              "belong together."),
-      std::string::npos);
+  EXPECT_NE(image.last_problem.find("expected an image of the camera's size 40x30, found 3x3; "
+                                    "check that the files belong together."),
+            std::string::npos);
 
   const LoadingReport far = report_for(PartlyBroken::Fault::kFarAway);
   EXPECT_GT(far.pose_outliers, 2);

@@ -87,8 +87,8 @@ TEST(ResizeCrop, SameSizeChangesNothing) {
   image.rgb[1234] = 77;
   EXPECT_EQ(resize_crop(image, plan).rgb, image.rgb);
   EXPECT_EQ(test::error_of([&] { resize_crop(Image(5, 5), plan); }),
-            "resize and crop: expected a picture of 504x280, found 5x5; use the picture that the plan was "
-            "made for.");
+            "resize and crop: expected a picture of 504x280, found 5x5; "
+            "use the picture that the plan was made for.");
 }
 
 }  // namespace

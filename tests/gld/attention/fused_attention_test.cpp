@@ -161,9 +161,9 @@ TEST_F(FusedAttentionTest, RefusesSecondDerivatives) {
   const auto sum = attention(inputs).sum();
   EXPECT_EQ(test::error_of(
                 [&] { torch::autograd::grad({sum}, {x}, {}, /*retain_graph=*/true, /*create_graph=*/true); }),
-            "attention: expected first derivatives only, found a backward pass that records a graph of its "
-            "own; compute "
-            "in double precision, which uses differentiable operations.");
+            "attention: expected first derivatives only, "
+            "found a backward pass that records a graph of its own; "
+            "compute in double precision, which uses differentiable operations.");
 }
 
 TEST_F(FusedAttentionTest, EmptyInputsGiveEmptyOrZeroOutputs) {

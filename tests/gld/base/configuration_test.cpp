@@ -97,27 +97,25 @@ INSTANTIATE_TEST_SUITE_P(
             "count: 1\ncuont: 4\n",
             "f.yaml:2, key 'cuont': expected a known option, found an unknown one; did you mean 'count'?"},
         Refusal{"inner:\n  wieght: 1\n",
-                "f.yaml:2, key 'inner.wieght': expected a known option, found an unknown one; did you mean "
-                "'inner.weight'?"},
+                "f.yaml:2, key 'inner.wieght': expected a known option, found an unknown one; "
+                "did you mean 'inner.weight'?"},
         Refusal{"count: 11\n",
-                "f.yaml:1, key 'count': expected an integer in the range [1, 10], found 11; choose a value "
-                "inside "
-                "the range."},
+                "f.yaml:1, key 'count': expected an integer in the range [1, 10], found 11; "
+                "choose a value inside the range."},
         Refusal{"count: 2.5\n",
                 "f.yaml:1, key 'count': expected an integer, found '2.5'; correct the value."},
         Refusal{
             "count: 99999999999999999999\n",
             "f.yaml:1, key 'count': expected an integer, found '99999999999999999999'; correct the value."},
-        Refusal{
-            "inner:\n  weight: .nan\n",
-            "f.yaml:2, key 'inner.weight': expected a number in the range [0, 1], found .nan; choose a value "
-            "inside the range."},
+        Refusal{"inner:\n  weight: .nan\n",
+                "f.yaml:2, key 'inner.weight': expected a number in the range [0, 1], found .nan; "
+                "choose a value inside the range."},
         Refusal{
             "shape: sqare\n",
             "f.yaml:1, key 'shape': expected one of round, square, found 'sqare'; did you mean 'square'?"},
         Refusal{"inner: 3\n",
-                "f.yaml:1, key 'inner': expected a map of options, found '3'; write its options indented "
-                "below it."},
+                "f.yaml:1, key 'inner': expected a map of options, found '3'; "
+                "write its options indented below it."},
         Refusal{"- a\n", "f.yaml: expected a map of options, found a list; write one 'key: value' a line."},
         Refusal{"loud: maybe\n",
                 "f.yaml:1, key 'loud': expected true or false, found 'maybe'; correct the value."}));

@@ -51,10 +51,9 @@ TEST(CameraConditioning, WithoutRaysOnlyTheMaskIsLeft) {
 TEST(CameraConditioning, RefusesViewsOfSeveralSizes) {
   Views views = test::RandomCameras(2).ordinary_scene({2, 1, 6, 4});
   views.cameras[1].width = 5;
-  EXPECT_EQ(
-      test::error_of([&] { camera_conditioning(relative_cameras(views), {}); }),
-      "camera conditioning: expected views of one size, 6 x 4, found 5 x 4; resize and crop all views to one "
-      "size.");
+  EXPECT_EQ(test::error_of([&] { camera_conditioning(relative_cameras(views), {}); }),
+            "camera conditioning: expected views of one size, 6 x 4, found 5 x 4; "
+            "resize and crop all views to one size.");
 }
 
 TEST(CameraConditioning, TenThousandExtremeScenesGiveFiniteNumbers) {

@@ -213,15 +213,13 @@ TEST(Prope, Refusals) {
   Scene scene(22);
   scene.layout.head_dim = 20;
   EXPECT_EQ(test::error_of([&] { scene.tables(PropeCameras::kScene); }),
-            "camera encoding (PRoPE): expected a head size that is a multiple of 8, found 20; choose "
-            "num_heads so that "
-            "hidden_size / num_heads is a multiple of 8.");
+            "camera encoding (PRoPE): expected a head size that is a multiple of 8, found 20; "
+            "choose num_heads so that hidden_size / num_heads is a multiple of 8.");
   scene.layout.head_dim = kHeadDim;
   scene.layout.grid.views = 5;
-  EXPECT_EQ(
-      test::error_of([&] { scene.tables(PropeCameras::kScene); }),
-      "camera encoding (PRoPE): expected one camera for each of 5 views, found 3; pass the cameras of the "
-      "scene.");
+  EXPECT_EQ(test::error_of([&] { scene.tables(PropeCameras::kScene); }),
+            "camera encoding (PRoPE): expected one camera for each of 5 views, found 3; "
+            "pass the cameras of the scene.");
 }
 
 }  // namespace

@@ -159,11 +159,11 @@ TEST(Npy, RefusesHostileFiles) {
       {"cut in the length", npy("", "", 2).substr(0, 11),
        a + "expected a whole NumPy file, found only 11 bytes; save the array again."},
       {"header beyond the file", npy(std::string(100, ' '), "").substr(0, 50),
-       a + "expected a header within the file and of at most 65536 bytes, found 100 bytes; save the array "
-           "again."},
+       a + "expected a header within the file and of at most 65536 bytes, found 100 bytes; "
+           "save the array again."},
       {"huge header", npy(std::string(100000, ' '), "", 2),
-       a + "expected a header within the file and of at most 65536 bytes, found 100000 bytes; save the array "
-           "again."},
+       a + "expected a header within the file and of at most 65536 bytes, found 100000 bytes; "
+           "save the array again."},
       {"no dictionary", npy("hello", ""), header_error("hello")},
       {"empty dictionary", npy("{}", ""), header_error("{}")},
       {"key twice", npy("{'descr':'<f4','descr':'<f4'}", ""), header_error("{'descr':'<f4','descr':'<f4'}")},
@@ -183,16 +183,14 @@ TEST(Npy, RefusesHostileFiles) {
       {"too long", npy(header_of("<f4", "False", "(1,)"), "12345678"),
        truncated("4 bytes for shape (1) in float32", "8 bytes of data")},
       {"objects", npy(header_of("|O", "False", "(1,)"), "12345678"),
-       a + "expected an array of real numbers, integers or booleans, found NumPy type |O; save the array "
-           "with another "
-           "dtype."},
+       a + "expected an array of real numbers, integers or booleans, found NumPy type |O; "
+           "save the array with another dtype."},
       {"text", npy(header_of("<U5", "False", "(1,)"), "12345678"),
-       a + "expected an array of real numbers, integers or booleans, found NumPy type <U5; save the array "
-           "with another "
-           "dtype."},
+       a + "expected an array of real numbers, integers or booleans, found NumPy type <U5; "
+           "save the array with another dtype."},
       {"records", npy("{'descr': [('x', '<f4')]}", ""),
-       a + "expected an array of numbers, found an array of records; save its fields as arrays of their "
-           "own."},
+       a + "expected an array of numbers, found an array of records; "
+           "save its fields as arrays of their own."},
   };
   for (const auto& hostile : corpus) EXPECT_EQ(refusal(hostile.text), hostile.sentence) << hostile.title;
   EXPECT_EQ(error_of([] {
@@ -233,9 +231,8 @@ TEST(Zip, RefusesHostileArchives) {
   EXPECT_EQ(zip_refusal(changed(good, directory + 8, "\x01")),
             "a.npz: entry a: expected no encryption, found an encrypted entry; decrypt the file.");
   EXPECT_EQ(zip_refusal(changed(good, directory + 10, "\x0c")),
-            "a.npz: entry a: expected a stored or deflated entry, found compression method 12; write the "
-            "file again "
-            "without it.");
+            "a.npz: entry a: expected a stored or deflated entry, found compression method 12; "
+            "write the file again without it.");
   EXPECT_EQ(zip_refusal(changed(good, directory + 42, "\xff\xff\xff\x7f")),
             broken(": entry a", "a header beyond the end of the file"));
   EXPECT_EQ(zip_refusal(changed(good, directory + 42, "\x01")),

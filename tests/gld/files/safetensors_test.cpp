@@ -85,8 +85,8 @@ TEST(Safetensors, HeaderThatIsWrittenIsRead) {
   EXPECT_EQ(error_of([&] {
               safetensors_header({wide, wide}, {});
             }),
-            "safetensors file: tensor w\"ide: expected a name of its own, found a name already taken; rename "
-            "the tensor.");
+            "safetensors file: tensor w\"ide: expected a name of its own, found a name already taken; "
+            "rename the tensor.");
 }
 
 TEST(Safetensors, RefusesBrokenLengths) {
@@ -95,12 +95,11 @@ TEST(Safetensors, RefusesBrokenLengths) {
   EXPECT_EQ(refusal("1234567"),
             "w.safetensors: expected a safetensors file, found only 7 bytes; download the file again.");
   EXPECT_EQ(refusal(std::string(7, '\xff') + '\x7f' + "{}"),
-            "w.safetensors: expected a header within the file's 10 bytes, found a header length of "
-            "9223372036854775807; download the file again, it may be truncated.");
+            "w.safetensors: expected a header within the file's 10 bytes, "
+            "found a header length of 9223372036854775807; download the file again, it may be truncated.");
   EXPECT_EQ(refusal(safetensors_text(kOneTensor, "").substr(0, 20)),
             "w.safetensors: expected a header within the file's 20 bytes, found a header length of 54; "
-            "download the "
-            "file again, it may be truncated.");
+            "download the file again, it may be truncated.");
 }
 
 TEST(Safetensors, RefusesAHugeHeader) {
@@ -114,8 +113,8 @@ TEST(Safetensors, RefusesAHugeHeader) {
   std::filesystem::resize_file(file, 200'000'000);
   EXPECT_EQ(error_of([&] { WeightFile::open(file); }),
             file.string() +
-                ": expected a header of at most 100000000 bytes, found 199999992 bytes; download or "
-                "write the file again.");
+                ": expected a header of at most 100000000 bytes, found 199999992 bytes; "
+                "download or write the file again.");
 }
 
 struct HostileHeader {
@@ -169,8 +168,7 @@ TEST(Safetensors, RefusesHostileHeaders) {
        "1234", fields + "more than 64 numbers" + again},
       {"unknown dtype", one(R"("dtype":"F8_E4M3","shape":[2],"data_offsets":[0,2])"), "12",
        tensor + "expected a dtype among F64, F32, F16, BF16, I64, I32, I16, I8, U64, U32, U16, U8, BOOL, "
-                "found F8_E4M3; "
-                "convert the tensor to one of these."},
+                "found F8_E4M3; convert the tensor to one of these."},
       {"overflow", one(R"("dtype":"F32","shape":[4294967296,4294967296],"data_offsets":[0,0])"), "",
        tensor + "expected a shape whose size fits 63 bits, found sizes that overflow" + again},
       {"size beyond int64", one(R"("dtype":"F32","shape":[18446744073709551615],"data_offsets":[0,0])"), "",
@@ -179,17 +177,14 @@ TEST(Safetensors, RefusesHostileHeaders) {
        one(R"("dtype":"F32","shape":[4294967296,4294967296,0],"data_offsets":[0,0])"), "",
        tensor + "expected a shape whose size fits 63 bits, found sizes that overflow" + again},
       {"beyond the file", one(R"("dtype":"F32","shape":[2],"data_offsets":[4,12])"), "12345678",
-       tensor + "expected data_offsets within the 8 data bytes of the file, found [4, 12]; download the file "
-                "again, it "
-                "may be truncated."},
+       tensor + "expected data_offsets within the 8 data bytes of the file, found [4, 12]; "
+                "download the file again, it may be truncated."},
       {"reversed", one(R"("dtype":"F32","shape":[2],"data_offsets":[8,0])"), "12345678",
-       tensor + "expected data_offsets within the 8 data bytes of the file, found [8, 0]; download the file "
-                "again, it "
-                "may be truncated."},
+       tensor + "expected data_offsets within the 8 data bytes of the file, found [8, 0]; "
+                "download the file again, it may be truncated."},
       {"one offset", one(R"("dtype":"F32","shape":[2],"data_offsets":[0])"), "12345678",
-       tensor + "expected data_offsets within the 8 data bytes of the file, found [0]; download the file "
-                "again, it may "
-                "be truncated."},
+       tensor + "expected data_offsets within the 8 data bytes of the file, found [0]; "
+                "download the file again, it may be truncated."},
       {"bytes and shape disagree", one(R"("dtype":"F32","shape":[3],"data_offsets":[0,8])"), "12345678",
        tensor + "expected 12 bytes for shape (3) in float32, found 8 bytes between its data_offsets" + again},
       {"bytes and dtype disagree", one(R"("dtype":"F16","shape":[2],"data_offsets":[0,8])"), "12345678",
@@ -210,11 +205,11 @@ TEST(Safetensors, RefusesHostileHeaders) {
        "12345678",
        tensor + "expected each name once, found the name twice; write the file again with distinct names."},
       {"metadata that is no string", R"({"__metadata__":{"k":1}})", "",
-       "w.safetensors: __metadata__: expected only strings, found a number; write the file again with string "
-       "metadata."},
+       "w.safetensors: __metadata__: expected only strings, found a number; "
+       "write the file again with string metadata."},
       {"nested metadata", R"({"__metadata__":{"k":{}}})", "",
-       "w.safetensors: __metadata__: expected only strings, found an object; write the file again with "
-       "string metadata."},
+       "w.safetensors: __metadata__: expected only strings, found an object; "
+       "write the file again with string metadata."},
       {"control characters in a name", "{\"x\\u0007\\n\":1}", "",
        "w.safetensors: tensor x??: expected an object with dtype, shape and data_offsets, found a number" +
            again},
@@ -257,8 +252,8 @@ TEST(WeightFile, RefusesOtherFiles) {
     write_file_atomically(file, content);
     EXPECT_EQ(error_of([&] { WeightFile::open(file); }),
               file.string() +
-                  ": expected a safetensors or PyTorch file, found neither by its first bytes; check that "
-                  "the download is complete and is not a web page or a Git LFS pointer.");
+                  ": expected a safetensors or PyTorch file, found neither by its first bytes; "
+                  "check that the download is complete and is not a web page or a Git LFS pointer.");
   }
 }
 

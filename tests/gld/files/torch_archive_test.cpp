@@ -202,9 +202,8 @@ TEST(TorchArchive, RefusesWhateverCouldRunCode) {
       refused("a call of a storage type"));
   EXPECT_EQ(refusal(PickleText().op(']').op('}').op('b').stopped()), refused("attributes set on a list"));
   EXPECT_EQ(refusal(PickleText().raw("ios\nsystem\n").stopped()),
-            "w.pt: expected a whole pickle, found opcode 105, which no state_dict needs, at byte 2; download "
-            "or save "
-            "the file again.");
+            "w.pt: expected a whole pickle, found opcode 105, which no state_dict needs, at byte 2; "
+            "download or save the file again.");
 }
 
 struct HostilePickle {
@@ -280,9 +279,8 @@ TEST(TorchArchive, RefusesBrokenPickles) {
 
 TEST(TorchArchive, RefusesLoopsAndMultiplication) {
   const std::string deep =
-      "w.pt: expected objects nested at most 64 deep, found deeper ones (a list may contain itself); save "
-      "only the "
-      "state_dict() of the model.";
+      "w.pt: expected objects nested at most 64 deep, found deeper ones (a list may contain itself); "
+      "save only the state_dict() of the model.";
   EXPECT_EQ(refusal(PickleText()
                         .raw("]q\x01h\x01"
                              "a")
@@ -309,16 +307,14 @@ TEST(TorchArchive, RefusesLoopsAndMultiplication) {
 TEST(TorchArchive, RefusesValuesWithoutANameOrMeaning) {
   EXPECT_EQ(
       refusal(PickleText().op('}').integer(1).integer(2).op('s').text("1").integer(3).op('s').stopped()),
-      "w.pt: entry 1: expected each name once, found the name twice; save the file again with distinct "
-      "names.");
+      "w.pt: entry 1: expected each name once, found the name twice; "
+      "save the file again with distinct names.");
   EXPECT_EQ(refusal(PickleText().op('}').op(')').integer(2).op('s').stopped()),
-            "w.pt: expected dictionary keys that are strings or integers, found a list; save only the "
-            "state_dict() of "
-            "the model.");
+            "w.pt: expected dictionary keys that are strings or integers, found a list; "
+            "save only the state_dict() of the model.");
   EXPECT_EQ(refusal(PickleText().op('}').text("k").storage("FloatStorage", "0", 1).op('s').stopped()),
-            "w.pt: entry k: expected a tensor, number or string, found a storage; save only the state_dict() "
-            "of the "
-            "model.");
+            "w.pt: entry k: expected a tensor, number or string, found a storage; "
+            "save only the state_dict() of the model.");
 }
 
 TEST(TorchArchive, RefusesStoragesThatDoNotFit) {
@@ -327,29 +323,26 @@ TEST(TorchArchive, RefusesStoragesThatDoNotFit) {
       refusal(pickle),
       "w.pt: tensor tensor: expected a storage named data/0, found none; download or save the file again.");
   EXPECT_EQ(refusal(pickle, {{"0", float_bytes({1, 2, 3})}}),
-            "w.pt: tensor tensor: expected 4 elements of float32, found a storage of 12 bytes; download or "
-            "save the "
-            "file again.");
+            "w.pt: tensor tensor: expected 4 elements of float32, found a storage of 12 bytes; "
+            "download or save the file again.");
   const std::string legacy = torch_legacy(pickle, {{"0", float_bytes({1, 2, 3, 4})}}, 4);
   EXPECT_EQ(error_of([&] { parse_torch_legacy(view(legacy.substr(0, legacy.size() - 1)), "w.pth"); }),
             "w.pth: expected a PyTorch file, found storage 0 of 4 elements in the 15 bytes that are left; "
-            "download or "
-            "save the file again.");
+            "download or save the file again.");
   EXPECT_EQ(error_of([&] { parse_torch_legacy(view(legacy + "x"), "w.pth"); }),
-            "w.pth: expected a PyTorch file, found 1 bytes after the last storage; download or save the file "
-            "again.");
+            "w.pth: expected a PyTorch file, found 1 bytes after the last storage; "
+            "download or save the file again.");
   const std::string unused = torch_legacy(pickle, {{"0", float_bytes({1, 2, 3, 4})}, {"9", ""}}, 4);
   EXPECT_EQ(error_of([&] { parse_torch_legacy(view(unused), "w.pth"); }),
-            "w.pth: expected a PyTorch file, found storage 9, which nothing uses; download or save the file "
-            "again.");
+            "w.pth: expected a PyTorch file, found storage 9, which nothing uses; "
+            "download or save the file again.");
 }
 
 TEST(TorchArchive, RefusesOtherPicklesAndZips) {
   const std::string plain = PickleText().op(']').stopped();
   EXPECT_EQ(error_of([&] { parse_torch_legacy(view(plain), "w.pth"); }),
-            "w.pth: expected a PyTorch file, found a pickle without PyTorch's magic number; download or save "
-            "the file "
-            "again.");
+            "w.pth: expected a PyTorch file, found a pickle without PyTorch's magic number; "
+            "download or save the file again.");
   const std::string other = zip_text({{"a.txt", "x"}}, ZipMethod::kStored, "test");
   EXPECT_EQ(
       error_of([&] { parse_torch_zip(view(other), "w.pt"); }),
@@ -367,10 +360,9 @@ TEST(TorchArchive, RefusesADecompressionBomb) {
   const std::string file =
       torch_zip(pickle.stopped(), {{"0", std::string(size_t{4} << 20, '\0')}}, ZipMethod::kDeflated);
   ASSERT_LT(file.size(), 10000U);
-  EXPECT_EQ(
-      error_of([&] { parse_torch_zip(view(file), "w.pt"); }),
-      "w.pt: expected a PyTorch file, found data that expands more than 16 times; download or save the file "
-      "again.");
+  EXPECT_EQ(error_of([&] { parse_torch_zip(view(file), "w.pt"); }),
+            "w.pt: expected a PyTorch file, found data that expands more than 16 times; "
+            "download or save the file again.");
 }
 
 TEST(TorchArchive, EveryTruncationOfARealFileIsRefused) {

@@ -49,14 +49,14 @@ TEST(Flow, ScoreOfASingleGaussian) {
 TEST(Flow, RefusesTheDivisionsByZero) {
   const auto x = torch::zeros({1});
   EXPECT_EQ(test::error_of([&] { score_from_velocity(x, x, 0); }),
-            "score from velocity: expected a flow time above 0, found t = 0; use the data or the noise "
-            "itself there.");
+            "score from velocity: expected a flow time above 0, found t = 0; "
+            "use the data or the noise itself there.");
   EXPECT_EQ(test::error_of([&] { velocity_from_data(x, x, 0); }),
-            "velocity from data: expected a flow time above 0, found t = 0; use the data or the noise itself "
-            "there.");
+            "velocity from data: expected a flow time above 0, found t = 0; "
+            "use the data or the noise itself there.");
   EXPECT_EQ(test::error_of([&] { velocity_from_noise(x, x, 1); }),
-            "velocity from noise: expected a flow time below 1, found t = 1; use the data or the noise "
-            "itself there.");
+            "velocity from noise: expected a flow time below 1, found t = 1; "
+            "use the data or the noise itself there.");
 }
 
 TEST(Flow, TimeShiftOfThePaper) {

@@ -103,8 +103,8 @@ TEST(Guidance, ChecksAgainAfterDropping) {
 
 TEST(Guidance, RefusesAnInvertedInterval) {
   EXPECT_EQ(error_of([] { guidance_of(1.5, 0.9, 0.1).check(); }),
-            "guidance_interval: expected two flow times, the lower first, found [0.9, 0.1]; write for "
-            "example [0, 1].");
+            "guidance_interval: expected two flow times, the lower first, found [0.9, 0.1]; "
+            "write for example [0, 1].");
 }
 
 }  // namespace

@@ -128,8 +128,8 @@ TEST(Schedule, RefusesBadInputInOneSentence) {
   EXPECT_EQ(error_with("1"),
             file + ": expected at least two times, found 1; list the start and the end as well.");
   EXPECT_EQ(error_with("1 0.5 0.5"), file +
-                                         ": expected strictly decreasing times, found 0.5 after 0.5 at place "
-                                         "3; sort them from 1 down to 0.");
+                                         ": expected strictly decreasing times, "
+                                         "found 0.5 after 0.5 at place 3; sort them from 1 down to 0.");
   EXPECT_EQ(error_with("1.5 0.5"),
             file + ": expected flow times between 0 and 1, found 1.5 at place 1; 1 is noise and 0 is data.");
   EXPECT_EQ(error_with("1 nan"),

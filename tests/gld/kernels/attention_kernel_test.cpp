@@ -328,24 +328,22 @@ TEST(AttentionKernelErrors, NameWhatIsWrong) {
   AttentionForward arrays;
   arrays.shape = {1, 1, 4, 4, 300};
   EXPECT_EQ(test::error_of([&] { attention_forward(arrays, {}); }),
-            "attention kernel: expected 1 to 256 channels a head, token counts of at least 0 and at least "
-            "one thread, "
-            "found 300 channels, 4 queries, 4 keys, 1 threads.");
+            "attention kernel: expected 1 to 256 channels a head, "
+            "token counts of at least 0 and at least one thread, found 300 channels, 4 queries, 4 keys, "
+            "1 threads.");
   arrays.shape = {1, 1, 5, 4, 16};
   const std::vector<uint8_t> attends = {1, 1, 1, 1};
   const ViewMask mask = {2, attends.data()};
   arrays.mask = &mask;
   EXPECT_EQ(test::error_of([&] { attention_forward(arrays, {}); }),
-            "attention kernel: expected tokens that divide evenly into the 2 views of the mask, found 5 "
-            "queries and 4 "
-            "keys.");
+            "attention kernel: expected tokens that divide evenly into the 2 views of the mask, "
+            "found 5 queries and 4 keys.");
   const PropeCase prope(2, 0, 1, 3, 8);
   arrays.mask = nullptr;
   arrays.prope = &prope.pointers;
   EXPECT_EQ(test::error_of([&] { attention_forward(arrays, {}); }),
             "attention kernel: expected 6 queries and keys with a multiple of 8 channels a head for the "
-            "camera encoding, "
-            "found 5 queries and 4 keys with 16 channels.");
+            "camera encoding, found 5 queries and 4 keys with 16 channels.");
 }
 
 }  // namespace

@@ -49,27 +49,25 @@ TEST(LatentStatistics, RefuseWhatTheyCannotBe) {
   const std::string place = file.string();
   EXPECT_EQ(refusal(torch::zeros({2, 3}), torch::ones({3})),
             place +
-                ": mean: expected shape (channels) or (1, channels, 1, 1), found shape [2, 3]; compute the "
-                "statistics with gld stats.");
+                ": mean: expected shape (channels) or (1, channels, 1, 1), found shape [2, 3]; "
+                "compute the statistics with gld stats.");
   EXPECT_EQ(
       refusal(torch::zeros({3}), torch::ones({4})),
       place + ": var: expected 3 channels, as the mean has, found 4; compute the statistics with gld stats.");
-  EXPECT_EQ(
-      refusal(torch::zeros({3}), -torch::ones({3})),
-      place +
-          ": var: expected variances of at least 0, found a negative one; compute the statistics with gld "
-          "stats.");
+  EXPECT_EQ(refusal(torch::zeros({3}), -torch::ones({3})),
+            place +
+                ": var: expected variances of at least 0, found a negative one; "
+                "compute the statistics with gld stats.");
   EXPECT_EQ(refusal(torch::full({3}, NAN), torch::ones({3})),
             place + ": mean: expected finite numbers, found others; compute the statistics with gld stats.");
   LatentStatistics statistics;
   statistics.mean = torch::zeros({3});
   statistics.variance = torch::ones({3});
-  EXPECT_EQ(
-      test::error_of([&] {
-        statistics.normalise(torch::zeros({2, 4}));
-      }),
-      "latent statistics: expected 3 channels, found shape [2, 4]; use the statistics of this level and "
-      "backbone.");
+  EXPECT_EQ(test::error_of([&] {
+              statistics.normalise(torch::zeros({2, 4}));
+            }),
+            "latent statistics: expected 3 channels, found shape [2, 4]; "
+            "use the statistics of this level and backbone.");
 }
 
 TEST(ViewsNoise, AViewsNoiseDependsOnItsIndexAlone) {

@@ -84,8 +84,7 @@ TEST(StreamingMoments, RefuseWhatIsNoStatistic) {
   const float rows[] = {1, std::numeric_limits<float>::infinity()};
   EXPECT_EQ(test::error_of([&] { moments.add(rows, 1); }),
             "latent statistics: expected finite features, found a number that is not finite in channel 1; "
-            "check the "
-            "images and the backbone's weights.");
+            "check the images and the backbone's weights.");
 }
 
 }  // namespace

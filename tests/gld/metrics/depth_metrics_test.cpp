@@ -63,15 +63,13 @@ TEST(DepthScale, RefusesScenesWithoutACommonPixel) {
   EXPECT_EQ(test::error_of([] {
               median_depth_scale(torch::zeros({1, 1, 2}), torch::ones({1, 1, 2}));
             }),
-            "depth alignment: expected pixels with a positive finite depth in truth and prediction, found "
-            "none; check "
-            "the depth maps and their validity masks.");
+            "depth alignment: expected pixels with a positive finite depth in truth and prediction, "
+            "found none; check the depth maps and their validity masks.");
   EXPECT_EQ(test::error_of([] {
               depth_errors(torch::zeros({1, 1, 2}), torch::ones({1, 1, 3}));
             }),
-            "depth metrics: expected two batches of depth maps (views, height, width) of one shape, found "
-            "[1, 1, 2] "
-            "and [1, 1, 3]; resize the prediction to the truth.");
+            "depth metrics: expected two batches of depth maps (views, height, width) of one shape, "
+            "found [1, 1, 2] and [1, 1, 3]; resize the prediction to the truth.");
 }
 
 }  // namespace

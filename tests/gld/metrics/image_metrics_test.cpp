@@ -47,8 +47,7 @@ TEST(ImageMetrics, BlackAndWhiteImagesGiveFiniteSimilarity) {
 TEST(ImageMetrics, RefuseWhatDoesNotFitInOneSentence) {
   EXPECT_EQ(test::error_of([] { psnr(random_images(1, 4, 4), random_images(1, 4, 5)); }),
             "PSNR: expected two image batches (views, channels, height, width) of one shape, found [1, 3, 4, "
-            "4] and "
-            "[1, 3, 4, 5]; compare images of the same size.");
+            "4] and [1, 3, 4, 5]; compare images of the same size.");
   EXPECT_EQ(test::error_of([] { ssim(random_images(1, 20, 10), random_images(1, 20, 10)); }),
             "SSIM: expected images of at least 11x11 pixels, found 10x20; compare larger images.");
 }

@@ -46,8 +46,8 @@ TEST(RunFolder, NeverWritesOverSomethingElse) {
   write_file_atomically(path / "photo.jpg", "x");
   EXPECT_EQ(test::error_of([&] { RunFolder(path, "count", CountOptions()); }),
             path.string() +
-                ": expected an empty folder or an earlier run of gld count, found a folder with other "
-                "files; choose another --out.");
+                ": expected an empty folder or an earlier run of gld count, found a folder with other files; "
+                "choose another --out.");
   EXPECT_EQ(test::error_of([&] { RunFolder(path / "photo.jpg", "count", CountOptions()); }),
             (path / "photo.jpg").string() +
                 ": expected a folder to write into, found a file; choose another --out.");

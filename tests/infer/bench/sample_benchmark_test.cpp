@@ -219,8 +219,8 @@ TEST(SampleBenchmark, RefusesToRunWithoutAScene) {
   options.synthetic = 4;
   options.lpips_heads = "heads.pth";
   EXPECT_EQ(error_of([&] { options.check(); }),
-            "--lpips-backbone, --lpips-heads: expected both files, or neither, found only the heads; give "
-            "both files.");
+            "--lpips-backbone, --lpips-heads: expected both files, or neither, found only the heads; "
+            "give both files.");
 }
 
 }  // namespace

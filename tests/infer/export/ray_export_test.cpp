@@ -68,11 +68,10 @@ TEST(RayExport, RefusesWhatDoesNotFit) {
   EXPECT_FALSE(std::filesystem::exists(file));
   const float value = 1;
   write_npz(file, {{"rays", npy_from_floats({1}, &value)}, {"confidence", npy_from_floats({1}, &value)}});
-  EXPECT_EQ(
-      test::error_of([&] { read_rays(file); }),
-      file.string() +
-          ": expected rays (height, width, 6) and confidence (height, width), found other shapes; write it "
-          "again.");
+  EXPECT_EQ(test::error_of([&] { read_rays(file); }),
+            file.string() +
+                ": expected rays (height, width, 6) and confidence (height, width), found other shapes; "
+                "write it again.");
 }
 
 }  // namespace

@@ -152,15 +152,15 @@ TEST(SampleOptions, QualityAndToleranceSpeakAlone) {
   options.preset = SamplingPreset::kOptions;
   options.tolerance = 0.1;
   EXPECT_THAT(error_of([&] { options.check(); }),
-              testing::HasSubstr("--quality: expected no other option beside it "
-                                 "that decides how to sample, found 'tolerance'"));
+              testing::HasSubstr("--quality: expected no other option beside it that decides how to sample, "
+                                 "found 'tolerance'"));
   options.quality = SamplingQuality::kOptions;
   options.check();
   options.guidance.guidance_interval = {0.9, 1};
   EXPECT_THAT(
       error_of([&] { options.check(); }),
-      testing::HasSubstr("--tolerance: expected no other option beside it that decides how to sample, found "
-                         "'guidance.guidance_interval'"));
+      testing::HasSubstr("--tolerance: expected no other option beside it that decides how to sample, "
+                         "found 'guidance.guidance_interval'"));
 }
 
 TEST(SampleOptions, TheMethodIsWhatTheOptionsSay) {

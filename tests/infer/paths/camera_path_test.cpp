@@ -251,10 +251,9 @@ TEST(CameraPath, TakesEvenlySpreadCamerasOfAFile) {
       test::error_of([&] { make_camera_path(options, winding(1), 0); }),
       "--frames: expected at most the 5 cameras of " + file.string() + ", found 6; ask for fewer frames.");
   options.path = "orbits";
-  EXPECT_EQ(
-      test::error_of([&] { make_camera_path(options, winding(1), 0); }),
-      "--path: expected orbit, spline or a cameras.json file, found \"orbits\", which is no file; check the "
-      "name.");
+  EXPECT_EQ(test::error_of([&] { make_camera_path(options, winding(1), 0); }),
+            "--path: expected orbit, spline or a cameras.json file, found \"orbits\", which is no file; "
+            "check the name.");
 }
 
 TEST(CameraPath, ChoosesByName) {

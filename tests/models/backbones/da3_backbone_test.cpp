@@ -225,25 +225,22 @@ TEST(Da3Backbone, PositionsAreResizedWithDinosOffsetScale) {
 TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
   torch::NoGradGuard no_grad;
   const auto backbone = random_backbone(small_options());
-  EXPECT_EQ(
-      test::error_of([&] { backbone->encode(random_images(2, 30, 28), 1); }),
-      "backbone: expected image sides that are positive multiples of 14 pixels, found 28x30; resize or crop "
-      "the images.");
-  EXPECT_EQ(
-      test::error_of([&] {
-        backbone->encode(torch::zeros({2, 1, 28, 28}), 1);
-      }),
-      "backbone: expected images (views, 3, height, width), found a tensor of shape [2, 1, 28, 28]; give at "
-      "least one RGB image.");
+  EXPECT_EQ(test::error_of([&] { backbone->encode(random_images(2, 30, 28), 1); }),
+            "backbone: expected image sides that are positive multiples of 14 pixels, found 28x30; "
+            "resize or crop the images.");
+  EXPECT_EQ(test::error_of([&] {
+              backbone->encode(torch::zeros({2, 1, 28, 28}), 1);
+            }),
+            "backbone: expected images (views, 3, height, width), found a tensor of shape [2, 1, 28, 28]; "
+            "give at least one RGB image.");
   EXPECT_EQ(test::error_of([&] { backbone->encode(random_images(1, 28, 28), 4); }),
             "backbone: expected a level from 0 to 3, found 4; ask for a level that out_layers lists.");
   PropagationStart start;
   start.tokens = torch::zeros({2, 4, 96});
   start.grid = {2, 2, 2};
   EXPECT_EQ(test::error_of([&] { backbone->propagate(start); }),
-            "propagation: expected tokens of shape [2, 5, 96], found [2, 4, 96]; put the class token in "
-            "front of the "
-            "patches of the same token grid.");
+            "propagation: expected tokens of shape [2, 5, 96], found [2, 4, 96]; "
+            "put the class token in front of the patches of the same token grid.");
 
   auto options = small_options();
   options.num_heads = 5;
@@ -251,20 +248,17 @@ TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
             "num_heads: expected a divisor of embed_dim 48, found 5; change num_heads or embed_dim.");
   options.num_heads = 8;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
-            "num_heads: expected a head size divisible by 4 for rotary positions, found 6; change num_heads, "
-            "or set "
-            "rope_start: -1.");
+            "num_heads: expected a head size divisible by 4 for rotary positions, found 6; "
+            "change num_heads, or set rope_start: -1.");
   options = small_options();
   options.out_layers = {5, 5, 9};
-  EXPECT_EQ(
-      test::error_of([&] { options.check(); }),
-      "out_layers: expected ascending block numbers below depth 12, found [5, 5, 9]; list the blocks after "
-      "which the levels are taken.");
+  EXPECT_EQ(test::error_of([&] { options.check(); }),
+            "out_layers: expected ascending block numbers below depth 12, found [5, 5, 9]; "
+            "list the blocks after which the levels are taken.");
   options.out_layers = {5, 12};
   EXPECT_EQ(test::error_of([&] { options.check(); }),
-            "out_layers: expected ascending block numbers below depth 12, found [5, 12]; list the blocks "
-            "after which "
-            "the levels are taken.");
+            "out_layers: expected ascending block numbers below depth 12, found [5, 12]; "
+            "list the blocks after which the levels are taken.");
 }
 
 TEST(Da3Backbone, InitialisationDependsOnTheSeedOnly) {

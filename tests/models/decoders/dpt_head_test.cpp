@@ -135,16 +135,14 @@ TEST(DptHead, RefusesWhatDoesNotFitInOneSentence) {
   EXPECT_EQ(test::error_of([&] { head->forward(levels, grid, GeometryMaps::kDepth); }),
             "DPT head: expected four levels of at least one view, found 3 levels; give levels 0 to 3.");
   levels.push_back(torch::zeros({2, 5, 24}));
-  EXPECT_EQ(
-      test::error_of([&] { head->forward(levels, grid, GeometryMaps::kDepth); }),
-      "DPT head: expected levels of shape [2, 4, 24], found [2, 5, 24]; give the decodable patch tokens of "
-      "every view.");
+  EXPECT_EQ(test::error_of([&] { head->forward(levels, grid, GeometryMaps::kDepth); }),
+            "DPT head: expected levels of shape [2, 4, 24], found [2, 5, 24]; "
+            "give the decodable patch tokens of every view.");
   auto options = small_options();
   options.out_channels = {8, 12, 16};
-  EXPECT_EQ(
-      test::error_of([&] { options.check(); }),
-      "out_channels: expected four numbers divisible by 4, found [8, 12, 16]; give the channels of the four "
-      "levels' projections.");
+  EXPECT_EQ(test::error_of([&] { options.check(); }),
+            "out_channels: expected four numbers divisible by 4, found [8, 12, 16]; "
+            "give the channels of the four levels' projections.");
   options = small_options();
   options.features = 20;
   EXPECT_EQ(test::error_of([&] { options.check(); }),

@@ -90,20 +90,18 @@ TEST(RgbDecoder, ImagenetNormalisationIsInverted) {
   EXPECT_EQ(test::error_of([] {
               imagenet_normalise(torch::zeros({1, 1, 2, 2}));
             }),
-            "ImageNet normalisation: expected floating-point RGB images (views, 3, height, width), found a "
-            "tensor of "
-            "shape [1, 1, 2, 2]; convert the images to RGB in [0, 1].");
+            "ImageNet normalisation: expected floating-point RGB images (views, 3, height, width), "
+            "found a tensor of shape [1, 1, 2, 2]; convert the images to RGB in [0, 1].");
 }
 
 TEST(RgbDecoder, RefusesWhatDoesNotFitInOneSentence) {
   const auto decoder = random_decoder(small_options());
   const LatentGrid grid = {2, 2, 2};
-  EXPECT_EQ(
-      test::error_of([&] {
-        decoder->logits(torch::zeros({2, 5, 20}), grid);
-      }),
-      "RGB decoder: expected features of shape [2, 4, 20], found [2, 5, 20]; concatenate the four decodable "
-      "levels on channels.");
+  EXPECT_EQ(test::error_of([&] {
+              decoder->logits(torch::zeros({2, 5, 20}), grid);
+            }),
+            "RGB decoder: expected features of shape [2, 4, 20], found [2, 5, 20]; "
+            "concatenate the four decodable levels on channels.");
   auto options = small_options();
   options.num_heads = 5;
   EXPECT_EQ(
@@ -112,8 +110,8 @@ TEST(RgbDecoder, RefusesWhatDoesNotFitInOneSentence) {
   options = small_options();
   options.base_image_size = 30;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
-            "base_image_size: expected a multiple of patch_size 4, found 30; change base_image_size or "
-            "patch_size.");
+            "base_image_size: expected a multiple of patch_size 4, found 30; "
+            "change base_image_size or patch_size.");
 }
 
 }  // namespace

@@ -149,11 +149,11 @@ TEST_F(ApproximateFields, NodesServeAdaptiveSolvers) {
 
 TEST_F(ApproximateFields, AnEncoderThatSeesTheNoisyLatentHasNoNodes) {
   build(small_dit_options());
-  EXPECT_EQ(
-      test::error_of(
-          [&] { NodeField(*model_, prepared(), encoder_nodes(default_solver(8), GuidanceOptions(), 4)); }),
-      "cascade_encoder_nodes: expected a cascade whose condition encoder sees the flow time alone, found "
-      "a model whose condition encoder sees the noisy latent too; leave it at 0.");
+  EXPECT_EQ(test::error_of([&] {
+              NodeField(*model_, prepared(), encoder_nodes(default_solver(8), GuidanceOptions(), 4));
+            }),
+            "cascade_encoder_nodes: expected a cascade whose condition encoder sees the flow time alone, "
+            "found a model whose condition encoder sees the noisy latent too; leave it at 0.");
 }
 
 TEST_F(ApproximateFields, ExtrapolationRunsTheEncoderAsOftenAsItSays) {

@@ -272,16 +272,14 @@ TEST(DitDh, RefusesScenesThatDoNotFit) {
   };
   EXPECT_EQ(refusal([](DitSceneInputs& i) { i.views.cameras[1].width = 30; }),
             "scene: expected views of one size with sides that are multiples of 14 pixels, found 30 x 28; "
-            "resize and "
-            "crop the views.");
+            "resize and crop the views.");
   EXPECT_EQ(
       refusal([](DitSceneInputs& i) { i.views.num_sources = 0; }),
       "scene: expected views of which at least the first is a source view, found 3 views, 0 of them sources; "
       "give source views.");
-  EXPECT_EQ(
-      refusal([](DitSceneInputs& i) { i.source_features = i.source_features.narrow(1, 0, 3); }),
-      "source features: expected shape (2 views, 4 tokens, 24 channels), found shape [2, 3, 24]; check the "
-      "model's configuration and the size of the images.");
+  EXPECT_EQ(refusal([](DitSceneInputs& i) { i.source_features = i.source_features.narrow(1, 0, 3); }),
+            "source features: expected shape (2 views, 4 tokens, 24 channels), found shape [2, 3, 24]; "
+            "check the model's configuration and the size of the images.");
   EXPECT_EQ(
       refusal([](DitSceneInputs& i) {
         i.deeper_level = torch::zeros({3, 4, 24});
@@ -291,12 +289,11 @@ TEST(DitDh, RefusesScenesThatDoNotFit) {
               model->velocity(model->prepare_scene(scene.inputs), scene.noisy.narrow(0, 0, 2),
                               model->time_rows({0.5}).front());
             }),
-            "noisy latent: expected shape (3 views, 4 tokens, 24 channels), found shape [2, 4, 24]; check "
-            "the model's "
-            "configuration and the size of the images.");
+            "noisy latent: expected shape (3 views, 4 tokens, 24 channels), found shape [2, 4, 24]; "
+            "check the model's configuration and the size of the images.");
   EXPECT_EQ(test::error_of([&] { random_dit(small_cascade_options())->prepare_scene(scene.inputs); }),
-            "deeper level: expected shape (3 views, 4 tokens, 24 channels), found nothing; check the model's "
-            "configuration and the size of the images.");
+            "deeper level: expected shape (3 views, 4 tokens, 24 channels), found nothing; "
+            "check the model's configuration and the size of the images.");
 }
 
 TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
@@ -309,18 +306,16 @@ TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
       refusal([](DitOptions& o) {
         o.num_heads = {7, 16};
       })
-          .find(
-              "expected head sizes (hidden_size / num_heads) that are multiples of 8, as PRoPE needs, found "
-              "768 / 7; choose another number of heads."),
+          .find("expected head sizes (hidden_size / num_heads) that are multiples of 8, as PRoPE needs, "
+                "found 768 / 7; choose another number of heads."),
       std::string::npos);
   EXPECT_NE(refusal([](DitOptions& o) { o.num_special_tokens = 5; })
-                .find("expected a decoder width of 1536, the channels of the latent, found 2048; set "
-                      "hidden_size[1] to "
-                      "in_channels, or num_special_tokens to 0."),
+                .find("expected a decoder width of 1536, the channels of the latent, found 2048; "
+                      "set hidden_size[1] to in_channels, or num_special_tokens to 0."),
             std::string::npos);
   EXPECT_NE(refusal([](DitOptions& o) { o.prope_image_size = "large"; })
-                .find("expected image or a positive number of pixels, found 'large'; write for example "
-                      "prope_image_size: 504."),
+                .find("expected image or a positive number of pixels, found 'large'; "
+                      "write for example prope_image_size: 504."),
             std::string::npos);
   EXPECT_NE(refusal([](DitOptions& o) {
               o.depth = {28};
@@ -332,10 +327,10 @@ TEST(DitOptions, NoteAVelocityDecoderThatIsNarrowerThanTheLatent) {
   EXPECT_EQ(narrow_decoder_note(DitOptions()), "");
   DitOptions options = small_dit_options();
   options.in_channels = 64;
-  EXPECT_EQ(
-      narrow_decoder_note(options),
-      "hidden_size[1] is 48, below in_channels of 64: the loss cannot fall below 0.250, because the velocity "
-      "holds the noise of every channel; widen it to 64 or more");
+  EXPECT_EQ(narrow_decoder_note(options),
+            "hidden_size[1] is 48, below in_channels of 64: "
+            "the loss cannot fall below 0.250, because the velocity holds the noise of every channel; "
+            "widen it to 64 or more");
 }
 
 TEST(DitOptions, SwigluWidthsOfThePublishedModels) {

@@ -106,8 +106,7 @@ TEST(Lpips, RefusesOtherVersionsAndSizes) {
   const auto lpips = make_lpips(LpipsNet::kSqueeze);
   EXPECT_EQ(test::error_of([&] { lpips->forward(random_images(1, 20, 20, 1), random_images(1, 20, 21, 1)); }),
             "LPIPS: expected two image batches of one shape, found [1, 3, 20, 20] and [1, 3, 20, 21]; "
-            "compare images "
-            "of the same size.");
+            "compare images of the same size.");
 }
 
 }  // namespace

@@ -51,10 +51,9 @@ TEST(PerceptualStandin, ItsGradientMatchesDifferences) {
 
 TEST(PerceptualStandin, RefusesImagesSmallerThanItsWindow) {
   const auto image = random_images(1, 6, 1);
-  EXPECT_EQ(
-      test::error_of([&] { perceptual_standin(image, image, {}); }),
-      "perceptual loss: expected two batches of images of one shape with sides of at least 7 pixels, found "
-      "[1, 3, 6, 6] and [1, 3, 6, 6]; check the image size.");
+  EXPECT_EQ(test::error_of([&] { perceptual_standin(image, image, {}); }),
+            "perceptual loss: expected two batches of images of one shape with sides of at least 7 pixels, "
+            "found [1, 3, 6, 6] and [1, 3, 6, 6]; check the image size.");
 }
 
 // Both discriminators must learn to tell noise from smooth images.

@@ -140,23 +140,21 @@ TEST_F(WeightLoading, RefusesWhatDoesNotFit) {
   const std::string where = file_.string();
   auto missing = good_tensors();
   missing.erase("norm.bias");
-  EXPECT_EQ(refusal(missing),
-            where +
-                ": expected a tensor named norm.bias, found none; check that the configuration "
-                "belongs to these weights.");
+  EXPECT_EQ(refusal(missing), where +
+                                  ": expected a tensor named norm.bias, found none; "
+                                  "check that the configuration belongs to these weights.");
   auto misshapen = good_tensors();
   misshapen["out.weight"] = torch::zeros({2, 3});
-  EXPECT_EQ(refusal(misshapen),
-            where +
-                ": tensor out.weight: expected shape (3, 2), found (2, 3); check that the "
-                "configuration belongs to these weights.");
+  EXPECT_EQ(refusal(misshapen), where +
+                                    ": tensor out.weight: expected shape (3, 2), found (2, 3); "
+                                    "check that the configuration belongs to these weights.");
   auto unexpected = good_tensors();
   unexpected["out.bias"] = torch::zeros({3});
   EXPECT_EQ(
       refusal(unexpected),
       where +
-          ": expected no tensor beside the model's own, found the unexpected tensor out.bias; check that the "
-          "configuration belongs to these weights (the model's nearest tensor is norm.bias).");
+          ": expected no tensor beside the model's own, found the unexpected tensor out.bias; "
+          "check that the configuration belongs to these weights (the model's nearest tensor is norm.bias).");
   WeightSelection with_reason;
   with_reason.ignored = {{"out.bias", "the release stores it, nothing uses it"}};
   SmallModule module{ParameterPlacement{}};
@@ -164,8 +162,8 @@ TEST_F(WeightLoading, RefusesWhatDoesNotFit) {
   auto wrong_type = good_tensors();
   wrong_type["out.weight"] = torch::zeros({3, 2}, torch::kInt64);
   EXPECT_EQ(refusal(wrong_type), where +
-                                     ": tensor out.weight: expected float32, found int64; check that the "
-                                     "configuration belongs to these weights.");
+                                     ": tensor out.weight: expected float32, found int64; "
+                                     "check that the configuration belongs to these weights.");
   WeightSelection elsewhere;
   elsewhere.prefix = "ema.";
   EXPECT_EQ(
@@ -180,8 +178,8 @@ TEST_F(WeightLoading, ARefusedFileLeavesTheModuleAsItWas) {
   misshapen["norm.bias"].fill_(-1);
   misshapen["steps"] = torch::zeros({2}, torch::kInt64);
   EXPECT_EQ(error_of([&] { load_strict(module, misshapen, "memory"); }),
-            "memory: tensor steps: expected shape (1), found (2); check that the configuration belongs to "
-            "these weights.");
+            "memory: tensor steps: expected shape (1), found (2); "
+            "check that the configuration belongs to these weights.");
   EXPECT_EQ(module.norm->bias[0].item<float>(), 3);
 }
 
@@ -197,8 +195,8 @@ TEST_F(WeightLoading, AMetaModuleIsMatchedButNotLoaded) {
   EXPECT_EQ(matched[0].source->dtype, DType::kFloat16);
   EXPECT_EQ(error_of([&] { load_strict(linear, *weights); }),
             file_.string() +
-                ": tensor weight: expected a module with memory, found one on the meta device; construct "
-                "the module on the CPU or GPU.");
+                ": tensor weight: expected a module with memory, found one on the meta device; "
+                "construct the module on the CPU or GPU.");
 }
 
 TEST_F(WeightLoading, SavedTensorsComeBackInAnyDtypeShapeAndStride) {
@@ -226,8 +224,8 @@ TEST_F(WeightLoading, SavedTensorsComeBackInAnyDtypeShapeAndStride) {
   EXPECT_EQ(read_file(file_), first);
   EXPECT_EQ(error_of([&] { read_all(*weights, "ema."); }),
             file_.string() +
-                ": expected tensors whose names start with ema., found none; list the file with gld "
-                "inspect.");
+                ": expected tensors whose names start with ema., found none; "
+                "list the file with gld inspect.");
 }
 
 TEST_F(WeightLoading, MisalignedDataIsCopied) {

@@ -140,12 +140,11 @@ TEST(TrainingLoop, StopsAfterTooManyStepsThatAreNotFinite) {
   objective.first_spoiled = 12;
   objective.last_spoiled = 1000;
   const auto run = test::toy_run(folder.path(), objective);
-  EXPECT_EQ(
-      test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
-      "training step 8: expected finite losses and gradients, found a loss of nan (3 skipped steps in a "
-      "row); look at the batch in " +
-          (folder.path() / "non_finite" / "batch.safetensors").string() +
-          ", or lower the learning rate and use --resume.");
+  EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
+            "training step 8: expected finite losses and gradients, "
+            "found a loss of nan (3 skipped steps in a row); look at the batch in " +
+                (folder.path() / "non_finite" / "batch.safetensors").string() +
+                ", or lower the learning rate and use --resume.");
   const auto batch = WeightFile::open(folder.path() / "non_finite" / "batch.safetensors");
   EXPECT_NE(batch->find("scene0.images"), nullptr);
   EXPECT_NE(batch->find("scene0.world_from_camera"), nullptr);
@@ -160,11 +159,10 @@ TEST(TrainingLoop, RefusesToResumeFromNothingAndToStartOverARun) {
             folder.path().string() + ": expected a checkpoint to resume from, found none in " +
                 (folder.path() / "checkpoints").string() + "; start the run without --resume.");
   train(run, short_run(), TrainingStart::kFresh);
-  EXPECT_EQ(
-      test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
-      folder.path().string() +
-          ": expected a folder without checkpoints, found a run at step 24; continue it with --resume or "
-          "choose another --out.");
+  EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
+            folder.path().string() +
+                ": expected a folder without checkpoints, found a run at step 24; "
+                "continue it with --resume or choose another --out.");
 }
 
 TEST(TrainingLoop, RefusesBFloat16WhereItWouldBeSlow) {
@@ -174,8 +172,8 @@ TEST(TrainingLoop, RefusesBFloat16WhereItWouldBeSlow) {
   options.precision = Precision::kBFloat16;
   EXPECT_EQ(
       test::error_of([&] { train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh); }),
-      "precision: expected a device with bfloat16 units, found cpu; set precision: float32 or train on a "
-      "GPU.");
+      "precision: expected a device with bfloat16 units, found cpu; set precision: "
+      "float32 or train on a GPU.");
 }
 
 TEST(TrainingLoop, PassesOverATornCheckpoint) {
@@ -204,13 +202,13 @@ TEST(Checkpoint, DetectsBytesThatNeverReachedTheDisk) {
   write_file_atomically(file, bytes);
   EXPECT_EQ(test::error_of([&] { load_checkpoint(file); }),
             file.string() +
-                ": expected tensors that match the checksum, found changed or missing data; use an older "
-                "checkpoint.");
+                ": expected tensors that match the checksum, found changed or missing data; "
+                "use an older checkpoint.");
   save_safetensors(file, checkpoint.tensors);
   EXPECT_EQ(test::error_of([&] { load_checkpoint(file); }),
             file.string() +
-                ": expected a training checkpoint, found a weight file of another kind; name the checkpoints "
-                "folder of a gld train run.");
+                ": expected a training checkpoint, found a weight file of another kind; "
+                "name the checkpoints folder of a gld train run.");
 }
 
 // Kills a run with SIGKILL after different times; whatever moment that is, the run continues and ends with the

@@ -190,8 +190,8 @@ TEST_F(TrainedChain, TheHeadGoesOnAlone) {
   auto options = stage_options<TrainBackboneOptions>(path("decoder/model"), path("head"));
   options.objective.feature_noise = 0.5;
   EXPECT_EQ(test::error_of([&] { train_backbone(options, {}); }),
-            "objective.feature_noise: expected 0 while the backbone is trained, whose features have to be "
-            "exact, found 0.5; set objective.training to head_only.");
+            "objective.feature_noise: expected 0 while the backbone is trained, "
+            "whose features have to be exact, found 0.5; set objective.training to head_only.");
   options.objective.training = GeometryTraining::kHeadOnly;
   options.objective.loss.relative_weight = 2;
   train_backbone(options, {});

@@ -142,14 +142,12 @@ TEST(Solver, NamesWhereAValueIsNotFinite) {
               solve(field, doubles({1, 2}), options, {"level 1", {}});
             }),
             "level 1, step 3, flow time 0.5: expected finite numbers, found NaN or infinity in the velocity; "
-            "check the "
-            "inputs of this stage, lower the guidance scale or take smaller steps.");
+            "check the inputs of this stage, lower the guidance scale or take smaller steps.");
   EXPECT_EQ(error_of([&] {
               solve(field, doubles({1, nan}), options, {"cascade", {}});
             }),
             "cascade, step 1, flow time 1: expected finite numbers, found NaN or infinity in the noise; "
-            "check the inputs "
-            "of this stage, lower the guidance scale or take smaller steps.");
+            "check the inputs of this stage, lower the guidance scale or take smaller steps.");
   const auto report = try_solve_on(field, doubles({1, 2}), options, {1, 0.75, 0.5, 0.25});
   ASSERT_TRUE(report.failure.has_value());
   EXPECT_EQ(report.failure->kind, SolveFailureKind::kNonFinite);
@@ -177,9 +175,9 @@ TEST(Solver, AdaptiveSolverGivesUpInWords) {
   EXPECT_EQ(report.evaluations, 200);
   const SolveFailure failure{SolveFailureKind::kEvaluationLimit, "evaluations", 34, 0.9995};
   EXPECT_STREQ(Error(failure.parts("problem")).what(),
-               "problem, step 34, flow time 0.9995: expected the solve to end within max_evaluations, found "
-               "that more are "
-               "needed; raise max_evaluations or the tolerance, or use rodas3 for a small stiff problem.");
+               "problem, step 34, flow time 0.9995: "
+               "expected the solve to end within max_evaluations, found that more are needed; "
+               "raise max_evaluations or the tolerance, or use rodas3 for a small stiff problem.");
 }
 
 TEST(Solver, RefusesAStateTooLargeForRodas3) {
@@ -187,8 +185,8 @@ TEST(Solver, RefusesAStateTooLargeForRodas3) {
   SolverOptions options;
   options.solver = SolverKind::kRodas3;
   EXPECT_EQ(error_of([&] { solve(field, torch::zeros({600}), options); }),
-            "solver rodas3: expected at most 512 unknowns, found 600; use dp54 or a fixed-step solver for "
-            "larger states.");
+            "solver rodas3: expected at most 512 unknowns, found 600; "
+            "use dp54 or a fixed-step solver for larger states.");
 }
 
 TEST(Solver, OptionsNameTheNearestSolver) {
