@@ -1,0 +1,183 @@
+#include "infer/sample/geometry_placement.h"
+
+#include "gld/cameras/pose_from_rays.h"
+#include "infer/pipeline/predicted_cameras.h"
+#include "tests/support/shared_data.h"
+
+#include <cmath>
+#include <limits>
+
+#include <Eigen/Eigenvalues>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr int64_t kWidth = 56;
+constexpr int64_t kHeight = 28;
+const Vector3d kNormal = Vector3d(0.2, -0.3, 1).normalized();
+constexpr double kDistance = 5;  // of the plane kNormal . x = kDistance in the model's frame
+
+// As cropping leaves them: the principal point far from the middle.
+Camera camera_at(const Vector3d& centre, double turn) {
+  Camera camera;
+  camera.width = kWidth;
+  camera.height = kHeight;
+  camera.intrinsics << 50, 0, 39, 0, 50, 8, 0, 0, 1;
+  camera.world_from_camera.linear() = Eigen::AngleAxisd(turn, Vector3d::UnitY()).toRotationMatrix();
+  camera.world_from_camera.translation() = centre;
+  return camera;
+}
+
+std::vector<Camera> model_cameras() {
+  return {camera_at({0, 0, 0}, 0), camera_at({0.8, 0.1, -0.2}, -0.15), camera_at({-0.7, 0.2, 0.3}, 0.2)};
+}
+
+// What a model predicts that sees the plane from these cameras.
+GeometryOutput plane_seen_from(const std::vector<Camera>& cameras) {
+  GeometryOutput geometry;
+  std::vector<torch::Tensor> rays, depths;
+  for (const Camera& camera : cameras) {
+    const RayMap map = rays_of_camera(camera, 32, 16);
+    rays.push_back(torch::tensor(map.values).view({16, 32, 6}));
+    const RayMap fine = rays_of_camera(camera, kWidth, kHeight);
+    DepthMap depth(kWidth, kHeight);
+    for (int64_t y = 0; y < kHeight; ++y) {
+      for (int64_t x = 0; x < kWidth; ++x) {
+        const Vector3d direction = Eigen::Map<const Eigen::Vector3f>(fine.ray(x, y)).cast<double>();
+        const Vector3d& centre = camera.world_from_camera.translation();
+        depth.at(x, y) = static_cast<float>((kDistance - kNormal.dot(centre)) / kNormal.dot(direction));
+      }
+    }
+    depths.push_back(torch::tensor(depth.metres).view({kHeight, kWidth}));
+  }
+  geometry.rays = torch::stack(rays);
+  geometry.depth = torch::stack(depths);
+  geometry.ray_confidence = torch::full({geometry.rays.size(0), 16, 32}, 2.0F);
+  geometry.depth_confidence = torch::full_like(geometry.depth, 2.0F);
+  return geometry;
+}
+
+// The world of the scene: turned, moved, and 3 of its units to one of the model's.
+std::vector<Camera> scene_cameras() {
+  std::vector<Camera> cameras = model_cameras();
+  const Eigen::Matrix3d turn = Eigen::AngleAxisd(1.1, Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  for (Camera& camera : cameras) {
+    const Vector3d centre = camera.world_from_camera.translation();
+    camera.world_from_camera.linear() = turn * camera.world_from_camera.linear();
+    camera.world_from_camera.translation() = 3 * (turn * centre) + Vector3d(10, 20, 30);
+  }
+  return cameras;
+}
+
+PointCloudOptions keep_all(PointLifting lifting) {
+  PointCloudOptions options;
+  options.lifting = lifting;
+  options.confidence_quantile = 0;
+  return options;
+}
+
+// Root mean square distance of the points from the plane that fits them best.
+double off_plane(const PointCloud& cloud) {
+  Vector3d mean = Vector3d::Zero();
+  const auto count = static_cast<double>(cloud.size());
+  for (const Vector3d& point : cloud.x_in_world) mean += point / count;
+  Eigen::Matrix3d spread = Eigen::Matrix3d::Zero();
+  for (const Vector3d& point : cloud.x_in_world)
+    spread += (point - mean) * (point - mean).transpose() / count;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(spread);
+  return std::sqrt(std::max(0.0, solver.eigenvalues()[0]));
+}
+
+const std::vector<Image> kImages(3, Image(kWidth, kHeight));
+
+TEST(GeometryPlacement, PredictedCamerasKeepThePrincipalPointsThatCroppingLeft) {
+  const auto truth = model_cameras();
+  const auto found = predicted_cameras(plane_seen_from(truth), scene_cameras());
+  ASSERT_EQ(found.size(), 3U);
+  for (size_t i = 0; i < 3; ++i) {
+    EXPECT_LT((found[i].intrinsics - truth[i].intrinsics).norm(), 1e-3);
+    EXPECT_LT(rotation_angle(found[i].world_from_camera.linear(), truth[i].world_from_camera.linear()), 1e-3);
+  }
+  EXPECT_EQ(test::error_of([&] { predicted_cameras(plane_seen_from(truth), {truth[0]}); }),
+            "predicted cameras: expected one given camera for each of 3 ray maps, found 1; check the views.");
+}
+
+TEST(GeometryPlacement, AKnownScaleBringsThePlaneIntoTheScene) {
+  const auto given = scene_cameras();
+  const auto geometry = plane_seen_from(model_cameras());
+  const auto placement = place_geometry(geometry, given);
+  ASSERT_TRUE(placement.scale.has_value());
+  EXPECT_NEAR(placement.scale->scale, 3, 1e-3);
+  const auto by_camera =
+      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
+  const auto by_rays = point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kRays));
+  EXPECT_EQ(by_camera.size(), 3 * kWidth * kHeight);
+  EXPECT_LT(off_plane(by_camera), 0.01);
+  EXPECT_LT(off_plane(by_rays), 0.01);
+  ASSERT_EQ(by_rays.size(), by_camera.size());
+  for (size_t i = 0; i < by_rays.x_in_world.size(); ++i) {
+    EXPECT_LT((by_rays.x_in_world[i] - by_camera.x_in_world[i]).norm(), 0.02);
+  }
+}
+
+// A scene taken from one place does not tell the scale; the model's own cameras make its views line up.
+TEST(GeometryPlacement, WithoutAScaleTheViewsStillLineUp) {
+  auto given = scene_cameras();
+  for (Camera& camera : given) camera.world_from_camera.translation() = Vector3d(10, 20, 30);
+  const auto geometry = plane_seen_from(model_cameras());
+  const auto placement = place_geometry(geometry, given);
+  ASSERT_EQ(placement.predicted.size(), 3U);
+  EXPECT_FALSE(placement.scale.has_value());
+  for (const PointLifting lifting : {PointLifting::kCameras, PointLifting::kRays}) {
+    const auto cloud = point_cloud_of(geometry, placement, given, kImages, keep_all(lifting));
+    EXPECT_EQ(cloud.size(), 3 * kWidth * kHeight);
+    EXPECT_LT(off_plane(cloud), 0.01);
+  }
+  // In the scene's orientation and place.
+  const auto cameras = cameras_of_depth(placement, given);
+  Vector3d middle = Vector3d::Zero();
+  for (size_t i = 0; i < 3; ++i) {
+    EXPECT_LT(rotation_angle(cameras[i].world_from_camera.linear(), given[i].world_from_camera.linear()),
+              1e-2);
+    middle += cameras[i].world_from_camera.translation() / 3;
+  }
+  EXPECT_LT((middle - Vector3d(10, 20, 30)).norm(), 1e-9);
+  EXPECT_NEAR(
+      (cameras[0].world_from_camera.translation() - cameras[1].world_from_camera.translation()).norm(),
+      Vector3d(0.8, 0.1, -0.2).norm(), 1e-3);
+}
+
+TEST(GeometryPlacement, WithoutCamerasTheRaysLift) {
+  const auto given = scene_cameras();
+  auto geometry = plane_seen_from(model_cameras());
+  geometry.rays[1].fill_(std::numeric_limits<float>::quiet_NaN());
+  const auto placement = place_geometry(geometry, given);
+  EXPECT_TRUE(placement.predicted.empty());
+  EXPECT_THAT(placement.problem, testing::HasSubstr("at least 16 finite rays"));
+  EXPECT_EQ(lifting_of(placement, keep_all(PointLifting::kCameras)), PointLifting::kRays);
+  const auto cloud = point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
+  EXPECT_EQ(cloud.size(), 2 * kWidth * kHeight);
+  EXPECT_EQ(cloud.counts.unknown_depth, kWidth * kHeight);
+  EXPECT_LT(off_plane(cloud), 1e-3);
+  for (const Vector3d& point : cloud.x_in_world) EXPECT_NEAR(kNormal.dot(point), kDistance, 1e-3);
+}
+
+TEST(GeometryPlacement, AnotherEstimatorsScaleKeepsTheMiddleOfTheCameras) {
+  const auto given = scene_cameras();
+  auto placement = place_geometry(plane_seen_from(model_cameras()), given);
+  placement.scale->scale = 6;
+  Vector3d in_model = Vector3d::Zero(), in_scene = Vector3d::Zero();
+  for (size_t i = 0; i < 3; ++i) {
+    in_model += placement.predicted[i].world_from_camera.translation() / 3;
+    in_scene += given[i].world_from_camera.translation() / 3;
+  }
+  EXPECT_EQ(placement.scene_from_model().scale, 6);
+  EXPECT_LT((placement.scene_from_model() * in_model - in_scene).norm(), 1e-9);
+}
+
+}  // namespace
+}  // namespace gld
