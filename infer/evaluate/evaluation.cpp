@@ -176,7 +176,7 @@ SceneTensors load_scene(const Scene& scene, const EvaluationOptions& options, co
       held_out_sample(scene, options.views, held_out_key(options.synthetic_seed, index));
   const Camera& first = scene.frames.front().camera;
   const ImageSize size = nearest_trained_size(first.width, first.height, model.image_sizes());
-  LoadedScene loaded;
+  SceneImages loaded;
   loaded.scene = scene.name;
   loaded.num_sources = chosen.num_sources;
   for (const int64_t frame : chosen.frames) {

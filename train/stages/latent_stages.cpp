@@ -113,7 +113,7 @@ std::string compute_statistics(const StatsOptions& options) {
   placement.device = device_from_text(options.device);
   const BundleOptions& model = bundle.options();
   const auto backbone = bundle.load_backbone(placement);
-  const LoadedBatches data(options.data, model.image_sizes(), FrameParts::kImage);
+  const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
   RunFolder folder(options.out, "stats", options);
 
   const auto boundary = static_cast<size_t>(model.boundary_level);

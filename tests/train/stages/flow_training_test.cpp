@@ -89,7 +89,7 @@ TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
   EXPECT_EQ(statistics.channels(), 64);
   EXPECT_GE(statistics.variance.min().item<float>(), 0.0F);
   // The same scenes again have mean 0 and variance 1 in every channel.
-  const LoadedBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
   const torch::NoGradGuard no_grad;
   const auto backbone = bundle.load_backbone();
   std::vector<torch::Tensor> latents;
@@ -126,7 +126,7 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
   FrozenParts frozen;
   frozen.backbone = bundle.load_backbone();
   frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<torch::Tensor> gradients;
   for (const bool recompute : {false, true}) {
@@ -213,7 +213,7 @@ TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
   FrozenParts frozen;
   frozen.backbone = bundle.load_backbone();
   frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<double> losses;
   for (const double gib : {0.0, 0.01}) {
@@ -232,7 +232,7 @@ TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
 }
 
 TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const TrainingScene first = data.batch(0).scenes.front(), second = data.batch(1).scenes.front();
   int encoded = 0;
   const auto encode = [&] {
@@ -259,8 +259,8 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
 TEST(DistinctBatches, ComeAgain) {
   auto options = test::small_data();
   options.distinct_batches = 2;
-  const LoadedBatches data(options, {{56, 56}}, FrameParts::kImage);
-  const LoadedBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(options, {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
   for (const int64_t index : {0, 1, 2, 5}) {
     const auto batch = data.batch(index);
     EXPECT_EQ(batch.index, index);
@@ -275,7 +275,7 @@ TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
   FrozenParts frozen;
   frozen.backbone = bundle.load_backbone();
   frozen.boundary_statistics = bundle.load_statistics(BundlePart::kStatisticsLevel1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   const auto loss_with = [&](double dropout) {
     FlowObjectiveOptions options;
