@@ -46,7 +46,7 @@ DepthMap to_depth_map(const torch::Tensor& depth) {
   return result;
 }
 
-SceneTensors to_tensors(const LoadedScene& scene) {
+SceneTensors to_tensors(const SceneImages& scene) {
   SceneTensors tensors;
   std::vector<torch::Tensor> images;
   std::vector<torch::Tensor> depths;

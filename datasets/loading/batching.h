@@ -1,6 +1,6 @@
 #pragma once
 
-#include "datasets/loading/batch_loader.h"
+#include "datasets/loading/scene_image_loader.h"
 #include "gld/cameras/camera.h"
 
 #include <vector>
@@ -25,6 +25,6 @@ Image to_image(const torch::Tensor& image);
 torch::Tensor to_tensor(const DepthMap& depth);
 DepthMap to_depth_map(const torch::Tensor& depth);
 
-SceneTensors to_tensors(const LoadedScene& scene);
+SceneTensors to_tensors(const SceneImages& scene);
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 
 #include "gld/base/configuration.h"
 
+#include <algorithm>
 #include <map>
 #include <set>
 

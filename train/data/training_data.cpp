@@ -47,7 +47,7 @@ BatchLoading with_parts(BatchLoading loading, FrameParts parts) {
   return loading;
 }
 
-TrainingScene to_training_scene(const LoadedScene& loaded) {
+TrainingScene to_training_scene(const SceneImages& loaded) {
   const SceneTensors tensors = to_tensors(loaded);
   TrainingScene scene;
   scene.name = loaded.scene;
@@ -107,32 +107,32 @@ void TrainingDataOptions::check() const {
   }
 }
 
-LoadedBatches::LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes,
-                             FrameParts parts)
+DatasetBatches::DatasetBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes,
+                               FrameParts parts)
     : loader_(mixture_of(options), weighted(sizes, options.size_weights), with_parts(options.loading, parts)),
       distinct_(options.distinct_batches) {
   options.check();
 }
 
-std::shared_ptr<const LoadedBatch> LoadedBatches::load(int64_t number) const {
-  if (distinct_ == 0) return std::make_shared<LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+std::shared_ptr<const SceneImageBatch> DatasetBatches::load(int64_t number) const {
+  if (distinct_ == 0) return std::make_shared<SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
   number %= distinct_;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     const auto found = kept_.find(number);
     if (found != kept_.end()) return found->second;
   }
-  auto made = std::make_shared<const LoadedBatch>(loader_.load(static_cast<uint64_t>(number)));
+  auto made = std::make_shared<const SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
   const std::lock_guard<std::mutex> lock(mutex_);
   kept_[number] = made;
   return made;
 }
 
-TrainingBatch LoadedBatches::batch(int64_t index) const {
+TrainingBatch DatasetBatches::batch(int64_t index) const {
   TrainingBatch batch;
   batch.index = index;
   const auto loaded = load(index);
-  for (const LoadedScene& scene : loaded->scenes) {
+  for (const SceneImages& scene : loaded->scenes) {
     batch.scenes.push_back(to_training_scene(scene));
   }
   return batch;
@@ -140,7 +140,7 @@ TrainingBatch LoadedBatches::batch(int64_t index) const {
 
 TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
                              FrameParts parts) {
-  LoadedScene loaded;
+  SceneImages loaded;
   loaded.scene = scene.name;
   loaded.num_sources = views.num_sources;
   for (const int64_t frame : views.frames) {

@@ -1,9 +1,9 @@
 #pragma once
 
-#include "datasets/loading/batch_loader.h"
+#include "datasets/loading/scene_image_loader.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/options.h"
-#include "train/data/batch_feed.h"
+#include "train/data/batch_prefetcher.h"
 
 #include <cstdint>
 #include <map>
@@ -34,20 +34,20 @@ struct TrainingDataOptions : OptionsGroup {
   void check() const override;
 };
 
-// Micro-batches of loading.batch_size scenes, sources first. depth: whether scenes carry it.
-class LoadedBatches : public BatchSource {
+// The batches of these datasets: loading.batch_size scenes, sources first. depth: whether scenes carry it.
+class DatasetBatches : public TrainingBatchSource {
  public:
-  LoadedBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
+  DatasetBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
   TrainingBatch batch(int64_t index) const override;
   LoadingReport report() const { return loader_.report(); }
 
  private:
-  std::shared_ptr<const LoadedBatch> load(int64_t number) const;
+  std::shared_ptr<const SceneImageBatch> load(int64_t number) const;
 
-  BatchLoader loader_;
+  SceneImageLoader loader_;
   int64_t distinct_ = 0;
   mutable std::mutex mutex_;
-  mutable std::map<int64_t, std::shared_ptr<const LoadedBatch>> kept_;  // by number, below distinct_
+  mutable std::map<int64_t, std::shared_ptr<const SceneImageBatch>> kept_;  // by number, below distinct_
 };
 
 // The validation scenes: views spread by views.longest_interval, the first and the last ones are sources

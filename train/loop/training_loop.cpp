@@ -115,7 +115,7 @@ class Session {
   torch::Generator generator_;
   CheckpointFolder checkpoints_;
   std::optional<MetricsLog> metrics_;
-  std::unique_ptr<BatchFeed> feed_;
+  std::unique_ptr<BatchPrefetcher> feed_;
 
   int64_t step_ = 0;
   int64_t batch_index_ = 0;
@@ -180,11 +180,11 @@ void Session::restore(TrainingStart start) {
     if (best.is_number()) best_ = best.get<double>();
   }
   metrics_.emplace(run_.folder / "metrics.jsonl", step_);
-  BatchFeedOptions feed;
+  PrefetchOptions feed;
   feed.first = batch_index_;
   feed.threads = options_.loader_threads;
   feed.ahead = 2 * std::max<int64_t>(options_.loader_threads, 1) + 1;
-  feed_ = std::make_unique<BatchFeed>(run_.data, feed);
+  feed_ = std::make_unique<BatchPrefetcher>(run_.data, feed);
 }
 
 Checkpoint Session::snapshot() const {

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
-#include "train/data/batch_feed.h"
+#include "train/data/batch_prefetcher.h"
 #include "train/loop/micro_batches.h"
 #include "train/loop/objective.h"
 #include "train/optim/learning_rate.h"
@@ -43,7 +43,7 @@ enum class TrainingStart {
 struct TrainingRun {
   std::filesystem::path folder;  // exists
   Objective* objective = nullptr;
-  std::shared_ptr<const BatchSource> data;
+  std::shared_ptr<const TrainingBatchSource> data;
   std::vector<TrainingScene> validation_scenes;
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.

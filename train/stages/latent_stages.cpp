@@ -148,7 +148,7 @@ std::string compute_statistics(const StatsOptions& options) {
   placement.device = device_from_text(options.device);
   const BundleOptions& model = bundle.options();
   const GeometricLatentSpace space(bundle.load_backbone(placement), model.boundary_level);
-  const LoadedBatches data(options.data, model.image_sizes(), FrameParts::kImage);
+  const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
   RunFolder folder(options.out, "stats", options);
 
   std::vector<LevelMoments> moments = moments_of(model);

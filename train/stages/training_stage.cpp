@@ -70,7 +70,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   check_training_start(options.out, start);
   const auto objective = stage.objective(bundle, placement);
   const auto sizes = bundle.options().image_sizes();
-  const auto data = std::make_shared<LoadedBatches>(options.data, sizes, stage.parts);
+  const auto data = std::make_shared<DatasetBatches>(options.data, sizes, stage.parts);
 
   RunFolder folder(options.out, stage.command, all_options);
   TrainingRun run;

@@ -29,7 +29,7 @@ TEST(Batching, ImagesAndDepthKeepTheirPlaces) {
 
 TEST(Batching, ASceneBecomesTensors) {
   const Scene scene = make_synthetic_scene(SyntheticOptions(), 0);
-  LoadedScene loaded;
+  SceneImages loaded;
   loaded.num_sources = 1;
   for (size_t i : {0U, 5U, 9U}) {
     loaded.views.push_back(load_sized(scene.frames[i], {28, 14}, FrameParts::kImageAndDepth));

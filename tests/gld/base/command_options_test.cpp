@@ -40,7 +40,7 @@ TEST(CommandOptions, AreReadUnderTheirNames) {
   options.threads = kMostThreads + 1;
   EXPECT_EQ(
       test::error_of([&] { check_options(options, "x"); }),
-      "x, key 'threads': expected an integer in the range [0, 4096], found 4097; choose a value inside the "
+      "x, key 'threads': expected a value in the range [0, 4096], found 4097; choose a value inside the "
       "range.");
 }
 

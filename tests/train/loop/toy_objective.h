@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/base/atomic_file.h"
-#include "train/data/batch_feed.h"
+#include "train/data/batch_prefetcher.h"
 #include "train/loop/objective.h"
 
 #include <cmath>
@@ -65,7 +65,7 @@ class ToyObjective : public Objective {
 };
 
 // Scenes of random colours that depend on the index only.
-class ToySource : public BatchSource {
+class ToySource : public TrainingBatchSource {
  public:
   TrainingBatch batch(int64_t index) const override {
     TrainingScene scene;

@@ -29,7 +29,7 @@ TrainingRun run_of(const std::filesystem::path& folder, Objective& objective) {
   run.folder = folder;
   run.objective = &objective;
   run.data =
-      std::make_shared<LoadedBatches>(test::small_data(), model.image_sizes(), FrameParts::kImageAndDepth);
+      std::make_shared<DatasetBatches>(test::small_data(), model.image_sizes(), FrameParts::kImageAndDepth);
   run.validation_scenes =
       validation_scenes(test::small_data(), model.image_sizes().front(), FrameParts::kImageAndDepth);
   return run;
@@ -62,7 +62,7 @@ TEST(BackboneTraining, LearnsDepthAndColourOfAFewScenes) {
   BackboneObjective objective(test::small_model(), {}, {}, 1);
   FlatParameters parameters(objective.parameters());
   Optimiser optimiser(parameters, {});
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
   const TrainingBatch batch = data.batch(0);
   auto generator = at::detail::createCPUGenerator(2);
   double first = 0.0, last = 0.0;
@@ -78,7 +78,7 @@ TEST(BackboneTraining, LearnsDepthAndColourOfAFewScenes) {
 
 TEST(BackboneTraining, NeedsDepth) {
   BackboneObjective objective(test::small_model(), {}, {}, 1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   auto batch = data.batch(0);
   batch.scenes[0].name = "kitchen";
   auto generator = at::detail::createCPUGenerator(2);
@@ -91,7 +91,7 @@ TEST(BackboneTraining, NeedsDepth) {
 }
 
 TEST(GeometryTargets, RaysTimesDepthAreThePointsInTheFirstCamera) {
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
   const TrainingScene scene = data.batch(3).scenes.front();
   const GeometryTargets targets = geometry_targets(scene, {14, 14});
   EXPECT_TRUE(torch::equal(targets.rays[0].narrow(2, 3, 3), torch::zeros({14, 14, 3})));
@@ -325,7 +325,7 @@ TEST(BackboneTraining, LearnsFromTokensAndCorrespondenceWithoutTheHead) {
   OptimiserOptions muon;
   muon.algorithm = OptimiserAlgorithm::kMuon;
   Optimiser optimiser(parameters, muon);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
   const TrainingBatch batch = data.batch(0);
   auto generator = at::detail::createCPUGenerator(2);
   std::map<std::string, double> first, last;
@@ -419,7 +419,7 @@ TEST(DecoderTraining, StartStepsDelayThePartsOfTheLoss) {
   options.adversarial.generator_start = 6;
   options.adversarial.discriminator_start = 7;
   DecoderObjective objective(test::small_model(), options, random_backbone(), {}, 1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   auto generator = at::detail::createCPUGenerator(2);
   for (const auto& [step, parts] : std::vector<std::pair<int64_t, size_t>>{{4, 1}, {5, 2}, {6, 4}}) {
     EXPECT_EQ(objective.losses(data.batch(0), {step, 10, generator}).parts.size(), parts) << step;
@@ -467,7 +467,7 @@ TEST(DecoderTraining, TheDiscriminatorWarmsUpFromItsOwnFirstStep) {
   options.adversarial.learning_rate.peak = 1e-2;
   options.adversarial.learning_rate.warmup_steps = 100;
   DecoderObjective objective(test::small_model(), options, random_backbone(), {}, 1);
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   auto generator = at::detail::createCPUGenerator(2);
   objective.losses(data.batch(0), {64, 1000, generator});
   const auto before = discriminator_weights(objective);
@@ -477,7 +477,7 @@ TEST(DecoderTraining, TheDiscriminatorWarmsUpFromItsOwnFirstStep) {
 }
 
 TEST(DecoderTraining, EveryMicroBatchOfAStepTrainsTheDiscriminator) {
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto judged = [&](const std::vector<std::pair<int64_t, int64_t>>& steps_and_batches) {
     DecoderObjective objective(test::small_model(), quiet_decoder(), random_backbone(), {}, 1);
     auto generator = at::detail::createCPUGenerator(2);

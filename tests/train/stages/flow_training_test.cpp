@@ -90,7 +90,7 @@ TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
   EXPECT_EQ(statistics.patches.channels(), 64);
   EXPECT_GE(statistics.patches.variance.min().item<float>(), 0.0F);
   // The same scenes again have mean 0 and variance 1 in every channel.
-  const LoadedBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
   const torch::NoGradGuard no_grad;
   const auto backbone = bundle.load_backbone();
   std::vector<torch::Tensor> latents;
@@ -125,7 +125,7 @@ TEST_F(TrainedChain, TheLevelMustBeOneThatTheModelGenerates) {
 TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
   const auto bundle = ModelBundle::open(path("level/model"));
   const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<torch::Tensor> gradients;
   for (const bool recompute : {false, true}) {
@@ -263,7 +263,7 @@ TEST_F(TrainedChain, TheHeadGoesOnAlone) {
 TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
   const auto bundle = ModelBundle::open(path("stats/model"));
   const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   std::vector<double> losses;
   for (const double gib : {0.0, 0.01}) {
@@ -282,7 +282,7 @@ TEST_F(TrainedChain, KeptLatentsAreThoseOfTheScene) {
 }
 
 TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const TrainingScene first = data.batch(0).scenes.front(), second = data.batch(1).scenes.front();
   int encoded = 0;
   const auto encode = [&] {
@@ -309,8 +309,8 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
 TEST(DistinctBatches, ComeAgain) {
   auto options = test::small_data();
   options.distinct_batches = 2;
-  const LoadedBatches data(options, {{56, 56}}, FrameParts::kImage);
-  const LoadedBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(options, {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches endless(test::small_data(), {{56, 56}}, FrameParts::kImage);
   for (const int64_t index : {0, 1, 2, 5}) {
     const auto batch = data.batch(index);
     EXPECT_EQ(batch.index, index);
@@ -323,7 +323,7 @@ TEST(DistinctBatches, ComeAgain) {
 TEST_F(TrainedChain, CamerasAreDroppedASceneAtATime) {
   const auto bundle = ModelBundle::open(path("stats/model"));
   const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
-  const LoadedBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
   const auto batch = data.batch(0);
   const auto loss_with = [&](double dropout) {
     FlowObjectiveOptions options;

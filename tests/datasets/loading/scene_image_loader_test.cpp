@@ -1,4 +1,4 @@
-#include "datasets/loading/batch_loader.h"
+#include "datasets/loading/scene_image_loader.h"
 
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/error.h"
@@ -68,30 +68,30 @@ class PartlyBroken : public Dataset {
   std::shared_ptr<SyntheticDataset> good_;
 };
 
-BatchLoader loader_of(const std::shared_ptr<const Dataset>& dataset, int64_t seed = 1) {
+SceneImageLoader loader_of(const std::shared_ptr<const Dataset>& dataset, int64_t seed = 1) {
   BatchLoading options;
   options.batch_size = 3;
   options.seed = seed;
   options.parts = FrameParts::kImageAndDepth;
   std::vector<MixturePart> parts{part_of(dataset, "part")};
-  return BatchLoader(Mixture(parts), {{{28, 28}, 1}, {{28, 14}, 1}}, options);
+  return SceneImageLoader(Mixture(parts), {{{28, 28}, 1}, {{28, 14}, 1}}, options);
 }
 
-TEST(BatchLoader, BatchesHaveOneSizeAndFollowTheirNumber) {
+TEST(SceneImageLoader, BatchesHaveOneSizeAndFollowTheirNumber) {
   const auto dataset = small_scenes();
-  const BatchLoader loader = loader_of(dataset);
-  const BatchLoader again = loader_of(dataset);
-  const BatchLoader other = loader_of(dataset, 2);
+  const SceneImageLoader loader = loader_of(dataset);
+  const SceneImageLoader again = loader_of(dataset);
+  const SceneImageLoader other = loader_of(dataset, 2);
   bool sizes_differ = false;
   bool seeds_differ = false;
   for (uint64_t number = 0; number < 6; ++number) {
-    const LoadedBatch batch = loader.load(number);
-    const LoadedBatch same = again.load(number);
+    const SceneImageBatch batch = loader.load(number);
+    const SceneImageBatch same = again.load(number);
     ASSERT_EQ(batch.scenes.size(), 3U);
     EXPECT_EQ(batch.number, number);
     sizes_differ = sizes_differ || batch.size.height != loader.load(0).size.height;
     for (size_t i = 0; i < 3; ++i) {
-      const LoadedScene& scene = batch.scenes[i];
+      const SceneImages& scene = batch.scenes[i];
       ASSERT_EQ(scene.views.size(), 3U);
       EXPECT_GE(scene.num_sources, 1);
       EXPECT_LE(scene.num_sources, 2);
@@ -111,11 +111,12 @@ TEST(BatchLoader, BatchesHaveOneSizeAndFollowTheirNumber) {
   EXPECT_TRUE(seeds_differ);
 }
 
-TEST(BatchLoader, ThreadsDoNotChangeWhatIsLoaded) {
-  const BatchLoader loader = loader_of(std::make_shared<PartlyBroken>(PartlyBroken::Fault::kBrokenImage));
-  std::vector<LoadedBatch> alone;
+TEST(SceneImageLoader, ThreadsDoNotChangeWhatIsLoaded) {
+  const SceneImageLoader loader =
+      loader_of(std::make_shared<PartlyBroken>(PartlyBroken::Fault::kBrokenImage));
+  std::vector<SceneImageBatch> alone;
   for (uint64_t number = 0; number < 6; ++number) alone.push_back(loader.load(number));
-  std::vector<LoadedBatch> together(6);
+  std::vector<SceneImageBatch> together(6);
   std::vector<std::thread> threads;
   for (uint64_t thread = 0; thread < 3; ++thread) {
     threads.emplace_back([&, thread] {
@@ -129,9 +130,9 @@ TEST(BatchLoader, ThreadsDoNotChangeWhatIsLoaded) {
   }
 }
 
-TEST(BatchLoader, ReplacesAndCountsWhatCannotBeUsed) {
+TEST(SceneImageLoader, ReplacesAndCountsWhatCannotBeUsed) {
   const auto report_for = [](PartlyBroken::Fault fault) {
-    const BatchLoader loader = loader_of(std::make_shared<PartlyBroken>(fault));
+    const SceneImageLoader loader = loader_of(std::make_shared<PartlyBroken>(fault));
     for (uint64_t number = 0; number < 8; ++number) EXPECT_EQ(loader.load(number).scenes.size(), 3U);
     return loader.report();
   };
@@ -160,14 +161,14 @@ TEST(BatchLoader, ReplacesAndCountsWhatCannotBeUsed) {
   EXPECT_NE(few.last_problem.find("expected at least 3 frames, found 2."), std::string::npos);
 }
 
-TEST(BatchLoader, GivesUpInWordsWhenNothingCanBeUsed) {
-  const BatchLoader loader = loader_of(std::make_shared<PartlyBroken>(PartlyBroken::Fault::kShort, 1));
+TEST(SceneImageLoader, GivesUpInWordsWhenNothingCanBeUsed) {
+  const SceneImageLoader loader = loader_of(std::make_shared<PartlyBroken>(PartlyBroken::Fault::kShort, 1));
   const std::string sentence = error_of([&] { loader.load(0); });
   EXPECT_EQ(sentence.substr(0, 88),
             "data loading: expected a usable sample within 20 attempts, found none, the last because ");
   EXPECT_EQ(error_of([] {
               std::vector<MixturePart> parts{part_of(small_scenes(), "part")};
-              BatchLoader bad(Mixture(parts), {}, BatchLoading());
+              SceneImageLoader bad(Mixture(parts), {}, BatchLoading());
             }),
             "sizes: expected at least one size, found none; list the sizes to train at.");
 }

@@ -1,4 +1,4 @@
-#include "datasets/loading/batch_loader.h"
+#include "datasets/loading/scene_image_loader.h"
 
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -41,18 +41,19 @@ void BatchLoading::visit(FieldVisitor& visitor) {
   visit_choice(visitor, {"parts", "what is loaded of each frame"}, parts, {"image", "image_and_depth"});
 }
 
-BatchLoader::BatchLoader(Mixture mixture, std::vector<WeightedSize> sizes, const BatchLoading& options)
+SceneImageLoader::SceneImageLoader(Mixture mixture, std::vector<WeightedSize> sizes,
+                                   const BatchLoading& options)
     : mixture_(std::move(mixture)), sizes_(std::move(sizes)), options_(options) {
   choose_size(sizes_, 0, 0);  // refuses bad sizes now rather than in a thread
 }
 
-LoadingReport BatchLoader::report() const {
+LoadingReport SceneImageLoader::report() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return report_;
 }
 
-LoadedBatch BatchLoader::load(uint64_t number) const {
-  LoadedBatch batch;
+SceneImageBatch SceneImageLoader::load(uint64_t number) const {
+  SceneImageBatch batch;
   batch.number = number;
   batch.size = choose_size(sizes_, static_cast<uint64_t>(options_.seed), number);
   for (int64_t slot = 0; slot < options_.batch_size; ++slot) {
@@ -61,7 +62,7 @@ LoadedBatch BatchLoader::load(uint64_t number) const {
   return batch;
 }
 
-LoadedScene BatchLoader::try_scene(const SampleKey& key, const ImageSize& size) const {
+SceneImages SceneImageLoader::try_scene(const SampleKey& key, const ImageSize& size) const {
   const SampleChoice choice = mixture_.choose(key);
   const MixturePart& part = mixture_.parts()[choice.part];
   const Scene scene = part.dataset->scene(choice.scene);
@@ -72,7 +73,7 @@ LoadedScene BatchLoader::try_scene(const SampleKey& key, const ImageSize& size) 
                                              std::to_string(scene.frames.size()) + "."};
   }
   check_positions(scene, *sampled, options_.max_translation_norm);
-  LoadedScene loaded;
+  SceneImages loaded;
   loaded.dataset = part.name;
   loaded.scene = scene.name;
   loaded.num_sources = sampled->num_sources;
@@ -85,7 +86,7 @@ LoadedScene BatchLoader::try_scene(const SampleKey& key, const ImageSize& size) 
   return loaded;
 }
 
-LoadedScene BatchLoader::load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const {
+SceneImages SceneImageLoader::load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const {
   SampleKey key;
   key.seed = static_cast<uint64_t>(options_.seed);
   key.epoch = batch;

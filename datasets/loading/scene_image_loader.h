@@ -21,8 +21,9 @@ struct BatchLoading : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// V views of one scene, sources first, all of the batch's size.
-struct LoadedScene {
+// A scene on its way from the disk: the pixels of V of its views, sources first, all of the batch's size. As tensors it is
+// SceneTensors (datasets/loading/batching.h).
+struct SceneImages {
   std::string dataset;
   std::string scene;
   std::vector<std::string> frame_names;
@@ -31,10 +32,10 @@ struct LoadedScene {
   bool metric = false;
 };
 
-struct LoadedBatch {
+struct SceneImageBatch {
   uint64_t number = 0;
   ImageSize size;
-  std::vector<LoadedScene> scenes;
+  std::vector<SceneImages> scenes;
 };
 
 // What loading has met so far.
@@ -47,19 +48,19 @@ struct LoadingReport {
 
 // Chooses and loads batches. Batch n is a pure function of (mixture, sizes, options, n): whoever loads ahead in
 // threads gets the same batches whatever their timing, and training resumes by going on with the next number.
-class BatchLoader {
+class SceneImageLoader {
  public:
   // Error when the sizes or the mixture make no sense.
-  BatchLoader(Mixture mixture, std::vector<WeightedSize> sizes, const BatchLoading& options);
+  SceneImageLoader(Mixture mixture, std::vector<WeightedSize> sizes, const BatchLoading& options);
 
   // May be called from several threads. Throws Error when a sample could not be replaced within most_attempts.
-  LoadedBatch load(uint64_t number) const;
+  SceneImageBatch load(uint64_t number) const;
 
   LoadingReport report() const;
 
  private:
-  LoadedScene load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const;
-  LoadedScene try_scene(const SampleKey& key, const ImageSize& size) const;
+  SceneImages load_scene(uint64_t batch, int64_t slot, const ImageSize& size) const;
+  SceneImages try_scene(const SampleKey& key, const ImageSize& size) const;
 
   Mixture mixture_;
   std::vector<WeightedSize> sizes_;

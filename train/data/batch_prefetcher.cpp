@@ -1,11 +1,12 @@
-#include "train/data/batch_feed.h"
+#include "train/data/batch_prefetcher.h"
 
 #include <algorithm>
 #include <chrono>
 
 namespace gld {
 
-BatchFeed::BatchFeed(std::shared_ptr<const BatchSource> source, const BatchFeedOptions& options)
+BatchPrefetcher::BatchPrefetcher(std::shared_ptr<const TrainingBatchSource> source,
+                                 const PrefetchOptions& options)
     : source_(std::move(source)),
       options_(options),
       next_index_(options.first),
@@ -14,7 +15,7 @@ BatchFeed::BatchFeed(std::shared_ptr<const BatchSource> source, const BatchFeedO
   for (int64_t i = 0; i < options_.threads; ++i) threads_.emplace_back([this] { work(); });
 }
 
-BatchFeed::~BatchFeed() {
+BatchPrefetcher::~BatchPrefetcher() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     stopping_ = true;
@@ -23,7 +24,7 @@ BatchFeed::~BatchFeed() {
   for (std::thread& thread : threads_) thread.join();
 }
 
-void BatchFeed::work() {
+void BatchPrefetcher::work() {
   for (;;) {
     int64_t index = 0;
     {
@@ -46,7 +47,7 @@ void BatchFeed::work() {
   }
 }
 
-TrainingBatch BatchFeed::next() {
+TrainingBatch BatchPrefetcher::next() {
   const auto start = std::chrono::steady_clock::now();
   Made made;
   if (threads_.empty()) {
@@ -66,7 +67,7 @@ TrainingBatch BatchFeed::next() {
   return std::move(made.batch);
 }
 
-double BatchFeed::take_waited_seconds() {
+double BatchPrefetcher::take_waited_seconds() {
   const double waited = waited_;
   waited_ = 0.0;
   return waited;

@@ -13,28 +13,28 @@
 
 namespace gld {
 
-// Where micro-batches come from. Batch number `index` is always the same batch, so a run that resumes only needs
+// Where the batches of a training run come from (of datasets: DatasetBatches). Batch number `index` is always the same batch, so a run that resumes only needs
 // the number.
-class BatchSource {
+class TrainingBatchSource {
  public:
-  virtual ~BatchSource() = default;
+  virtual ~TrainingBatchSource() = default;
   // Called from several threads.
   virtual TrainingBatch batch(int64_t index) const = 0;
 };
 
-struct BatchFeedOptions {
+struct PrefetchOptions {
   int64_t first = 0;    // index of the first batch
   int64_t threads = 1;  // 0: batches are made when asked for
   int64_t ahead = 4;    // batches kept ready
 };
 
-// Makes batches ahead of the step in threads of its own and hands them out in order.
-class BatchFeed {
+// Takes a source's batches ahead of the step in threads of its own and hands them out in order.
+class BatchPrefetcher {
  public:
-  BatchFeed(std::shared_ptr<const BatchSource> source, const BatchFeedOptions& options);
-  ~BatchFeed();
-  BatchFeed(const BatchFeed&) = delete;
-  BatchFeed& operator=(const BatchFeed&) = delete;
+  BatchPrefetcher(std::shared_ptr<const TrainingBatchSource> source, const PrefetchOptions& options);
+  ~BatchPrefetcher();
+  BatchPrefetcher(const BatchPrefetcher&) = delete;
+  BatchPrefetcher& operator=(const BatchPrefetcher&) = delete;
 
   // The next batch. Throws what making it threw.
   TrainingBatch next();
@@ -48,8 +48,8 @@ class BatchFeed {
   };
   void work();
 
-  std::shared_ptr<const BatchSource> source_;
-  BatchFeedOptions options_;
+  std::shared_ptr<const TrainingBatchSource> source_;
+  PrefetchOptions options_;
   int64_t next_index_;    // handed out next
   int64_t next_to_make_;  // taken by the next idle thread
   double waited_ = 0.0;
