@@ -92,11 +92,12 @@ cv::Mat bgr_view(const Image& image, const std::string& where) {
   return bgr;
 }
 
-void encode(const std::filesystem::path& file, const std::string& extension, const cv::Mat& pixels,
-            const std::vector<int>& parameters) {
+void write_encoded(const std::filesystem::path& file, const std::string& extension, const cv::Mat& pixels,
+                   const std::vector<int>& parameters) {
   std::vector<uint8_t> bytes;
   if (!cv::imencode(extension, pixels, bytes, parameters)) {
-    fail({file.string(), "to encode an image", "an encoder error", "check the installation of OpenCV"});
+    fail(
+        {file.string(), "to write_encoded an image", "an encoder error", "check the installation of OpenCV"});
   }
   write_file_atomically(file, std::string(bytes.begin(), bytes.end()));
 }
@@ -155,11 +156,11 @@ ValidityMask read_mask(const std::filesystem::path& file) {
 }
 
 void write_png(const std::filesystem::path& file, const Image& image) {
-  encode(file, ".png", bgr_view(image, file.string()), {cv::IMWRITE_PNG_COMPRESSION, 6});
+  write_encoded(file, ".png", bgr_view(image, file.string()), {cv::IMWRITE_PNG_COMPRESSION, 6});
 }
 
 void write_jpeg(const std::filesystem::path& file, const Image& image, int quality) {
-  encode(file, ".jpg", bgr_view(image, file.string()), {cv::IMWRITE_JPEG_QUALITY, quality});
+  write_encoded(file, ".jpg", bgr_view(image, file.string()), {cv::IMWRITE_JPEG_QUALITY, quality});
 }
 
 void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit) {
@@ -170,7 +171,7 @@ void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, d
       row[x] = static_cast<uint16_t>(std::clamp(std::round(depth.at(x, y) / metres_per_unit), 0.0, 65535.0));
     }
   }
-  encode(file, ".png", pixels, {cv::IMWRITE_PNG_COMPRESSION, 6});
+  write_encoded(file, ".png", pixels, {cv::IMWRITE_PNG_COMPRESSION, 6});
 }
 
 }  // namespace gld

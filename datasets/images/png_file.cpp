@@ -48,10 +48,10 @@ std::string text_chunk(const std::string& name, const std::string& text) {
   return chunk("iTXt", name + std::string(5, '\0') + text);
 }
 
-std::string encode(const cv::Mat& pixels, const TextItems& texts) {
+std::string encoded_png(const cv::Mat& pixels, const TextItems& texts) {
   std::vector<unsigned char> encoded;
   if (!cv::imencode(".png", pixels, encoded, {cv::IMWRITE_PNG_COMPRESSION, 6})) {
-    fail({"PNG", "OpenCV to encode the image", "a refusal", "check how OpenCV was built"});
+    fail({"PNG", "OpenCV to encoded_png the image", "a refusal", "check how OpenCV was built"});
   }
   std::string bytes(encoded.begin(), encoded.begin() + kHeaderEnd);
   for (const auto& [name, text] : texts) bytes += text_chunk(name, text);
@@ -76,14 +76,14 @@ std::string encode_png(const Image& image, const TextItems& texts) {
                     const_cast<uint8_t*>(image.rgb.data()));
   cv::Mat bgr;
   cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-  return encode(bgr, texts);
+  return encoded_png(bgr, texts);
 }
 
 std::string encode_png(const Grey16& image, const TextItems& texts) {
   check_pixels(image.width, image.height, image.values.size(), 1);
-  return encode(cv::Mat(static_cast<int>(image.height), static_cast<int>(image.width), CV_16UC1,
-                        const_cast<uint16_t*>(image.values.data())),
-                texts);
+  return encoded_png(cv::Mat(static_cast<int>(image.height), static_cast<int>(image.width), CV_16UC1,
+                             const_cast<uint16_t*>(image.values.data())),
+                     texts);
 }
 
 TextItems read_png_texts(const std::filesystem::path& file) {

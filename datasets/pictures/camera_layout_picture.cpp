@@ -19,7 +19,7 @@ using Eigen::Vector3d;
 
 constexpr int kPanel = 600;
 constexpr int kHeight = 640;
-constexpr int kMargin = 60;
+constexpr int kPanelMargin = 60;
 
 // Right, away and up as seen in the pictures.
 struct Frame3 {
@@ -69,7 +69,7 @@ class Panel {
         left_(left),
         axes_(axes),
         vertical_(vertical),
-        scale_((0.5 * kPanel - kMargin) / shown) {}
+        scale_((0.5 * kPanel - kPanelMargin) / shown) {}
   cv::Point at(const Vector3d& world) const {
     const Vector3d offset = world - axes_.centre;
     const double x = left_ + 0.5 * kPanel + scale_ * offset.dot(axes_.right);

@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
@@ -15,6 +16,15 @@ namespace gld {
 void ExtremesBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.text({"out", "folder to write into"}, out);
   visitor.integer({"camera_sets", "random extreme camera sets to try"}, camera_sets, {0, 10000000});
+}
+
+double accepted(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const Error&) {
+    return 0;
+  }
+  return 1;
 }
 
 Table extremes_table(const std::vector<ExtremeRow>& rows) {

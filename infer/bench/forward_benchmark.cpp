@@ -123,7 +123,7 @@ Evaluation evaluate(const Setting& setting, const Model& model) {
 }
 
 // The repeats of one variant.
-struct Samples {
+struct ForwardTimes {
   std::string variant;
   std::vector<Evaluation> evaluations;
 };
@@ -151,7 +151,7 @@ std::vector<Part> parts_of(const Setting& setting) {
            [](const Evaluation& e) { return e.encoder_seconds + e.decoder_seconds; }, velocity}};
 }
 
-ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Samples& reference) {
+ForwardBenchmarkRow row_from(const Part& part, const ForwardTimes& samples, const ForwardTimes& reference) {
   std::vector<double> seconds, fractions;
   for (const auto& evaluation : samples.evaluations) {
     seconds.push_back(part.seconds(evaluation));
@@ -171,7 +171,7 @@ ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Sam
   return row;
 }
 
-Table overview(const std::vector<ForwardBenchmarkRow>& rows) {
+Table forward_overview(const std::vector<ForwardBenchmarkRow>& rows) {
   Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
                "relative_difference"});
   for (const auto& row : rows) {
@@ -218,9 +218,9 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
   const torch::NoGradGuard no_grad;
   const Setting setting = make_setting(options);
   const ComposedDit composed(*setting.model);
-  Samples ours = {"ours", {}}, plain = {"composed", {}};
+  ForwardTimes ours = {"ours", {}}, plain = {"composed", {}};
   Progress progress("bench forward", 2 * options.repeats);
-  const auto sample = [&](Samples& samples, Evaluation evaluation) {
+  const auto sample = [&](ForwardTimes& samples, Evaluation evaluation) {
     samples.evaluations.push_back(std::move(evaluation));
     progress.update(static_cast<int64_t>(ours.evaluations.size() + plain.evaluations.size()),
                     samples.variant);
@@ -272,7 +272,7 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
       "is "
       "{:.2f} times as fast.\n\n{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
-      overview(rows).markdown());
+      forward_overview(rows).markdown());
   write_file_atomically(folder.path() / "forward.csv", forward_benchmark_table(rows).csv());
   write_file_atomically(folder.path() / "forward.md", text);
   const auto figure = forward_figure(rows);

@@ -29,7 +29,7 @@ namespace gld {
 namespace {
 
 constexpr int64_t kReferenceEvaluations = 20000;
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 const std::string kEverywhere = "everywhere";
 
 // What means over scenes are taken of.
@@ -136,7 +136,7 @@ class SceneSampler {
     row.count = variant.solver.evaluations;
     row.guidance_scale = variant.guidance.guidance_scale;
     row.guidance = guidance_text(variant.guidance);
-    row.psnr = row.ssim = row.lpips = row.level1_error = row.level0_error = kNan;
+    row.psnr = row.ssim = row.lpips = row.level1_error = row.level0_error = kNotMeasured;
     StageRecords stages;
     try {
       result = run_pipeline(models_.models, request_, stages);

@@ -37,7 +37,7 @@ std::string solver_label(const StiffRow& row) {
 }
 
 // One line a problem, one column a solver: the evaluations of a finished solve with its error, or a dash.
-std::string overview(const std::vector<StiffRow>& rows) {
+std::string stiff_overview(const std::vector<StiffRow>& rows) {
   std::vector<std::string> labels, problems;
   for (const auto& row : rows) {
     if (std::find(labels.begin(), labels.end(), solver_label(row)) == labels.end())
@@ -171,7 +171,7 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
       "# Stiff problems\n\nFunction evaluations (RMS error) of the solves that finished, by solver and "
       "tolerance; a "
       "dash is a failure, whose reason is in the second table.\n\n" +
-      overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
+      stiff_overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
   write_file_atomically(folder.path() / "stiff.csv", stiff_table(rows).csv());
   write_file_atomically(folder.path() / "stiff.md", text);
   const auto figure = stiff_figure(rows);
@@ -185,7 +185,7 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
        {"solves", rows.size()},
        {"finished", finished},
        {"seconds", std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count()}});
-  std::cout << overview(rows) << "\n";
+  std::cout << stiff_overview(rows) << "\n";
   folder.note("every solve", "stiff.csv");
   folder.note("tables", "stiff.md");
   folder.note("error against work", "stiff.png");

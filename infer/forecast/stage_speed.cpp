@@ -24,7 +24,7 @@ void fill(torch::nn::Module& module) {
   }
 }
 
-LatentGrid with_views(LatentGrid grid, int64_t views) {
+LatentGrid grid_of_views(LatentGrid grid, int64_t views) {
   grid.views = views;
   return grid;
 }
@@ -81,8 +81,8 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
 double measure_stage_seconds(const std::string& stage, const BundleOptions& bundle,
                              const PlanRequest& request) {
   const torch::NoGradGuard no_gradients;
-  const LatentGrid sources = with_views(request.grid, request.num_sources);
-  const LatentGrid targets = with_views(request.grid, request.grid.views - request.num_sources);
+  const LatentGrid sources = grid_of_views(request.grid, request.num_sources);
+  const LatentGrid targets = grid_of_views(request.grid, request.grid.views - request.num_sources);
   if (stage == "source encoding") return encoding_seconds(bundle, request);
   if (stage == "view pairs") return geometry_seconds(bundle, sources, GeometryMaps::kDepthAndRays);
   if (stage == "propagation") return propagation_seconds(bundle, request);
