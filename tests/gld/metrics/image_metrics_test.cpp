@@ -1,6 +1,6 @@
 #include "gld/metrics/image_metrics.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 

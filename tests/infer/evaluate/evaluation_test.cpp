@@ -1,6 +1,6 @@
 #include "infer/evaluate/evaluation.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 #include <limits>

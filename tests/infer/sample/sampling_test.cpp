@@ -12,7 +12,8 @@
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <csignal>
 #include <filesystem>
