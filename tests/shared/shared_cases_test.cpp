@@ -29,7 +29,7 @@ INSTANTIATE_TEST_SUITE_P(Goldens, SharedCases,
                                          "dpt_head_da3", "lpips_squeeze", "metrics_image_depth", "pipeline",
                                          "rgb_decoder", "sample_level1", "train_diffusion"));
 
-// In single precision, where the case of the tree has them in half.
+// Unrounded, where the case of the tree has multiples of 1/256.
 TEST(SharedWeights, InitialPositionsOfTheDecoderAreThePublishedOnes) {
   const auto published =
       read_tensor(*WeightFile::open(test::shared_data() / "goldens" / "rgb_decoder" / "weights.safetensors"),
