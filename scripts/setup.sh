@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
+# Installs what building and running needs, with apt, on Debian 12; with --development also what checks the sources. Does
+# nothing when nothing is missing.
 set -euo pipefail
 
 packages=(
@@ -8,6 +9,9 @@ packages=(
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libexif-dev libssl-dev
 )
+if [ "${1:-}" = --development ]; then
+  packages+=(git clang-format clang-tidy)
+fi
 
 missing=()
 for package in "${packages[@]}"; do

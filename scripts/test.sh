@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# From a clean Debian 12 machine to green: installs, builds, runs every test, fails if one is skipped.
+# From a clean Debian 12 machine to green: installs, builds, runs every test, fails if one is skipped. Needs nothing beside
+# the clone; the tests of the label shared, which do, are run with ctest -L shared (CONTRIBUTING.md).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

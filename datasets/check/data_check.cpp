@@ -4,6 +4,7 @@
 #include "datasets/images/image_probe.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
+#include "gld/cameras/angles.h"
 
 #include <algorithm>
 #include <cmath>
@@ -18,8 +19,6 @@ namespace {
 
 using Eigen::Vector2d;
 using Eigen::Vector3d;
-
-constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 void widen(Span& span, double value, bool first) {
   span.low = first ? value : std::min(span.low, value);
@@ -46,8 +45,8 @@ void measure_cameras(const Scene& scene, DataCheck& check) {
     widen(check.height, static_cast<double>(camera.height), first);
     widen(check.focal_x, k(0, 0), first);
     widen(check.focal_y, k(1, 1), first);
-    widen(check.field_of_view, 2 * std::atan(0.5 * static_cast<double>(camera.width) / k(0, 0)) * kDegrees,
-          first);
+    widen(check.field_of_view,
+          2 * std::atan(0.5 * static_cast<double>(camera.width) / k(0, 0)) * kDegreesPerRadian, first);
     centre += position(scene.frames[i]) / static_cast<double>(scene.frames.size());
     check.largest_norm = std::max(check.largest_norm, position(scene.frames[i]).norm());
     if (!first) steps.push_back((position(scene.frames[i]) - position(scene.frames[i - 1])).norm());

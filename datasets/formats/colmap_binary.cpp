@@ -73,7 +73,7 @@ class BinaryReader {
   size_t position_ = 0;
 };
 
-void read_cameras(const std::filesystem::path& file, ColmapModel& model) {
+void read_cameras_bin(const std::filesystem::path& file, ColmapModel& model) {
   BinaryReader reader(file);
   const uint64_t count = reader.count(kSmallestCamera);
   for (uint64_t i = 0; i < count; ++i) {
@@ -102,7 +102,7 @@ void read_cameras(const std::filesystem::path& file, ColmapModel& model) {
   reader.check_end();
 }
 
-void read_images(const std::filesystem::path& file, ColmapModel& model) {
+void read_images_bin(const std::filesystem::path& file, ColmapModel& model) {
   BinaryReader reader(file);
   const uint64_t count = reader.count(kSmallestImage);
   for (uint64_t i = 0; i < count; ++i) {
@@ -120,7 +120,7 @@ void read_images(const std::filesystem::path& file, ColmapModel& model) {
   reader.check_end();
 }
 
-void read_points(const std::filesystem::path& file, ColmapModel& model) {
+void read_points_bin(const std::filesystem::path& file, ColmapModel& model) {
   BinaryReader reader(file);
   const uint64_t count = reader.count(kSmallestPoint);
   std::map<uint64_t, Eigen::Vector3d> points;
@@ -163,10 +163,10 @@ int32_t kind_number(const std::string& name) {
 
 ColmapModel read_colmap_binary(const std::filesystem::path& folder) {
   ColmapModel model;
-  read_cameras(folder / "cameras.bin", model);
-  read_images(folder / "images.bin", model);
+  read_cameras_bin(folder / "cameras.bin", model);
+  read_images_bin(folder / "images.bin", model);
   const auto points = folder / "points3D.bin";
-  if (std::filesystem::exists(points)) read_points(points, model);
+  if (std::filesystem::exists(points)) read_points_bin(points, model);
   return model;
 }
 

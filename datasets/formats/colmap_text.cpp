@@ -31,7 +31,7 @@ std::string after_fields(const std::string& line, size_t count) {
   return line.substr(position, line.find_last_not_of(" \t") + 1 - position);
 }
 
-void read_cameras(const std::filesystem::path& file, ColmapModel& model) {
+void read_cameras_txt(const std::filesystem::path& file, ColmapModel& model) {
   for (const TextLine& line : read_lines(file)) {
     if (is_comment(line.text) || is_blank(line.text)) continue;
     const auto fields = blank_separated(line.text);
@@ -48,7 +48,7 @@ void read_cameras(const std::filesystem::path& file, ColmapModel& model) {
   }
 }
 
-void read_images(const std::filesystem::path& file, ColmapModel& model) {
+void read_images_txt(const std::filesystem::path& file, ColmapModel& model) {
   // Every image has a second line, of observations, which may be empty.
   bool observations = false;
   for (const TextLine& line : read_lines(file)) {
@@ -75,7 +75,7 @@ void read_images(const std::filesystem::path& file, ColmapModel& model) {
   }
 }
 
-void read_points(const std::filesystem::path& file, ColmapModel& model) {
+void read_points_txt(const std::filesystem::path& file, ColmapModel& model) {
   std::map<int64_t, Eigen::Vector3d> points;
   for (const TextLine& line : read_lines(file)) {
     if (is_comment(line.text) || is_blank(line.text)) continue;
@@ -90,10 +90,10 @@ void read_points(const std::filesystem::path& file, ColmapModel& model) {
 
 ColmapModel read_colmap_text(const std::filesystem::path& folder) {
   ColmapModel model;
-  read_cameras(folder / "cameras.txt", model);
-  read_images(folder / "images.txt", model);
+  read_cameras_txt(folder / "cameras.txt", model);
+  read_images_txt(folder / "images.txt", model);
   const auto points = folder / "points3D.txt";
-  if (std::filesystem::exists(points)) read_points(points, model);
+  if (std::filesystem::exists(points)) read_points_txt(points, model);
   return model;
 }
 

@@ -163,7 +163,8 @@ AppliedTransform applied_transform(const json& file, const std::string& where) {
   return applied;
 }
 
-Eigen::Isometry3d opencv_pose(const json& rows, const AppliedTransform& applied, const std::string& where) {
+Eigen::Isometry3d pose_of_matrix(const json& rows, const AppliedTransform& applied,
+                                 const std::string& where) {
   Eigen::Matrix4d listed = json_pose(rows, where + " transform_matrix");
   listed.topRightCorner<3, 1>() /= applied.scale;
   return opencv_from_opengl_pose(checked_pose(applied.world_from_listed * listed, where));
@@ -228,7 +229,7 @@ Scene NerfstudioReader::read(const std::filesystem::path& path, const SceneReadi
       if (!frame.contains("transform_matrix")) {
         fail({frame_where, "the key \"transform_matrix\"", "none", "add it"});
       }
-      record.world_from_camera = opencv_pose(frame["transform_matrix"], applied, frame_where);
+      record.world_from_camera = pose_of_matrix(frame["transform_matrix"], applied, frame_where);
       if (frame.contains("depth_file_path")) {
         const auto depth = inside(folder, json_text(frame, "depth_file_path", frame_where), frame_where);
         record.load_depth = depth_loader(depth, depth_unit, applied.scale);

@@ -12,7 +12,7 @@
 namespace gld {
 namespace {
 
-std::filesystem::path camera_file(const std::filesystem::path& image) {
+std::filesystem::path npz_beside(const std::filesystem::path& image) {
   return std::filesystem::path(image).replace_extension(".npz");
 }
 
@@ -21,7 +21,7 @@ bool has_camera_files(const std::filesystem::path& folder) {
   const auto images = list_images(folder);
   const auto few = images.begin() + static_cast<std::ptrdiff_t>(std::min<size_t>(images.size(), 16));
   return std::any_of(images.begin(), few, [](const std::filesystem::path& image) {
-    return std::filesystem::is_regular_file(camera_file(image));
+    return std::filesystem::is_regular_file(npz_beside(image));
   });
 }
 
@@ -71,7 +71,7 @@ Scene NpzReader::read(const std::filesystem::path& path, const SceneReading& rea
   SceneBuilder builder(name(), path, reading);
   FrameMaker maker;
   for (const auto& image : list_images(folder)) {
-    const auto file = camera_file(image);
+    const auto file = npz_beside(image);
     if (!std::filesystem::is_regular_file(file)) {
       builder.add_missing(file);
       continue;

@@ -25,7 +25,7 @@ bool is_camera_file(const std::filesystem::path& file) {
   return stream.gcount() == 4 && std::string(start, 4) == "http";
 }
 
-std::filesystem::path camera_file(const std::filesystem::path& path) {
+std::filesystem::path clip_text_file(const std::filesystem::path& path) {
   if (is_camera_file(path)) return path;
   std::vector<std::filesystem::path> found;
   for (const auto& file : list_files(path, ".txt")) {
@@ -100,10 +100,12 @@ std::vector<Re10kRow> read_re10k_rows(const std::filesystem::path& file) {
   return rows;
 }
 
-bool Re10kReader::recognises(const std::filesystem::path& path) const { return !camera_file(path).empty(); }
+bool Re10kReader::recognises(const std::filesystem::path& path) const {
+  return !clip_text_file(path).empty();
+}
 
 Scene Re10kReader::read(const std::filesystem::path& path, const SceneReading& reading) const {
-  const auto file = camera_file(path);
+  const auto file = clip_text_file(path);
   if (file.empty()) fail({path.string(), marker(), "none", "check the folder or choose another format"});
   const auto rows = read_re10k_rows(file);
   const auto images = images_of_rows(rows, clip_images(file, reading.image_folder));

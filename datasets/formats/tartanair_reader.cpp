@@ -29,7 +29,7 @@ std::vector<TextLine> pose_rows(const std::filesystem::path& file) {
   return rows;
 }
 
-Eigen::Isometry3d opencv_pose(const TextLine& row) {
+Eigen::Isometry3d pose_of_row(const TextLine& row) {
   const auto fields = blank_separated(row.text);
   if (fields.size() != 7) {
     fail({row.where, "7 fields: tx ty tz qx qy qz qw", std::to_string(fields.size()), "correct the file"});
@@ -67,7 +67,7 @@ Scene TartanAirReader::read(const std::filesystem::path& path, const SceneReadin
       record.camera_width = 640;
       record.camera_height = 480;
       record.intrinsics = intrinsic_matrix(320, 320, 320, 240);
-      record.world_from_camera = opencv_pose(rows[i]);
+      record.world_from_camera = pose_of_row(rows[i]);
       const auto depth = path / "depth_left" / (record.name + "_depth.npy");
       if (std::filesystem::is_regular_file(depth)) {
         record.load_depth = [depth] { return read_depth_npy(depth); };

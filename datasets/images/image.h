@@ -3,6 +3,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 namespace gld {
@@ -50,5 +51,10 @@ struct ValidityMask {
       : width(mask_width), height(mask_height), valid(static_cast<size_t>(mask_width * mask_height), 1) {}
   bool empty() const { return valid.empty(); }
 };
+
+// "504x280"
+inline std::string size_text(int64_t width, int64_t height) {
+  return std::to_string(width) + "x" + std::to_string(height);
+}
 
 }  // namespace gld

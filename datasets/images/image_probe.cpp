@@ -12,7 +12,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kLargestSide = 65535;
+constexpr int64_t kLargestProbedSide = 65535;
 // More than most headers have; otherwise the whole file is read.
 constexpr std::streamsize kHeaderBytes = 1 << 18;
 const std::string kExifStart("Exif\0\0", 6);
@@ -129,8 +129,8 @@ ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& 
     fail({where, "an image at least 2 pixels wide and high",
           std::to_string(info.width) + "x" + std::to_string(info.height), "leave it out"});
   }
-  if (info.width > kLargestSide || info.height > kLargestSide) {
-    fail({where, "an image at most " + std::to_string(kLargestSide) + " pixels wide and high",
+  if (info.width > kLargestProbedSide || info.height > kLargestProbedSide) {
+    fail({where, "an image at most " + std::to_string(kLargestProbedSide) + " pixels wide and high",
           std::to_string(info.width) + "x" + std::to_string(info.height), "check the file"});
   }
   return info;

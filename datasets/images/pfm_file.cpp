@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kLargestSide = 1 << 20;
+constexpr int64_t kLargestPfmSide = 1 << 20;
 
 }  // namespace
 
@@ -45,8 +45,8 @@ DepthMap read_pfm(const std::filesystem::path& file) {
   int64_t height = 0;
   double scale = 0;
   stream >> magic >> width >> height >> scale;
-  if (!stream || magic != "Pf" || width < 1 || height < 1 || width > kLargestSide || height > kLargestSide ||
-      scale >= 0) {
+  if (!stream || magic != "Pf" || width < 1 || height < 1 || width > kLargestPfmSide ||
+      height > kLargestPfmSide || scale >= 0) {
     fail({file.string(), "a little-endian one-channel PFM file", "another header", "check the path"});
   }
   const size_t header = static_cast<size_t>(stream.tellg()) + 1;  // one white-space character ends it

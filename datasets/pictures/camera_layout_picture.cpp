@@ -21,7 +21,7 @@ using Eigen::Vector3d;
 
 constexpr int kPanel = 600;
 constexpr int kHeight = 640;
-constexpr int kMargin = 60;
+constexpr int kPanelMargin = 60;
 constexpr Rgb kInk{60, 60, 60};
 constexpr Rgb kPointGrey{200, 200, 200};
 constexpr Rgb kRule{220, 220, 220};
@@ -75,7 +75,7 @@ class Panel {
         left_(left),
         axes_(axes),
         vertical_(vertical),
-        scale_((0.5 * kPanel - kMargin) / shown) {}
+        scale_((0.5 * kPanel - kPanelMargin) / shown) {}
   // Pixels, clamped to what cairo's fixed-point numbers take.
   Vector2d at(const Vector3d& world) const {
     const Vector3d offset = world - axes_.centre;

@@ -12,12 +12,12 @@ namespace {
 
 constexpr Rgb kPaper{30, 32, 36};
 constexpr Rgb kEmptyCell{42, 45, 50};
-constexpr Rgb kInk{236, 238, 242};
+constexpr Rgb kSheetInk{236, 238, 242};
 constexpr Rgb kFaintInk{164, 170, 180};
 constexpr Rgb kSourceAccent{86, 180, 233};  // colours that also the colour-blind tell apart (Okabe and Ito)
 constexpr Rgb kTargetAccent{230, 159, 0};
 
-constexpr int64_t kMargin = 24;
+constexpr int64_t kSheetMargin = 24;
 constexpr int64_t kLabelColumn = 88;
 constexpr int64_t kGap = 8;        // between pictures
 constexpr int64_t kBandGap = 14;   // between the lines of a section
@@ -90,7 +90,7 @@ struct Overhead {
 
 Overhead overhead(const std::vector<Section>& sections, const SheetText& text, int64_t columns) {
   Overhead result;
-  result.pixels = 2 * kMargin + header_height(text) + (has_depth(sections) ? kLegend : 0);
+  result.pixels = 2 * kSheetMargin + header_height(text) + (has_depth(sections) ? kLegend : 0);
   for (const Section& section : sections) {
     const int64_t lines = bands(section, columns);
     const auto rows = static_cast<int64_t>(section.rows.size());
@@ -126,7 +126,7 @@ Layout choose_layout(const std::vector<Section>& sections, const SheetText& text
   double best_width = 0;
   for (int64_t columns = 1; columns <= most; ++columns) {
     const Overhead fixed = overhead(sections, text, columns);
-    const int64_t across = limits.width - 2 * kMargin - best.labels - (columns - 1) * kGap;
+    const int64_t across = limits.width - 2 * kSheetMargin - best.labels - (columns - 1) * kGap;
     const int64_t down = (limits.height - fixed.pixels) / fixed.picture_rows;
     const auto longest = static_cast<double>(limits.picture);
     double width = std::min(static_cast<double>(across) / static_cast<double>(columns),
@@ -168,7 +168,7 @@ void place_picture(Image& sheet, const Image& picture, const PixelRect& cell) {
 }
 
 void draw_name(Image& sheet, const SheetView& view, const PixelRect& line) {
-  const TextStyle name{14, kInk, TextWeight::kRegular};
+  const TextStyle name{14, kSheetInk, TextWeight::kRegular};
   const TextStyle note{13, kFaintInk, TextWeight::kRegular};
   const int64_t note_width = text_width(view.note, note);
   const int64_t beside_note = line.width - note_width - 8;
@@ -183,15 +183,15 @@ void draw_name(Image& sheet, const SheetView& view, const PixelRect& line) {
 
 // Draws one section from y downwards; returns where it ends.
 int64_t draw_section(Image& sheet, const Section& section, const Layout& layout, int64_t y) {
-  fill_rect(sheet, {kMargin, y + 6, 4, 22}, section.accent);
-  draw_text(sheet, kMargin + 12, y + 8, section.heading, {17, kInk, TextWeight::kBold});
+  fill_rect(sheet, {kSheetMargin, y + 6, 4, 22}, section.accent);
+  draw_text(sheet, kSheetMargin + 12, y + 8, section.heading, {17, kSheetInk, TextWeight::kBold});
   y += kHeading;
   const auto count = static_cast<int64_t>(section.views.size());
   for (int64_t first = 0; first < count; first += layout.columns) {
     const int64_t last = std::min(first + layout.columns, count);
     for (int64_t i = first; i < last; ++i) {
       const SheetView& view = *section.views[static_cast<size_t>(i)];
-      const int64_t name_x = kMargin + layout.labels + (i - first) * (layout.pitch + kGap);
+      const int64_t name_x = kSheetMargin + layout.labels + (i - first) * (layout.pitch + kGap);
       const int64_t x = name_x + (layout.pitch - layout.picture_width) / 2;
       draw_name(sheet, view, {name_x, y, layout.pitch, kNameLine});
       for (size_t row = 0; row < section.rows.size(); ++row) {
@@ -202,7 +202,7 @@ int64_t draw_section(Image& sheet, const Section& section, const Layout& layout,
     }
     for (size_t row = 0; row < section.rows.size(); ++row) {
       const int64_t top = y + kNameLine + static_cast<int64_t>(row) * (layout.picture_height + kGap);
-      draw_text(sheet, kMargin, top + (layout.picture_height - 14) / 2, section.rows[row].label,
+      draw_text(sheet, kSheetMargin, top + (layout.picture_height - 14) / 2, section.rows[row].label,
                 {14, kFaintInk, TextWeight::kRegular});
     }
     const auto rows = static_cast<int64_t>(section.rows.size());
@@ -220,28 +220,29 @@ Image draw_sheet(const std::vector<Section>& sections, const SheetText& text, co
   }
   const Overhead fixed = overhead(sections, text, layout.columns);
   const int64_t content = layout.labels + columns_used * (layout.pitch + kGap) - kGap;
-  const TextStyle title{22, kInk, TextWeight::kBold};
+  const TextStyle title{22, kSheetInk, TextWeight::kBold};
   const TextStyle subtitle{14, kFaintInk, TextWeight::kRegular};
   const int64_t widest_text = std::max(text_width(text.title, title), text_width(text.subtitle, subtitle));
-  const int64_t inner = std::max({content, std::min(widest_text, limits.width - 2 * kMargin), int64_t{280}});
-  const int64_t width = inner + 2 * kMargin;
+  const int64_t inner =
+      std::max({content, std::min(widest_text, limits.width - 2 * kSheetMargin), int64_t{280}});
+  const int64_t width = inner + 2 * kSheetMargin;
   Image sheet = filled_image(width, fixed.pixels + fixed.picture_rows * layout.picture_height, kPaper);
 
-  int64_t y = kMargin - 4;
+  int64_t y = kSheetMargin - 4;
   if (!text.title.empty()) {
-    draw_text(sheet, kMargin, y, fitted_text(text.title, inner, title), title);
+    draw_text(sheet, kSheetMargin, y, fitted_text(text.title, inner, title), title);
     y += kTitle;
   }
   if (!text.subtitle.empty()) {
-    draw_text(sheet, kMargin, y, fitted_text(text.subtitle, inner, subtitle), subtitle);
+    draw_text(sheet, kSheetMargin, y, fitted_text(text.subtitle, inner, subtitle), subtitle);
     y += kSubtitle;
   }
   for (const Section& section : sections) y = draw_section(sheet, section, layout, y);
   if (has_depth(sections)) {
-    draw_text(sheet, kMargin, y + 10, "depth", {14, kFaintInk, TextWeight::kRegular});
+    draw_text(sheet, kSheetMargin, y + 10, "depth", {14, kFaintInk, TextWeight::kRegular});
     const int64_t legend_width = std::min<int64_t>(inner - kLabelColumn, 640);
     paste(sheet, depth_legend(text.depth_range, legend_width, text.depth_unit, kPaper),
-          kMargin + kLabelColumn - 12, y + 6);
+          kSheetMargin + kLabelColumn - 12, y + 6);
   }
   return sheet;
 }

@@ -14,10 +14,10 @@ namespace {
 
 constexpr Rgb kBackground{24, 26, 30};
 constexpr Rgb kUnknown{96, 96, 96};
-constexpr Rgb kInk{222, 224, 228};
+constexpr Rgb kLegendInk{222, 224, 228};
 constexpr int64_t kLegendHeight = 40;
 constexpr int64_t kBarHeight = 12;
-constexpr int64_t kMargin = 12;
+constexpr int64_t kLegendMargin = 12;
 constexpr int64_t kNarrowest = 240;
 constexpr double kSmallestRatio = 1.02;
 
@@ -96,21 +96,21 @@ Image coloured_depth(const DepthMap& depth, const DepthRange& range) {
 
 Image depth_legend(const DepthRange& range, int64_t width, const std::string& unit, const Rgb& paper) {
   Image legend = filled_image(width, kLegendHeight, paper);
-  const int64_t bar = std::max<int64_t>(width - 2 * kMargin, 2);
+  const int64_t bar = std::max<int64_t>(width - 2 * kLegendMargin, 2);
   for (int64_t x = 0; x < bar; ++x) {
     const double position = static_cast<double>(x) / static_cast<double>(bar - 1);
     const double depth = range.nearest * std::pow(range.farthest / range.nearest, position);
-    fill_rect(legend, {kMargin + x, 4, 1, kBarHeight}, depth_colour(depth, range));
+    fill_rect(legend, {kLegendMargin + x, 4, 1, kBarHeight}, depth_colour(depth, range));
   }
-  const TextStyle style{13, kInk, TextWeight::kRegular};
+  const TextStyle style{13, kLegendInk, TextWeight::kRegular};
   int64_t free_from = 2;
   for (const double depth : tick_depths(range)) {
     const std::string text = fmt::format("{:.4g}", depth) + (unit.empty() ? "" : " " + unit);
     const auto offset = std::lround(log_position(depth, range) * static_cast<double>(bar - 1));
-    const int64_t x = kMargin + static_cast<int64_t>(offset);
+    const int64_t x = kLegendMargin + static_cast<int64_t>(offset);
     const int64_t text_x = x - text_width(text, style) / 2;
     if (text_x < free_from || text_x + text_width(text, style) > width - 2) continue;
-    fill_rect(legend, {x, 4 + kBarHeight, 1, 4}, kInk);
+    fill_rect(legend, {x, 4 + kBarHeight, 1, 4}, kLegendInk);
     draw_text(legend, text_x, 22, text, style);
     free_from = text_x + text_width(text, style) + 12;
   }

@@ -5,10 +5,6 @@
 namespace gld {
 namespace {
 
-std::string size_text(int64_t width, int64_t height) {
-  return std::to_string(width) + "x" + std::to_string(height);
-}
-
 template <class Pixels>
 Pixels checked(const Frame& frame, const std::function<Pixels()>& load, const char* what) {
   if (!load) fail({frame.name, what, "none", "choose a frame that has it"});

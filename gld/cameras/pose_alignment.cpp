@@ -1,6 +1,7 @@
 #include "gld/cameras/pose_alignment.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/angles.h"
 
 #include <cmath>
 #include <string>
@@ -11,8 +12,6 @@
 
 namespace gld {
 namespace {
-
-constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 Eigen::Vector3d centre(const Camera& camera) { return camera.world_from_camera.translation(); }
 
@@ -38,7 +37,7 @@ Eigen::Matrix3d mean_rotation(const std::vector<Camera>& in_a, const std::vector
 
 double rotation_angle(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b) {
   const Eigen::Quaterniond between(Eigen::Matrix3d(a.transpose() * b));
-  return 2 * std::atan2(between.vec().norm(), std::abs(between.w())) * kDegrees;
+  return 2 * std::atan2(between.vec().norm(), std::abs(between.w())) * kDegreesPerRadian;
 }
 
 PoseAlignment align_poses(const std::vector<Camera>& in_a, const std::vector<Camera>& in_b) {

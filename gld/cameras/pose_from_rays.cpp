@@ -1,6 +1,7 @@
 #include "gld/cameras/pose_from_rays.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/angles.h"
 
 #include <algorithm>
 #include <cmath>
@@ -21,7 +22,6 @@ using Vector7d = Eigen::Matrix<double, 7, 1>;
 using Matrix9d = Eigen::Matrix<double, 9, 9>;
 
 constexpr size_t kFewestRays = 16;
-constexpr double kDegrees = 180 / 3.14159265358979323846;
 constexpr double kCauchyWidth = 2.385;  // 95 % efficient on normal noise
 constexpr double kMedianToSigma = 1.4826;
 constexpr double kSmallestSigma = 1e-9;  // keeps exact rays from dividing by zero
@@ -275,7 +275,7 @@ RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confide
 
   RecoveredCamera recovered;
   const std::vector<double> errors = angles(rays, pinhole);
-  recovered.direction_error = median(errors) * kDegrees;
+  recovered.direction_error = median(errors) * kDegreesPerRadian;
   const double believed = 3 * std::max(kMedianToSigma * median(errors), kSmallestSigma);
   recovered.inliers = static_cast<double>(std::count_if(errors.begin(), errors.end(),
                                                         [&](double error) { return error <= believed; })) /

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -21,6 +22,9 @@ enum class DType {
   kUInt8,
   kBool,
 };
+
+// The most dimensions that a tensor on file may have.
+constexpr size_t kMaximumRank = 64;
 
 int64_t byte_size(DType dtype);
 bool is_floating(DType dtype);

@@ -17,8 +17,7 @@ namespace {
 const std::string kMagic = "\x93NUMPY";
 constexpr size_t kPrefixSize = 8;  // magic and version
 constexpr size_t kLongestHeader = 65536;
-constexpr size_t kMaximumRank = 64;
-constexpr size_t kDataAlignment = 64;
+constexpr size_t kNpyAlignment = 64;
 const std::string kExtension = ".npy";
 
 struct NamedType {
@@ -378,7 +377,7 @@ std::string npy_text(const NpyArray& array) {
   std::string header = "{'descr': '" + std::string(byte_size(array.dtype) == 1 ? "|" : "<") + code +
                        "', 'fortran_order': False, 'shape': (" + shape + "), }";
   const size_t unpadded = kPrefixSize + 2 + header.size() + 1;
-  header.append((kDataAlignment - unpadded % kDataAlignment) % kDataAlignment, ' ');
+  header.append((kNpyAlignment - unpadded % kNpyAlignment) % kNpyAlignment, ' ');
   header += '\n';
   std::string text = kMagic + std::string("\x01\x00", 2);
   const auto length = static_cast<uint16_t>(header.size());

@@ -1,14 +1,13 @@
 #include "gld/files/pickle_tensors.h"
 
 #include "gld/base/error.h"
+#include "gld/files/dtype.h"
 #include "gld/files/weight_file.h"
 
 #include <utility>
 
 namespace gld {
 namespace {
-
-constexpr size_t kMaximumRank = 64;
 
 struct StorageType {
   const char* name;

@@ -1,6 +1,7 @@
 #include "gld/files/safetensors.h"
 
 #include "gld/base/error.h"
+#include "gld/files/dtype.h"
 
 #include <algorithm>
 #include <cstring>
@@ -15,8 +16,7 @@ namespace {
 using nlohmann::json;
 
 constexpr size_t kLengthBytes = 8;
-constexpr size_t kMaximumRank = 64;
-constexpr size_t kDataAlignment = 64;
+constexpr size_t kSafetensorsAlignment = 64;
 
 const std::vector<std::pair<const char*, DType>>& dtype_codes() {
   static const std::vector<std::pair<const char*, DType>> codes = {
@@ -289,8 +289,8 @@ std::string safetensors_header(const std::vector<TensorEntry>& entries,
   }
   std::string text = header.dump();
   // The format allows trailing spaces in the header; they align the data.
-  const size_t unaligned = (kLengthBytes + text.size()) % kDataAlignment;
-  if (unaligned != 0) text.append(kDataAlignment - unaligned, ' ');
+  const size_t unaligned = (kLengthBytes + text.size()) % kSafetensorsAlignment;
+  if (unaligned != 0) text.append(kSafetensorsAlignment - unaligned, ' ');
   std::string bytes(kLengthBytes, '\0');
   const uint64_t length = text.size();
   std::memcpy(bytes.data(), &length, sizeof length);

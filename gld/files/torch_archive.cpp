@@ -21,7 +21,7 @@ const std::string kPickleName = "data.pkl";
 const std::string kLegacyMagic = "0x1950a86a20f9469cfc6c";
 constexpr int64_t kLegacyProtocol = 1001;
 
-[[noreturn]] void fail_broken(const std::string& where, const std::string& found) {
+[[noreturn]] void fail_broken_archive(const std::string& where, const std::string& found) {
   fail({where, "a PyTorch file", found, "download or save the file again"});
 }
 
@@ -99,7 +99,7 @@ class Flattener {
   void claim(const std::string& name) {
     // Long keys repeated at every level of a shared structure would multiply; names share one budget.
     name_bytes_ += name.size();
-    if (name_bytes_ > kLargestPickle) fail_broken(where_, "names of more than 64 MiB together");
+    if (name_bytes_ > kLargestPickle) fail_broken_archive(where_, "names of more than 64 MiB together");
     if (!names_.insert(name).second) {
       fail({where_ + ": entry " + printable_name(name), "each name once", "the name twice",
             "save the file again with distinct names"});
@@ -143,7 +143,7 @@ void add_entries(Flattened flattened, const std::string& where, BytesOf bytes_of
     if (!entry.contiguous()) copied += static_cast<uint64_t>(entry.byte_count());
     parsed.entries.push_back(std::move(entry));
   }
-  if (copied > total) fail_broken(where, "views that need more memory than the file has");
+  if (copied > total) fail_broken_archive(where, "views that need more memory than the file has");
   std::sort(parsed.entries.begin(), parsed.entries.end(),
             [](const auto& a, const auto& b) { return a.name < b.name; });
   parsed.scalars = std::move(flattened.scalars);
@@ -154,11 +154,11 @@ const ZipEntry& find_pickle(const ZipArchive& archive, const std::string& where)
   for (const auto& entry : archive.entries()) {
     const size_t slash = entry.name.find('/');
     if (slash == std::string::npos || entry.name.substr(slash + 1) != kPickleName) continue;
-    if (found != nullptr) fail_broken(where, "two files named " + kPickleName);
+    if (found != nullptr) fail_broken_archive(where, "two files named " + kPickleName);
     found = &entry;
   }
-  if (found == nullptr) fail_broken(where, "a zip file without " + kPickleName);
-  if (found->size > kLargestPickle) fail_broken(where, "a " + kPickleName + " of more than 64 MiB");
+  if (found == nullptr) fail_broken_archive(where, "a zip file without " + kPickleName);
+  if (found->size > kLargestPickle) fail_broken_archive(where, "a " + kPickleName + " of more than 64 MiB");
   return *found;
 }
 
@@ -192,7 +192,8 @@ ParsedWeights parse_torch_zip(ByteView file, const std::string& where) {
     if (known != unpacked.end()) return known->second;
     unpacked_bytes += entry->size;
     if (unpacked_bytes / kLargestExpansion > file.size) {
-      fail_broken(where, "data that expands more than " + std::to_string(kLargestExpansion) + " times");
+      fail_broken_archive(where,
+                          "data that expands more than " + std::to_string(kLargestExpansion) + " times");
     }
     const auto owner = std::make_shared<const std::vector<uint8_t>>(archive->read(*entry));
     parsed.owners.push_back(owner);
@@ -208,12 +209,12 @@ ParsedWeights parse_torch_legacy(ByteView file, const std::string& where) {
   size_t position = 0;
   const auto magic = unpickle(pickles, position, where);
   if (magic.kind(magic.root()) != PickleKind::kText || magic.text(magic.root()) != kLegacyMagic) {
-    fail_broken(where, "a pickle without PyTorch's magic number");
+    fail_broken_archive(where, "a pickle without PyTorch's magic number");
   }
   const auto protocol = unpickle(pickles, position, where);
   if (protocol.kind(protocol.root()) != PickleKind::kInteger ||
       protocol.integer(protocol.root()) != kLegacyProtocol) {
-    fail_broken(where, "another version of the older layout than " + std::to_string(kLegacyProtocol));
+    fail_broken_archive(where, "another version of the older layout than " + std::to_string(kLegacyProtocol));
   }
   const auto system = Flattener(unpickle(pickles, position, where), where).run();
   const auto endian = system.scalars.find("little_endian");
@@ -222,12 +223,12 @@ ParsedWeights parse_torch_legacy(ByteView file, const std::string& where) {
   }
   const auto objects = unpickle(pickles, position, where);
   const auto keys = unpickle(pickles, position, where);
-  if (keys.kind(keys.root()) != PickleKind::kList) fail_broken(where, "no list of storages");
+  if (keys.kind(keys.root()) != PickleKind::kList) fail_broken_archive(where, "no list of storages");
 
   std::map<std::string, DType> dtypes;
   for (const auto& storage : objects.storages()) {
     if (!dtypes.emplace(storage.key, storage.dtype).second && dtypes[storage.key] != storage.dtype) {
-      fail_broken(where, "storage " + printable_name(storage.key) + " of two types");
+      fail_broken_archive(where, "storage " + printable_name(storage.key) + " of two types");
     }
   }
   std::map<std::string, ByteView> storages;
@@ -235,23 +236,24 @@ ParsedWeights parse_torch_legacy(ByteView file, const std::string& where) {
     const std::string key = keys.kind(id) == PickleKind::kText ? keys.text(id) : describe(keys.kind(id));
     const std::string name = "storage " + printable_name(key);
     const auto dtype = dtypes.find(key);
-    if (dtype == dtypes.end()) fail_broken(where, name + ", which nothing uses");
+    if (dtype == dtypes.end()) fail_broken_archive(where, name + ", which nothing uses");
     int64_t elements = 0;
-    if (file.size - position < sizeof elements) fail_broken(where, "the end of the file before " + name);
+    if (file.size - position < sizeof elements)
+      fail_broken_archive(where, "the end of the file before " + name);
     std::memcpy(&elements, file.data + position, sizeof elements);
     position += sizeof elements;
     const uint64_t element = static_cast<uint64_t>(byte_size(dtype->second));
     if (elements < 0 || static_cast<uint64_t>(elements) > (file.size - position) / element) {
-      fail_broken(where, name + " of " + std::to_string(elements) + " elements in the " +
-                             std::to_string(file.size - position) + " bytes that are left");
+      fail_broken_archive(where, name + " of " + std::to_string(elements) + " elements in the " +
+                                     std::to_string(file.size - position) + " bytes that are left");
     }
     const auto size = static_cast<size_t>(static_cast<uint64_t>(elements) * element);
     if (!storages.emplace(key, ByteView{file.data + position, size}).second)
-      fail_broken(where, name + " twice");
+      fail_broken_archive(where, name + " twice");
     position += size;
   }
   if (position != file.size)
-    fail_broken(where, std::to_string(file.size - position) + " bytes after the last storage");
+    fail_broken_archive(where, std::to_string(file.size - position) + " bytes after the last storage");
 
   ParsedWeights parsed;
   const auto bytes_of = [&](const PickleStorage& storage, const std::string& tensor_where) {

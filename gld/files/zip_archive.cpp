@@ -42,14 +42,14 @@ T load(const uint8_t* at) {
   return value;
 }
 
-[[noreturn]] void fail_broken(const std::string& where, const std::string& found) {
+[[noreturn]] void fail_broken_zip(const std::string& where, const std::string& found) {
   fail({where, "a whole zip file", found, "download or write the file again"});
 }
 
 // A position inside the file from which `size` bytes can be read.
 const uint8_t* at(ByteView file, uint64_t offset, uint64_t size, const std::string& where, const char* what) {
   if (offset > file.size || size > file.size - offset) {
-    fail_broken(where, std::string(what) + " beyond the end of the file");
+    fail_broken_zip(where, std::string(what) + " beyond the end of the file");
   }
   return file.data + offset;
 }
@@ -61,12 +61,12 @@ struct Directory {
 };
 
 Directory find_directory(ByteView file, const std::string& where) {
-  if (file.size < kEndSize) fail_broken(where, "only " + std::to_string(file.size) + " bytes");
+  if (file.size < kEndSize) fail_broken_zip(where, "only " + std::to_string(file.size) + " bytes");
   const size_t last = file.size - kEndSize;
   const size_t first = last > kLongestComment ? last - kLongestComment : 0;
   size_t end = last;
   while (load<uint32_t>(file.data + end) != kEndSignature) {
-    if (end == first) fail_broken(where, "no directory at its end");
+    if (end == first) fail_broken_zip(where, "no directory at its end");
     --end;
   }
   Directory directory;
@@ -76,14 +76,14 @@ Directory find_directory(ByteView file, const std::string& where) {
   if (end >= kLocator64Size && load<uint32_t>(file.data + end - kLocator64Size) == kLocator64Signature) {
     const auto position = load<uint64_t>(file.data + end - kLocator64Size + 8);
     const uint8_t* end64 = at(file, position, kEnd64Size, where, "a zip64 directory end");
-    if (load<uint32_t>(end64) != kEnd64Signature) fail_broken(where, "a broken zip64 directory end");
+    if (load<uint32_t>(end64) != kEnd64Signature) fail_broken_zip(where, "a broken zip64 directory end");
     directory.entries = load<uint64_t>(end64 + 32);
     directory.size = load<uint64_t>(end64 + 40);
     directory.offset = load<uint64_t>(end64 + 48);
   }
   at(file, directory.offset, directory.size, where, "a directory");
   if (directory.entries > directory.size / kDirectorySize)
-    fail_broken(where, "more entries than its directory holds");
+    fail_broken_zip(where, "more entries than its directory holds");
   return directory;
 }
 
@@ -101,12 +101,12 @@ void apply_zip64(Record& record, const uint8_t* extra, size_t size, const std::s
     const auto tag = load<uint16_t>(extra + position);
     const size_t length = load<uint16_t>(extra + position + 2);
     position += 4;
-    if (length > size - position) fail_broken(where, "a broken extra field");
+    if (length > size - position) fail_broken_zip(where, "a broken extra field");
     if (tag == 1) {
       size_t used = 0;
       for (uint64_t* value : {&record.entry.size, &record.packed_size, &record.local_offset}) {
         if (*value != kIn64) continue;
-        if (length - used < 8) fail_broken(where, "a broken zip64 field");
+        if (length - used < 8) fail_broken_zip(where, "a broken zip64 field");
         *value = load<uint64_t>(extra + position + used);
         used += 8;
       }
@@ -119,11 +119,11 @@ void apply_zip64(Record& record, const uint8_t* extra, size_t size, const std::s
 Record read_record(ByteView file, const uint8_t* header, size_t available, size_t& length,
                    const std::string& where) {
   if (available < kDirectorySize || load<uint32_t>(header) != kDirectorySignature) {
-    fail_broken(where, "a broken directory");
+    fail_broken_zip(where, "a broken directory");
   }
   const size_t name_size = load<uint16_t>(header + 28), extra_size = load<uint16_t>(header + 30);
   length = kDirectorySize + name_size + extra_size + load<uint16_t>(header + 32);
-  if (length > available) fail_broken(where, "a broken directory");
+  if (length > available) fail_broken_zip(where, "a broken directory");
   Record record;
   record.entry.name.assign(reinterpret_cast<const char*>(header + kDirectorySize), name_size);
   const std::string entry_where = where + ": entry " + printable_name(record.entry.name);
@@ -143,19 +143,19 @@ Record read_record(ByteView file, const uint8_t* header, size_t available, size_
 
   const uint8_t* local = at(file, record.local_offset, kLocalSize, entry_where, "a header");
   if (load<uint32_t>(local) != kLocalSignature)
-    fail_broken(entry_where, "no entry header where the directory points");
+    fail_broken_zip(entry_where, "no entry header where the directory points");
   const uint64_t data =
       record.local_offset + kLocalSize + load<uint16_t>(local + 26) + load<uint16_t>(local + 28);
   record.entry.packed = {at(file, data, record.packed_size, entry_where, "data"),
                          static_cast<size_t>(record.packed_size)};
   record.end = data + record.packed_size;
   if (record.entry.method == ZipMethod::kStored && record.entry.size != record.packed_size) {
-    fail_broken(entry_where, "a stored entry of two sizes");
+    fail_broken_zip(entry_where, "a stored entry of two sizes");
   }
   if (record.entry.method == ZipMethod::kDeflated &&
       record.entry.size / kLargestDeflateRatio > record.packed_size) {
-    fail_broken(entry_where,
-                "a size that its " + std::to_string(record.packed_size) + " packed bytes cannot give");
+    fail_broken_zip(entry_where,
+                    "a size that its " + std::to_string(record.packed_size) + " packed bytes cannot give");
   }
   return record;
 }
@@ -174,7 +174,7 @@ std::vector<uint8_t> inflate_entry(const ZipEntry& entry, const std::string& whe
   int status = Z_OK;
   while (status == Z_OK) {
     if (produced == bytes.size()) {
-      if (produced > entry.size) fail_broken(where, "more data than the entry's size");
+      if (produced > entry.size) fail_broken_zip(where, "more data than the entry's size");
       // One byte more than announced, so that an entry that is longer than it says is noticed.
       const uint64_t grown = std::max<uint64_t>(kFirstChunk, 2 * static_cast<uint64_t>(bytes.size()));
       bytes.resize(static_cast<size_t>(std::min(grown, entry.size + 1)));
@@ -189,7 +189,7 @@ std::vector<uint8_t> inflate_entry(const ZipEntry& entry, const std::string& whe
     consumed += before_in - stream.avail_in;
     produced += before_out - stream.avail_out;
   }
-  if (status != Z_STREAM_END || produced != entry.size) fail_broken(where, "broken compressed data");
+  if (status != Z_STREAM_END || produced != entry.size) fail_broken_zip(where, "broken compressed data");
   bytes.resize(produced);
   return bytes;
 }
@@ -243,8 +243,8 @@ std::shared_ptr<const ZipArchive> ZipArchive::parse(ByteView file, const std::st
             [](const Record& a, const Record& b) { return a.local_offset < b.local_offset; });
   for (size_t index = 1; index < records.size(); ++index) {
     if (records[index].local_offset < records[index - 1].end) {
-      fail_broken(where + ": entry " + printable_name(records[index].entry.name),
-                  "an overlap with another entry");
+      fail_broken_zip(where + ": entry " + printable_name(records[index].entry.name),
+                      "an overlap with another entry");
     }
   }
   std::shared_ptr<ZipArchive> archive(new ZipArchive);
@@ -254,7 +254,7 @@ std::shared_ptr<const ZipArchive> ZipArchive::parse(ByteView file, const std::st
             [](const ZipEntry& a, const ZipEntry& b) { return a.name < b.name; });
   for (size_t index = 1; index < archive->entries_.size(); ++index) {
     if (archive->entries_[index].name == archive->entries_[index - 1].name) {
-      fail_broken(where + ": entry " + printable_name(archive->entries_[index].name), "the name twice");
+      fail_broken_zip(where + ": entry " + printable_name(archive->entries_[index].name), "the name twice");
     }
   }
   return archive;
@@ -275,7 +275,7 @@ std::vector<uint8_t> ZipArchive::read(const ZipEntry& entry) const {
   } else {
     bytes = inflate_entry(entry, where);
   }
-  if (checksum_of(bytes.data(), bytes.size()) != entry.checksum) fail_broken(where, "a wrong checksum");
+  if (checksum_of(bytes.data(), bytes.size()) != entry.checksum) fail_broken_zip(where, "a wrong checksum");
   return bytes;
 }
 

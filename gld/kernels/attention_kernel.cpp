@@ -159,7 +159,7 @@ void clear_tail(float* row, int64_t head_dim, int64_t stride) {
   std::fill(row + head_dim, row + stride, 0.0f);
 }
 
-void check(const AttentionForward& arrays, const KernelSettings& settings) {
+void check_attention(const AttentionForward& arrays, const KernelSettings& settings) {
   const AttentionShape& shape = arrays.shape;
   if (shape.head_dim < 1 || shape.head_dim > 256 || shape.queries < 0 || shape.keys < 0 ||
       settings.threads < 1) {
@@ -254,14 +254,14 @@ double attention_forward_flops(const AttentionShape& shape) {
 double attention_backward_flops(const AttentionShape& shape) { return 2.5 * attention_forward_flops(shape); }
 
 int64_t attention_forward_scratch_bytes(const AttentionForward& arrays, const KernelSettings& settings) {
-  check(arrays, settings);
+  check_attention(arrays, settings);
   const ForwardPlan plan = plan_forward(arrays, kernel_table(settings.instruction_set), settings.threads);
   return static_cast<int64_t>(sizeof(float)) *
          (2 * plan.heads_at_once * plan.head_floats + settings.threads * plan.thread_floats);
 }
 
 void attention_forward(const AttentionForward& arrays, const KernelSettings& settings) {
-  check(arrays, settings);
+  check_attention(arrays, settings);
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const AttentionShape& shape = arrays.shape;
   const ForwardPlan plan = plan_forward(arrays, kernels, settings.threads);
@@ -335,7 +335,7 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
 
 void attention_backward(const AttentionBackward& arrays, const KernelSettings& settings) {
   const AttentionForward& forward = arrays.forward;
-  check(forward, settings);
+  check_attention(forward, settings);
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const AttentionShape& shape = forward.shape;
   const Encoder encoder(forward, kernels);

@@ -34,7 +34,7 @@ int64_t share(int64_t count, int64_t most, int64_t step) {
   return (equal + step - 1) / step * step;
 }
 
-void check(const LinearProduct& product, const KernelSettings& settings) {
+void check_product(const LinearProduct& product, const KernelSettings& settings) {
   if (product.rows >= 0 && product.inputs >= 1 && product.outputs >= 1 && settings.threads >= 1 &&
       product.x_stride >= product.inputs && product.weight_stride >= product.inputs &&
       product.y_stride >= product.outputs) {
@@ -103,7 +103,7 @@ void pack_columns(const LinearProduct& product, const KernelTable& kernels, int6
 }  // namespace
 
 void linear_product(const LinearProduct& product, const KernelSettings& settings) {
-  check(product, settings);
+  check_product(product, settings);
   if (product.rows == 0) return;
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const Plan plan = make_plan(product, kernels, settings);

@@ -169,13 +169,13 @@ double relative_error(const torch::Tensor& found, const torch::Tensor& index, co
   return ((rows - expected).abs().max() / expected.abs().max()).item<double>();
 }
 
-struct Samples {
+struct AttentionTimes {
   std::vector<double> seconds;
   std::vector<double> fractions;
 };
 
 AttentionBenchmarkRow row_from(const Problem& problem, const Variant& variant, AttentionPass pass,
-                               const Samples& samples) {
+                               const AttentionTimes& samples) {
   AttentionBenchmarkRow row;
   row.pass = pass;
   row.head_dim = problem.shape.head_dim;
@@ -195,7 +195,7 @@ void measure(const Problem& problem, int64_t repeats, std::vector<AttentionBench
   ComposedVariant composed(problem);
   KernelVariant portable("portable", problem, InstructionSet::kPortable);
   const std::vector<Variant*> variants = {&ours, &composed, &portable};
-  std::vector<Samples> forward(variants.size()), backward(variants.size());
+  std::vector<AttentionTimes> forward(variants.size()), backward(variants.size());
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   // The first round warms up memory and clock.
@@ -264,7 +264,7 @@ Figure attention_figure(const std::vector<AttentionBenchmarkRow>& rows) {
   return figure;
 }
 
-Table overview(const std::vector<AttentionBenchmarkRow>& rows) {
+Table attention_overview(const std::vector<AttentionBenchmarkRow>& rows) {
   Table table({"pass", "head_dim", "tokens", "threads", "variant", "seconds", "lowest", "highest",
                "fraction_of_peak", "relative_error"});
   for (const auto& row : rows) {
@@ -339,7 +339,7 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
       "\n"
       "{}",
       instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_name(),
-      sgemm * 1e-9, overview(rows).markdown());
+      sgemm * 1e-9, attention_overview(rows).markdown());
   BenchmarkResults results;
   results.text = text;
   results.files = {

@@ -17,7 +17,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kHeadDim = 48;
+constexpr int64_t kPropeHeadDim = 48;
 constexpr int64_t kPixels = 28;  // a side; a token grid of 2 x 2
 
 // Views on an arc of that radius around `centre`, looking at a point in front of it.
@@ -42,13 +42,14 @@ Views ordinary_views() { return arc_of_views(8, 4, 1, Eigen::Vector3d::Zero()); 
 PropeTables tables_of(const RelativeCameras& cameras, PropeInverse inverse, torch::Dtype dtype) {
   PropeLayout layout;
   layout.grid = {cameras.views.size(), 2, 2};
-  layout.head_dim = kHeadDim;
+  layout.head_dim = kPropeHeadDim;
   layout.inverse = inverse;
   return make_prope_tables(cameras, layout, PropeCameras::kScene, dtype);
 }
 
 torch::Tensor random_tokens(int64_t views, uint64_t seed) {
-  return torch::randn({1, views * 4, 3, kHeadDim}, at::detail::createCPUGenerator(seed), torch::kFloat64);
+  return torch::randn({1, views * 4, 3, kPropeHeadDim}, at::detail::createCPUGenerator(seed),
+                      torch::kFloat64);
 }
 
 // Logits of all token pairs, in double from encodings in dtype.
@@ -56,10 +57,10 @@ torch::Tensor logits(const Views& views, torch::Dtype dtype) {
   const auto tables = tables_of(relative_cameras(views), PropeInverse::kTrue, dtype);
   const auto query = encode_query(tables, random_tokens(views.size(), 1).to(dtype)).to(torch::kFloat64);
   const auto key = encode_key_value(tables, random_tokens(views.size(), 2).to(dtype)).to(torch::kFloat64);
-  return torch::einsum("bqhc,bkhc->bhqk", {query, key}) / std::sqrt(static_cast<double>(kHeadDim));
+  return torch::einsum("bqhc,bkhc->bhqk", {query, key}) / std::sqrt(static_cast<double>(kPropeHeadDim));
 }
 
-double largest(const torch::Tensor& x) { return x.abs().max().item<double>(); }
+double largest_camera_error(const torch::Tensor& x) { return x.abs().max().item<double>(); }
 
 // How many numbers of the conditioning and the PRoPE tables are not finite.
 double non_finite_numbers(const Views& views) {
@@ -72,16 +73,6 @@ double non_finite_numbers(const Views& views) {
     }
   }
   return count;
-}
-
-// 0 when the action ends with an Error, as it should.
-double accepted(const std::function<void()>& action) {
-  try {
-    action();
-  } catch (const Error&) {
-    return 0;
-  }
-  return 1;
 }
 
 // How far P P^-1 is from the identity, relative to the sizes of the two, for the true inverse in float32.
@@ -108,8 +99,9 @@ void add_offsets_and_scales(std::vector<ExtremeRow>& rows) {
   const auto exact = logits(ordinary_views(), torch::kFloat64);
   for (const double offset : {0.0, 1e2, 1e3, 1e6}) {
     const auto moved = arc_of_views(8, 4, 1, offset * Eigen::Vector3d(1, -0.5, 0.25));
-    rows.push_back({"cameras", fmt::format("world offset {:g}", offset), "relative change of fp32 logits",
-                    largest(logits(moved, torch::kFloat32) - exact) / largest(exact), 1e-6});
+    rows.push_back(
+        {"cameras", fmt::format("world offset {:g}", offset), "relative change of fp32 logits",
+         largest_camera_error(logits(moved, torch::kFloat32) - exact) / largest_camera_error(exact), 1e-6});
   }
   for (const double scale : {1e-8, 1e-4, 1e4, 1e8}) {
     const auto views = arc_of_views(8, 4, scale, Eigen::Vector3d::Zero());
@@ -152,7 +144,7 @@ void add_intrinsics(std::vector<ExtremeRow>& rows) {
       {"cameras", "principal point outside, fx = 2 fy", "non-finite numbers", non_finite_numbers(views), 0});
   const auto directions = camera_conditioning(relative_cameras(views), {}).slice(1, 1, 4).to(torch::kFloat64);
   rows.push_back({"cameras", "principal point outside, fx = 2 fy", "| |d| - 1 |",
-                  largest(directions.norm(2, 1) - 1), 1e-6});
+                  largest_camera_error(directions.norm(2, 1) - 1), 1e-6});
 }
 
 void add_refusals_and_counts(std::vector<ExtremeRow>& rows) {

@@ -20,7 +20,7 @@
 namespace gld {
 namespace {
 
-constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kNoDepth = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // A DPT head with random weights whose exponentials are driven to their ends by the biases of its last layers.
@@ -95,8 +95,8 @@ void add_clouds(std::vector<ExtremeRow>& rows, const std::filesystem::path& fold
   keep_all.confidence_quantile = 0;
   keep_all.far_limit = 0;
   keep_all.edge_step = 1e6;
-  const std::vector<float> depths{kNan, kInfinity, -kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
-  const std::vector<float> confidences{kNan, kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
+  const std::vector<float> depths{kNoDepth, kInfinity, -kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
+  const std::vector<float> confidences{kNoDepth, kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
   for (const double scale : {1e-30, 1.0, 1e30}) {
     auto view = extreme_view(depths, confidences);
     for (const double offset : {0.0, 1e6}) {

@@ -19,16 +19,6 @@
 namespace gld {
 namespace {
 
-// 0 when the action ends with an Error, as it should.
-double accepted(const std::function<void()>& action) {
-  try {
-    action();
-  } catch (const Error&) {
-    return 0;
-  }
-  return 1;
-}
-
 // Largest difference of a picture's pixels from one colour.
 double largest_difference(const Image& image, const std::array<int, 3>& colour) {
   int largest = image.empty() ? 255 : 0;

@@ -18,7 +18,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kHeadDim = 64;
+constexpr int64_t kLogitHeadDim = 64;
 // Half a unit in the last place of float32: a logit of size L is itself rounded by L times this.
 constexpr double kRounding = 0x1p-24;
 
@@ -36,11 +36,11 @@ AttentionInputs inputs_with_logits(double size, int64_t tokens) {
   AttentionInputs inputs;
   // Values on a coarse grid, so that scalar products are exact and what is measured is the softmax.
   const auto coarse = [](const torch::Tensor& x) { return torch::round(x * 8) / 8; };
-  inputs.query = coarse(random({1, tokens, 2, kHeadDim}, 1));
-  inputs.key = coarse(random({1, tokens, 2, kHeadDim}, 2));
-  inputs.value = random({1, tokens, 2, kHeadDim}, 3);
+  inputs.query = coarse(random({1, tokens, 2, kLogitHeadDim}, 1));
+  inputs.key = coarse(random({1, tokens, 2, kLogitHeadDim}, 2));
+  inputs.value = random({1, tokens, 2, kLogitHeadDim}, 3);
   const auto logits =
-      torch::einsum("bqhc,bkhc->bhqk", {inputs.query, inputs.key}) / std::sqrt(double{kHeadDim});
+      torch::einsum("bqhc,bkhc->bhqk", {inputs.query, inputs.key}) / std::sqrt(double{kLogitHeadDim});
   const double factor = size > 0 ? std::exp2(std::floor(std::log2(size / largest(logits)))) : 0;
   inputs.query = inputs.query * factor;
   return inputs;

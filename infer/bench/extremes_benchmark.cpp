@@ -3,6 +3,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/report/benchmark_results.h"
+#include "gld/base/error.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
@@ -18,6 +19,14 @@ void ExtremesBenchmarkOptions::visit(FieldVisitor& visitor) {
 }
 
 void ExtremesBenchmarkOptions::check() const { check_out(out, "runs/bench"); }
+double accepted(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const Error&) {
+    return 0;
+  }
+  return 1;
+}
 
 Table extremes_table(const std::vector<ExtremeRow>& rows) {
   Table table({"area", "situation", "measured", "value", "limit", "passed"});

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -41,6 +42,9 @@ std::vector<ExtremeRow> depth_extremes(const std::filesystem::path& folder);
 std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder);
 // All of them; camera_sets random sets of cameras. What is written into the folder is removed again.
 std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem::path& folder);
+
+// 0 when the action ends with an Error, as it should, else 1.
+double accepted(const std::function<void()>& action);
 
 Table extremes_table(const std::vector<ExtremeRow>& rows);
 

@@ -110,7 +110,7 @@ Evaluation evaluate(const Setting& setting, const Model& model) {
 }
 
 // The repeats of one variant.
-struct Samples {
+struct ForwardTimes {
   std::string variant;
   std::vector<Evaluation> evaluations;
 };
@@ -138,7 +138,7 @@ std::vector<Part> parts_of(const Setting& setting) {
            [](const Evaluation& e) { return e.encoder_seconds + e.decoder_seconds; }, velocity}};
 }
 
-ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Samples& reference) {
+ForwardBenchmarkRow row_from(const Part& part, const ForwardTimes& samples, const ForwardTimes& reference) {
   std::vector<double> seconds, fractions;
   for (const auto& evaluation : samples.evaluations) {
     seconds.push_back(part.seconds(evaluation));
@@ -158,7 +158,7 @@ ForwardBenchmarkRow row_from(const Part& part, const Samples& samples, const Sam
   return row;
 }
 
-Table overview(const std::vector<ForwardBenchmarkRow>& rows) {
+Table forward_overview(const std::vector<ForwardBenchmarkRow>& rows) {
   Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
                "relative_difference"});
   for (const auto& row : rows) {
@@ -206,9 +206,9 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
   const torch::NoGradGuard no_grad;
   const Setting setting = make_setting(options);
   const ComposedDit composed(*setting.model);
-  Samples ours = {"ours", {}}, plain = {"composed", {}};
+  ForwardTimes ours = {"ours", {}}, plain = {"composed", {}};
   Progress progress("bench forward", 2 * options.repeats);
-  const auto sample = [&](Samples& samples, Evaluation evaluation) {
+  const auto sample = [&](ForwardTimes& samples, Evaluation evaluation) {
     samples.evaluations.push_back(std::move(evaluation));
     progress.update(static_cast<int64_t>(ours.evaluations.size() + plain.evaluations.size()),
                     samples.variant);
@@ -260,7 +260,7 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
       "\n"
       "{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
-      overview(rows).markdown());
+      forward_overview(rows).markdown());
   BenchmarkResults results;
   results.text = text;
   results.files = {{"forward.csv", forward_benchmark_table(rows).csv()}, {"forward.md", text}};

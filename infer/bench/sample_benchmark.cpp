@@ -31,7 +31,7 @@ namespace gld {
 namespace {
 
 constexpr int64_t kReferenceEvaluations = 20000;
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 const std::string kEverywhere = "everywhere";
 
 // What means over scenes are taken of.
@@ -130,7 +130,7 @@ class SceneSampler {
     row.count = variant.solver.evaluations;
     row.guidance_scale = variant.guidance.guidance_scale;
     row.guidance = guidance_text(variant.guidance);
-    row.level1_error = row.level0_error = kNan;
+    row.level1_error = row.level0_error = kNotMeasured;
     StageRecords stages;
     try {
       result = run_pipeline(models_.models, request_, stages);
@@ -323,7 +323,7 @@ std::vector<SamplingVariant> sampling_variants(const std::vector<int64_t>& count
 
 double SampleRow::quality_of(const std::string& metric) const {
   const auto found = quality.find(metric);
-  return found == quality.end() ? kNan : found->second;
+  return found == quality.end() ? kNotMeasured : found->second;
 }
 
 std::string SampleRow::variant() const {

@@ -21,7 +21,6 @@
 namespace gld {
 namespace {
 
-constexpr const char* kSharedMixture = "../shared/problems/mixture.safetensors";
 constexpr int64_t kPublishedEvaluations = 49;
 
 const std::vector<ScheduleKind>& swept_schedules() {
@@ -39,20 +38,6 @@ GuidanceOptions guidance_of(const FlowProblem& problem) {
 
 double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-FlowProblem main_problem(const SolverBenchmarkOptions& options) {
-  std::error_code error;
-  if (!options.problem.empty()) return read_flow_problem(options.problem, "mixture");
-  if (std::filesystem::exists(kSharedMixture, error)) return read_flow_problem(kSharedMixture, "mixture");
-  RandomMixtureOptions random;
-  random.dimensions = 48;
-  random.components = 8;
-  random.conditional_components = 3;
-  random.samples = 192;
-  auto problem = random_mixture_problem(random);
-  problem.name = "mixture";
-  return problem;
 }
 
 // Mixtures on which the grid's rule was not fitted.
@@ -202,8 +187,7 @@ std::string report_text(const std::vector<SolverRow>& rows, const std::vector<So
 
 void SolverBenchmarkOptions::visit(FieldVisitor& visitor) {
   visit_out(visitor, out);
-  visitor.text({"problem", "problem file (safetensors); default: the shared mixture, or a generated one"},
-               problem);
+  visitor.text({"problem", "problem file (safetensors); empty: the built-in mixture"}, problem);
   visitor.integers({"counts", "function evaluations to try"}, counts, {1, 100000});
   visitor.reals({"tolerances", "tolerances of the adaptive solvers to try"}, tolerances, {1e-14, 1});
   visitor.real({"shift", "time shift of the schedules published and shifted"}, shift, {1, 1e6});
@@ -213,6 +197,18 @@ void SolverBenchmarkOptions::check() const {
   if (counts.empty())
     fail({"counts", "at least one number of evaluations", "none", "write for example [6, 12]"});
   check_out(out, "runs/bench");
+}
+
+FlowProblem benchmark_problem(const SolverBenchmarkOptions& options) {
+  if (!options.problem.empty()) return read_flow_problem(options.problem, "mixture");
+  RandomMixtureOptions random;
+  random.dimensions = 48;
+  random.components = 8;
+  random.conditional_components = 3;
+  random.samples = 192;
+  auto problem = random_mixture_problem(random);
+  problem.name = "mixture";
+  return problem;
 }
 
 SolverRow solve_problem(const FlowProblem& problem, const SolverOptions& options) {
@@ -289,7 +285,7 @@ int run_solver_benchmark(const SolverBenchmarkOptions& options) {
   const at::NoGradGuard no_grad;
   RunFolder folder(options.out, "bench solvers", options);
   const auto start = std::chrono::steady_clock::now();
-  const auto mixture = main_problem(options);
+  const auto mixture = benchmark_problem(options);
   std::vector<FlowProblem> problems{mixture};
   SingleGaussianOptions gaussian;
   for (const double width : {1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6}) {

@@ -16,8 +16,8 @@ namespace gld {
 // gld bench solvers: error against evaluations and time on flows whose solution is known.
 struct SolverBenchmarkOptions : OptionsGroup {
   std::string out;
-  // A problem file (gld/flow/problems/exact_flows.h); its rows are named "mixture" whatever the file is called. Empty: the shared
-  // mixture where it lies beside the project, else a generated one.
+  // A problem file (gld/flow/problems/exact_flows.h); its rows are named "mixture" whatever the file is called. Empty: the
+  // built-in mixture of 48 dimensions, solved to 1e-9 before the sweep.
   std::string problem;
   std::vector<int64_t> counts{4, 6, 8, 12, 16, 20, 32, 49};
   std::vector<double> tolerances{1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};
@@ -41,6 +41,9 @@ struct SolverRow {
   int64_t non_finite = 0;  // 1 where it stopped at a value that was not finite
   int64_t budget = 0;      // the evaluations asked for; 0 for adaptive solvers (not in the CSV)
 };
+
+// The problem that the options name: the file's, or the built-in one.
+FlowProblem benchmark_problem(const SolverBenchmarkOptions& options);
 
 // Solves a problem with its guidance.
 SolverRow solve_problem(const FlowProblem& problem, const SolverOptions& options);

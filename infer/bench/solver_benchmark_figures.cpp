@@ -13,7 +13,7 @@ using Points = std::vector<std::pair<double, double>>;
 using Coordinate = std::function<double(const SolverRow&)>;
 
 double evaluations_of(const SolverRow& row) { return static_cast<double>(row.evaluations); }
-double seconds_of(const SolverRow& row) { return row.seconds; }
+double solve_seconds(const SolverRow& row) { return row.seconds; }
 
 // In the order of the rows: by evaluations, or by tolerance.
 Points points_of(const std::vector<SolverRow>& rows, const Coordinate& x,
@@ -70,7 +70,7 @@ Figure work_precision_figure(const std::vector<SolverRow>& all_rows) {
   figure.title = "Gaussian mixture: solvers on the log-SNR grid";
   figure.height = 480;
   figure.panels = {work_precision_panel(rows, "function evaluations", evaluations_of),
-                   work_precision_panel(rows, "seconds", seconds_of)};
+                   work_precision_panel(rows, "seconds", solve_seconds)};
   auto& by_evaluations = figure.panels[0];
   by_evaluations.x.low = 3.5;
   by_evaluations.x.high = 1000;

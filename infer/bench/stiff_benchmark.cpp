@@ -37,7 +37,7 @@ std::string solver_label(const StiffRow& row) {
 }
 
 // One line a problem, one column a solver: the evaluations of a finished solve with its error, or a dash.
-std::string overview(const std::vector<StiffRow>& rows) {
+std::string stiff_overview(const std::vector<StiffRow>& rows) {
   std::vector<std::string> labels, problems;
   for (const auto& row : rows) {
     if (std::find(labels.begin(), labels.end(), solver_label(row)) == labels.end())
@@ -175,11 +175,11 @@ int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
       "Function evaluations (RMS error) of the solves that finished, by solver and tolerance; "
       "a dash is a failure, whose reason is in the second table.\n"
       "\n" +
-      overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
+      stiff_overview(rows) + "\n## Every solve\n\n" + stiff_table(rows).markdown();
   const auto finished =
       std::count_if(rows.begin(), rows.end(), [](const StiffRow& row) { return row.finished; });
   BenchmarkResults results;
-  results.text = overview(rows);
+  results.text = stiff_overview(rows);
   results.files = {{"stiff.csv", stiff_table(rows).csv()}, {"stiff.md", text}};
   results.figures = {{"stiff", stiff_figure(rows)}};
   results.report = {

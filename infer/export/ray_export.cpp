@@ -13,10 +13,6 @@
 namespace gld {
 namespace {
 
-std::string size_text(int64_t width, int64_t height) {
-  return std::to_string(width) + "x" + std::to_string(height);
-}
-
 bool all_finite(const float* values, int count) {
   return std::all_of(values, values + count, [](float value) { return std::isfinite(value); });
 }

@@ -13,11 +13,10 @@
 #include <torch/autograd.h>
 
 namespace gld {
-namespace {
 
-class DinoBlock : public torch::nn::Module {
+class FrozenDinoBlock : public torch::nn::Module {
  public:
-  DinoBlock(const DinoDiscriminatorOptions& options, const ParameterPlacement& placement)
+  FrozenDinoBlock(const DinoDiscriminatorOptions& options, const ParameterPlacement& placement)
       : num_heads_(options.num_heads) {
     const int64_t channels = options.embed_dim;
     const auto hidden = static_cast<int64_t>(std::lround(static_cast<double>(channels) * options.mlp_ratio));
@@ -60,9 +59,9 @@ class DinoBlock : public torch::nn::Module {
 };
 
 // Statistics of one sample: each channel over its tokens, then a learned scale and shift.
-class TokenNorm : public torch::nn::Module {
+class DinoHeadNorm : public torch::nn::Module {
  public:
-  TokenNorm(int64_t channels, const ParameterPlacement& placement) {
+  DinoHeadNorm(int64_t channels, const ParameterPlacement& placement) {
     weight_ = register_parameter("weight", torch::empty({channels}, placement.options()));
     bias_ = register_parameter("bias", torch::empty({channels}, placement.options()));
   }
@@ -83,15 +82,15 @@ class TokenNorm : public torch::nn::Module {
 };
 
 // Convolution along the tokens, norm, leaky ReLU; children "0" and "1".
-class HeadBlock : public torch::nn::Module {
+class DinoHeadBlock : public torch::nn::Module {
  public:
-  HeadBlock(int64_t channels, int64_t kernel, const ParameterPlacement& placement) {
+  DinoHeadBlock(int64_t channels, int64_t kernel, const ParameterPlacement& placement) {
     SpectralConvolutionSizes sizes;
     sizes.in_channels = sizes.out_channels = channels;
     sizes.kernel = {kernel};
     sizes.padding = ConvolutionPadding::kCircular;
     convolution_ = register_module("0", std::make_shared<SpectralConvolution>(sizes, placement));
-    norm_ = register_module("1", std::make_shared<TokenNorm>(channels, placement));
+    norm_ = register_module("1", std::make_shared<DinoHeadNorm>(channels, placement));
   }
   torch::Tensor forward(const torch::Tensor& x) {
     return torch::leaky_relu(norm_->forward(convolution_->forward(x)), 0.2);
@@ -103,10 +102,8 @@ class HeadBlock : public torch::nn::Module {
 
  private:
   std::shared_ptr<SpectralConvolution> convolution_;
-  std::shared_ptr<TokenNorm> norm_;
+  std::shared_ptr<DinoHeadNorm> norm_;
 };
-
-}  // namespace
 
 class FrozenDino : public torch::nn::Module {
  public:
@@ -123,7 +120,7 @@ class FrozenDino : public torch::nn::Module {
     auto blocks = register_module("blocks", std::make_shared<torch::nn::Module>());
     for (int64_t i = 0; i < options.depth; ++i) {
       blocks_.push_back(
-          blocks->register_module(std::to_string(i), std::make_shared<DinoBlock>(options, placement)));
+          blocks->register_module(std::to_string(i), std::make_shared<FrozenDinoBlock>(options, placement)));
     }
     norm_ = register_module("norm", std::make_shared<LayerNorm>(options.embed_dim, 1e-6, placement));
   }
@@ -160,7 +157,7 @@ class FrozenDino : public torch::nn::Module {
   DinoDiscriminatorOptions options_;
   int64_t grid_ = 0;
   std::shared_ptr<PatchEmbed> patch_embed_;
-  std::vector<std::shared_ptr<DinoBlock>> blocks_;
+  std::vector<std::shared_ptr<FrozenDinoBlock>> blocks_;
   std::shared_ptr<LayerNorm> norm_;  // in the published file; the judged tokens do not pass it
   torch::Tensor class_token_, positions_;
 };
@@ -169,10 +166,10 @@ class FrozenDino : public torch::nn::Module {
 class DinoDiscriminatorHead : public torch::nn::Module {
  public:
   DinoDiscriminatorHead(const DinoDiscriminatorOptions& options, const ParameterPlacement& placement) {
-    first_ = register_module("0", std::make_shared<HeadBlock>(options.embed_dim, 1, placement));
+    first_ = register_module("0", std::make_shared<DinoHeadBlock>(options.embed_dim, 1, placement));
     auto residual = register_module("1", std::make_shared<torch::nn::Module>());
     second_ = residual->register_module(
-        "fn", std::make_shared<HeadBlock>(options.embed_dim, options.kernel_size, placement));
+        "fn", std::make_shared<DinoHeadBlock>(options.embed_dim, options.kernel_size, placement));
     SpectralConvolutionSizes sizes;
     sizes.in_channels = options.embed_dim;
     sizes.out_channels = 1;
@@ -191,7 +188,7 @@ class DinoDiscriminatorHead : public torch::nn::Module {
   }
 
  private:
-  std::shared_ptr<HeadBlock> first_, second_;
+  std::shared_ptr<DinoHeadBlock> first_, second_;
   std::shared_ptr<SpectralConvolution> last_;
 };
 

@@ -1,7 +1,7 @@
 #include "cli/command.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <stdexcept>
 

@@ -1,6 +1,6 @@
 #include "cli/verify_command.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -23,27 +23,30 @@ Outcome run_verify(const std::vector<std::string>& arguments) {
   return outcome;
 }
 
-std::string golden(const std::string& name) { return (test::shared_data() / "goldens" / name).string(); }
+std::string reference_case(const std::string& name) {
+  return (test::test_data() / "reference_cases" / name).string();
+}
 
 TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
-  const auto good = run_verify({golden("metrics_image_depth"), golden("rgb_decoder")});
+  const auto good = run_verify({reference_case("metrics_image_depth"), reference_case("rgb_decoder")});
   EXPECT_EQ(good.status, 0);
   EXPECT_NE(good.output.find("2 of 2 cases pass\n"), std::string::npos) << good.output;
   EXPECT_NE(good.output.find("  pass  psnr "), std::string::npos) << good.output;
 
   // A folder that is no case fails with its sentence and does not stop the next.
-  const auto mixed = run_verify({golden("no_such_case"), golden("metrics_image_depth")});
+  const auto mixed = run_verify({reference_case("no_such_case"), reference_case("metrics_image_depth")});
   EXPECT_EQ(mixed.status, 1);
-  EXPECT_NE(mixed.output.find(golden("no_such_case") +
-                              ": expected a folder with a reference case, found no such folder; "
-                              "give the folder that holds case.json."),
+  EXPECT_NE(mixed.output.find(
+                reference_case("no_such_case") +
+                ": expected a folder with a reference case, found no such folder; give the folder that "
+                "holds case.json."),
             std::string::npos)
       << mixed.output;
   EXPECT_NE(mixed.output.find("1 of 2 cases pass\n"), std::string::npos) << mixed.output;
 }
 
 TEST(VerifyCommand, PrintsOneJsonObject) {
-  const auto outcome = run_verify({golden("metrics_image_depth"), "--json"});
+  const auto outcome = run_verify({reference_case("metrics_image_depth"), "--json"});
   EXPECT_EQ(outcome.status, 0);
   const auto report = nlohmann::json::parse(outcome.output);
   EXPECT_TRUE(report.at("passed").get<bool>());

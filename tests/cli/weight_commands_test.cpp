@@ -2,7 +2,8 @@
 #include "cli/inspect_command.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/temporary_folder.h"
 
 #include <string>
 #include <vector>
@@ -47,7 +48,7 @@ TEST(WeightCommands, InspectPrintsLinesOrJson) {
 }
 
 TEST(WeightCommands, InspectSaysInOneSentenceWhatIsWrong) {
-  const std::string text = (test::shared_data() / "scenes/tartanair_hospital/pose_left.txt").string();
+  const std::string text = (test::test_data() / "scenes/tartanair_hospital/pose_left.txt").string();
   const auto outcome = run({"inspect", text});
   EXPECT_EQ(outcome.status, 1);
   EXPECT_EQ(outcome.output, "");
@@ -60,7 +61,7 @@ TEST(WeightCommands, InspectSaysInOneSentenceWhatIsWrong) {
 TEST(WeightCommands, ConvertReports) {
   const test::TemporaryFolder folder;
   const std::string out = folder.path() / "bundle";
-  const std::string level0 = test::shared_data() / "stats/da3/normalization_stats_level0.pt";
+  const std::string level0 = test::test_data() / "stats/da3/normalization_stats_level0.pt";
   const auto outcome = run({"convert", "--statistics-level0", level0, "--out", out, "--precision", "bf16"});
   EXPECT_EQ(outcome.status, 0) << outcome.errors;
   EXPECT_NE(

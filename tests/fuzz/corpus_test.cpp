@@ -2,7 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "tests/fuzz/readers.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <algorithm>
 #include <filesystem>

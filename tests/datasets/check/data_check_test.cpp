@@ -8,7 +8,9 @@
 #include "datasets/scenes/frame_checks.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/real_scenes.h"
+#include "tests/support/temporary_folder.h"
 
 #include <functional>
 #include <map>
@@ -20,7 +22,6 @@
 namespace gld {
 namespace {
 
-using test::shared_data;
 using test::TemporaryFolder;
 using ::testing::HasSubstr;
 using ::testing::StartsWith;
@@ -197,18 +198,7 @@ TEST(DataCheck, NamesOutliersStandstillAndDamage) {
             "check that the files belong together.");
 }
 
-TEST(DataCheck, RealScenesHaveNoMistakes) {
-  const auto scenes = shared_data() / "scenes";
-  for (const char* name : {"gld_layout_5e040cd0758dcc96", "tartanair_hospital", "colmap_lund_door"}) {
-    DataCheckOptions options;
-    options.most_images = 1;
-    options.most_pairs = 2;
-    const DataCheck check = check_scene(SceneLocation{scenes / name, ""}, options);
-    EXPECT_TRUE(check.problems.empty()) << name << ": " << check.problems.front();
-    ASSERT_EQ(check.poses.evidence.size(), 4U) << name;
-    EXPECT_GT(check.poses.evidence[0].agreement, 0.5) << name;
-  }
-}
+TEST(DataCheck, RealScenesHaveNoMistakes) { test::expect_no_mistakes(test::test_data() / "scenes"); }
 
 TEST(DataCheck, WritesReportAndPicture) {
   const TemporaryFolder folder;

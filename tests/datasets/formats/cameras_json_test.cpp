@@ -1,7 +1,8 @@
 #include "datasets/formats/cameras_json.h"
 
 #include "gld/base/atomic_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <limits>
 

@@ -8,7 +8,10 @@
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/real_scenes.h"
+#include "tests/support/temporary_folder.h"
 
 #include <Eigen/Geometry>
 #include <gtest/gtest.h>
@@ -17,57 +20,20 @@ namespace gld {
 namespace {
 
 using test::error_of;
-using test::shared_data;
 using test::TemporaryFolder;
+using test::test_data;
 
 TEST(Colmap, RealTextEqualsBinary) {
-  const auto scenes = shared_data() / "scenes";
-  const ColmapModel text = read_colmap_model(scenes / "colmap_lund_door" / "sparse" / "0", ColmapForm::kText);
-  const ColmapModel binary =
-      read_colmap_model(scenes / "colmap_lund_door_binary" / "sparse" / "0", ColmapForm::kBinary);
-  ASSERT_EQ(text.images.size(), 12U);
-  ASSERT_EQ(binary.images.size(), 12U);
-  ASSERT_EQ(text.points_in_world.size(), 11384U);
-  EXPECT_EQ(text.points_in_world, binary.points_in_world);
-  ASSERT_EQ(text.cameras.size(), binary.cameras.size());
-  for (const auto& [id, camera] : text.cameras) {
-    const ColmapCamera& other = binary.cameras.at(id);
-    EXPECT_EQ(camera.model, other.model);
-    EXPECT_EQ(camera.width, other.width);
-    EXPECT_EQ(camera.height, other.height);
-    EXPECT_EQ(camera.parameters, other.parameters);
-  }
-  for (size_t i = 0; i < 12; ++i) {
-    EXPECT_EQ(text.images[i].name, binary.images[i].name);
-    EXPECT_EQ(text.images[i].translation, binary.images[i].translation);
-    // The text has quaternions of length 1 +- 1e-6, the binary file those of length 1.
-    const FrameRecord a = colmap_record(text, text.images[i], "a.jpg", "text");
-    const FrameRecord b = colmap_record(binary, binary.images[i], "a.jpg", "binary");
-    EXPECT_LT((a.world_from_camera.matrix() - b.world_from_camera.matrix()).cwiseAbs().maxCoeff(), 1e-13);
-  }
+  test::expect_colmap_text_equals_binary(test_data() / "scenes", {3, 600});
 }
 
+// The photographs are copies at half the size that the model was made for.
 TEST(Colmap, TheRealSceneProjectsItsPointsIntoItsImages) {
-  const Scene scene = open_scene(shared_data() / "scenes" / "colmap_lund_door");
-  EXPECT_EQ(scene.format, "colmap");
-  ASSERT_EQ(scene.frames.size(), 12U);
-  EXPECT_EQ(scene.frames[9].name, "DSC_0010");
-  EXPECT_EQ(scene.points_in_world.size(), 11384U);
-  for (const Frame& frame : scene.frames) {
-    EXPECT_EQ(frame.camera.width, 1296);
-    EXPECT_EQ(frame.camera.height, 1936);
-    const Eigen::Isometry3d camera_from_world = frame.camera.camera_from_world();
-    int64_t inside = 0;
-    for (const Eigen::Vector3d& point : scene.points_in_world) {
-      const Eigen::Vector3d in_camera = camera_from_world * point;
-      const Eigen::Vector2d pixel = (frame.camera.intrinsics * in_camera).hnormalized();
-      inside +=
-          in_camera.z() > 0 && pixel.x() > 0 && pixel.y() > 0 && pixel.x() < 1296 && pixel.y() < 1936 ? 1 : 0;
-    }
-    EXPECT_GT(inside, 5000) << frame.name;
-  }
-  const ValidityMask mask = scene.frames[0].validity();
-  EXPECT_EQ(mask.valid[static_cast<size_t>(968 * 1296 + 648)], 1);
+  const Scene scene =
+      test::expect_colmap_points_inside(test_data() / "scenes" / "colmap_lund_door", {3, 600}, 600);
+  EXPECT_EQ(scene.frames[2].name, "DSC_0010");
+  EXPECT_EQ(scene.frames[2].camera.width, 648);
+  EXPECT_EQ(scene.frames[2].camera.height, 968);
 }
 
 class SmallColmap : public ::testing::Test {

@@ -6,7 +6,8 @@
 #include "datasets/images/image_file.h"
 #include "datasets/scenes/lens_distortion.h"
 #include "gld/base/atomic_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 

@@ -4,7 +4,9 @@
 #include "datasets/images/image_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/files/npy.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 
@@ -14,11 +16,11 @@ namespace gld {
 namespace {
 
 using test::error_of;
-using test::shared_data;
 using test::TemporaryFolder;
+using test::test_data;
 
 TEST(NpzReader, ReadsTheRealClip) {
-  const Scene scene = open_scene(shared_data() / "scenes" / "gld_layout_5e040cd0758dcc96");
+  const Scene scene = open_scene(test_data() / "scenes" / "gld_layout_5e040cd0758dcc96");
   EXPECT_EQ(scene.format, "npz");
   ASSERT_EQ(scene.frames.size(), 8U);
   EXPECT_EQ(scene.frames[3].name, "frame_00003");
@@ -39,7 +41,7 @@ TEST(NpzReader, ReadsTheRealClip) {
 
 TEST(NpzReader, TheImageFolderItselfIsAScene) {
   const Scene scene =
-      open_scene(shared_data() / "scenes" / "gld_layout_5e040cd0758dcc96" / "nerfstudio" / "images_4");
+      open_scene(test_data() / "scenes" / "gld_layout_5e040cd0758dcc96" / "nerfstudio" / "images_4");
   EXPECT_EQ(scene.frames.size(), 8U);
 }
 

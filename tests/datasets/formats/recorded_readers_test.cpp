@@ -1,5 +1,4 @@
 // The readers of RealEstate10K, TartanAir and HyperSim on real files with known truth, and on damaged ones.
-#include "datasets/check/depth_warp.h"
 #include "datasets/formats/hdf5_file.h"
 #include "datasets/formats/hypersim_camera.h"
 #include "datasets/formats/hypersim_reader.h"
@@ -10,7 +9,10 @@
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/files/npy.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/real_scenes.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 
@@ -21,8 +23,8 @@ namespace gld {
 namespace {
 
 using test::error_of;
-using test::shared_data;
 using test::TemporaryFolder;
+using test::test_data;
 
 std::string replaced(std::string text, const std::string& from, const std::string& to) {
   const size_t position = text.find(from);
@@ -31,33 +33,7 @@ std::string replaced(std::string text, const std::string& from, const std::strin
 }
 
 TEST(Re10k, TheTextFileEqualsTheNpzPosesOfTheSameClip) {
-  const auto scenes = shared_data() / "scenes";
-  const auto rows = read_re10k_rows(scenes / "re10k" / "5e040cd0758dcc96.txt");
-  ASSERT_GE(rows.size(), 8U);  // the clip's 153 rows, or those of its 8 frames
-  const Scene clip = open_scene(scenes / "gld_layout_5e040cd0758dcc96");
-
-  // The reader proper, with the clip's images under the names that the text file gives them.
-  const TemporaryFolder folder;
-  std::filesystem::create_directories(folder.path() / "5e040cd0758dcc96");
-  std::filesystem::copy_file(scenes / "re10k" / "5e040cd0758dcc96.txt",
-                             folder.path() / "5e040cd0758dcc96.txt");
-  for (size_t k = 0; k < 8; ++k) {
-    const auto row = static_cast<size_t>(std::floor(static_cast<double>((rows.size() - 1) * k) / 7.0));
-    std::filesystem::copy_file(clip.frames[k].image_file, folder.path() / "5e040cd0758dcc96" /
-                                                              (std::to_string(rows[row].time) + ".png"));
-  }
-  const Scene read = open_scene(folder.path());
-  EXPECT_EQ(read.format, "re10k");
-  EXPECT_EQ(read.missing_files, static_cast<int64_t>(rows.size()) - 8);
-  ASSERT_EQ(read.frames.size(), 8U);
-  for (size_t k = 0; k < 8; ++k) {
-    const Camera& text = read.frames[k].camera;
-    const Camera& npz = clip.frames[k].camera;
-    EXPECT_LT((text.world_from_camera.matrix() - npz.world_from_camera.matrix()).cwiseAbs().maxCoeff(), 1e-6)
-        << k;
-    EXPECT_LT((text.intrinsics - npz.intrinsics).cwiseAbs().maxCoeff(), 1e-4) << k;
-    EXPECT_EQ(text.width, 504);
-  }
+  test::expect_re10k_text_equals_npz(test_data() / "scenes");
 }
 
 TEST(Re10k, DamagedFiles) {
@@ -91,24 +67,7 @@ TEST(Re10k, DamagedFiles) {
 }
 
 TEST(TartanAir, WarpingDepthBetweenViewsAgrees) {
-  const Scene scene = open_scene(shared_data() / "scenes" / "tartanair_hospital");
-  EXPECT_EQ(scene.format, "tartanair");
-  EXPECT_TRUE(scene.metric);
-  ASSERT_EQ(scene.frames.size(), 8U);
-  EXPECT_EQ(scene.frames[1].name, "000043_left");
-  for (size_t i = 0; i + 1 < scene.frames.size(); i += 3) {
-    const Frame& a = scene.frames[i];
-    const Frame& b = scene.frames[i + 1];
-    const WarpResult warp = warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.02);
-    EXPECT_GT(warp.share_in_view, 0.6) << i;
-    EXPECT_GT(warp.share_agreeing, 0.9) << i;
-    EXPECT_LT(warp.median_error, 0.002) << i;
-    // A wrong convention must not pass: the same test with the camera's y and z turned around.
-    Camera wrong_a = a.camera;
-    Camera wrong_b = b.camera;
-    for (Camera* camera : {&wrong_a, &wrong_b}) camera->world_from_camera.linear().rightCols<2>() *= -1;
-    EXPECT_LT(warp_depth({wrong_a, a.depth()}, {wrong_b, b.depth()}, 0.02).share_agreeing, 0.6) << i;
-  }
+  test::expect_tartanair_depth_agrees(test_data() / "scenes" / "tartanair_hospital", 2);
 }
 
 TEST(TartanAir, DamagedScenes) {
@@ -145,7 +104,7 @@ TEST(TartanAir, DamagedScenes) {
 }
 
 TEST(Hypersim, RealMetadataGiveTheirConventions) {
-  const auto scene = shared_data() / "scenes" / "hypersim_pieces" / "ai_037_002";
+  const auto scene = test_data() / "scenes" / "hypersim_pieces" / "ai_037_002";
   const HypersimSettings settings = read_hypersim_settings(scene);
   EXPECT_EQ(settings.width, 1024);
   EXPECT_EQ(settings.height, 768);
@@ -168,7 +127,7 @@ TEST(Hypersim, RealMetadataGiveTheirConventions) {
 }
 
 TEST(Hypersim, RealTrajectoryAndDepth) {
-  const auto path = shared_data() / "scenes" / "hypersim_pieces" / "ai_037_002";
+  const auto path = test_data() / "scenes" / "hypersim_pieces" / "ai_037_002";
   const auto poses = read_hypersim_trajectory(path / "_detail" / "cam_00", 0.01);
   ASSERT_EQ(poses.size(), 100U);
   for (const auto& [frame, pose] : poses) {

@@ -3,7 +3,8 @@
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <cstdlib>

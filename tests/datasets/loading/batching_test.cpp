@@ -1,7 +1,7 @@
 #include "datasets/loading/batching.h"
 
 #include "datasets/synthetic/synthetic_scene.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
 

@@ -2,7 +2,7 @@
 
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/error.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <memory>
 #include <thread>

@@ -1,7 +1,7 @@
 #include "datasets/pictures/contact_sheet.h"
 
 #include "datasets/pictures/drawing.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,7 +1,7 @@
 #include "datasets/scenes/resize_crop.h"
 
 #include "datasets/scenes/frame_checks.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 

@@ -2,7 +2,7 @@
 
 #include "datasets/loading/mixing.h"
 #include "datasets/synthetic/synthetic_scene.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <array>

@@ -2,7 +2,8 @@
 
 #include "datasets/formats/json_file.h"
 #include "datasets/formats/scene_reader.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 #include "datasets/synthetic/synthetic_layout.h"
 #include "datasets/synthetic/synthetic_renderer.h"
 #include "gld/base/configuration.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>

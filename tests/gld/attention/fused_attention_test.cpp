@@ -3,7 +3,7 @@
 #include "gld/attention/attention.h"
 #include "gld/attention/composed_attention.h"
 #include "gld/tensors/torch_version.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 

@@ -2,7 +2,8 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 

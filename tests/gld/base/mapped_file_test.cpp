@@ -1,7 +1,7 @@
 #include "gld/base/mapped_file.h"
 
 #include "gld/base/atomic_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cstdint>
 #include <memory>

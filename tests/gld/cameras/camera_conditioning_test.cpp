@@ -1,8 +1,8 @@
 #include "gld/cameras/camera_conditioning.h"
 
 #include "gld/cameras/prope.h"
+#include "tests/support/error_of.h"
 #include "tests/support/random_cameras.h"
-#include "tests/support/shared_data.h"
 
 #include <gtest/gtest.h>
 

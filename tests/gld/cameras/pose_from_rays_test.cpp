@@ -1,7 +1,7 @@
 #include "gld/cameras/pose_from_rays.h"
 
 #include "gld/cameras/pose_alignment.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,8 +1,8 @@
 #include "gld/cameras/prope.h"
 
 #include "gld/attention/attention.h"
+#include "tests/support/error_of.h"
 #include "tests/support/random_cameras.h"
-#include "tests/support/shared_data.h"
 
 #include <cmath>
 

@@ -1,7 +1,7 @@
 #include "gld/cameras/relative_cameras.h"
 
+#include "tests/support/error_of.h"
 #include "tests/support/random_cameras.h"
-#include "tests/support/shared_data.h"
 
 #include <gtest/gtest.h>
 

@@ -2,7 +2,9 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/files/zip_archive.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <string>
 
@@ -112,7 +114,7 @@ TEST(Npy, ReadsNpzStoredAndDeflated) {
 }
 
 TEST(Npy, ReadsTheRealCameraFiles) {
-  const auto folder = test::shared_data() / "scenes/gld_layout_5e040cd0758dcc96/nerfstudio/images_4";
+  const auto folder = test::test_data() / "scenes/gld_layout_5e040cd0758dcc96/nerfstudio/images_4";
   int files = 0;
   for (const auto& item : std::filesystem::directory_iterator(folder)) {
     if (item.path().extension() != ".npz") continue;
@@ -124,11 +126,8 @@ TEST(Npy, ReadsTheRealCameraFiles) {
     ++files;
   }
   EXPECT_EQ(files, 8);
-  const auto depth = read_npy(
-      test::shared_data() / "scenes/tartanair_hospital/depth_left" /
-      std::filesystem::directory_iterator(test::shared_data() / "scenes/tartanair_hospital/depth_left")
-          ->path()
-          .filename());
+  const auto depth =
+      read_npy(test::test_data() / "scenes/tartanair_hospital/depth_left/000040_left_depth.npy");
   EXPECT_THAT(depth.shape, ElementsAre(480, 640));
   EXPECT_EQ(depth.dtype, DType::kFloat32);
 }

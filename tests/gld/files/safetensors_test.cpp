@@ -2,8 +2,10 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/files/weight_file.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cstring>
 #include <filesystem>
@@ -220,7 +222,7 @@ TEST(Safetensors, RefusesHostileHeaders) {
 }
 
 TEST(Safetensors, EveryTruncationOfARealFileIsRefused) {
-  const std::string whole = read_file(test::shared_data() / "goldens/dit_level1/inputs.safetensors");
+  const std::string whole = read_file(test::test_data() / "reference_cases/dit_level1/inputs.safetensors");
   ASSERT_GT(parse_safetensors(view(whole), "w").entries.size(), 3U);
   for (size_t size = 0; size < whole.size(); size += 1 + size / 7) {
     EXPECT_FALSE(refusal(whole.substr(0, size)).empty()) << size;

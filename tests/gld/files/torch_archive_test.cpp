@@ -3,8 +3,9 @@
 #include "gld/base/atomic_file.h"
 #include "gld/files/dtype.h"
 #include "gld/files/weight_file.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
-#include "tests/support/shared_data.h"
 
 #include <cstring>
 #include <string>
@@ -132,7 +133,7 @@ TEST(TorchArchive, ReadsALegacyViewOfAStorage) {
   EXPECT_THAT(values_of(parse_torch_legacy(view(file), "w.pth").entries.at(0)), ElementsAre(3, 4));
 }
 
-TEST(TorchArchive, SharedStatisticsLoad) {
+TEST(TorchArchive, PublishedStatisticsLoad) {
   struct Expected {
     const char* file;
     double sum;  // of all elements, computed independently in double
@@ -145,7 +146,7 @@ TEST(TorchArchive, SharedStatisticsLoad) {
                                        {"stats/vggt/special_stats_level0.pt", 181.0597339891, 2048},
                                        {"stats/vggt/special_stats_level1.pt", 271.2118131904, 2048}};
   for (const auto& expected : files) {
-    const auto file = WeightFile::open(test::shared_data() / expected.file);
+    const auto file = WeightFile::open(test::test_data() / expected.file);
     EXPECT_EQ(file->format(), "PyTorch zip");
     EXPECT_NEAR(sum_of(file->entries()), expected.sum, 1e-6) << expected.file;
     EXPECT_EQ(file->entry("mean").element_count(), expected.channels);
@@ -156,7 +157,7 @@ TEST(TorchArchive, SharedStatisticsLoad) {
   }
 }
 
-TEST(TorchArchive, SharedWeightsLoad) {
+TEST(TorchArchive, ThirdPartyWeightsLoad) {
   struct Expected {
     const char* file;
     const char* format;
@@ -166,10 +167,10 @@ TEST(TorchArchive, SharedWeightsLoad) {
   const std::vector<Expected> files = {{"lpips_v0.1_alex.pth", "PyTorch legacy", 5, 105.2753545809},
                                        {"lpips_v0.1_squeeze.pth", "PyTorch legacy", 7, 173.4387181383},
                                        {"lpips_v0.1_vgg.pth", "PyTorch legacy", 5, 131.8555085473},
-                                       {"taef2_decoder.pth", "PyTorch zip", 79, -627.3743234873},
-                                       {"taef2_encoder.pth", "PyTorch zip", 79, 251.8470769525}};
+                                       {"taef2_decoder_first_tensors.pth", "PyTorch zip", 3, -4.2027498484},
+                                       {"taef2_encoder_first_tensors.pth", "PyTorch zip", 3, 32.3579867487}};
   for (const auto& expected : files) {
-    const auto file = WeightFile::open(test::shared_data() / "weights" / expected.file);
+    const auto file = WeightFile::open(test::test_data() / "weights" / expected.file);
     EXPECT_EQ(file->format(), expected.format) << expected.file;
     EXPECT_EQ(file->entries().size(), expected.tensors) << expected.file;
     EXPECT_NEAR(sum_of(file->entries()), expected.sum, 1e-6) << expected.file;
@@ -367,7 +368,7 @@ TEST(TorchArchive, RefusesADecompressionBomb) {
 
 TEST(TorchArchive, EveryTruncationOfARealFileIsRefused) {
   for (const char* name : {"weights/lpips_v0.1_alex.pth", "stats/da3/normalization_stats_level0.pt"}) {
-    const auto path = test::shared_data() / name;
+    const auto path = test::test_data() / name;
     const std::string whole = read_file(path);
     const bool zip = whole[0] == 'P';
     for (size_t size = 0; size < whole.size(); size += 1 + size / 50) {

@@ -1,7 +1,7 @@
 #include "gld/flow/flow.h"
 
 #include "gld/flow/schedule.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
 

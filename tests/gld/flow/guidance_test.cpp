@@ -2,7 +2,8 @@
 
 #include "gld/flow/problems/exact_flows.h"
 #include "gld/flow/solvers/solver.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
 
@@ -61,7 +62,7 @@ TEST(Guidance, ScaleOneNeverRunsTheUnconditionalBranch) {
 
 // The branches of a mixture agree late: what is dropped is counted, and what it changed is small.
 TEST(Guidance, DropsTheUnconditionalBranchWhereBranchesAgree) {
-  const auto problem = read_flow_problem(test::shared_data() / "problems" / "mixture.safetensors", "mixture");
+  const auto problem = read_flow_problem(test::test_data() / "problems" / "mixture.safetensors", "mixture");
   SolverOptions solver;
   solver.evaluations = 20;
   const auto solved = [&](double tolerance, GuidanceReport& report) {

@@ -1,7 +1,7 @@
 #include "gld/kernels/attention_kernel.h"
 
 #include "tests/support/attention_reference.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>

@@ -2,7 +2,9 @@
 
 #include "gld/latents/noise.h"
 #include "gld/tensors/weight_tensors.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <gtest/gtest.h>
 
@@ -12,7 +14,7 @@ namespace {
 TEST(LatentStatistics, ReadsThePublishedFilesAndLosesNoDigits) {
   for (const char* name : {"da3/normalization_stats_level0.pt", "da3/normalization_stats_level1.pt",
                            "vggt/normalization_stats_level1.pt", "vggt/special_stats_level0.pt"}) {
-    const auto statistics = read_latent_statistics(test::shared_data() / "stats" / name);
+    const auto statistics = read_latent_statistics(test::test_data() / "stats" / name);
     const auto latent = views_noise(1, name, 2, {50, statistics.channels()});
     const auto features = statistics.denormalise(latent);
     // Half a unit in the last place of the largest features, divided by the smallest deviations.

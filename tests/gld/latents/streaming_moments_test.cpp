@@ -1,6 +1,6 @@
 #include "gld/latents/streaming_moments.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <limits>
 #include <random>

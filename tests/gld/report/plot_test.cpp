@@ -3,7 +3,8 @@
 #include "gld/base/atomic_file.h"
 #include "gld/report/plot_axis.h"
 #include "gld/report/table.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <limits>

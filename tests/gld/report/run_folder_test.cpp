@@ -6,7 +6,8 @@
 #include "gld/base/interrupt.h"
 #include "gld/machine/stage_record.h"
 #include "gld/report/progress.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <csignal>
 #include <stdexcept>

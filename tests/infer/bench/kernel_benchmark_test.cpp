@@ -2,7 +2,8 @@
 #include "infer/bench/attention_benchmark.h"
 #include "infer/bench/forward_benchmark.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <filesystem>
 #include <fstream>

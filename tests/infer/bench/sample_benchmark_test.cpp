@@ -4,7 +4,9 @@
 #include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <algorithm>
 #include <cmath>
@@ -72,7 +74,7 @@ TEST(SampleBenchmark, MeasuresEveryVariantAgainstTheReference) {
   write_random_bundle(bundle, small_bundle_options(), 5);
   SampleBenchmarkOptions options;
   options.model = bundle.string();
-  options.scenes = {(test::shared_data() / "scenes" / "gld_layout_5e040cd0758dcc96").string()};
+  options.scenes = {(test::test_data() / "scenes" / "gld_layout_5e040cd0758dcc96").string()};
   options.views.sources = {0, 7};
   options.views.targets = {3};
   options.size = "56x56";

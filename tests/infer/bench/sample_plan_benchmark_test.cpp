@@ -6,7 +6,8 @@
 #include "infer/method/plan_errors.h"
 #include "infer/sample/sampling.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <filesystem>

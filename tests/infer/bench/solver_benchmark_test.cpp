@@ -5,7 +5,7 @@
 #include "infer/bench/extremes_benchmark.h"
 #include "infer/bench/solver_benchmark_figures.h"
 #include "infer/bench/stiff_benchmark.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <set>
@@ -78,6 +78,23 @@ TEST(SolverBenchmark, FailedSolvesHaveNoError) {
   const auto row = solve_problem(problem, options);
   EXPECT_EQ(row.non_finite, 1);
   EXPECT_TRUE(std::isnan(row.error_rms));
+}
+
+// The problem follows from the options alone, not from what lies beside the folder that the program runs in.
+TEST(SolverBenchmark, TheProblemIsBuiltInUnlessAFileIsNamed) {
+  const test::TemporaryFolder folder;
+  std::filesystem::create_directories(folder.path() / "shared" / "problems");
+  std::filesystem::create_directories(folder.path() / "project");
+  const auto file = folder.path() / "shared" / "problems" / "mixture.safetensors";
+  write_problem(small_problem(), file);
+  const auto before = std::filesystem::current_path();
+  std::filesystem::current_path(folder.path() / "project");
+  SolverBenchmarkOptions options;
+  const auto built_in = benchmark_problem(options);
+  std::filesystem::current_path(before);
+  EXPECT_EQ(built_in.noise.sizes(), (std::vector<int64_t>{192, 48}));
+  options.problem = file.string();
+  EXPECT_EQ(benchmark_problem(options).noise.sizes(), (std::vector<int64_t>{5, 6}));
 }
 
 TEST(SolverBenchmark, WritesItsRunFolder) {

@@ -4,7 +4,8 @@
 #include "datasets/images/pfm_file.h"
 #include "datasets/pictures/depth_preview.h"
 #include "gld/base/atomic_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <cstring>

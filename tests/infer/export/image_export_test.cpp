@@ -4,7 +4,8 @@
 #include "datasets/images/png_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/report/provenance.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <limits>

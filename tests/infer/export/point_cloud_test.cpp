@@ -3,7 +3,8 @@
 #include "gld/base/atomic_file.h"
 #include "gld/cameras/pose_from_rays.h"
 #include "infer/export/ply_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <algorithm>
 #include <cmath>

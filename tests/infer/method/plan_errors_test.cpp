@@ -5,7 +5,8 @@
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sample_options.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 

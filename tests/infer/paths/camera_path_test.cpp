@@ -4,7 +4,8 @@
 #include "gld/cameras/pose_alignment.h"
 #include "infer/paths/orbit_path.h"
 #include "infer/paths/spline_path.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 

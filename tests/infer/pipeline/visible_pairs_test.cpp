@@ -4,7 +4,7 @@
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/random_cameras.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 

@@ -14,7 +14,8 @@
 #include "infer/forecast/doctor.h"
 #include "infer/forecast/machine_rates.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <algorithm>
 #include <csignal>

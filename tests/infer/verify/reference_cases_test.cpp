@@ -1,6 +1,6 @@
 #include "infer/verify/reference_runners.h"
 #include "infer/verify/verification.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <string>
 
@@ -12,7 +12,8 @@ namespace {
 class ReferenceCases : public testing::TestWithParam<std::string> {};
 
 TEST_P(ReferenceCases, EveryTensorIsWithinItsTolerance) {
-  const auto result = verify_case(test::shared_data() / "goldens" / GetParam(), standard_reference_runners());
+  const auto result =
+      verify_case(test::test_data() / "reference_cases" / GetParam(), standard_reference_runners());
   EXPECT_TRUE(result.passed()) << case_text(result);
   EXPECT_FALSE(result.tensors.empty());
 }
@@ -23,8 +24,8 @@ INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
 
 INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
                          testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",
-                                         "dit_special_level1", "dit_special_cascade", "sample_level1",
-                                         "pipeline"));
+                                         "dit_options", "dit_true_inverse", "dit_special_level1",
+                                         "dit_special_cascade", "sample_level1", "pipeline"));
 
 }  // namespace
 }  // namespace gld

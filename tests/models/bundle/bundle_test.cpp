@@ -4,7 +4,9 @@
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/inspection.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <filesystem>
 #include <string>
@@ -205,7 +207,7 @@ TEST_F(Bundles, InspectionOfAFile) {
                                              "  b       float32   (2, 3)\n"
                                              "  metadata by = me\n"
                                              "2 tensors, 7 elements, 32 B (6 float32, 1 int64)\n");
-  const auto stats = inspect(test::shared_data() / "stats/da3/normalization_stats_level1.pt");
+  const auto stats = inspect(test::test_data() / "stats/da3/normalization_stats_level1.pt");
   EXPECT_EQ(stats["values"]["count"], 179568640);
   EXPECT_EQ(stats["format"], "PyTorch zip");
 }

@@ -4,7 +4,7 @@
 #include "gld/base/atomic_file.h"
 #include "models/bundle/bundle.h"
 #include "models/weights/weight_loading.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <algorithm>
 #include <map>
@@ -22,7 +22,7 @@ namespace {
 using Shapes = std::map<std::string, std::vector<int64_t>>;
 
 Shapes manifest(const std::string& file) {
-  const auto all = nlohmann::json::parse(read_file(test::shared_data() / "checkpoint_manifests.json"));
+  const auto all = nlohmann::json::parse(read_file(test::test_data() / "checkpoint_manifests.json"));
   return all.at(file).get<Shapes>();
 }
 

@@ -4,8 +4,10 @@
 #include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/random_bundle.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <filesystem>
 #include <map>
@@ -146,13 +148,13 @@ TEST_F(Conversion, AddsPartsToAnExistingBundle) {
 
 TEST_F(Conversion, RealStatisticsConvert) {
   ConversionOptions options;
-  options.statistics_level1 = test::shared_data() / "stats/da3/normalization_stats_level1.pt";
+  options.statistics_level1 = test::test_data() / "stats/da3/normalization_stats_level1.pt";
   options.out = path("released");
   const auto report = convert(options);
   EXPECT_EQ(report["parts"]["statistics_level1"]["elements"], 3072);
   EXPECT_EQ(report["ignored"][0]["names"], "std");
   EXPECT_EQ(ModelBundle::open(options.out).options().rgb_decoder.num_layers, 28);
-  options.statistics_level1 = test::shared_data() / "stats/vggt/normalization_stats_level1.pt";
+  options.statistics_level1 = test::test_data() / "stats/vggt/normalization_stats_level1.pt";
   EXPECT_EQ(error_of([&] { convert(options); }),
             options.statistics_level1 +
                 ": expected 1536 channels, found 2048; check that the file belongs to this backbone.");

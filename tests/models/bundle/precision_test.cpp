@@ -4,7 +4,7 @@
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/weights/weight_loading.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <map>
 
@@ -33,27 +33,28 @@ FrozenModules reference_modules(torch::Dtype dtype) {
   ParameterPlacement placement;
   placement.dtype = dtype;
   Da3BackboneOptions backbone;
-  backbone.embed_dim = 64;
-  backbone.num_heads = 4;
+  backbone.embed_dim = 32;
+  backbone.num_heads = 2;
+  backbone.pos_embed_grid = 6;
   DptHeadOptions head;
-  head.dim_in = 128;
-  head.features = 32;
-  head.out_channels = {24, 48, 96, 192};
+  head.dim_in = 64;
+  head.features = 8;
+  head.out_channels = {8, 8, 12, 16};
   RgbDecoderOptions decoder;
-  decoder.in_channels = 512;
-  decoder.hidden_size = 64;
-  decoder.num_layers = 3;
-  decoder.num_heads = 4;
-  decoder.intermediate_size = 128;
+  decoder.in_channels = 256;
+  decoder.hidden_size = 32;
+  decoder.num_layers = 2;
+  decoder.num_heads = 2;
+  decoder.intermediate_size = 64;
+  decoder.base_image_size = 84;
   FrozenModules modules = {std::make_shared<Da3Backbone>(backbone, placement),
                            std::make_shared<DptHead>(head, placement),
                            std::make_shared<RgbDecoder>(decoder, placement)};
-  const auto folder = test::shared_data() / "goldens";
-  load(*modules.backbone, backbone.published_prefix(),
-       *WeightFile::open(folder / "backbone_da3" / "weights.safetensors"));
-  load(*modules.head, DptHead::kPrefix, *WeightFile::open(folder / "dpt_head_da3" / "weights.safetensors"));
-  load(*modules.decoder, RgbDecoder::kPrefix,
-       *WeightFile::open(folder / "rgb_decoder" / "weights.safetensors"));
+  const auto weights =
+      WeightFile::open(test::test_data() / "reference_cases" / "pipeline" / "weights.safetensors");
+  load(*modules.backbone, backbone.published_prefix(), *weights);
+  load(*modules.head, DptHead::kPrefix, *weights);
+  load(*modules.decoder, RgbDecoder::kPrefix, *weights);
   return modules;
 }
 

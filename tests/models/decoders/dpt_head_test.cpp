@@ -2,7 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "models/weights/weight_loading.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>

@@ -3,7 +3,7 @@
 #include "models/dit/encoder_nodes.h"
 #include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
 
 #include <cmath>

@@ -2,7 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "tests/models/dit/naive_dit.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
 
 #include <functional>

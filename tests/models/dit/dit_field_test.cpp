@@ -3,7 +3,7 @@
 #include "gld/flow/solvers/solver.h"
 #include "models/cost/branch_choice.h"
 #include "models/cost/cost_model.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 // Norms over the range of numbers they may meet, against double.
 #include "gld/tensors/weight_tensors.h"
 #include "models/layers/layers.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
 
 #include <cmath>
 
@@ -97,7 +97,7 @@ TEST(NormExtremes, HalvesDoNotOverflow) {
 TEST(NormExtremes, RealStatisticsLoseNoDigits) {
   for (const char* file : {"da3/normalization_stats_level0.pt", "da3/normalization_stats_level1.pt",
                            "vggt/normalization_stats_level0.pt", "vggt/normalization_stats_level1.pt"}) {
-    const auto tensors = read_all(test::shared_data() / "stats" / file);
+    const auto tensors = read_all(test::test_data() / "stats" / file);
     const auto mean = tensors.at("mean").flatten().to(torch::kFloat64);
     const auto deviation = (tensors.at("var").flatten().to(torch::kFloat64) + 1e-5).sqrt();
     const int64_t channels = mean.numel();

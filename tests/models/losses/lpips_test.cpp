@@ -3,7 +3,9 @@
 #include "gld/tensors/weight_tensors.h"
 #include "models/layers/initialisation.h"
 #include "models/weights/weight_loading.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <map>
 
@@ -50,7 +52,7 @@ TEST(Lpips, LoadsThePublishedHeadsAndATorchvisionBackbone) {
     torchvision["classifier.1.weight"] = torch::zeros({2, 2});
     const auto file = folder.path() / "backbone.safetensors";
     save_safetensors(file, torchvision);
-    const auto heads = WeightFile::open(test::shared_data() / "weights" / network.heads_file);
+    const auto heads = WeightFile::open(test::test_data() / "weights" / network.heads_file);
 
     const auto loaded = make_lpips(network.net);
     load_lpips(*loaded, *WeightFile::open(file), *heads);

@@ -5,8 +5,9 @@
 #include "models/losses/discriminator.h"
 #include "models/losses/perceptual_standin.h"
 #include "models/weights/weight_loading.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
+#include "tests/support/temporary_folder.h"
 
 #include <algorithm>
 #include <map>

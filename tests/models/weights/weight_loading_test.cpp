@@ -3,8 +3,10 @@
 #include "gld/base/atomic_file.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/layers/layers.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <fstream>
 #include <string>
@@ -240,12 +242,11 @@ TEST_F(WeightLoading, MisalignedDataIsCopied) {
 }
 
 TEST_F(WeightLoading, SharedFilesBecomeTensors) {
-  const auto stats = read_all(test::shared_data() / "stats/da3/normalization_stats_level1.pt");
+  const auto stats = read_all(test::test_data() / "stats/da3/normalization_stats_level1.pt");
   EXPECT_EQ(stats.at("mean").sizes(), (torch::IntArrayRef{1, 1536, 1, 1}));
   EXPECT_GT(stats.at("var").min().item<float>(), 0);
   for (const char* name : {"alex", "vgg", "squeeze"}) {
-    const auto heads =
-        read_all(test::shared_data() / "weights" / (std::string("lpips_v0.1_") + name + ".pth"));
+    const auto heads = read_all(test::test_data() / "weights" / (std::string("lpips_v0.1_") + name + ".pth"));
     for (const auto& [key, tensor] : heads) EXPECT_GE(tensor.min().item<float>(), 0) << name << " " << key;
   }
 }

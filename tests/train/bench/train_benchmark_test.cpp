@@ -1,7 +1,8 @@
 #include "train/bench/train_benchmark.h"
 
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <filesystem>
 #include <fstream>

@@ -2,7 +2,8 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/tensors/weight_tensors.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 #include "tests/train/loop/toy_objective.h"
 #include "train/loop/checkpoint.h"
 #include "train/loop/metrics_log.h"

@@ -1,7 +1,8 @@
 // Two steps of every kind of training with a shrunken configuration, and what each objective promises.
 #include "gld/metrics/image_metrics.h"
 #include "models/bundle/bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
 #include "train/loop/checkpoint.h"
 #include "train/loop/metrics_log.h"

@@ -1,6 +1,6 @@
 #include "train/optim/optimiser.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 #include "train/optim/learning_rate.h"
 
 #include <cmath>

@@ -3,7 +3,9 @@
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/tensors/weight_tensors.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 
@@ -15,7 +17,7 @@ namespace {
 using test::error_of;
 
 FlowProblem shared_mixture() {
-  return read_flow_problem(test::shared_data() / "problems" / "mixture.safetensors", "mixture");
+  return read_flow_problem(test::test_data() / "problems" / "mixture.safetensors", "mixture");
 }
 
 double solved_error(const FlowProblem& problem, const SolverOptions& options) {
@@ -26,7 +28,7 @@ double solved_error(const FlowProblem& problem, const SolverOptions& options) {
   return flow_error(problem, solve(field, problem.noise, options).state).rms;
 }
 
-// ../shared/README.md and NUMBERS.md: the published sampler's error is 0.303 at shift 31.18 and 0.35 at 62.4.
+// NUMBERS.md, "Solvers": the published sampler's error is 0.303 at shift 31.18 and 0.35 at 62.4.
 TEST(ExactFlows, PublishedSamplerHasItsKnownError) {
   SolverOptions options;
   options.solver = SolverKind::kEuler;

@@ -3,7 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/flow/data_prediction.h"
 #include "gld/flow/problems/exact_flows.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>
