@@ -16,7 +16,7 @@
 namespace gld {
 namespace {
 
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kUndefinedAngle = std::numeric_limits<double>::quiet_NaN();
 constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 void require_one_of_each(const Views& views, const std::vector<Camera>& predicted,
@@ -79,7 +79,7 @@ PoseErrors pose_errors(const Views& views, const std::vector<Camera>& predicted,
   const int64_t rows = rays.size(1), columns = rays.size(2);
 
   PoseErrors errors;
-  errors.rotation = torch::full({views.num_targets()}, kNaN, torch::kFloat64);
+  errors.rotation = torch::full({views.num_targets()}, kUndefinedAngle, torch::kFloat64);
   errors.translation_direction = errors.rotation.clone();
   errors.ray_angle = errors.rotation.clone();
   errors.ray_origin = errors.rotation.clone();

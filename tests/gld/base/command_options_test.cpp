@@ -1,7 +1,7 @@
 #include "gld/base/command_options.h"
 
 #include "gld/base/configuration.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
 

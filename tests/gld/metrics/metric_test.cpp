@@ -1,7 +1,7 @@
 #include "gld/metrics/metric.h"
 
 #include "gld/metrics/metric_list.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 #include <limits>

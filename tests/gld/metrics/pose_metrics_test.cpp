@@ -2,8 +2,8 @@
 
 #include "gld/cameras/pose_from_rays.h"
 #include "gld/metrics/metric_list.h"
+#include "tests/support/error_of.h"
 #include "tests/support/random_cameras.h"
-#include "tests/support/shared_data.h"
 
 #include <cmath>
 #include <limits>

@@ -11,7 +11,8 @@
 #include "infer/pipeline/bundle_models.h"
 #include "infer/sample/sampling.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <limits>

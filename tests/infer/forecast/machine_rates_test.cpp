@@ -4,7 +4,7 @@
 #include "gld/base/user_cache.h"
 #include "gld/machine/timing.h"
 #include "models/dit/dit_options.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/temporary_folder.h"
 
 #include <cstdlib>
 

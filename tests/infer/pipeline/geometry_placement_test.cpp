@@ -2,7 +2,7 @@
 
 #include "gld/cameras/pose_from_rays.h"
 #include "infer/pipeline/predicted_cameras.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <cmath>
 #include <limits>

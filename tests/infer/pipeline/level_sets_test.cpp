@@ -7,7 +7,8 @@
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "models/bundle/random_bundle.h"
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 #include "models/latent_spaces/level_set.h"
 
-#include "tests/support/shared_data.h"
+#include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
 
