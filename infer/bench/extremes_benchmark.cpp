@@ -2,8 +2,8 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
-#include "gld/report/benchmark_results.h"
 #include "gld/base/error.h"
+#include "gld/report/benchmark_results.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>

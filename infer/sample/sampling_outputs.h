@@ -6,7 +6,6 @@
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/pipeline/sampling_scene.h"
-#include "infer/pipeline/geometry_placement.h"
 
 #include <string>
 #include <vector>
