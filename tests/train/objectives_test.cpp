@@ -1,4 +1,5 @@
 // Two steps of every kind of training with a shrunken configuration, and what each objective promises.
+#include "datasets/frame_checks.h"
 #include "models/bundle.h"
 #include "tests/support/shared_data.h"
 #include "tests/train/small_training.h"
