@@ -1,43 +1,152 @@
 #!/usr/bin/env bash
-# Trains the small model of configs/tiny from nothing, then measures it: backbone; latent statistics; M1 while the RGB
-# decoder, the cascade and the depth head train beside it; 64 held-out scenes. About two and a half hours on 2 cores.
-# Every stage continues where it was interrupted: run it again. Usage: scripts/train_tiny.sh [RUNS [DEVICE]], by default
-# runs/tiny and cpu.
+# Trains the small model: backbone; latent statistics; then M1 for as long as it is left running, while the RGB decoder, the
+# cascade and the depth head train beside it. Every stage goes on where it was interrupted: run it again.
+#   scripts/train_tiny.sh [RUNS [DEVICE]]        trains; Ctrl-C or SIGTERM writes checkpoints and stops
+#   scripts/train_tiny.sh ship [RUNS [DEVICE]]   branches a falling learning rate off what M1 has learnt so far, puts the
+#                                                parts together in RUNS/model and measures it; the run itself is unharmed
+#   scripts/train_tiny.sh keep [RUNS [DEVICE]]   copies the weights and curves so far beside the recipe, for git: another
+#                                                machine goes on from them
+# RUNS is runs/tiny by default, DEVICE cpu. The recipe is configs/tiny/next (the model that is to take the place of
+# configs/tiny) where there is one, else configs/tiny. Weights that lie beside the recipe are gone on with where RUNS has
+# no checkpoints: a backbone with its statistics is taken as it is, everything else starts from them.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+action=train
+case "${1:-}" in
+  ship | keep)
+    action=$1
+    shift
+    ;;
+esac
 runs=${1:-runs/tiny}
 device=${2:-cpu}
+recipe=configs/tiny
+if [ -f configs/tiny/next/model.yaml ]; then recipe=configs/tiny/next; fi
 gld=build/release/cli/gld
 [ -x "$gld" ] || scripts/build.sh gld
 mkdir -p "$runs"
 
-# stage NAME KIND MODEL [OPTION...]: trains with configs/tiny/NAME.yaml unless its model is there already.
+has_checkpoint() { compgen -G "$runs/$1/checkpoints/step_*.safetensors" >/dev/null; }
+
+# stage NAME KIND MODEL START [OPTION...]: trains with the recipe's NAME.yaml unless its model is there already.
+# START: the setting that makes a fresh run go on from the weights in MODEL; none: -.
 stage() {
-  local name=$1 kind=$2 model=$3
-  shift 3
+  local name=$1 kind=$2 model=$3 start=$4
+  shift 4
   if [ -f "$runs/$name/report.json" ]; then
     echo "train_tiny: $name is done already"
     return
   fi
-  local resume=()
-  if compgen -G "$runs/$name/checkpoints/step_*.safetensors" >/dev/null; then resume=(--resume); fi
-  "$gld" train "$kind" --config "configs/tiny/$name.yaml" --model "$model" --out "$runs/$name" \
-    --device "$device" "$@" "${resume[@]}"
+  local how=()
+  if has_checkpoint "$name"; then
+    how=(--resume)
+  elif [ "$start" != - ]; then
+    how=(--set "$start" --set loop.learning_rate.warmup_steps=0)
+    echo "train_tiny: $name goes on from the weights in $model; its curve begins anew"
+  fi
+  "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$runs/$name" --device "$device" "$@" \
+    "${how[@]}"
 }
 
-stage backbone backbone configs/tiny
-if [ -f "$runs/stats/report.json" ]; then
-  echo "train_tiny: stats is done already"
-else
-  "$gld" stats --config configs/tiny/stats.yaml --model "$runs/backbone/model" --out "$runs/stats" --device "$device"
+# The start setting where the recipe brings the weights of that part, else -.
+start_of() { if [ -f "$recipe/$1.safetensors" ]; then echo "$2"; else echo -; fi; }
+
+# Backbone and statistics, on which everything else is built.
+base=$recipe
+if has_checkpoint backbone || [ ! -f "$recipe/statistics_level1.safetensors" ]; then
+  if [ "$action" = train ]; then
+    stage backbone backbone "$recipe" "$(start_of backbone objective.training=from_bundle)" --threads 1
+  fi
+  base=$runs/backbone/model
+fi
+if [ -f "$runs/stats/report.json" ] || [ "$base" != "$recipe" ]; then
+  if [ "$action" = train ] && [ ! -f "$runs/stats/report.json" ]; then
+    "$gld" stats --config "$recipe/stats.yaml" --model "$base" --out "$runs/stats" --device "$device"
+  fi
+  base=$runs/stats/model
+fi
+
+# newest_step NAME: of its newest checkpoint.
+newest_step() {
+  local newest
+  newest=$(find "$runs/$1/checkpoints" -name 'step_*.safetensors' | sort | tail -1)
+  echo $((10#$(basename "$newest" .safetensors | cut -d_ -f2)))
+}
+
+# branch NAME KIND MODEL STEP FALL: a copy of the run at that step goes on for FALL steps while its rate falls to nothing,
+# and leaves its model in RUNS/NAME_STEP; the run itself is unharmed.
+branch() {
+  local name=$1 kind=$2 model=$3 step=$4 fall=$5
+  local copy=$runs/${name}_$step
+  if [ -f "$copy/report.json" ]; then return; fi
+  if [ ! -d "$copy" ]; then
+    rm -rf "$copy.partial"
+    mkdir -p "$copy.partial/checkpoints"
+    cp "$runs/$name/checkpoints/$(printf 'step_%09d.safetensors' "$step")" "$copy.partial/checkpoints/"
+    cp "$runs/$name/metrics.jsonl" "$copy.partial/"
+    mv "$copy.partial" "$copy"
+  fi
+  "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$copy" --device "$device" --resume \
+    --set loop.steps=$((step + fall)) --set loop.learning_rate.schedule=linear \
+    --set loop.learning_rate.decay_start_step="$step"
+}
+
+if [ "$action" = ship ]; then
+  for needed in decoder cascade head; do
+    if [ ! -f "$runs/$needed/report.json" ]; then
+      echo "train_tiny: expected $runs/$needed to be done before shipping, found no report.json;" \
+        "let scripts/train_tiny.sh $runs run on." >&2
+      exit 1
+    fi
+  done
+  step=$(newest_step level)
+  branch level level "$base" "$step" $((step / 10 < 100 ? 100 : step / 10 > 3000 ? 3000 : step / 10))
+  rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
+  cp -r "$runs/cascade/model" "$runs/model"
+  cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$runs/model/"
+  cp -r "$runs/level_$step" "$runs/level_ship"
+  "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
+  echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
+  exit 0
+fi
+
+if [ "$action" = keep ]; then
+  # A machine's checkpoints end with it; what git keeps are the weights (16 bits, moving average) and the curves.
+  part() {  # STAGE FILE...: the stage's weights, and its curve behind those kept before
+    local name=$1 from=$2 number=1
+    shift 2
+    for file in "$@"; do cp "$from/model/$file.safetensors" "$recipe/"; done
+    while [ -d "$recipe/training/$name/part_$number" ]; do number=$((number + 1)); done
+    mkdir -p "$recipe/training/$name/part_$number"
+    cp "$from"/{config.yaml,metrics.jsonl,report.json} "$recipe/training/$name/part_$number/"
+    sed -i "s#$runs/#runs/tiny/#g" "$recipe/training/$name/part_$number"/*
+    echo "train_tiny: kept $name in $recipe"
+  }
+  if [ -f "$runs/backbone/report.json" ]; then
+    part backbone "$runs/backbone" backbone dpt_head
+  elif has_checkpoint backbone; then
+    step=$(newest_step backbone)
+    branch backbone backbone "$recipe" "$step" 0
+    part backbone "$runs/backbone_$step" backbone dpt_head
+  fi
+  if [ -f "$runs/stats/report.json" ]; then cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"; fi
+  if has_checkpoint level; then
+    step=$(newest_step level)
+    branch level level "$base" "$step" 0
+    part level "$runs/level_$step" level1
+  fi
+  if [ -f "$runs/decoder/report.json" ]; then part decoder "$runs/decoder" rgb_decoder; fi
+  if [ -f "$runs/cascade/report.json" ]; then part cascade "$runs/cascade" cascade; fi
+  if [ -f "$runs/head/report.json" ]; then part head "$runs/head" dpt_head; fi
+  exit 0
 fi
 
 # Processes of one thread each keep the cores busier than one of several: the models are small.
-level() { stage level level "$runs/stats/model" --threads 1; }
+level() { stage level level "$base" "$(start_of level1 objective.start=bundle)" --threads 1; }
 beside_level() {
-  stage decoder decoder "$runs/stats/model" --threads 1
-  stage cascade cascade "$runs/decoder/model" --threads 1
-  stage head backbone "$runs/decoder/model" --threads 1
+  stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
+  stage cascade cascade "$runs/decoder/model" "$(start_of cascade objective.flow.start=bundle)" --threads 1
+  stage head backbone "$runs/decoder/model" - --threads 1
 }
 # With its own process group, so that the training it has started stops with it (gld writes a checkpoint).
 set -m
@@ -50,15 +159,8 @@ stop_beside() {
 }
 trap stop_beside EXIT
 level
-echo "train_tiny: M1 is done; waiting for decoder, cascade and head ($runs/beside_level.log)"
 if ! wait "$beside"; then
   echo "train_tiny: expected decoder, cascade and head to train, found a failure; see $runs/beside_level.log." >&2
   exit 1
 fi
 trap - EXIT
-
-rm -rf "$runs/model"
-cp -r "$runs/cascade/model" "$runs/model"
-cp "$runs/level/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$runs/model/"
-"$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
-echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."

@@ -1,4 +1,5 @@
 // Two steps of every kind of training with a shrunken configuration, and what each objective promises.
+#include "datasets/scenes/frame_checks.h"
 #include "gld/metrics/image_metrics.h"
 #include "models/bundle/bundle.h"
 #include "tests/support/error_of.h"
@@ -217,15 +218,16 @@ TEST(GeometryLoss, RayErrorsAreThoseOfTheCameras) {
 TEST(GeometryLoss, TokensReadDepthAndTheRayThroughTheirMiddle) {
   const TrainingScene scene = wall_scene();
   const GeometryTargets fine = geometry_targets(scene, {16, 16}), coarse = geometry_targets(scene, {4, 4});
+  // Both grids find the scene's size by points of their own.
+  const auto rays =
+      torch::cat({coarse.rays.narrow(3, 0, 3), coarse.rays.narrow(3, 3, 3) * (coarse.scale / fine.scale)}, 3);
   auto read = torch::empty({3, 16, kTokenGeometry});
   for (int64_t token = 0; token < 16; ++token) {
     for (int64_t part = 0; part < kTokenDepths; ++part) {
       const int64_t row = token / 4 * 4 + part / 4, column = token % 4 * 4 + part % 4;
       read.select(1, token).select(1, part).copy_(fine.ray_depth.select(1, row).select(1, column).log());
     }
-    read.select(1, token)
-        .narrow(1, kTokenDepths, 6)
-        .copy_(coarse.rays.select(1, token / 4).select(1, token % 4));
+    read.select(1, token).narrow(1, kTokenDepths, 6).copy_(rays.select(1, token / 4).select(1, token % 4));
   }
   const torch::NoGradGuard no_grad;
   auto losses = token_geometry_losses(read, fine, {4, 4}, {});
