@@ -1,6 +1,5 @@
 #include "cli/commands.h"
 
-#include "cli/bench_command.h"
 #include "cli/check_data_command.h"
 #include "cli/convert_command.h"
 #include "cli/doctor_command.h"
@@ -12,13 +11,21 @@
 #include "cli/synth_command.h"
 #include "cli/train_command.h"
 #include "cli/verify_command.h"
+#ifdef GLD_BENCHMARKS
+#include "cli/bench_command.h"
+#endif
 
 namespace gld {
 
 std::vector<Command> all_commands() {
-  return {make_sample_command(),  make_plan_command(),   make_doctor_command(),     make_convert_command(),
-          make_inspect_command(), make_verify_command(), make_check_data_command(), make_synth_command(),
-          make_train_command(),   make_stats_command(),  make_eval_command(),       make_bench_command()};
+  std::vector<Command> commands = {make_sample_command(),     make_plan_command(),    make_doctor_command(),
+                                   make_convert_command(),    make_inspect_command(), make_verify_command(),
+                                   make_check_data_command(), make_synth_command(),   make_train_command(),
+                                   make_stats_command(),      make_eval_command()};
+#ifdef GLD_BENCHMARKS
+  commands.push_back(make_bench_command());
+#endif
+  return commands;
 }
 
 }  // namespace gld
