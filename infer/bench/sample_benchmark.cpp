@@ -15,6 +15,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/scene_request.h"
 

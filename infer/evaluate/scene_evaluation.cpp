@@ -3,6 +3,7 @@
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
+#include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/scene_request.h"
 

@@ -15,10 +15,6 @@ namespace {
 
 constexpr double kLargestCoordinate = 1e30;  // far inside float's range, so that no file overflows
 
-std::string size_text(int64_t width, int64_t height) {
-  return std::to_string(width) + "x" + std::to_string(height);
-}
-
 void check_view(const PointView& view, size_t index, PointLifting lifting) {
   const std::string where = "point cloud, view " + std::to_string(index);
   if (view.image.empty()) fail({where, "an image to colour the points", "none", "decode the image as well"});

@@ -119,4 +119,13 @@ FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& 
   return settings;
 }
 
+FlowSettings mean_prediction_settings(const BundleOptions& bundle) {
+  SamplingMethod method;
+  method.name = "mean prediction";
+  method.solver.evaluations = 1;
+  GuidanceOptions guidance;
+  guidance.guidance_scale = 1;
+  return flow_settings(method, guidance, bundle);
+}
+
 }  // namespace gld

@@ -54,5 +54,8 @@ SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bund
 // schedule is the model's.
 FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
                            const BundleOptions& bundle);
+// The prediction of the mean of what could be there: one evaluation of each flow from t = 1, without guidance. A
+// regression, which PSNR rewards, and not a sample: neighbouring possibilities are averaged.
+FlowSettings mean_prediction_settings(const BundleOptions& bundle);
 
 }  // namespace gld

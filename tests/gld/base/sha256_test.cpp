@@ -1,6 +1,7 @@
 #include "gld/base/sha256.h"
 
 #include "gld/base/atomic_file.h"
+#include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <string>

@@ -82,7 +82,8 @@ TEST(PoseErrors, OfCamerasThatWereFittedToExactRaysAreZero) {
   std::vector<Camera> fitted;
   for (const Camera& camera : exact) {
     fitted.push_back(camera_from_rays(rays_of_camera(camera, kColumns, kRows), ConfidenceMap(),
-                                      {camera.width, camera.height}, PrincipalPoint::kCentre)
+                                      {camera.width, camera.height},
+                                      Eigen::Vector2d(camera.intrinsics(0, 2), camera.intrinsics(1, 2)))
                          .camera);
   }
   MetricInputs inputs;

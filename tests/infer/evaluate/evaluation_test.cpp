@@ -170,7 +170,7 @@ class Evaluation : public testing::Test {
   static EvaluationOptions options(const std::string& run) {
     EvaluationOptions options;
     options.model = (folder_->path() / "model").string();
-    options.scenes = (folder_->path() / "scenes").string();
+    options.scenes = {(folder_->path() / "scenes").string()};
     options.synthetic = 0;
     options.solver.evaluations = 4;
     options.views.shortest_interval = options.views.longest_interval = 1;
@@ -267,7 +267,7 @@ TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   testing::internal::GetCapturedStderr();
   const std::filesystem::path out = sampled.out;
   const auto latents = read_all(*WeightFile::open((out / "latents.safetensors").string()));
-  EXPECT_TRUE(torch::equal(latents.at("level0"), evaluated.sample.level0));
+  EXPECT_TRUE(torch::equal(latents.at("level0"), evaluated.sample.latents.at(0)));
   EXPECT_TRUE(torch::equal(latents.at("level1"), evaluated.sample.latents.at(1)));
   EXPECT_FALSE(torch::equal(latents.at("level1"), evaluated.mean_prediction.latents.at(1)));
   const auto written = nlohmann::json::parse(read_file(out / "report.json"));

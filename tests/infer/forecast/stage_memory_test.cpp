@@ -5,6 +5,7 @@
 #include "infer/forecast/dit_speed.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/forecast/stage_speed.h"
+#include "models/backbones/da3_backbone.h"
 
 #include <functional>
 #include <string>

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>

@@ -46,10 +46,10 @@ test::TemporaryFolder* Bundles::folder_ = nullptr;
 
 TEST_F(Bundles, EveryPartLoads) {
   const auto bundle = ModelBundle::open(original());
-  EXPECT_EQ(bundle.options().backbone.embed_dim, 64);
+  EXPECT_EQ(bundle.options().backbone.level_channels(), 128);
   EXPECT_EQ(bundle.options().image_sizes().at(3).width, 504);
   EXPECT_EQ(bundle.options().image_sizes().at(3).height, 280);
-  EXPECT_EQ(bundle.load_backbone()->options().depth, 12);
+  EXPECT_EQ(bundle.load_backbone()->architecture().blocks(), 12);
   EXPECT_EQ(bundle.load_dpt_head()->options().features, 32);
   EXPECT_EQ(bundle.load_rgb_decoder()->options().num_layers, 3);
   EXPECT_EQ(bundle.load_generator(cascade(1, 0))->options().conditioning, DitConditioning::kDeeperLevel);

@@ -62,12 +62,13 @@ TEST(CostModel, GroupsOfViewsAreEqual) {
 
 TEST(CostModel, CostGrowsWithViewsAndDepth) {
   const BundleOptions bundle;
-  const auto at = [&](int64_t views) { return backbone_cost(bundle.backbone, grid(views, 10, 18), 0, 12); };
+  const auto& backbone = bundle.backbone.architecture();
+  const auto at = [&](int64_t views) { return backbone.encoding_cost(grid(views, 10, 18), 3); };
   // Linear layers grow with the tokens, attention over all views with their square.
   EXPECT_NEAR(at(8).linear_flop / at(4).linear_flop, 2, 1e-9);
   EXPECT_GT(at(8).attention_flop / at(4).attention_flop, 2.5);
-  const Cost first = backbone_cost(bundle.backbone, grid(4, 10, 18), 0, 8);
-  const Cost rest = backbone_cost(bundle.backbone, grid(4, 10, 18), 8, 12);
+  const Cost first = backbone.encoding_cost(grid(4, 10, 18), 1);
+  const Cost rest = backbone.propagation_cost(grid(4, 10, 18), 1);
   EXPECT_NEAR(first.flop() + rest.flop(), at(4).flop(), 1e-6 * at(4).flop());
   EXPECT_GT(dpt_head_cost(bundle.dpt_head, grid(4, 10, 18), GeometryMaps::kDepthAndRays).flop(),
             dpt_head_cost(bundle.dpt_head, grid(4, 10, 18), GeometryMaps::kDepth).flop());

@@ -2,7 +2,6 @@
 #include "gld/base/error.h"
 #include "gld/latents/latent_statistics.h"
 #include "models/bundle/bundle.h"
-#include "models/layers/imagenet.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -97,7 +96,7 @@ TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
   std::vector<torch::Tensor> latents;
   for (int64_t index = 0; index < 5; ++index) {
     const auto images = data.batch(index).scenes.front().images;
-    const auto level = backbone->encode(imagenet_normalise(images), 1)[1];
+    const auto level = backbone->encode(images, 1)[1];
     latents.push_back(statistics.normalise(level.narrow(1, 1, level.size(1) - 1)).flatten(0, 1));
   }
   const auto latent = torch::cat(latents);
@@ -113,6 +112,54 @@ TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
             path("nothing").string() + ": expected a checkpoint to resume from, found none in " +
                 path("nothing/checkpoints").string() + "; start the run without --resume.");
   EXPECT_FALSE(std::filesystem::exists(path("nothing")));
+}
+
+// Another set of levels than the published one, with special tokens: statistics, a level and a cascade.
+TEST_F(TrainedChain, OtherSetsOfLevelsTrain) {
+  BundleOptions model = test::small_model();
+  const DitOptions like = model.generators.front().dit;
+  model.set_generators({level_model(2), cascade(2, 1), level_model(0)});
+  model.boundary_level = 2;
+  for (auto& part : model.generators) {
+    const auto conditioning = part.dit.conditioning;
+    part.dit = like;
+    part.dit.conditioning = conditioning;
+    part.dit.num_special_tokens = 1;
+    part.time_shift.training = part.time_shift.evaluation = 3.0;
+  }
+  save_bundle_options(path("other_set"), model);
+  for (const char* file : {"backbone.safetensors", "rgb_decoder.safetensors"}) {
+    std::filesystem::copy_file(path("decoder/model") / file, path("other_set") / file);
+  }
+  StatsOptions stats;
+  stats.model = path("other_set").string();
+  stats.out = path("other_stats").string();
+  stats.threads = 1;
+  stats.scene_count = 5;
+  stats.data = test::small_data();
+  compute_statistics(stats);
+  const auto with_statistics = ModelBundle::open(path("other_stats/model"));
+  for (const int64_t level : {0, 1, 2}) {
+    EXPECT_TRUE(with_statistics.has(BundlePart::statistics(level))) << level;
+    EXPECT_TRUE(with_statistics.has(BundlePart::special_statistics(level))) << level;
+  }
+  auto level = stage_options<TrainLevelOptions>(path("other_stats/model"), path("level_two"));
+  level.level = 2;
+  train_level(level, {});
+  auto deeper = stage_options<TrainCascadeOptions>(path("level_two/model"), path("other_cascade"));
+  deeper.cascade = "2->1";
+  train_cascade(deeper, {});
+  const auto trained = ModelBundle::open(path("other_cascade/model"));
+  EXPECT_TRUE(trained.has(BundlePart::of(level_model(2))));
+  EXPECT_TRUE(trained.has(BundlePart::of(cascade(2, 1))));
+  for (const char* kind : {"level_two", "other_cascade"}) {
+    const auto losses = MetricsLog(path(kind) / "metrics.jsonl", 2).series("loss");
+    ASSERT_EQ(losses.size(), 2U) << kind;
+    EXPECT_NEAR(losses.front().second, 2.0, 0.3) << kind;
+  }
+  deeper.cascade = "1";
+  EXPECT_EQ(test::error_of([&] { train_cascade(deeper, {}); }),
+            "--cascade: expected a cascade such as 1->0, found '1'; gld train level trains levels.");
 }
 
 TEST_F(TrainedChain, TheLevelMustBeOneThatTheModelGenerates) {
