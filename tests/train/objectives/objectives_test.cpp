@@ -351,9 +351,10 @@ TEST(BackboneTraining, LearnsFromTokensAndCorrespondenceWithoutTheHead) {
     EXPECT_TRUE(std::isfinite(validation.at(name))) << name;
   }
   options.correspondence_blocks = {4};
-  EXPECT_EQ(test::error_of([&] { BackboneObjective(test::small_model(), options, {}, 1); }),
-            "objective.correspondence_blocks: expected blocks that attend over all views: odd, from 2 to 7, "
-            "found 4; choose others.");
+  EXPECT_EQ(
+      test::error_of([&] { BackboneObjective(test::small_model(), options, {}, 1); }),
+      "objective.correspondence_blocks: expected blocks below 8 that attend over all views, found 4; choose "
+      "others.");
 }
 
 TEST(FeatureNoise, HasTheDeviationOfEachChannelTimesOneStrength) {
