@@ -83,7 +83,7 @@ branch() {
     rm -rf "$copy.partial"
     mkdir -p "$copy.partial/checkpoints"
     cp "$runs/$name/checkpoints/$(printf 'step_%09d.safetensors' "$step")" "$copy.partial/checkpoints/"
-    cp "$runs/$name/metrics.jsonl" "$copy.partial/"
+    cp "$runs/$name"/{config.yaml,metrics.jsonl} "$copy.partial/"
     mv "$copy.partial" "$copy"
   fi
   "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$copy" --device "$device" --resume \
