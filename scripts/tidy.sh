@@ -18,16 +18,21 @@ content_hashes() {
   done
 }
 
+# Sources whose bytes are not those of the commit's file of that name.
+differing_from() { git diff --name-only --diff-filter=d "$1" -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|cli|tests)/' || true; }
+
 sources_of() { git ls-files -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|cli|tests)/'; }
 
 at_commit() { git cat-file blob "$commit:$1"; }
 
 changed_since() {
   commit=$1
-  local changed
+  local differing changed
+  differing=$(differing_from "$commit")
+  if [ -z "$differing" ]; then return; fi
   changed=$(awk 'NR == FNR { known[$1] = 1; next } !($1 in known) { print $2 }' \
     <(git ls-tree -r --name-only "$commit" | grep -E '\.(cpp|h)$' | content_hashes at_commit) \
-    <(sources_of | content_hashes cat))
+    <(content_hashes cat <<<"$differing"))
   local file source
   for file in $changed; do
     case $file in
