@@ -20,6 +20,13 @@ const DitBranchCameras& cameras_of(const DitScene& scene, DitBranch branch) {
   return cameras;
 }
 
+const DitPass& only_pass(const DitPasses& passes) {
+  if (passes.size() != 1) {
+    fail({"composed DiT", "one scene in one branch", std::to_string(passes.size()) + " passes", "give one"});
+  }
+  return passes.front();
+}
+
 }  // namespace
 
 ComposedDit::ComposedDit(const DitDh& model) : model_(model) {
@@ -62,25 +69,25 @@ torch::Tensor ComposedDit::block(int64_t index, int64_t heads, const torch::Tens
   return middle + parts[5] * linear(name + ".mlp.w3", torch::silu(halves[0]) * halves[1]);
 }
 
-torch::Tensor ComposedDit::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
-                                             const DitTimeRow& time, DitBranch branch) const {
+torch::Tensor ComposedDit::condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const {
+  const auto& [scene, time, branch] = only_pass(passes);
   const auto& options = model_.options();
-  const auto& cameras = cameras_of(scene, branch);
+  const auto& cameras = cameras_of(*scene, branch);
   auto x = tokens.encoder;
   if (options.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder) x = x + cameras.embedding;
   for (int64_t i = 0; i < options.encoder_blocks(); ++i) {
-    const auto modulation = time.encoder_modulation[static_cast<std::size_t>(i)].unsqueeze(1);
-    x = block(i, options.num_heads[0], x, modulation, cameras.encoder_prope, scene.view_mask);
+    const auto modulation = time->encoder_modulation[static_cast<std::size_t>(i)].unsqueeze(1);
+    x = block(i, options.num_heads[0], x, modulation, cameras.encoder_prope, scene->view_mask);
   }
   return x;
 }
 
-torch::Tensor ComposedDit::velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
-                                             const torch::Tensor& condition, const DitTimeRow& time,
-                                             DitBranch branch) const {
+torch::Tensor ComposedDit::velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
+                                             const torch::Tensor& condition) const {
+  const auto& [scene, time, branch] = only_pass(passes);
   const auto& options = model_.options();
-  const auto& cameras = cameras_of(scene, branch);
-  auto s = torch::silu(condition + time.embedding.unsqueeze(1));
+  const auto& cameras = cameras_of(*scene, branch);
+  auto s = torch::silu(condition + time->embedding.unsqueeze(1));
   if (options.encoder_width() != options.decoder_width()) s = linear("s_projector", s);
   const auto activation = torch::silu(s);
   auto x = tokens.decoder;
@@ -88,7 +95,7 @@ torch::Tensor ComposedDit::velocity_features(const DitScene& scene, const DitNoi
   for (int64_t i = 0; i < options.decoder_blocks(); ++i) {
     const int64_t index = options.encoder_blocks() + i;
     const auto modulation = linear("blocks." + std::to_string(index) + ".adaLN_modulation.1", activation);
-    x = block(index, options.num_heads[1], x, modulation, cameras.decoder_prope, scene.view_mask);
+    x = block(index, options.num_heads[1], x, modulation, cameras.decoder_prope, scene->view_mask);
   }
   const auto parts = linear("final_layer.adaLN_modulation.1", activation).chunk(2, -1);
   return rms_norm("final_layer.norm_final", x) * (1.0 + parts[1]) + parts[0];

@@ -17,12 +17,10 @@ class ComposedDit {
   // model must outlive this object.
   explicit ComposedDit(const DitDh& model);
 
-  // As the functions of DitDh with these names.
-  torch::Tensor condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens, const DitTimeRow& time,
-                                  DitBranch branch) const;
-  torch::Tensor velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
-                                  const torch::Tensor& condition, const DitTimeRow& time,
-                                  DitBranch branch) const;
+  // As the functions of DitDh with these names, of one pass; throws Error for more.
+  torch::Tensor condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const;
+  torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
+                                  const torch::Tensor& condition) const;
 
  private:
   torch::Tensor linear(const std::string& name, const torch::Tensor& x) const;

@@ -95,16 +95,14 @@ Evaluation evaluate(const Setting& setting, const Model& model) {
   PeakMeasurement peak;
   peak.settings.threads = thread_count();
   result.peak = measure_multiply_add_peak(peak);
-  const DitBranch branch = DitBranch::kConditional;
+  const DitPasses pass{{&setting.scene, &setting.time, DitBranch::kConditional}};
   DitNoisyTokens tokens;
   result.decoder_seconds +=
       seconds_of([&] { tokens = setting.model->embed_noisy(setting.scene, setting.noisy); });
-  result.encoder_seconds = seconds_of(
-      [&] { result.condition = model.condition_encoder(setting.scene, tokens, setting.time, branch); });
+  result.encoder_seconds = seconds_of([&] { result.condition = model.condition_encoder(pass, tokens); });
   result.decoder_seconds += seconds_of([&] {
     result.velocity = setting.model->velocity_from_features(
-        model.velocity_features(setting.scene, tokens, result.condition, setting.time, branch), setting.noisy,
-        kFlowTime);
+        model.velocity_features(pass, tokens, result.condition), setting.noisy, kFlowTime);
   });
   return result;
 }

@@ -50,24 +50,22 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const DitScene scene = model.prepare_scene(inputs);
   const DitTimeRow time = model.time_rows({kFlowTime}).front();
   const auto noisy = torch::randn({part.views, tokens, probe.in_channels});
-  std::vector<DitBranch> branches{DitBranch::kConditional};
+  DitPasses branches{{&scene, &time, DitBranch::kConditional}};
   const bool batched = request.flow.guidance.guidance_scale != 1 &&
                        choose_branches(request.flow.guidance, options, grid).batched;
-  if (batched) branches.push_back(DitBranch::kUnconditional);
+  if (batched) branches.push_back({&scene, &time, DitBranch::kUnconditional});
   const DitNoisyTokens embedded = model.embed_noisy(scene, noisy);
   // Nodes are evaluated for one branch at a time.
   const bool nodes = options.conditioning == DitConditioning::kDeeperLevel &&
                      request.flow.approximate.cascade_encoder_nodes > 0;
-  const std::vector<DitBranch> encoded = nodes ? std::vector<DitBranch>{DitBranch::kConditional} : branches;
+  const DitPasses encoded = nodes ? DitPasses{branches.front()} : branches;
   DitSpeed result;
-  result.condition_encoder =
-      fastest_seconds_of([&] { model.condition_encoder_batch(scene, embedded, time, encoded); });
-  const auto condition = model.condition_encoder_batch(scene, embedded, time, branches);
+  result.condition_encoder = fastest_seconds_of([&] { model.condition_encoder(encoded, embedded); });
+  const auto condition = model.condition_encoder(branches, embedded);
   result.velocity_decoder = fastest_seconds_of([&] {
     const auto own = model.embed_noisy(scene, noisy);
     const auto state = batched ? torch::cat({noisy, noisy}) : noisy;
-    model.velocity_from_features(model.velocity_features_batch(scene, own, condition, time, branches), state,
-                                 kFlowTime);
+    model.velocity_from_features(model.velocity_features(branches, own, condition), state, kFlowTime);
   });
   const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
     whole.attention_flop *= request.attention_share();

@@ -60,13 +60,13 @@ torch::Tensor DitBlock::modulation_rows(const torch::Tensor& activation) const {
 std::vector<AttentionInputs> DitBlock::attention_inputs(const torch::Tensor& x,
                                                         const DitBlockContext& context) const {
   const int64_t views = x.size(0), tokens = x.size(1), heads = sizes_.num_heads;
-  const auto branches = static_cast<int64_t>(context.prope.size());
+  const auto passes = static_cast<int64_t>(context.passes.size());
   const int64_t head_dim = sizes_.channels / heads;
   const auto qkv = by_view_groups(x, [&](const ViewGroup& group) {
                      const auto vectors =
                          adaptive_norm_->parts(context.modulation, group, kAttentionShift, 2);
                      return qkv_->forward(modulated(*norm1_, x.narrow(0, group.first, group.count), vectors));
-                   }).view({branches, views / branches * tokens, 3, heads, head_dim});
+                   }).view({passes, views / passes * tokens, 3, heads, head_dim});
   AttentionInputs inputs;
   inputs.query = qkv.select(2, 0);
   inputs.key = qkv.select(2, 1);
@@ -75,14 +75,14 @@ std::vector<AttentionInputs> DitBlock::attention_inputs(const torch::Tensor& x,
     inputs.query = query_norm_->forward(inputs.query);
     inputs.key = key_norm_->forward(inputs.key);
   }
-  inputs.view_mask = context.view_mask;
   std::vector<AttentionInputs> result;
-  for (int64_t branch = 0; branch < branches; ++branch) {
+  for (int64_t pass = 0; pass < passes; ++pass) {
     result.push_back(inputs);
     for (auto* tensor : {&result.back().query, &result.back().key, &result.back().value}) {
-      *tensor = tensor->narrow(0, branch, 1);
+      *tensor = tensor->narrow(0, pass, 1);
     }
-    result.back().prope = context.prope[static_cast<size_t>(branch)];
+    result.back().prope = context.passes[static_cast<size_t>(pass)].prope;
+    result.back().view_mask = context.passes[static_cast<size_t>(pass)].view_mask;
   }
   return result;
 }
@@ -102,9 +102,9 @@ torch::Tensor DitBlock::finish(const torch::Tensor& x, const torch::Tensor& atte
 torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& context) const {
   std::vector<torch::Tensor> attended;
   for (const auto& inputs : attention_inputs(x, context)) {
-    if (context.tap != nullptr && attended.empty()) {
-      context.tap->query = encode_query(*inputs.prope, inputs.query);
-      context.tap->key = encode_key_value(*inputs.prope, inputs.key);
+    if (AttentionTap* tap = context.passes[attended.size()].tap) {
+      tap->query = encode_query(*inputs.prope, inputs.query);
+      tap->key = encode_key_value(*inputs.prope, inputs.key);
     }
     attended.push_back(attention(inputs));
   }

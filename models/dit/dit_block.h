@@ -22,14 +22,18 @@ struct DitBlockSizes {
   bool qk_norm = false;
 };
 
+// How the views of one pass (models/dit/dit_scene.h) attend to each other.
+struct DitPassAttention {
+  const PropeTables* prope = nullptr;
+  torch::Tensor view_mask;  // which view pairs attend (gld/attention/attention.h); every pair when undefined
+  AttentionTap* tap = nullptr;  // filled by forward(), where it is given
+};
+
 // What a block needs beside its input.
 struct DitBlockContext {
   Modulation modulation;  // shift, scale, gate of attention, then of the feed-forward part
-  // One a branch of guidance: the input holds the views of one branch after the other, and each branch attends within
-  // itself.
-  std::vector<const PropeTables*> prope;
-  torch::Tensor view_mask;  // which view pairs attend (gld/attention/attention.h); every pair when undefined
-  AttentionTap* tap = nullptr;  // filled by forward() with the first branch's, where it is given
+  // The input holds the views of one pass after the other, and each pass attends within itself.
+  std::vector<DitPassAttention> passes;
 };
 
 // A block of DiT^DH: x + gate * attention(modulate(norm1(x))), then x + gate * swiglu(modulate(norm2(x))).
@@ -38,10 +42,10 @@ class DitBlock : public torch::nn::Module {
  public:
   DitBlock(const DitBlockSizes& sizes, const ParameterPlacement& placement);
 
-  // x: (branches * views, tokens, channels) -> the same shape.
+  // x: (passes * views, tokens, channels) -> the same shape.
   torch::Tensor forward(const torch::Tensor& x, const DitBlockContext& context) const;
   int64_t head_dim() const { return sizes_.channels / sizes_.num_heads; }
-  // Its two parts: what attends in each branch, and from the attention's outputs (branches, tokens of all views, heads,
+  // Its two parts: what attends in each pass, and from the attention's outputs (passes, tokens of all views, heads,
   // head_dim) the rest.
   std::vector<AttentionInputs> attention_inputs(const torch::Tensor& x, const DitBlockContext& context) const;
   torch::Tensor finish(const torch::Tensor& x, const torch::Tensor& attended,

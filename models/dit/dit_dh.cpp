@@ -1,13 +1,17 @@
 #include "models/dit/dit_dh.h"
 
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "models/layers/position_embedding.h"
 
 #include <algorithm>
+#include <functional>
 #include <string>
 #include <utility>
 
 #include <torch/types.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -16,24 +20,54 @@ namespace {
 // place of four, for one more feed-forward part in two blocks.
 constexpr size_t kBlocksAKeptInput = 2;
 
-// The tokens of every branch, one after the other, with the branch's camera embedding where this part takes it.
-torch::Tensor branch_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
-                            bool with_embedding) {
-  const auto branches = static_cast<int64_t>(cameras.size());
-  // (views, ...) shared by all branches, or (branches * views, ...).
-  const bool shared = branches == 1 || tokens.size(0) == cameras.front().decoder_prope.grid.views;
+// The tokens of every pass, one after the other, with the pass's camera embedding where this part takes it.
+torch::Tensor pass_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
+                          bool with_embedding) {
+  const auto passes = static_cast<int64_t>(cameras.size());
+  const int64_t views = cameras.front().decoder_prope.grid.views;
+  const bool shared = tokens.size(0) == views;
   std::vector<torch::Tensor> parts;
-  for (int64_t branch = 0; branch < branches; ++branch) {
-    const auto& embedding = cameras[static_cast<size_t>(branch)].embedding;
-    const auto own = shared ? tokens : tokens.chunk(branches)[static_cast<size_t>(branch)];
+  for (int64_t pass = 0; pass < passes; ++pass) {
+    const auto& embedding = cameras[static_cast<size_t>(pass)].embedding;
+    const auto own = shared ? tokens : tokens.narrow(0, pass * views, views);
     parts.push_back(with_embedding ? own + embedding : own);
   }
-  return branches == 1 ? parts.front() : torch::cat(parts);
+  return passes == 1 ? parts.front() : torch::cat(parts);
 }
 
-// (1 or views, width) -> one row that all branches share, or (branches * views, width).
-torch::Tensor branch_rows(const torch::Tensor& rows, size_t branches) {
-  return rows.size(0) == 1 || branches == 1 ? rows : rows.repeat({static_cast<int64_t>(branches), 1});
+bool at_one_time(const DitPasses& passes) {
+  return std::all_of(passes.begin(), passes.end(),
+                     [&](const DitPass& pass) { return pass.time == passes.front().time; });
+}
+
+// Rows of the passes' times, each (1 or views, width) -> one row that all tokens share, or (passes * views, width).
+torch::Tensor pass_rows(const DitPasses& passes,
+                        const std::function<const torch::Tensor&(const DitTimeRow&)>& rows_of) {
+  const auto& first = rows_of(*passes.front().time);
+  if (passes.size() == 1 || (at_one_time(passes) && first.size(0) == 1)) return first;
+  std::vector<torch::Tensor> parts;
+  for (const DitPass& pass : passes) {
+    const auto& rows = rows_of(*pass.time);
+    parts.push_back(rows.expand({pass.scene->grid.views, rows.size(1)}));
+  }
+  return torch::cat(parts);
+}
+
+bool same_grid(const LatentGrid& a, const LatentGrid& b) {
+  return a.views == b.views && a.height == b.height && a.width == b.width;
+}
+
+void check_passes(const DitPasses& passes) {
+  if (passes.empty()) fail({"diffusion model", "at least one scene to evaluate", "none", "give scenes"});
+  const LatentGrid& first = passes.front().scene->grid;
+  for (const DitPass& pass : passes) {
+    const LatentGrid& grid = pass.scene->grid;
+    if (same_grid(grid, first)) continue;
+    fail({"scenes of one evaluation",
+          fmt::format("{} views of {} x {} tokens in each", first.views, first.width, first.height),
+          fmt::format("one with {} views of {} x {}", grid.views, grid.width, grid.height),
+          "evaluate scenes of one size together"});
+  }
 }
 
 }  // namespace
@@ -165,6 +199,21 @@ DitNoisyTokens DitDh::embed_noisy(const DitScene& scene, const torch::Tensor& no
   return {encoder_tokens(scene, noisy), decoder_tokens(scene, noisy)};
 }
 
+DitNoisyTokens DitDh::embed_noisy(const DitPasses& passes, const torch::Tensor& noisy) const {
+  check_passes(passes);
+  const DitScene& first = *passes.front().scene;
+  if (passes.size() == 1) return embed_noisy(first, noisy);
+  const int64_t views = first.grid.views;
+  check_latent(first, noisy, "noisy latents", static_cast<int64_t>(passes.size()) * views);
+  std::vector<torch::Tensor> encoder, decoder;
+  for (size_t i = 0; i < passes.size(); ++i) {
+    const auto own = embed_noisy(*passes[i].scene, noisy.narrow(0, static_cast<int64_t>(i) * views, views));
+    encoder.push_back(own.encoder);
+    decoder.push_back(own.decoder);
+  }
+  return {torch::cat(encoder), torch::cat(decoder)};
+}
+
 torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x,
                                 const torch::Tensor& conditioning) const {
   return activation_storage_ == ActivationStorage::kKeep ? part(x, conditioning)
@@ -172,43 +221,47 @@ torch::Tensor DitDh::by_storage(const PartFunction& part, const torch::Tensor& x
 }
 
 torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
-                                DitBlockContext context, const std::vector<Modulation>& modulations,
-                                std::vector<AttentionTap>* taps) const {
-  const size_t before = &blocks == &decoder_blocks_ ? encoder_blocks_.size() : 0;
-  const auto tap_of = [&](size_t block) -> AttentionTap* {
-    if (taps == nullptr) return nullptr;
-    for (AttentionTap& tap : *taps) {
+                                const DitPasses& passes, const std::vector<DitBranchCameras>& cameras,
+                                const std::vector<Modulation>& modulations) const {
+  const bool in_decoder = &blocks == &decoder_blocks_;
+  const size_t before = in_decoder ? encoder_blocks_.size() : 0;
+  const auto tap_of = [&](const DitPass& pass, size_t block) -> AttentionTap* {
+    if (pass.scene->taps == nullptr) return nullptr;
+    for (AttentionTap& tap : *pass.scene->taps) {
       if (tap.block == static_cast<int64_t>(before + block)) return &tap;
     }
     return nullptr;
   };
-  const bool keep = activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled();
-  // Several branches at once are for sampling, where nothing is recorded.
-  if (keep || context.prope.size() > 1) {
+  std::vector<DitPassAttention> attention;
+  for (size_t i = 0; i < passes.size(); ++i) {
+    attention.push_back({in_decoder ? &cameras[i].decoder_prope : &cameras[i].encoder_prope,
+                         passes[i].scene->view_mask, nullptr});
+  }
+  if (activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled()) {
     for (size_t i = 0; i < blocks.size(); ++i) {
-      context.modulation = modulations[i];
-      context.tap = tap_of(i);
-      x = blocks[i]->forward(x, context);
+      for (size_t pass = 0; pass < passes.size(); ++pass) attention[pass].tap = tap_of(passes[pass], i);
+      x = blocks[i]->forward(x, {modulations[i], attention});
     }
     return x;
   }
   // The tables are copied (they only hold tensors), because the caller's are gone when gradients are computed.
-  const auto tables = std::make_shared<const PropeTables>(*context.prope.front());
+  const auto tables = std::make_shared<std::vector<PropeTables>>();
+  for (const DitPassAttention& pass : attention) tables->push_back(*pass.prope);
+  for (size_t i = 0; i < attention.size(); ++i) attention[i].prope = &(*tables)[i];
   std::vector<AttentionBlock> chain;
   for (size_t i = 0; i < blocks.size(); ++i) {
     const bool rows = modulations[i].rows.defined();
-    const auto context_of = [rows, tables, mask = context.view_mask](const torch::Tensor& conditioning) {
+    const auto context_of = [rows, tables, attention](const torch::Tensor& conditioning) {
       DitBlockContext own;
       (rows ? own.modulation.rows : own.modulation.activation) = conditioning;
-      own.prope.push_back(tables.get());
-      own.view_mask = mask;
+      own.passes = attention;
       return own;
     };
     const DitBlock& block = *blocks[i];
     AttentionBlock parts;
     parts.head_dim = block.head_dim();
     parts.inputs = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& conditioning) {
-      return block.attention_inputs(tokens, context_of(conditioning)).front();
+      return block.attention_inputs(tokens, context_of(conditioning));
     };
     parts.finish = [&block, context_of](const torch::Tensor& tokens, const torch::Tensor& attended,
                                         const torch::Tensor& conditioning) {
@@ -224,52 +277,38 @@ torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& bl
   return x;
 }
 
-torch::Tensor DitDh::condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens,
-                                       const DitTimeRow& time, DitBranch branch) const {
-  return condition_encoder_batch(scene, tokens, time, {branch});
-}
-
-torch::Tensor DitDh::velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
-                                       const torch::Tensor& condition, const DitTimeRow& time,
-                                       DitBranch branch) const {
-  return velocity_features_batch(scene, tokens, condition, time, {branch});
-}
-
-torch::Tensor DitDh::condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
-                                             const DitTimeRow& time,
-                                             const std::vector<DitBranch>& branches) const {
-  const auto cameras = evaluation_cameras(scene, branches);
-  auto x = branch_tokens(tokens.encoder, cameras,
-                         options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder);
-  DitBlockContext context;
-  for (const auto& branch : cameras) context.prope.push_back(&branch.encoder_prope);
-  context.view_mask = scene.view_mask;
+torch::Tensor DitDh::condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const {
+  check_passes(passes);
+  const auto cameras = evaluation_cameras(passes);
+  const auto x = pass_tokens(tokens.encoder, cameras,
+                             options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder);
   std::vector<Modulation> modulations;
-  for (const auto& rows : time.encoder_modulation) {
-    modulations.push_back({branch_rows(rows, branches.size()), {}});
+  for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
+    const auto rows_of = [i](const DitTimeRow& time) -> const torch::Tensor& {
+      return time.encoder_modulation[i];
+    };
+    modulations.push_back({pass_rows(passes, rows_of), {}});
   }
-  return run_blocks(encoder_blocks_, x, context, modulations, scene.taps);
+  return run_blocks(encoder_blocks_, x, passes, cameras, modulations);
 }
 
-torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
-                                             const torch::Tensor& condition, const DitTimeRow& time,
-                                             const std::vector<DitBranch>& branches) const {
-  const auto cameras = evaluation_cameras(scene, branches);
+torch::Tensor DitDh::velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
+                                       const torch::Tensor& condition) const {
+  check_passes(passes);
+  const auto cameras = evaluation_cameras(passes);
   const auto condition_activation = [this](const torch::Tensor& tokens, const torch::Tensor& time_rows) {
     auto s = torch::silu(tokens + time_rows);
     if (condition_projection_) s = condition_projection_->forward(s);
     return torch::silu(s);
   };
+  const auto rows_of = [](const DitTimeRow& time) -> const torch::Tensor& { return time.embedding; };
   Modulation modulation;
   modulation.activation =
-      by_storage(condition_activation, condition, branch_rows(time.embedding, branches.size()).unsqueeze(1));
-  DitBlockContext context;
-  for (const auto& branch : cameras) context.prope.push_back(&branch.decoder_prope);
-  context.view_mask = scene.view_mask;
-  auto x = branch_tokens(tokens.decoder, cameras,
-                         options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
+      by_storage(condition_activation, condition, pass_rows(passes, rows_of).unsqueeze(1));
+  auto x = pass_tokens(tokens.decoder, cameras,
+                       options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
   const std::vector<Modulation> modulations(decoder_blocks_.size(), modulation);
-  x = run_blocks(decoder_blocks_, x, context, modulations, scene.taps);
+  x = run_blocks(decoder_blocks_, x, passes, cameras, modulations);
   return by_storage(
       [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
         return final_layer_->features(tokens, {{}, activation});
@@ -277,25 +316,35 @@ torch::Tensor DitDh::velocity_features_batch(const DitScene& scene, const DitNoi
       x, modulation.activation);
 }
 
+torch::Tensor DitDh::output_of(const torch::Tensor& features) const {
+  const auto output = final_layer_->project(features);
+  const int64_t special = options_.num_special_tokens;
+  if (special == 0) return output;
+  return torch::cat({special_projection_->forward(output.narrow(1, 0, special)),
+                     output.narrow(1, special, output.size(1) - special)},
+                    1);
+}
+
 torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
                                             double time) const {
-  auto output = final_layer_->project(features);
-  const int64_t special = options_.num_special_tokens;
-  if (special > 0) {
-    output = torch::cat({special_projection_->forward(output.narrow(1, 0, special)),
-                         output.narrow(1, special, output.size(1) - special)},
-                        1);
-  }
+  const auto output = output_of(features);
   if (options_.prediction == FlowPrediction::kVelocity) return output;
   // x_t = (1 - t) data + t noise, so that v = noise - data = (x_t - data) / t.
   return (noisy - output) * std::min(1.0 / time, options_.largest_inverse_time);
 }
 
-torch::Tensor DitDh::velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
-                              DitBranch branch) const {
-  const auto tokens = embed_noisy(scene, noisy);
-  const auto condition = condition_encoder(scene, tokens, time, branch);
-  return velocity_from_features(velocity_features(scene, tokens, condition, time, branch), noisy, time.time);
+torch::Tensor DitDh::velocity(const DitPasses& passes, const torch::Tensor& noisy) const {
+  const auto tokens = embed_noisy(passes, noisy);
+  const auto features = velocity_features(passes, tokens, condition_encoder(passes, tokens));
+  if (at_one_time(passes)) return velocity_from_features(features, noisy, passes.front().time->time);
+  const int64_t views = passes.front().scene->grid.views;
+  std::vector<torch::Tensor> velocities;
+  for (size_t i = 0; i < passes.size(); ++i) {
+    const int64_t first = static_cast<int64_t>(i) * views;
+    velocities.push_back(velocity_from_features(features.narrow(0, first, views),
+                                                noisy.narrow(0, first, views), passes[i].time->time));
+  }
+  return torch::cat(velocities);
 }
 
 }  // namespace gld

@@ -22,9 +22,12 @@ namespace gld {
 // the input of every block alone). The same gradients.
 enum class ActivationStorage { kKeep, kRecompute };
 
-// DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of one scene. A condition encoder
-// turns source features, cameras and the noisy latent (or a deeper level) into one condition a token, which
-// modulates a wide and shallow velocity decoder. Parameters have the names of the published checkpoints.
+// DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of a scene. A condition encoder turns source
+// features, cameras and the noisy latent (or a deeper level) into one condition a token, which modulates a wide and
+// shallow velocity decoder. Parameters have the names of the published checkpoints.
+//
+// An evaluation takes passes (DitPasses): scenes x branches of guidance. Views attend within their pass; all else is one
+// product over the tokens of all. One scene in one branch is the case of one.
 //
 // Latents are (views, tokens, channels), special tokens first. Every function records gradients unless the caller
 // holds a NoGradGuard.
@@ -46,28 +49,26 @@ class DitDh : public torch::nn::Module {
   std::vector<DitTimeRow> time_rows(const std::vector<double>& times, int64_t rows = 1) const;
 
   DitNoisyTokens embed_noisy(const DitScene& scene, const torch::Tensor& noisy) const;
-  // The condition of every token before flow time and SiLU, (views, tokens, encoder width).
-  torch::Tensor condition_encoder(const DitScene& scene, const DitNoisyTokens& tokens, const DitTimeRow& time,
-                                  DitBranch branch) const;
-  // What the last linear layer gets, (views, tokens, decoder width).
-  torch::Tensor velocity_features(const DitScene& scene, const DitNoisyTokens& tokens,
-                                  const torch::Tensor& condition, const DitTimeRow& time,
-                                  DitBranch branch) const;
-  // The same for several branches in one pass. Tokens are those of one branch, which all share, or of each branch one
-  // after the other; results and condition are (branches * views, tokens, width), one branch after the other.
-  torch::Tensor condition_encoder_batch(const DitScene& scene, const DitNoisyTokens& tokens,
-                                        const DitTimeRow& time, const std::vector<DitBranch>& branches) const;
-  torch::Tensor velocity_features_batch(const DitScene& scene, const DitNoisyTokens& tokens,
-                                        const torch::Tensor& condition, const DitTimeRow& time,
-                                        const std::vector<DitBranch>& branches) const;
+  // Of several scenes: noisy (scenes * views, tokens, channels).
+  DitNoisyTokens embed_noisy(const DitPasses& passes, const torch::Tensor& noisy) const;
+  // The condition of every token before flow time and SiLU, (passes * views, tokens, encoder width). Tokens are those of
+  // each pass, or of one that all share (the branches of one scene).
+  torch::Tensor condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const;
+  // What the last linear layer gets, (passes * views, tokens, decoder width), from the condition of each pass.
+  torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
+                                  const torch::Tensor& condition) const;
   // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time, is
   // where the velocity of a model that predicts the data starts from; branches mixed before need it once.
   torch::Tensor velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
                                        double time) const;
 
-  // All of it: (views, tokens, channels).
+  // All of it: (passes * views, tokens, channels).
+  torch::Tensor velocity(const DitPasses& passes, const torch::Tensor& noisy) const;
+  // The case of one scene.
   torch::Tensor velocity(const DitScene& scene, const torch::Tensor& noisy, const DitTimeRow& time,
-                         DitBranch branch = DitBranch::kConditional) const;
+                         DitBranch branch = DitBranch::kConditional) const {
+    return velocity({{&scene, &time, branch}}, noisy);
+  }
 
   // Random weights as the published training starts: embedders Xavier uniform, time embedding normal 0.02, AdaLN and
   // last layers zero, other layers uniform +-1/sqrt(inputs). Drawn on the CPU in the order of the names.
@@ -76,10 +77,12 @@ class DitDh : public torch::nn::Module {
   void set_activation_storage(ActivationStorage storage) { activation_storage_ = storage; }
 
  private:
-  // One after the other; modulations: one a block, in the place of the context's.
+  // One after the other, with the passes' cameras; modulations: one a block.
   torch::Tensor run_blocks(const std::vector<std::shared_ptr<DitBlock>>& blocks, torch::Tensor x,
-                           DitBlockContext context, const std::vector<Modulation>& modulations,
-                           std::vector<AttentionTap>* taps) const;
+                           const DitPasses& passes, const std::vector<DitBranchCameras>& cameras,
+                           const std::vector<Modulation>& modulations) const;
+  // What the network says of features: the velocity, or the data.
+  torch::Tensor output_of(const torch::Tensor& features) const;
   // A part without attention, kept or computed again as the blocks are.
   torch::Tensor by_storage(const PartFunction& part, const torch::Tensor& x,
                            const torch::Tensor& conditioning) const;
@@ -90,8 +93,7 @@ class DitDh : public torch::nn::Module {
   torch::Tensor camera_embedding(const DitScene& scene, DitBranch branch) const;
   PropeTables prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const;
   void fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
-  std::vector<DitBranchCameras> evaluation_cameras(const DitScene& scene,
-                                                   const std::vector<DitBranch>& branches) const;
+  std::vector<DitBranchCameras> evaluation_cameras(const DitPasses& passes) const;
   // Embeddings of special and patch tokens: of the source features, of the noisy latent, and of both in one product.
   torch::Tensor source_part(const DitEmbedder& embedder, const DitScene& scene) const;
   torch::Tensor latent_part(const DitEmbedder& embedder, const DitScene& scene,

@@ -8,7 +8,9 @@
 namespace gld {
 namespace {
 
-const std::vector<DitBranch> kBothBranches{DitBranch::kConditional, DitBranch::kUnconditional};
+DitPasses both_branches(const DitScene& scene, const DitTimeRow& time) {
+  return {{&scene, &time, DitBranch::kConditional}, {&scene, &time, DitBranch::kUnconditional}};
+}
 
 DitBranch other_branch(DitBranch branch) {
   return branch == DitBranch::kConditional ? DitBranch::kUnconditional : DitBranch::kConditional;
@@ -60,14 +62,14 @@ torch::Tensor DitField::condition(const DitNoisyTokens& tokens, const DitTimeRow
   const bool batching = batch_ && batch_->time == time.time;
   if (batching && !batch_->conditions[index].defined() && !is_cached(other_branch(branch), time.time)) {
     counts_.condition_encoder += 2;
-    const auto both = model_.condition_encoder_batch(scene_, batch_->tokens, time, kBothBranches).chunk(2);
+    const auto both = model_.condition_encoder(both_branches(scene_, time), batch_->tokens).chunk(2);
     batch_->conditions = {both[0], both[1]};
   }
   if (batching && batch_->conditions[index].defined()) {
     condition = batch_->conditions[index];
   } else {
     ++counts_.condition_encoder;
-    condition = model_.condition_encoder(scene_, tokens, time, branch);
+    condition = model_.condition_encoder({{&scene_, &time, branch}}, tokens);
   }
   if (keeps_conditions()) cached = {time.time, condition};
   return condition;
@@ -76,7 +78,7 @@ torch::Tensor DitField::condition(const DitNoisyTokens& tokens, const DitTimeRow
 torch::Tensor DitField::features(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) {
   const auto encoded = condition(tokens, time, branch);
   ++counts_.velocity_decoder;
-  return model_.velocity_features(scene_, tokens, encoded, time, branch);
+  return model_.velocity_features({{&scene_, &time, branch}}, tokens, encoded);
 }
 
 torch::Tensor DitField::branch_velocity(const torch::Tensor& state, double t, DitBranch branch) {
@@ -110,8 +112,8 @@ BranchVelocities DitField::batched_features(const torch::Tensor& state, double t
   const auto unconditional = condition(own, time, DitBranch::kUnconditional);
   ++counts_.batched;
   counts_.velocity_decoder += 2;
-  const auto features = model_.velocity_features_batch(
-      scene_, batch.tokens, torch::cat({conditional, unconditional}), time, kBothBranches);
+  const auto features = model_.velocity_features(both_branches(scene_, time), batch.tokens,
+                                                 torch::cat({conditional, unconditional}));
   const auto parts = features.chunk(2);
   return {parts[0], parts[1]};
 }

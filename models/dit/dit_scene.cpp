@@ -92,13 +92,12 @@ void DitDh::fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras
   cameras.decoder_prope = prope_tables(scene, branch, options_.hidden_size[1] / options_.num_heads[1]);
 }
 
-std::vector<DitBranchCameras> DitDh::evaluation_cameras(const DitScene& scene,
-                                                        const std::vector<DitBranch>& branches) const {
+std::vector<DitBranchCameras> DitDh::evaluation_cameras(const DitPasses& passes) const {
   std::vector<DitBranchCameras> list;
-  for (const DitBranch branch : branches) {
-    DitBranchCameras cameras = scene.branches[static_cast<size_t>(branch)];
-    if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(scene, branch);
-    if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(scene, branch, cameras);
+  for (const DitPass& pass : passes) {
+    DitBranchCameras cameras = pass.scene->branches[static_cast<size_t>(pass.branch)];
+    if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(*pass.scene, pass.branch);
+    if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(*pass.scene, pass.branch, cameras);
     list.push_back(std::move(cameras));
   }
   return list;

@@ -132,7 +132,19 @@ class Recompute : public torch::autograd::Function<Recompute> {
 
 struct HeldBlocks : torch::CustomClassHolder {
   std::vector<AttentionBlock> blocks;  // without their conditioning, which is saved
+  size_t parts = 1;                    // that attend each within itself, the same number in every block
 };
+
+// The parts' outputs one after the other.
+torch::Tensor joined(const std::vector<torch::Tensor>& parts) {
+  return parts.size() == 1 ? parts.front() : torch::cat(parts);
+}
+
+torch::Tensor joined_outputs(const std::vector<AttentionResult>& results) {
+  std::vector<torch::Tensor> outputs;
+  for (const auto& result : results) outputs.push_back(result.output);
+  return joined(outputs);
+}
 
 class RecomputeBlocks : public torch::autograd::Function<RecomputeBlocks> {
  public:
@@ -143,9 +155,13 @@ class RecomputeBlocks : public torch::autograd::Function<RecomputeBlocks> {
     for (size_t i = 0; i < held->blocks.size(); ++i) {
       const AttentionBlock& block = held->blocks[i];
       const auto given = undefined_if_empty(conditioning[i]);
-      const auto result = fused_attention_result(block.inputs(tokens, given));
-      tokens = block.finish(tokens, result.output.view(tokens.sizes()), given);
-      saved.insert(saved.end(), {conditioning[i], result.output, result.log_sum_exp});
+      std::vector<AttentionResult> results;
+      for (const auto& inputs : block.inputs(tokens, given))
+        results.push_back(fused_attention_result(inputs));
+      tokens = block.finish(tokens, joined_outputs(results).view(tokens.sizes()), given);
+      saved.push_back(conditioning[i]);
+      for (const auto& result : results) saved.insert(saved.end(), {result.output, result.log_sum_exp});
+      held->parts = results.size();
     }
     context->save_for_backward(std::move(saved));
     context->saved_data["blocks"] = c10::IValue::make_capsule(held);
@@ -158,39 +174,53 @@ class RecomputeBlocks : public torch::autograd::Function<RecomputeBlocks> {
     const auto held =
         c10::static_intrusive_pointer_cast<HeldBlocks>(context->saved_data["blocks"].toCapsule());
     const size_t count = held->blocks.size();
-    const auto conditioning = [&](size_t i) { return undefined_if_empty(saved[1 + 3 * i]); };
-    const auto attended = [&](size_t i) { return AttentionResult{saved[2 + 3 * i], saved[3 + 3 * i]}; };
+    const size_t a_block = 1 + 2 * held->parts;
+    const auto conditioning = [&](size_t i) { return undefined_if_empty(saved[1 + a_block * i]); };
+    const auto attended = [&](size_t i) {
+      std::vector<AttentionResult> results;
+      for (size_t part = 0; part < held->parts; ++part) {
+        const size_t place = 2 + a_block * i + 2 * part;
+        results.push_back({saved[place], saved[place + 1]});
+      }
+      return results;
+    };
 
     // The inputs of all blocks, from the first one's.
     std::vector<torch::Tensor> tokens{saved[0]};
     for (size_t i = 0; i + 1 < count; ++i) {
       const torch::NoGradGuard values_only;
-      const auto next =
-          held->blocks[i].finish(tokens[i], attended(i).output.view(tokens[i].sizes()), conditioning(i));
+      const auto next = held->blocks[i].finish(tokens[i], joined_outputs(attended(i)).view(tokens[i].sizes()),
+                                               conditioning(i));
       tokens.push_back(next.requires_grad_(true));
     }
     torch::Tensor known = gradients[0];
     torch::autograd::variable_list result(2 + count);
     for (size_t i = count; i-- > 0;) {
       const AttentionBlock& block = held->blocks[i];
-      const AttentionResult kept = attended(i);
+      const auto kept = attended(i);
       // The attention's output is no leaf of the caller's graph, but its gradient is wanted.
-      const auto output = kept.output.detach().view(tokens[i].sizes()).requires_grad_(true);
+      const auto output = joined_outputs(kept).detach().view(tokens[i].sizes()).requires_grad_(true);
       auto of_finish =
           gradients_of([&](const std::vector<torch::Tensor>& t) { return block.finish(t[0], t[1], t[2]); },
                        {tokens[i], output, conditioning(i)}, known, ViewDependence::kAlone);
       known = torch::Tensor();
       const auto x = leaf_of(tokens[i]);
       const auto given = leaf_of(conditioning(i));
-      AttentionInputs inputs;
+      std::vector<AttentionInputs> inputs;
       {
         const torch::AutoGradMode with_gradients(true);
         inputs = block.inputs(x, given);
       }
-      const auto inner = fused_attention_gradients(inputs, kept, of_finish[1].view(kept.output.sizes()));
+      const auto known_parts = of_finish[1].chunk(static_cast<int64_t>(held->parts));
       of_finish[1] = torch::Tensor();
-      torch::autograd::backward({inputs.query, inputs.key, inputs.value},
-                                {inner.query, inner.key, inner.value});
+      std::vector<torch::Tensor> attending, attending_gradients;
+      for (size_t part = 0; part < held->parts; ++part) {
+        const auto inner = fused_attention_gradients(inputs[part], kept[part],
+                                                     known_parts[part].view(kept[part].output.sizes()));
+        attending.insert(attending.end(), {inputs[part].query, inputs[part].key, inputs[part].value});
+        attending_gradients.insert(attending_gradients.end(), {inner.query, inner.key, inner.value});
+      }
+      torch::autograd::backward(attending, attending_gradients);
       known = added(of_finish[0], x.grad());
       result[1 + i] = added(of_finish[2], gradient_of(given));
       tokens.pop_back();
@@ -218,7 +248,9 @@ torch::Tensor recomputed(const PartFunction& part, const torch::Tensor& x, const
 
 torch::Tensor whole_block(const AttentionBlock& block, const torch::Tensor& x,
                           const torch::Tensor& conditioning) {
-  return block.finish(x, attention(block.inputs(x, conditioning)).view(x.sizes()), conditioning);
+  std::vector<torch::Tensor> attended;
+  for (const auto& inputs : block.inputs(x, conditioning)) attended.push_back(attention(inputs));
+  return block.finish(x, joined(attended).view(x.sizes()), conditioning);
 }
 
 }  // namespace

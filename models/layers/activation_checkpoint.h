@@ -27,11 +27,13 @@ constexpr int64_t kTokensRecomputedAtOnce = 1024;
 torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tensor& x,
                                     const torch::Tensor& conditioning = {});
 
-// A block around attention: what attends, computed from tokens and conditioning, and what is made of the attention's
-// output, which is handed over in the shape of x. finish treats views alone, as in checkpointed_by_views.
+// A block around attention: what attends, computed from tokens and conditioning, in one or several parts of the tokens
+// that attend each within itself; and what is made of the attention's output, which is handed over in the shape of x,
+// the parts one after the other. finish treats views alone, as in checkpointed_by_views.
 struct AttentionBlock {
   int64_t head_dim = 0;
-  std::function<AttentionInputs(const torch::Tensor& x, const torch::Tensor& conditioning)> inputs;
+  std::function<std::vector<AttentionInputs>(const torch::Tensor& x, const torch::Tensor& conditioning)>
+      inputs;
   std::function<torch::Tensor(const torch::Tensor& x, const torch::Tensor& attended,
                               const torch::Tensor& conditioning)>
       finish;

@@ -115,48 +115,72 @@ void FlowObjective::export_model(const std::filesystem::path& folder, DType dtyp
   save_bundle_part(folder, BundlePart::of(generator_), named_tensors(*dit_), dtype);
 }
 
-FlowObjective::Errors FlowObjective::velocity_errors(const Prepared& prepared, const torch::Tensor& noise,
-                                                     double time, DitBranch branch,
-                                                     const TokenCorrespondence& truth) const {
-  std::vector<AttentionTap> taps;
-  FlowMatchingDraw draw{prepared.clean, noise, time, branch, nullptr};
-  if (truth.shares.defined()) {
-    for (const int64_t block : options_.correspondence_blocks) taps.push_back({block, {}, {}});
-    draw.taps = &taps;
+std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vector<Drawn>& scenes) const {
+  // The network takes scenes of one shape at a time.
+  std::map<std::vector<int64_t>, std::vector<size_t>> by_shape;
+  for (size_t i = 0; i < scenes.size(); ++i) {
+    const auto& views = scenes[i].prepared.inputs.views;
+    by_shape[{views.size(), views.cameras.front().height, views.cameras.front().width}].push_back(i);
   }
-  Errors errors{flow_matching_errors(*dit_, prepared.inputs, draw), {}};
-  const int64_t sources = prepared.inputs.views.num_sources;
-  for (const AttentionTap& tap : taps) {
-    const auto off = correspondence_loss(tap, truth, {dit_->options().num_special_tokens, sources});
-    if (!off.defined()) break;
-    const auto share = off / static_cast<double>(taps.size());
-    errors.correspondence = errors.correspondence.defined() ? errors.correspondence + share : share;
+  std::vector<Errors> result(scenes.size());
+  std::vector<std::vector<AttentionTap>> taps(scenes.size());
+  for (const auto& group : by_shape) {
+    std::vector<FlowMatchingScene> together;
+    for (const size_t i : group.second) {
+      const Drawn& scene = scenes[i];
+      FlowMatchingDraw draw{scene.prepared.clean, scene.noise, scene.time, scene.branch, nullptr};
+      if (scene.truth.shares.defined()) {
+        for (const int64_t block : options_.correspondence_blocks) taps[i].push_back({block, {}, {}});
+        draw.taps = &taps[i];
+      }
+      together.push_back({scene.prepared.inputs, draw});
+    }
+    const auto errors = flow_matching_errors(*dit_, together);
+    for (size_t place = 0; place < errors.size(); ++place) {
+      result[group.second[place]].velocity = errors[place];
+    }
   }
-  return errors;
+  for (size_t i = 0; i < scenes.size(); ++i) {
+    const int64_t sources = scenes[i].prepared.inputs.views.num_sources;
+    for (const AttentionTap& tap : taps[i]) {
+      const auto off =
+          correspondence_loss(tap, scenes[i].truth, {dit_->options().num_special_tokens, sources});
+      if (!off.defined()) break;
+      const auto share = off / static_cast<double>(taps[i].size());
+      auto& sum = result[i].correspondence;
+      sum = sum.defined() ? sum + share : share;
+    }
+  }
+  return result;
+}
+
+FlowObjective::Drawn FlowObjective::draw(const TrainingScene& on_host, torch::Generator& generator) {
+  const TrainingScene scene = on_host.to(placement_.device);
+  const auto scene_latents =
+      kept_latents_.enabled()
+          ? kept_latents_.get(on_host, [&] { return latents(scene); }).to(placement_.device)
+          : latents(scene);
+  Drawn drawn;
+  drawn.prepared = prepare(scene, scene_latents, generator);
+  const auto draws = torch::rand({2}, generator, torch::kFloat64);
+  drawn.time = shifted_time(draws[0].item<double>(), training_shift_);
+  drawn.branch =
+      draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional : DitBranch::kConditional;
+  drawn.noise = torch::randn(drawn.prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+  if (options_.correspondence_weight > 0 && drawn.branch == DitBranch::kConditional) {
+    drawn.truth = token_correspondence(on_host, model_.backbone.patch_side());
+  }
+  return drawn;
 }
 
 Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& context) {
   torch::Generator generator = context.generator;
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
+  std::vector<Drawn> scenes;
+  for (const TrainingScene& scene : batch.scenes) scenes.push_back(draw(scene, generator));
   Losses losses;
   PartSums parts;
-  for (const TrainingScene& on_host : batch.scenes) {
-    const TrainingScene scene = on_host.to(placement_.device);
-    const auto scene_latents =
-        kept_latents_.enabled()
-            ? kept_latents_.get(on_host, [&] { return latents(scene); }).to(placement_.device)
-            : latents(scene);
-    const Prepared prepared = prepare(scene, scene_latents, generator);
-    const auto draws = torch::rand({2}, generator, torch::kFloat64);
-    const double time = shifted_time(draws[0].item<double>(), training_shift_);
-    const auto branch = draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional
-                                                                          : DitBranch::kConditional;
-    const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
-    TokenCorrespondence truth;
-    if (options_.correspondence_weight > 0 && branch == DitBranch::kConditional) {
-      truth = token_correspondence(on_host, model_.backbone.patch_side());
-    }
-    const Errors errors = velocity_errors(prepared, noise, time, branch, truth);
+  for (const Errors& errors : velocity_errors(scenes)) {
     auto total = errors.velocity.all;
     if (errors.correspondence.defined()) {
       total = total + options_.correspondence_weight * errors.correspondence;
@@ -193,16 +217,21 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
     const Prepared prepared = prepare(scene, latents(scene), generator);
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+    std::vector<Drawn> draws;
     for (int i = 0; i < kTimes; ++i) {
-      const double time = shifted_time((i + 0.5) / kTimes, training_shift_);
-      const FlowMatchingErrors errors =
-          velocity_errors(prepared, noise, time, DitBranch::kConditional).velocity;
-      all += errors.all.item<double>() / kTimes;
-      source += errors.source.item<double>() / kTimes;
-      target += errors.target.item<double>() / kTimes;
+      draws.push_back({prepared, noise, shifted_time((i + 0.5) / kTimes, training_shift_),
+                       DitBranch::kConditional, {}});
     }
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
-    one_step += velocity_errors(prepared, noise, 1.0, DitBranch::kConditional).velocity.target.item<double>();
+    draws.push_back({prepared, noise, 1.0, DitBranch::kConditional, {}});
+    const auto errors = velocity_errors(draws);
+    for (int i = 0; i < kTimes; ++i) {
+      const FlowMatchingErrors& at_time = errors[static_cast<size_t>(i)].velocity;
+      all += at_time.all.item<double>() / kTimes;
+      source += at_time.source.item<double>() / kTimes;
+      target += at_time.target.item<double>() / kTimes;
+    }
+    one_step += errors.back().velocity.target.item<double>();
     if (!frozen_.rgb_decoder) continue;
     const auto decoded = decode(scene, generate(prepared, noise)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;

@@ -98,9 +98,17 @@ class FlowObjective : public Objective {
     FlowMatchingErrors velocity;
     torch::Tensor correspondence;  // a scalar; undefined where it was not asked for or nothing is seen twice
   };
-  // truth: undefined shares leave the correspondence out.
-  Errors velocity_errors(const Prepared& prepared, const torch::Tensor& noise, double time, DitBranch branch,
-                         const TokenCorrespondence& truth = {}) const;
+  // A scene of a step with what was drawn for it. truth: undefined shares leave the correspondence out.
+  struct Drawn {
+    Prepared prepared;
+    torch::Tensor noise;
+    double time = 0.5;
+    DitBranch branch = DitBranch::kConditional;
+    TokenCorrespondence truth;
+  };
+  Drawn draw(const TrainingScene& on_host, torch::Generator& generator);
+  // Of each scene; scenes of one size are evaluated together.
+  std::vector<Errors> velocity_errors(const std::vector<Drawn>& scenes) const;
   // Euler steps on the shifted grid; the first evaluations' prediction of the data is kept.
   torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise) const;
 
