@@ -16,16 +16,22 @@ struct Refusal {
   std::string sentence;
 };
 
+// The release's two filters: positions in the world, and relative to the last view.
 void check_positions(const Scene& scene, const SampledViews& sampled, double limit) {
-  for (int64_t index : sampled.frames) {
-    const Frame& frame = scene.frames[static_cast<size_t>(index)];
-    const double norm = frame.camera.world_from_camera.translation().norm();
-    if (std::isfinite(norm) && norm <= limit) continue;
+  const auto position = [&](int64_t index) -> Eigen::Vector3d {
+    return scene.frames[static_cast<size_t>(index)].camera.world_from_camera.translation();
+  };
+  const auto check = [&](int64_t index, double norm, const std::string& of_what) {
+    if (std::isfinite(norm) && norm <= limit) return;
     std::ostringstream text;
-    text << scene.name << " " << frame.name << ": expected a camera within " << limit
-         << " of the origin (max_translation_norm), found one at " << norm << ".";
+    text << scene.name << " " << scene.frames[static_cast<size_t>(index)].name
+         << ": expected a camera within " << limit << " of " << of_what
+         << " (max_translation_norm), found one at " << norm << ".";
     throw Refusal{Refusal::Kind::kOutlier, text.str()};
-  }
+  };
+  for (int64_t index : sampled.frames) check(index, position(index).norm(), "the origin");
+  const Eigen::Vector3d last = position(sampled.frames.back());
+  for (int64_t index : sampled.frames) check(index, (position(index) - last).norm(), "the last view");
 }
 
 }  // namespace
@@ -35,9 +41,12 @@ void BatchLoading::visit(FieldVisitor& visitor) {
   visit_seed(visitor, seed, "the choice of scenes, views and sizes");
   visitor.real(
       {"max_translation_norm",
-       "largest distance of a camera from the origin, in the scene's unit; samples beyond are refused"},
+       "largest distance of a camera from the origin and from the last view, in the scene's unit; samples beyond are "
+       "refused"},
       max_translation_norm, {0});
   visitor.integer({"most_attempts", "to replace a sample that cannot be used"}, most_attempts, {1, 10'000});
+  visit_choice(visitor, {"crop_centre", "what stays in the middle when pictures are cut to a trained size"},
+               crop_centre, {"image", "principal_point"});
   visit_choice(visitor, {"parts", "what is loaded of each frame"}, parts, {"image", "image_and_depth"});
 }
 
@@ -80,7 +89,7 @@ SceneImages SceneImageLoader::try_scene(const SampleKey& key, const ImageSize& s
   loaded.metric = scene.metric;
   for (int64_t index : sampled->frames) {
     const Frame& frame = scene.frames[static_cast<size_t>(index)];
-    loaded.views.push_back(load_sized(frame, size, options_.parts));
+    loaded.views.push_back(load_sized(frame, size, options_.parts, options_.crop_centre));
     loaded.frame_names.push_back(frame.name);
   }
   return loaded;

@@ -14,9 +14,12 @@ namespace gld {
 struct BatchLoading : OptionsGroup {
   int64_t batch_size = 8;  // scenes
   int64_t seed = 0;
-  double max_translation_norm = 100;  // of a camera's position, in the scene's unit
-  int64_t most_attempts = 20;         // per sample, before loading gives up
+  // Of a camera's position, from the scene's origin and from the sample's last view (the frame that the diffusion models
+  // see the cameras in), in the scene's unit.
+  double max_translation_norm = 100;
+  int64_t most_attempts = 20;  // per sample, before loading gives up
   FrameParts parts = FrameParts::kImage;
+  CropCentre crop_centre = CropCentre::kImage;
 
   void visit(FieldVisitor& visitor) override;
 };

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include <fmt/format.h>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -19,20 +20,62 @@ void check_source(int64_t width, int64_t height, const ResizeCrop& plan) {
 }
 
 // Columns or rows of the source whose centres are nearest to those of the result.
-std::vector<int64_t> nearest_sources(int64_t source, int64_t resized, int64_t offset, int64_t count) {
-  std::vector<int64_t> result(static_cast<size_t>(count));
-  const double scale = static_cast<double>(source) / static_cast<double>(resized);
-  for (int64_t i = 0; i < count; ++i) {
-    const auto position = static_cast<int64_t>((static_cast<double>(i + offset) + 0.5) * scale);
-    result[static_cast<size_t>(i)] = std::min(position, source - 1);
+struct SideOfPlan {
+  int64_t window_start = 0;
+  int64_t window = 0;
+  int64_t resized = 0;
+  int64_t offset = 0;
+  int64_t count = 0;
+};
+std::vector<int64_t> nearest_sources(const SideOfPlan& side) {
+  std::vector<int64_t> result(static_cast<size_t>(side.count));
+  const double scale = static_cast<double>(side.window) / static_cast<double>(side.resized);
+  for (int64_t i = 0; i < side.count; ++i) {
+    const auto position = static_cast<int64_t>((static_cast<double>(i + side.offset) + 0.5) * scale);
+    result[static_cast<size_t>(i)] = side.window_start + std::min(position, side.window - 1);
   }
   return result;
 }
 
+void check_target(int64_t width, int64_t height, const ImageSize& target) {
+  if (width >= 2 && height >= 2 && target.width >= 2 && target.height >= 2) return;
+  fail({"resize and crop",
+        "sizes of at least 2 pixels",
+        std::to_string(width) + "x" + std::to_string(height) + " to " + std::to_string(target.width) + "x" +
+            std::to_string(target.height),
+        {}});
+}
+
+// With source and window given.
+void plan_window(ResizeCrop& plan, const ImageSize& target) {
+  const double scale = std::max(static_cast<double>(target.width) / static_cast<double>(plan.window_width),
+                                static_cast<double>(target.height) / static_cast<double>(plan.window_height));
+  plan.resized_width = std::max(
+      target.width, static_cast<int64_t>(std::llround(static_cast<double>(plan.window_width) * scale)));
+  plan.resized_height = std::max(
+      target.height, static_cast<int64_t>(std::llround(static_cast<double>(plan.window_height) * scale)));
+  plan.left = (plan.resized_width - target.width) / 2;
+  plan.top = (plan.resized_height - target.height) / 2;
+  plan.target = target;
+}
+
+// Half the side of the largest window about a principal point at this coordinate.
+int64_t largest_half(const char* axis, double principal_point, int64_t side) {
+  const double rounded = std::round(principal_point);
+  const double half = std::min(rounded, static_cast<double>(side) - rounded);
+  if (half > static_cast<double>(side) / 5) return static_cast<int64_t>(half);
+  fail({"crop about the principal point",
+        std::string("a principal point farther than a fifth of the picture's ") + axis + " (" +
+            std::to_string(side) + " pixels) from its edges",
+        fmt::format("{:g}", principal_point), "crop about the image's centre (crop_centre: image)"});
+}
+
 template <class Value>
 std::vector<Value> sampled(const std::vector<Value>& source, const ResizeCrop& plan) {
-  const auto columns = nearest_sources(plan.source_width, plan.resized_width, plan.left, plan.target.width);
-  const auto rows = nearest_sources(plan.source_height, plan.resized_height, plan.top, plan.target.height);
+  const auto columns = nearest_sources(
+      {plan.window_left, plan.window_width, plan.resized_width, plan.left, plan.target.width});
+  const auto rows = nearest_sources(
+      {plan.window_top, plan.window_height, plan.resized_height, plan.top, plan.target.height});
   std::vector<Value> result;
   result.reserve(columns.size() * rows.size());
   for (int64_t y : rows) {
@@ -60,23 +103,28 @@ ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<
 }
 
 ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target) {
-  if (width < 2 || height < 2 || target.width < 2 || target.height < 2) {
-    fail({"resize and crop",
-          "sizes of at least 2 pixels",
-          std::to_string(width) + "x" + std::to_string(height) + " to " + std::to_string(target.width) + "x" +
-              std::to_string(target.height),
-          {}});
-  }
-  const double scale = std::max(static_cast<double>(target.width) / static_cast<double>(width),
-                                static_cast<double>(target.height) / static_cast<double>(height));
+  check_target(width, height, target);
   ResizeCrop plan;
-  plan.source_width = width;
-  plan.source_height = height;
-  plan.resized_width = std::max(target.width, static_cast<int64_t>(std::llround(width * scale)));
-  plan.resized_height = std::max(target.height, static_cast<int64_t>(std::llround(height * scale)));
-  plan.left = (plan.resized_width - target.width) / 2;
-  plan.top = (plan.resized_height - target.height) / 2;
-  plan.target = target;
+  plan.source_width = plan.window_width = width;
+  plan.source_height = plan.window_height = height;
+  plan_window(plan, target);
+  return plan;
+}
+
+ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropCentre centre) {
+  if (centre == CropCentre::kImage) return plan_resize_crop(camera.width, camera.height, target);
+  check_target(camera.width, camera.height, target);
+  const double x = camera.intrinsics(0, 2), y = camera.intrinsics(1, 2);
+  const int64_t half_width = largest_half("width", x, camera.width);
+  const int64_t half_height = largest_half("height", y, camera.height);
+  ResizeCrop plan;
+  plan.source_width = camera.width;
+  plan.source_height = camera.height;
+  plan.window_left = static_cast<int64_t>(std::round(x)) - half_width;
+  plan.window_top = static_cast<int64_t>(std::round(y)) - half_height;
+  plan.window_width = 2 * half_width;
+  plan.window_height = 2 * half_height;
+  plan_window(plan, target);
   return plan;
 }
 
@@ -85,10 +133,12 @@ Camera resize_crop(const Camera& camera, const ResizeCrop& plan) {
   Camera result = camera;
   result.width = plan.target.width;
   result.height = plan.target.height;
+  result.intrinsics(0, 2) -= static_cast<double>(plan.window_left);
+  result.intrinsics(1, 2) -= static_cast<double>(plan.window_top);
   result.intrinsics.row(0) *=
-      static_cast<double>(plan.resized_width) / static_cast<double>(plan.source_width);
+      static_cast<double>(plan.resized_width) / static_cast<double>(plan.window_width);
   result.intrinsics.row(1) *=
-      static_cast<double>(plan.resized_height) / static_cast<double>(plan.source_height);
+      static_cast<double>(plan.resized_height) / static_cast<double>(plan.window_height);
   result.intrinsics(0, 2) -= static_cast<double>(plan.left);
   result.intrinsics(1, 2) -= static_cast<double>(plan.top);
   return result;
@@ -96,11 +146,14 @@ Camera resize_crop(const Camera& camera, const ResizeCrop& plan) {
 
 Image resize_crop(const Image& image, const ResizeCrop& plan) {
   check_source(image.width, image.height, plan);
-  const cv::Mat source(static_cast<int>(image.height), static_cast<int>(image.width), CV_8UC3,
-                       const_cast<uint8_t*>(image.rgb.data()));
-  const bool shrinks = plan.resized_width < plan.source_width || plan.resized_height < plan.source_height;
+  const cv::Mat whole(static_cast<int>(image.height), static_cast<int>(image.width), CV_8UC3,
+                      const_cast<uint8_t*>(image.rgb.data()));
+  const cv::Mat source =
+      whole(cv::Rect(static_cast<int>(plan.window_left), static_cast<int>(plan.window_top),
+                     static_cast<int>(plan.window_width), static_cast<int>(plan.window_height)));
+  const bool shrinks = plan.resized_width < plan.window_width || plan.resized_height < plan.window_height;
   cv::Mat resized = source;
-  if (plan.resized_width != plan.source_width || plan.resized_height != plan.source_height) {
+  if (plan.resized_width != plan.window_width || plan.resized_height != plan.window_height) {
     cv::resize(source, resized, {static_cast<int>(plan.resized_width), static_cast<int>(plan.resized_height)},
                0, 0, shrinks ? cv::INTER_AREA : cv::INTER_CUBIC);
   }
@@ -129,8 +182,8 @@ ValidityMask resize_crop(const ValidityMask& mask, const ResizeCrop& plan) {
   return result;
 }
 
-SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts) {
-  const ResizeCrop plan = plan_resize_crop(frame.camera.width, frame.camera.height, target);
+SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts, CropCentre centre) {
+  const ResizeCrop plan = plan_resize_crop(frame.camera, target, centre);
   SizedFrame sized;
   sized.camera = resize_crop(frame.camera, plan);
   sized.image = resize_crop(frame.image(), plan);

@@ -16,17 +16,31 @@ std::vector<ImageSize> published_sizes();
 // The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
 ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
 
-// A uniform resize that covers the target (up to rounding the other side to whole pixels), then a centred crop.
+// What stays in the middle of a crop. About the principal point, as the release trains: the largest window with the
+// principal point (rounded to whole pixels) at its centre is cut out first, and the lens looks along the middle of every
+// picture; what lies outside is lost.
+enum class CropCentre { kImage, kPrincipalPoint };
+
+// A window cut out of the source, a uniform resize that covers the target (up to rounding the other side to whole pixels),
+// then a centred crop.
 struct ResizeCrop {
   int64_t source_width = 0;
   int64_t source_height = 0;
+  int64_t window_left = 0;
+  int64_t window_top = 0;
+  int64_t window_width = 0;
+  int64_t window_height = 0;
   int64_t resized_width = 0;
   int64_t resized_height = 0;
   int64_t left = 0;
   int64_t top = 0;
   ImageSize target;
 };
+// The whole source as the window.
 ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target);
+// Error where the principal point is within a fifth of a side's length of that side's end (as the release refuses), for
+// kPrincipalPoint.
+ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropCentre centre);
 
 // The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
 Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
@@ -44,6 +58,7 @@ struct SizedFrame {
   ValidityMask validity;
 };
 enum class FrameParts { kImage, kImageAndDepth };
-SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts);
+SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts,
+                      CropCentre centre = CropCentre::kImage);
 
 }  // namespace gld

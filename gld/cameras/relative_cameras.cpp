@@ -29,7 +29,7 @@ double centre_resolution(const Views& views) {
 
 }  // namespace
 
-RelativeCameras relative_cameras(const Views& views, int64_t reference_view) {
+RelativeCameras relative_cameras(const Views& views, int64_t reference_view, TranslationUnit unit) {
   const int64_t index = reference_view < 0 ? views.size() + reference_view : reference_view;
   if (index < 0 || index >= views.size()) {
     fail({"reference_view", "one of " + std::to_string(views.size()) + " views",
@@ -52,7 +52,9 @@ RelativeCameras relative_cameras(const Views& views, int64_t reference_view) {
     pose.linear() = reference_from_world * camera.world_from_camera.linear();
     pose.translation() = reference_from_world * offset;
     camera.world_from_camera = pose;
-    largest = std::max(largest, pose.translation().cwiseAbs().maxCoeff());
+    largest = std::max(largest, unit == TranslationUnit::kLargestDistance
+                                    ? pose.translation().norm()
+                                    : pose.translation().cwiseAbs().maxCoeff());
   }
   if (world_baseline <= centre_resolution(views)) {
     for (Views* frame : {&relative.views, &relative.world_views}) {

@@ -11,9 +11,13 @@
 
 namespace gld {
 
+// What a translation of 1 is: the largest absolute component, as in the release, or the largest distance from the
+// reference view, which does not change when the reference camera is turned (the paper: "the largest camera distance is 1").
+enum class TranslationUnit { kLargestComponent, kLargestDistance };
+
 // The cameras of one scene as the diffusion models see them (DESIGN.md section 4, "Cameras"): poses relative to
-// one view, translations divided by (largest absolute component + 1e-8). All in double, so that the distance of
-// the scene from the world's origin does not matter.
+// one view, translations divided by (that unit + 1e-8). All in double, so that the distance of the scene from the
+// world's origin does not matter.
 struct RelativeCameras {
   // The pinhole cameras of the scene with world_from_camera replaced by reference_from_camera, its translation
   // multiplied by translation_scale. View order is kept.
@@ -21,7 +25,7 @@ struct RelativeCameras {
   // The cameras in the world's own frame, translations multiplied by the same scale. They carry the distance of the
   // scene from the origin; only published models with special tokens need them (gld/cameras/prope.h).
   Views world_views;
-  // 1 / (largest absolute translation component + 1e-8), in 1 / world units; 1 where there is no baseline.
+  // 1 / (the unit + 1e-8), in 1 / world units; 1 where there is no baseline.
   double translation_scale = 1;
   // One sentence each; not empty where the camera centres coincide to the precision of the poses. Every
   // translation is then exactly zero.
@@ -30,7 +34,8 @@ struct RelativeCameras {
 
 // reference_view counts from the end when negative: -1 is the last view, which the published models use.
 // Throws Error when there is no such view. The cameras must have passed check_cameras (gld/cameras/camera_checks.h).
-RelativeCameras relative_cameras(const Views& views, int64_t reference_view = -1);
+RelativeCameras relative_cameras(const Views& views, int64_t reference_view = -1,
+                                 TranslationUnit unit = TranslationUnit::kLargestComponent);
 
 // The lifted projection of PRoPE, P = K_norm [R | t] as a 4x4 matrix, from the view's reference frame to
 // normalised image coordinates; K_norm holds fx/W, fy/H, cx/W - 0.5, cy/H - 0.5 (DESIGN.md section 4, "PRoPE").

@@ -56,4 +56,8 @@ double time_shift_of(const LatentGrid& grid, int64_t channels) {
   return std::sqrt(size / kReferenceSize);
 }
 
+double resolved_time_shift(double given, const LatentGrid& grid, int64_t channels) {
+  return given == 0 ? time_shift_of(grid, channels) : given;
+}
+
 }  // namespace gld

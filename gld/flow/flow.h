@@ -31,5 +31,7 @@ torch::Tensor score_from_velocity(const torch::Tensor& x, const torch::Tensor& v
 // The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al. 2024):
 // 62.4 for DA3-Base at 504 x 504 with 8 views.
 double time_shift_of(const LatentGrid& grid, int64_t channels);
+// The shift that a model was given, or, where that is 0, time_shift_of its latent.
+double resolved_time_shift(double given, const LatentGrid& grid, int64_t channels);
 
 }  // namespace gld

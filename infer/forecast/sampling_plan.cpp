@@ -1,6 +1,7 @@
 #include "infer/forecast/sampling_plan.h"
 
 #include "gld/cameras/latent_grid.h"
+#include "gld/flow/flow.h"
 #include "gld/machine/stage_record.h"
 #include "gld/report/progress.h"
 #include "infer/forecast/dit_speed.h"
@@ -77,8 +78,9 @@ int64_t latent_bytes(int64_t channels, const LatentGrid& grid) {
   return grid.views * grid.tokens_per_view() * channels * kFloatBytes;
 }
 
-void price_flow(PlannedStage& stage, const DitOptions& options, const SolverOptions& solver,
+void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions solver,
                 const PlanRequest& request) {
+  solver.schedule.shift = resolved_time_shift(solver.schedule.shift, request.grid, options.in_channels);
   const GuidanceOptions& guidance = request.flow.guidance;
   stage.evaluations = solver.evaluations;
   stage.with_unconditional = guided_evaluations(solver, guidance);

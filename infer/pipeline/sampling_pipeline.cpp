@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/flow/flow.h"
 #include "infer/pipeline/visible_pairs.h"
 #include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
@@ -173,11 +174,12 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   state.scene.source_features = statistics.normalise(
       generated_tokens(raw, raw.size(1) - result.grid.tokens_per_view(), statistics.special_tokens));
   state.scene.deeper_level = generator.is_cascade() ? state.latents.at(*generator.deeper) : torch::Tensor();
+  SolverOptions solver = request.flow.solvers[stage.generator];
+  solver.schedule.shift =
+      resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
   auto& latent = state.latents[generator.level];
-  latent =
-      run_flow(*model, model->prepare_scene(state.scene, request.savings),
-               {stage.name, generator, request.flow.solvers[stage.generator], request.noise[stage.generator]},
-               request, result);
+  latent = run_flow(*model, model->prepare_scene(state.scene, request.savings),
+                    {stage.name, generator, solver, request.noise[stage.generator]}, request, result);
   result.latents[generator.level] = latent.cpu();
 }
 

@@ -38,8 +38,10 @@ ImageSize image_size_from_text(const std::string& text, const std::string& where
 }
 
 void TimeShiftOptions::visit(FieldVisitor& visitor) {
-  visitor.real({"training", "time shift that training draws flow times with"}, training, {1e-3, 1e6});
-  visitor.real({"evaluation", "time shift of the published sampler"}, evaluation, {1e-3, 1e6});
+  visitor.real({"training", "time shift that training draws flow times with; 0: from the latent's shape"},
+               training, {0, 1e6});
+  visitor.real({"evaluation", "time shift of the published sampler; 0: from the latent's shape"}, evaluation,
+               {0, 1e6});
 }
 
 BundleOptions::BundleOptions() { set_generators({level_model(1), cascade(1, 0)}); }

@@ -18,7 +18,8 @@ namespace gld {
 ImageSize image_size_from_text(const std::string& text, const std::string& where);
 
 // s of t' = s t / (1 + (s - 1) t), which training draws with and sampling runs with (DESIGN.md section 4, "Flow").
-// Defaults are those of the released checkpoints.
+// Defaults are those of the released checkpoints; 0 is the paper's rule, from the shape of each latent (time_shift_of in
+// gld/flow/flow.h), for new models.
 struct TimeShiftOptions : OptionsGroup {
   double training = 19.60;
   double evaluation = 31.18;

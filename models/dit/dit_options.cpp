@@ -43,6 +43,10 @@ void DitOptions::visit(FieldVisitor& visitor) {
   visitor.boolean({"split_embedders", "separate embedders for source and target views"}, split_embedders);
   visit_choice(visitor, {"conditioning", "what the condition encoder sees beside the source features"},
                conditioning, {"none", "deeper_level"});
+  visit_choice(
+      visitor,
+      {"translation_unit", "what camera translations are divided by; largest_component is the release's"},
+      translation_unit, {"largest_component", "largest_distance"});
   visitor.text({"prope_image_size", "pixels that PRoPE divides intrinsics by: image or a number"},
                prope_image_size);
   visit_choice(visitor, {"prope_inverse", "inverse of the projection in PRoPE"}, prope_inverse,

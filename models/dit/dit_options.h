@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/cameras/camera_conditioning.h"
 #include "gld/cameras/prope.h"
+#include "gld/cameras/relative_cameras.h"
 
 #include <cstdint>
 #include <string>
@@ -36,6 +37,7 @@ struct DitOptions : OptionsGroup {
   int64_t num_special_tokens = 0;
   bool split_embedders = true;
   DitConditioning conditioning = DitConditioning::kNone;
+  TranslationUnit translation_unit = TranslationUnit::kLargestComponent;
   std::string prope_image_size = "image";  // or a number of pixels
   PropeInverse prope_inverse = PropeInverse::kTrue;
   PropeFrame prope_frame = PropeFrame::kReferenceView;

@@ -107,7 +107,8 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   DitScene scene;
   scene.savings = savings;
   scene.grid = grid_of(inputs.views, options_.camera_patch_size);
-  scene.cameras = relative_cameras(inputs.views);
+  constexpr int64_t kLastView = -1;
+  scene.cameras = relative_cameras(inputs.views, kLastView, options_.translation_unit);
   scene.view_mask = inputs.view_mask;
   check_latent(scene, inputs.source_features, "source features", scene.num_sources());
   scene.source_features = inputs.source_features;

@@ -1,6 +1,7 @@
 #include "train/objectives/flow_objective.h"
 
 #include "gld/base/error.h"
+#include "gld/flow/flow.h"
 #include "gld/flow/schedule.h"
 #include "gld/metrics/metric_list.h"
 #include "models/dit/flow_matching_loss.h"
@@ -47,7 +48,6 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
                              const ParameterPlacement& placement, int64_t seed)
     : model_(model),
       generator_(generator),
-      training_shift_(model.generator(generator).time_shift.training),
       options_(options),
       frozen_(std::move(frozen)),
       placement_(placement),
@@ -83,6 +83,11 @@ void FlowObjective::start_from(const DitDh& trained) {
 
 LatentGrid FlowObjective::grid_of(const TrainingScene& scene) const {
   return model_.backbone.grid_of(scene.views.size(), scene.height(), scene.width());
+}
+
+double FlowObjective::training_shift(const TrainingScene& scene) const {
+  const GeneratorOptions& part = model_.generator(generator_);
+  return resolved_time_shift(part.time_shift.training, grid_of(scene), part.dit.in_channels);
 }
 
 torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t views, int64_t level,
@@ -163,7 +168,7 @@ FlowObjective::Drawn FlowObjective::draw(const TrainingScene& on_host, torch::Ge
   Drawn drawn;
   drawn.prepared = prepare(scene, scene_latents, generator);
   const auto draws = torch::rand({2}, generator, torch::kFloat64);
-  drawn.time = shifted_time(draws[0].item<double>(), training_shift_);
+  drawn.time = shifted_time(draws[0].item<double>(), training_shift(scene));
   drawn.branch =
       draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional : DitBranch::kConditional;
   drawn.noise = torch::randn(drawn.prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
@@ -194,15 +199,14 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
   return losses;
 }
 
-torch::Tensor FlowObjective::generate(const Prepared& prepared, const torch::Tensor& noise) const {
+torch::Tensor FlowObjective::generate(const Prepared& prepared, const torch::Tensor& noise,
+                                      double shift) const {
   const auto scene = dit_->prepare_scene(prepared.inputs);
   const auto steps = options_.validation_evaluations;
   torch::Tensor state = noise;
   for (int64_t i = 0; i < steps; ++i) {
-    const double from =
-        shifted_time(1.0 - static_cast<double>(i) / static_cast<double>(steps), training_shift_);
-    const double to =
-        shifted_time(1.0 - static_cast<double>(i + 1) / static_cast<double>(steps), training_shift_);
+    const double from = shifted_time(1.0 - static_cast<double>(i) / static_cast<double>(steps), shift);
+    const double to = shifted_time(1.0 - static_cast<double>(i + 1) / static_cast<double>(steps), shift);
     state = state + (to - from) * dit_->velocity(scene, state, dit_->time_rows({from}).front());
   }
   return state;
@@ -217,10 +221,11 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
     const Prepared prepared = prepare(scene, latents(scene), generator);
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+    const double shift = training_shift(scene);
     std::vector<Drawn> draws;
     for (int i = 0; i < kTimes; ++i) {
-      draws.push_back({prepared, noise, shifted_time((i + 0.5) / kTimes, training_shift_),
-                       DitBranch::kConditional, {}});
+      draws.push_back(
+          {prepared, noise, shifted_time((i + 0.5) / kTimes, shift), DitBranch::kConditional, {}});
     }
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
     draws.push_back({prepared, noise, 1.0, DitBranch::kConditional, {}});
@@ -233,7 +238,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     }
     one_step += errors.back().velocity.target.item<double>();
     if (!frozen_.rgb_decoder) continue;
-    const auto decoded = decode(scene, generate(prepared, noise)).to(torch::kCPU);
+    const auto decoded = decode(scene, generate(prepared, noise, shift)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;
     const int64_t targets = scene.views.num_targets();
     psnr_sum += measure_images(metric_named("psnr"), on_host.images.narrow(0, sources, targets),

@@ -109,15 +109,15 @@ class FlowObjective : public Objective {
   Drawn draw(const TrainingScene& on_host, torch::Generator& generator);
   // Of each scene; scenes of one size are evaluated together.
   std::vector<Errors> velocity_errors(const std::vector<Drawn>& scenes) const;
-  // Euler steps on the shifted grid; the first evaluations' prediction of the data is kept.
-  torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise) const;
+  double training_shift(const TrainingScene& scene) const;
+  // Euler steps on the grid with that shift.
+  torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise, double shift) const;
 
   // A generated latent as images (views, 3, height, width), for validation. Levels that nothing gives are zero.
   torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const;
 
   BundleOptions model_;
   LevelGenerator generator_;
-  double training_shift_;
   FlowObjectiveOptions options_;
   FrozenParts frozen_;
   ParameterPlacement placement_;

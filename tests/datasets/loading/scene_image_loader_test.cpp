@@ -36,7 +36,7 @@ MixturePart part_of(std::shared_ptr<const Dataset> dataset, const std::string& n
 // Every second scene fails in its own way.
 class PartlyBroken : public Dataset {
  public:
-  enum class Fault { kUnreadable, kBrokenImage, kFarAway, kShort };
+  enum class Fault { kUnreadable, kBrokenImage, kFarAway, kFarApart, kShort };
   explicit PartlyBroken(Fault fault, int64_t period = 2)
       : fault_(fault), period_(period), good_(small_scenes()) {}
   int64_t size() const override { return good_->size(); }
@@ -54,6 +54,11 @@ class PartlyBroken : public Dataset {
         break;
       case Fault::kFarAway:
         scene.frames[4].camera.world_from_camera.translation().x() = 1000;
+        break;
+      case Fault::kFarApart:  // each within 100 of the origin
+        for (size_t i = 0; i < scene.frames.size(); ++i) {
+          scene.frames[i].camera.world_from_camera.translation().x() = i % 2 == 0 ? 90 : -90;
+        }
         break;
       case Fault::kShort:
         scene.frames.resize(2);
@@ -155,6 +160,13 @@ TEST(SceneImageLoader, ReplacesAndCountsWhatCannotBeUsed) {
       far.last_problem.find("frame_00004: expected a camera within 100 of the origin (max_translation_norm), "
                             "found one at 1000"),
       std::string::npos);
+
+  const LoadingReport apart = report_for(PartlyBroken::Fault::kFarApart);
+  EXPECT_GT(apart.pose_outliers, 2);
+  EXPECT_NE(apart.last_problem.find(
+                ": expected a camera within 100 of the last view (max_translation_norm), found one at 180"),
+            std::string::npos)
+      << apart.last_problem;
 
   const LoadingReport few = report_for(PartlyBroken::Fault::kShort);
   EXPECT_GT(few.short_scenes, 5);

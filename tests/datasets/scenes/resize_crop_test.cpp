@@ -4,6 +4,7 @@
 #include "tests/support/error_of.h"
 
 #include <cmath>
+#include <utility>
 
 #include <Eigen/Geometry>
 #include <gtest/gtest.h>
@@ -33,8 +34,13 @@ TEST(ResizeCrop, ChoosesTheNearestAspect) {
 // A small white disc is drawn where a point projects; after resizing, its centre of mass must lie where the changed
 // camera projects the same point.
 TEST(ResizeCrop, IntrinsicsFollowThePixels) {
-  for (const auto& size : {ImageSize{504, 280}, ImageSize{112, 112}, ImageSize{1000, 700}}) {
-    const Camera camera = camera_of(801, 599);
+  const Camera camera = camera_of(801, 599);
+  for (const auto& [size, about] : {std::pair{ImageSize{504, 280}, CropCentre::kImage},
+                                    std::pair{ImageSize{112, 112}, CropCentre::kImage},
+                                    std::pair{ImageSize{1000, 700}, CropCentre::kImage},
+                                    std::pair{ImageSize{504, 280}, CropCentre::kPrincipalPoint},
+                                    std::pair{ImageSize{112, 112}, CropCentre::kPrincipalPoint},
+                                    std::pair{ImageSize{1000, 700}, CropCentre::kPrincipalPoint}}) {
     const Eigen::Vector3d point(0.05, -0.04, 1.0);
     const Eigen::Vector2d pixel = (camera.intrinsics * point).hnormalized();
     Image image(801, 599);
@@ -46,7 +52,7 @@ TEST(ResizeCrop, IntrinsicsFollowThePixels) {
         for (int c = 0; c < 3; ++c) image.pixel(x, y)[c] = static_cast<uint8_t>(std::lround(value));
       }
     }
-    const ResizeCrop plan = plan_resize_crop(801, 599, size);
+    const ResizeCrop plan = plan_resize_crop(camera, size, about);
     const Camera sized = resize_crop(camera, plan);
     const Image small = resize_crop(image, plan);
     ASSERT_EQ(small.width, size.width);
@@ -64,6 +70,34 @@ TEST(ResizeCrop, IntrinsicsFollowThePixels) {
     EXPECT_LT((centre / mass - projected).norm(), 0.02) << size.width << "x" << size.height;
     EXPECT_NEAR(sized.intrinsics(0, 0) / sized.intrinsics(1, 1), 700.0 / 710.0, 5e-3);
   }
+}
+
+TEST(ResizeCrop, AboutThePrincipalPointTheLensLooksAlongTheMiddle) {
+  Camera camera = camera_of(800, 600);
+  camera.intrinsics = intrinsic_matrix(700, 700, 300.2, 350.4);
+  // Columns 0 to 599 and rows 100 to 599 stay.
+  const ResizeCrop plan = plan_resize_crop(camera, {120, 100}, CropCentre::kPrincipalPoint);
+  EXPECT_EQ(plan.window_left, 0);
+  EXPECT_EQ(plan.window_width, 600);
+  EXPECT_EQ(plan.window_top, 100);
+  EXPECT_EQ(plan.window_height, 500);
+  const Camera sized = resize_crop(camera, plan);
+  EXPECT_NEAR(sized.intrinsics(0, 2), 60.0 + 0.2 / 5, 1e-9);
+  EXPECT_NEAR(sized.intrinsics(1, 2), 50.0 + 0.4 / 5, 1e-9);
+  EXPECT_NEAR(sized.intrinsics(0, 0), 140.0, 1e-9);
+  DepthMap depth(800, 600);
+  for (int64_t y = 0; y < 600; ++y) {
+    for (int64_t x = 0; x < 800; ++x) depth.at(x, y) = static_cast<float>(1000 * y + x);
+  }
+  EXPECT_EQ(resize_crop(depth, plan).at(0, 0), 102002);
+  EXPECT_EQ(resize_crop(depth, plan).at(119, 99), 597597);
+  camera.intrinsics(0, 2) = 150;
+  EXPECT_EQ(
+      test::error_of([&] {
+        plan_resize_crop(camera, {120, 100}, CropCentre::kPrincipalPoint);
+      }),
+      "crop about the principal point: expected a principal point farther than a fifth of the picture's width "
+      "(800 pixels) from its edges, found 150; crop about the image's centre (crop_centre: image).");
 }
 
 TEST(ResizeCrop, DepthTakesTheNearestPixelAndNeverMixes) {

@@ -108,6 +108,27 @@ TEST(RelativeCameras, TinyAndHugeScenesKeepTheirShape) {
   }
 }
 
+TEST(RelativeCameras, TheLargestDistanceIsOneHoweverTheReferenceIsTurned) {
+  test::RandomCameras random(7);
+  Views views = random.ordinary_scene({});
+  const auto largest = [](const RelativeCameras& relative) {
+    double distance = 0;
+    for (const Camera& camera : relative.views.cameras) {
+      distance = std::max(distance, camera.world_from_camera.translation().norm());
+    }
+    return distance;
+  };
+  const auto by_distance = relative_cameras(views, -1, TranslationUnit::kLargestDistance);
+  EXPECT_NEAR(largest(by_distance), 1.0, 1e-7);
+  const auto by_component = relative_cameras(views);
+  EXPECT_GT(largest(by_component), 1.01);
+  views.cameras.back().world_from_camera.rotate(
+      Eigen::AngleAxisd(0.7, Eigen::Vector3d(1, 2, 3).normalized()));
+  EXPECT_NEAR(relative_cameras(views, -1, TranslationUnit::kLargestDistance).translation_scale,
+              by_distance.translation_scale, 1e-9 * by_distance.translation_scale);
+  EXPECT_GT(std::abs(relative_cameras(views).translation_scale / by_component.translation_scale - 1), 1e-3);
+}
+
 TEST(RelativeCameras, AnyViewCanBeTheReference) {
   test::RandomCameras random(8);
   const Views views = random.ordinary_scene({});

@@ -62,6 +62,8 @@ TEST(Flow, RefusesTheDivisionsByZero) {
 TEST(Flow, TimeShiftOfThePaper) {
   EXPECT_NEAR(time_shift_of({8, 36, 36}, 1536), 62.35, 0.01);
   EXPECT_NEAR(shifted_time(0.001, time_shift_of({8, 36, 36}, 1536)), 0.0587, 1e-4);
+  EXPECT_EQ(resolved_time_shift(0, {8, 36, 36}, 1536), time_shift_of({8, 36, 36}, 1536));
+  EXPECT_EQ(resolved_time_shift(19.6, {8, 36, 36}, 1536), 19.6);
 }
 
 }  // namespace

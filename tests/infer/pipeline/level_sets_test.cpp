@@ -2,6 +2,8 @@
 // after another here.
 
 #include "gld/base/configuration.h"
+#include "gld/flow/flow.h"
+#include "gld/flow/schedule.h"
 #include "gld/latents/noise.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
@@ -159,6 +161,29 @@ TEST_P(LevelSets, ThePipelineIsThePartsOneAfterAnother) {
   targets.views = kViews - kSources;
   const auto images = bundle.load_rgb_decoder()->decode(torch::cat(decoded, 2), targets);
   EXPECT_LT((made.images - images).abs().max().item<double>(), 1e-4);
+}
+
+TEST(TimeShiftOfTheLatent, IsTakenWhereNoneIsGiven) {
+  const auto options = options_of({"published", {level_model(1), cascade(1, 0)}, 1, {}, 0});
+  const test::TemporaryFolder folder;
+  write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
+  const auto models = bundle_models(ModelBundle::open(folder.path() / "model"), torch::kCPU);
+  auto request = request_of(options);
+  const double shift = time_shift_of({kViews, kHeight / 14, kWidth / 14}, options.backbone.level_channels());
+  EXPECT_GT(std::abs(shift - 1), 0.1);
+  StageRecords stages;
+  for (auto& solver : request.flow.solvers) {
+    solver.schedule.schedule = ScheduleKind::kShifted;
+    solver.schedule.shift = 0;
+  }
+  const auto by_rule = run_pipeline(models, request, stages);
+  for (auto& solver : request.flow.solvers) solver.schedule.shift = shift;
+  const auto given = run_pipeline(models, request, stages);
+  ASSERT_EQ(by_rule.flows.size(), 2U);
+  for (size_t i = 0; i < by_rule.flows.size(); ++i) {
+    EXPECT_EQ(by_rule.flows[i].times, given.flows[i].times);
+    EXPECT_NEAR(by_rule.flows[i].times.at(1), shifted_time(0.5, shift), 1e-12);
+  }
 }
 
 INSTANTIATE_TEST_SUITE_P(

@@ -1,5 +1,6 @@
 // gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
 #include "gld/base/error.h"
+#include "gld/flow/flow.h"
 #include "gld/latents/latent_statistics.h"
 #include "models/bundle/bundle.h"
 #include "tests/support/error_of.h"
@@ -168,6 +169,27 @@ TEST_F(TrainedChain, TheLevelMustBeOneThatTheModelGenerates) {
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
             "model small: expected one of its generated parts: 1, 1->0, found 2; list it under generated in "
             "model.yaml.");
+}
+
+// A shift of 0 in model.yaml is the paper's rule for the latent at hand.
+TEST_F(TrainedChain, TheTimeShiftFollowsFromTheLatent) {
+  const auto bundle = ModelBundle::open(path("level/model"));
+  const FrozenParts frozen = frozen_parts(bundle, level_model(1), {});
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  const auto batch = data.batch(0);
+  const auto loss_at = [&](double shift) {
+    BundleOptions model = test::small_model();
+    model.generator(level_model(1)).time_shift.training = shift;
+    LevelObjective objective(model, 1, {}, frozen, {}, 1);
+    objective.start_from(*bundle.load_generator(level_model(1)));
+    return objective.losses(batch, {0, 1, at::detail::createCPUGenerator(4)}).total.item<double>();
+  };
+  const auto& scene = batch.scenes.front();
+  const BundleOptions model = test::small_model();
+  const auto grid = model.backbone.grid_of(scene.views.size(), scene.height(), scene.width());
+  const double by_rule = loss_at(0);
+  EXPECT_EQ(by_rule, loss_at(time_shift_of(grid, model.backbone.level_channels())));
+  EXPECT_NE(by_rule, loss_at(50));
 }
 
 TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
