@@ -1,8 +1,10 @@
 #include "gld/kernels/attention_kernel.h"
 
-#include "gld/base/error.h"
 #include "gld/kernels/aligned_floats.h"
+#include "gld/kernels/attention_rows.h"
 #include "gld/kernels/kernel_table.h"
+#include "gld/kernels/product_shares.h"
+#include "gld/kernels/unit_attention.h"
 
 #include <algorithm>
 #include <cmath>
@@ -14,178 +16,16 @@
 namespace gld {
 namespace {
 
-constexpr double kLog2E = 1.4426950408889634;
-constexpr double kLn2 = 0.6931471805599453;
 // Packed keys and values of as many heads as fit here are prepared at once.
 constexpr int64_t kPackedFloats = 32 * 1024 * 1024 / sizeof(float);
 constexpr int64_t kPackRows = 64;
-constexpr int64_t kTilesAThread = 16;
 constexpr int64_t kBackwardTilesAThread = 8;
-constexpr int64_t kPrefetchRows = 16;
-
-int64_t round_up(int64_t value, int64_t multiple) { return (value + multiple - 1) / multiple * multiple; }
 
 // Rows hold whole 16-float lines, an odd number of them: an even number would put the same channel of all rows into a
 // fraction of the cache's sets.
 int64_t packed_stride(int64_t head_dim) {
-  const int64_t lines = round_up(head_dim, 16) / 16;
+  const int64_t lines = rounded_up(head_dim, 16) / 16;
   return 16 * (lines % 2 == 0 ? lines + 1 : lines);
-}
-
-// A run of tokens and the runs of tokens on the other side that it attends to (or that attend to it).
-struct Segment {
-  TokenRange own;
-  std::vector<TokenRange> partners;
-};
-
-enum class SegmentSide { queries, keys };
-
-// Neighbouring views with equal rows (columns) of the mask form one segment.
-std::vector<Segment> segments(const AttentionForward& arrays, SegmentSide side) {
-  const bool of_queries = side == SegmentSide::queries;
-  const int64_t own_tokens = of_queries ? arrays.shape.queries : arrays.shape.keys;
-  const int64_t partner_tokens = of_queries ? arrays.shape.keys : arrays.shape.queries;
-  if (arrays.mask == nullptr) {
-    if (partner_tokens == 0) return {{{0, own_tokens}, {}}};
-    return {{{0, own_tokens}, {{0, partner_tokens}}}};
-  }
-  const int64_t views = arrays.mask->views;
-  const int64_t own_view = own_tokens / views;
-  const int64_t partner_view = partner_tokens / views;
-  const auto attends = [&](int64_t own, int64_t partner) {
-    return arrays.mask->attends[of_queries ? own * views + partner : partner * views + own] != 0;
-  };
-  std::vector<Segment> result;
-  for (int64_t view = 0; view < views; ++view) {
-    bool same_as_before = view > 0;
-    for (int64_t partner = 0; same_as_before && partner < views; ++partner) {
-      same_as_before = attends(view, partner) == attends(view - 1, partner);
-    }
-    if (same_as_before) {
-      result.back().own.count += own_view;
-      continue;
-    }
-    Segment segment = {{view * own_view, own_view}, {}};
-    for (int64_t partner = 0; partner < views; ++partner) {
-      if (!attends(view, partner)) continue;
-      if (!segment.partners.empty() &&
-          segment.partners.back().first + segment.partners.back().count == partner * partner_view) {
-        segment.partners.back().count += partner_view;
-      } else {
-        segment.partners.push_back({partner * partner_view, partner_view});
-      }
-    }
-    result.push_back(std::move(segment));
-  }
-  return result;
-}
-
-// Part of a segment that fits the lanes of one tile.
-struct Tile {
-  TokenRange own;
-  const Segment* segment;
-};
-
-std::vector<Tile> tiles(const std::vector<Segment>& segments, int64_t lanes) {
-  std::vector<Tile> result;
-  for (const Segment& segment : segments) {
-    for (int64_t done = 0; done < segment.own.count; done += lanes) {
-      result.push_back({{segment.own.first + done, std::min(lanes, segment.own.count - done)}, &segment});
-    }
-  }
-  return result;
-}
-
-enum class Encoding { query, key_value, output };
-
-// The row encodings of one kind, or their transposes (which gradients go through).
-class Encoder {
- public:
-  Encoder(const AttentionForward& arrays, const KernelTable& kernels)
-      : prope_(arrays.prope), kernels_(kernels), head_dim_(arrays.shape.head_dim) {}
-
-  void apply(Encoding encoding, int64_t token, float factor, const float* x, float* y) const {
-    PropeRow row;
-    kernels_.encode_row(find(encoding, token, row), head_dim_, factor, x, y);
-  }
-
-  void apply_transposed(Encoding encoding, int64_t token, float factor, const float* x, float* y) const {
-    PropeRow row;
-    const PropeRow* found = find(encoding, token, row);
-    row.transposed_matrix = true;
-    row.inverse_rotation = !row.inverse_rotation;
-    kernels_.encode_row(found, head_dim_, factor, x, y);
-  }
-
- private:
-  // Null for tokens that are not encoded.
-  const PropeRow* find(Encoding encoding, int64_t token, PropeRow& row) const {
-    row = {};
-    if (prope_ == nullptr) return nullptr;
-    const int64_t tokens = prope_->prefix_tokens + prope_->grid_height * prope_->grid_width;
-    const int64_t view = token / tokens;
-    const int64_t place = token % tokens - prope_->prefix_tokens;
-    if (place < 0) return nullptr;
-    const int64_t column = place % prope_->grid_width * (head_dim_ / 8);
-    const int64_t line = place / prope_->grid_width * (head_dim_ / 8);
-    const float* matrices = encoding == Encoding::query       ? prope_->query_matrix
-                            : encoding == Encoding::key_value ? prope_->key_value_matrix
-                                                              : prope_->output_matrix;
-    row.matrix = matrices + 16 * view;
-    row.column_cos = prope_->column_cos + column;
-    row.column_sin = prope_->column_sin + column;
-    row.row_cos = prope_->row_cos + line;
-    row.row_sin = prope_->row_sin + line;
-    row.inverse_rotation = encoding == Encoding::output;
-    return &row;
-  }
-
-  const PropePointers* prope_;
-  const KernelTable& kernels_;
-  int64_t head_dim_;
-};
-
-template <class Float>
-Float* row_of(const StridedHeads<Float>& array, int64_t batch, int64_t head, int64_t token) {
-  return array.data + batch * array.batch_stride + head * array.head_stride + token * array.token_stride;
-}
-
-// Rows of one head lie far apart in an array of all heads, where the processor sees no stream to fetch ahead.
-void prefetch_row(const float* row, int64_t head_dim) {
-  for (int64_t c = 0; c < head_dim; c += 16) __builtin_prefetch(row + c);
-}
-
-void clear_tail(float* row, int64_t head_dim, int64_t stride) {
-  std::fill(row + head_dim, row + stride, 0.0f);
-}
-
-void check_attention(const AttentionForward& arrays, const KernelSettings& settings) {
-  const AttentionShape& shape = arrays.shape;
-  if (shape.head_dim < 1 || shape.head_dim > 256 || shape.queries < 0 || shape.keys < 0 ||
-      settings.threads < 1) {
-    fail({"attention kernel", "1 to 256 channels a head, token counts of at least 0 and at least one thread",
-          std::to_string(shape.head_dim) + " channels, " + std::to_string(shape.queries) + " queries, " +
-              std::to_string(shape.keys) + " keys, " + std::to_string(settings.threads) + " threads",
-          ""});
-  }
-  if (arrays.mask != nullptr && (arrays.mask->views < 1 || shape.queries % arrays.mask->views != 0 ||
-                                 shape.keys % arrays.mask->views != 0)) {
-    fail({"attention kernel",
-          "tokens that divide evenly into the " + std::to_string(arrays.mask->views) + " views of the mask",
-          std::to_string(shape.queries) + " queries and " + std::to_string(shape.keys) + " keys", ""});
-  }
-  if (arrays.prope != nullptr) {
-    const PropePointers& prope = *arrays.prope;
-    const int64_t tokens = prope.views * (prope.prefix_tokens + prope.grid_height * prope.grid_width);
-    if (shape.head_dim % 8 != 0 || tokens != shape.queries || tokens != shape.keys) {
-      fail({"attention kernel",
-            std::to_string(tokens) +
-                " queries and keys with a multiple of 8 channels a head for the camera encoding",
-            std::to_string(shape.queries) + " queries and " + std::to_string(shape.keys) + " keys with " +
-                std::to_string(shape.head_dim) + " channels",
-            ""});
-    }
-  }
 }
 
 struct ForwardPlan {
@@ -200,7 +40,7 @@ struct ForwardPlan {
 ForwardPlan plan_forward(const AttentionForward& arrays, const KernelTable& kernels, int threads) {
   ForwardPlan plan = {};
   plan.stride = packed_stride(arrays.shape.head_dim);
-  plan.padded_head_dim = round_up(arrays.shape.head_dim, 8);
+  plan.padded_head_dim = rounded_up(arrays.shape.head_dim, 8);
   plan.head_floats = (arrays.shape.keys + kPackedRowPadding) * plan.stride;
   const int64_t heads = arrays.shape.batch * arrays.shape.heads;
   plan.heads_at_once =
@@ -209,16 +49,10 @@ ForwardPlan plan_forward(const AttentionForward& arrays, const KernelTable& kern
   const int64_t share = arrays.shape.queries * heads / (kTilesAThread * threads);
   plan.tile_queries = std::clamp(share / kernels.tile_lanes * kernels.tile_lanes, kernels.tile_lanes,
                                  kernels.forward_queries);
-  plan.thread_floats = round_up(kernels.forward_scratch(plan.padded_head_dim), 16) +
-                       2 * plan.tile_queries * plan.stride + round_up(plan.tile_queries, 16);
+  plan.thread_floats = rounded_up(kernels.forward_scratch(plan.padded_head_dim), 16) +
+                       2 * plan.tile_queries * plan.stride + rounded_up(plan.tile_queries, 16);
   return plan;
 }
-
-// A run of (batch, head) pairs, counted head first.
-struct HeadRange {
-  int64_t first;
-  int64_t count;
-};
 
 // Keys and values of some tokens (and the zero rows behind the last one) of one batch entry, for those of its heads that
 // lie in the range. Heads run innermost because they lie next to each other in a token.
@@ -255,6 +89,7 @@ double attention_backward_flops(const AttentionShape& shape) { return 2.5 * atte
 
 int64_t attention_forward_scratch_bytes(const AttentionForward& arrays, const KernelSettings& settings) {
   check_attention(arrays, settings);
+  if (settings.precision != ComputePrecision::kFloat32) return unit_attention_scratch_bytes(arrays, settings);
   const ForwardPlan plan = plan_forward(arrays, kernel_table(settings.instruction_set), settings.threads);
   return static_cast<int64_t>(sizeof(float)) *
          (2 * plan.heads_at_once * plan.head_floats + settings.threads * plan.thread_floats);
@@ -262,6 +97,10 @@ int64_t attention_forward_scratch_bytes(const AttentionForward& arrays, const Ke
 
 void attention_forward(const AttentionForward& arrays, const KernelSettings& settings) {
   check_attention(arrays, settings);
+  if (settings.precision != ComputePrecision::kFloat32) {
+    unit_attention_forward(arrays, settings);
+    return;
+  }
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const AttentionShape& shape = arrays.shape;
   const ForwardPlan plan = plan_forward(arrays, kernels, settings.threads);
@@ -314,7 +153,7 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
         kernel_tile.head_dim = plan.padded_head_dim;
         kernel_tile.key_ranges = tile.segment->partners.data();
         kernel_tile.key_range_count = static_cast<int64_t>(tile.segment->partners.size());
-        kernel_tile.scratch = base2_lse + round_up(plan.tile_queries, 16);
+        kernel_tile.scratch = base2_lse + rounded_up(plan.tile_queries, 16);
         kernel_tile.output = outputs;
         kernel_tile.base2_lse = base2_lse;
         kernels.attention_forward(kernel_tile);
@@ -340,7 +179,7 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
   const AttentionShape& shape = forward.shape;
   const Encoder encoder(forward, kernels);
   const int64_t stride = packed_stride(shape.head_dim);
-  const int64_t padded_head_dim = round_up(shape.head_dim, 8);
+  const int64_t padded_head_dim = rounded_up(shape.head_dim, 8);
   const auto key_segments = segments(forward, SegmentSide::keys);
   // Large tiles read queries less often, but the tiles of one head are shared between the threads.
   const int64_t share = shape.keys / (kBackwardTilesAThread * settings.threads);
@@ -354,7 +193,7 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
   const int64_t query_floats = (shape.queries + kPackedRowPadding) * stride;
   const int64_t key_floats = (shape.keys + kPackedRowPadding) * stride;
   const int64_t thread_floats = query_floats + 2 * tile_keys * stride + stride +
-                                round_up(kernels.backward_scratch(padded_head_dim), 16);
+                                rounded_up(kernels.backward_scratch(padded_head_dim), 16);
   const AlignedFloats packed(2 * query_floats + 2 * key_floats + 2 * shape.queries);
   const AlignedFloats scratch(settings.threads * thread_floats);
   float* queries = packed.data();

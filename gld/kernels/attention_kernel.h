@@ -1,10 +1,11 @@
 #pragma once
 
 #include "gld/machine/instruction_set.h"
+#include "gld/machine/matrix_unit.h"
 
 #include <cstdint>
 
-// Softmax attention on the CPU in float32, forward and backward, on plain pointers: blocks of keys, online softmax, no
+// Softmax attention on the CPU, forward and backward, on plain pointers: blocks of keys, online softmax, no
 // matrix of logits, scratch independent of the product of the token counts. gld/attention/attention.h is the interface for tensors.
 namespace gld {
 
@@ -52,6 +53,10 @@ struct KernelSettings {
   InstructionSet instruction_set = best_instruction_set();
   int64_t second_level_cache =
       second_level_cache_bytes();  // decides how products are cut up, not what they give
+  // Of attention's forward pass: kFloat32, or kBFloat16 on that unit, with softmax and sums in float32 and the arrays
+  // float32 all the same. linear_product is float32; packed_product.h has the others.
+  ComputePrecision precision = ComputePrecision::kFloat32;
+  MatrixUnit unit = MatrixUnit::kPlain;
 };
 
 struct AttentionForward {

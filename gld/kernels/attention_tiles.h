@@ -4,6 +4,7 @@
 // in the forward pass and keys in the backward pass, so that maxima, sums and exponentials never cross lanes.
 
 #include "gld/kernels/kernel_table.h"
+#include "gld/kernels/quads.h"
 #include "gld/kernels/simd.h"
 
 namespace gld {
@@ -17,32 +18,6 @@ constexpr int64_t kForwardKeys = 96;
 constexpr int64_t kForwardGroups = 4;
 constexpr int64_t kBackwardGroups = 4;
 constexpr int64_t kBackwardQueries = 64;
-constexpr float kLowest = -__builtin_inff();
-
-GLD_INLINE int64_t round_up(int64_t value, int64_t multiple) {
-  return (value + multiple - 1) / multiple * multiple;
-}
-
-typedef float Quad __attribute__((vector_size(16)));
-
-GLD_INLINE Quad load_quad(const float* p) {
-  Quad q;
-  __builtin_memcpy(&q, p, sizeof(q));
-  return q;
-}
-
-GLD_INLINE void store_quad(float* p, Quad q) { __builtin_memcpy(p, &q, sizeof(q)); }
-
-GLD_INLINE void transpose_quads(Quad (&q)[4]) {
-  const Quad a = __builtin_shufflevector(q[0], q[1], 0, 4, 1, 5);
-  const Quad b = __builtin_shufflevector(q[0], q[1], 2, 6, 3, 7);
-  const Quad c = __builtin_shufflevector(q[2], q[3], 0, 4, 1, 5);
-  const Quad d = __builtin_shufflevector(q[2], q[3], 2, 6, 3, 7);
-  q[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5);
-  q[1] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
-  q[2] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
-  q[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
-}
 
 // transposed (head_dim, kTileLanes) = rows (count, stride); lanes past count are zero. head_dim is a multiple of 4.
 GLD_INLINE void transpose_rows(const float* rows, int64_t count, int64_t stride, int64_t head_dim,

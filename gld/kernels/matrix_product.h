@@ -5,7 +5,7 @@
 #include <cstdint>
 
 // Linear layers on the CPU in float32, on plain pointers. Weights are packed as they are used, which costs little
-// beside some dozens of rows; there is no thread pool of its own to fight with the others (a BLAS brings one).
+// beside some dozens of rows, or were packed before (packed_product.h); there is no thread pool of its own to fight with the others (a BLAS brings one).
 namespace gld {
 
 struct LinearProduct {
@@ -16,12 +16,20 @@ struct LinearProduct {
   int64_t x_stride = 0;
   const float* weight = nullptr;  // (outputs, inputs), rows weight_stride floats apart
   int64_t weight_stride = 0;
-  const float* bias = nullptr;  // (outputs), or null
-  float* y = nullptr;           // (rows, outputs), rows y_stride floats apart; overlaps nothing
+  const float* packed_weight = nullptr;  // of pack_weight, then weight is not read; or null
+  const float* bias = nullptr;           // (outputs), or null
+  float* y = nullptr;                    // (rows, outputs), rows y_stride floats apart; overlaps nothing
   int64_t y_stride = 0;
 };
 
 // y = x weight^T + bias. The same bits for any number of threads.
 void linear_product(const LinearProduct& product, const KernelSettings& settings);
+
+// The weights of product as linear_product reads them with the same instruction set and cache, (packed_weight_floats);
+// products with them give the same bits.
+int64_t packed_weight_floats(int64_t outputs, int64_t inputs, const KernelSettings& settings);
+void pack_weight(const LinearProduct& product, const KernelSettings& settings, float* packed);
+// And from product.packed_weight back into (outputs, inputs).
+void unpack_weight(const LinearProduct& product, const KernelSettings& settings, float* weight);
 
 }  // namespace gld
