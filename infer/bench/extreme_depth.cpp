@@ -26,7 +26,9 @@ constexpr float kInfinity = std::numeric_limits<float>::infinity();
 // A DPT head with random weights whose exponentials are driven to their ends by the biases of its last layers.
 class ExtremeHead {
  public:
-  ExtremeHead() : options_(small_bundle_options().dpt_head), head_(options_, ParameterPlacement{}) {
+  ExtremeHead()
+      : options_(small_bundle_options().dpt_head.as<DptHeadOptions>()),
+        head_(options_, ParameterPlacement{}) {
     head_.initialise(at::detail::createCPUGenerator(3));
     for (int level = 0; level < 4; ++level) {
       levels_.push_back(torch::randn({1, 4, options_.dim_in}, at::detail::createCPUGenerator(level),

@@ -30,7 +30,7 @@ PipelineModels models_in(const ModelBundle& bundle, torch::Dtype dtype) {
   models.generator = [=](size_t number) {
     return bundle.load_generator(bundle.options().generators.at(number).generator, placement);
   };
-  models.rgb_decoder = [=] { return bundle.load_rgb_decoder(placement); };
+  models.rgb_decoder = [=] { return bundle.load_image_decoder(placement); };
   models.dpt_head = [=] { return bundle.load_dpt_head(placement); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator));

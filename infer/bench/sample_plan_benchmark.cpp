@@ -75,7 +75,7 @@ double flop_of(const PipelineResult& result, const BundleOptions& bundle, int64_
     flop += bundle.backbone.architecture()
                 .propagation_cost(sources, bundle.level_set().deepest_generated())
                 .flop() +
-            dpt_head_cost(bundle.dpt_head, sources, GeometryMaps::kDepthAndRays).flop();
+            bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays).flop();
   }
   return flop;
 }

@@ -121,6 +121,12 @@ class SceneMetrics {
   MetricInputs of_geometry(const GeometryOutput& geometry) const {
     MetricInputs inputs = truth_;
     const Views& views = truth_.views;
+    if (!geometry.depth.defined()) {
+      for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays}) {
+        inputs.missing[need] = "the model has no geometry head";
+      }
+      return inputs;
+    }
     inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     inputs.rays = geometry.rays;
     const GeometryPlacement placement = place_geometry(geometry, views.cameras);
@@ -200,7 +206,8 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
                               const FlowSettings& sampling, int64_t noise_seed) {
   const torch::NoGradGuard no_gradients;
   EvaluatedScene result;
-  result.sample = run(models, scene, sampling, noise_seed, DecodedViews::kAll);
+  result.sample = run(models, scene, sampling, noise_seed,
+                      models.bundle.dpt_head.exists() ? DecodedViews::kAll : DecodedViews::kNone);
   result.mean_prediction =
       run(models, scene, mean_prediction_settings(models.bundle), noise_seed, DecodedViews::kNone);
 

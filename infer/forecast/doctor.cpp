@@ -110,7 +110,8 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   PlanRequest request;
   request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
   request.num_sources = options.sources;
-  request.outputs.image = request.outputs.depth = request.outputs.points = true;
+  request.outputs.image = true;
+  request.outputs.depth = request.outputs.points = bundle.options().has_geometry();
   for (const auto& part : bundle.options().generators) {
     request.flow.solvers.push_back(options.solver);
     request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;

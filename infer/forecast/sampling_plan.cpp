@@ -131,7 +131,7 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
     case StageKind::kPropagation:
       return {BundlePart::backbone(), 2 + levels};
     case StageKind::kRgbDecoding:
-      return {BundlePart::rgb_decoder(), 2 + 2 * levels};
+      return {bundle.has_rgb_decoder() ? BundlePart::rgb_decoder() : BundlePart::backbone(), 2 + 2 * levels};
     case StageKind::kGeometry:
       return {BundlePart::dpt_head(), 2 + 2 * levels};
   }
@@ -141,9 +141,39 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
 void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const StageNeeds needs = needs_of(stage, bundle);
   // Without operations nothing is loaded: view pairs by the cameras alone.
-  stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(needs.part, bundle) : 0;
+  if (stage.kind == StageKind::kGeometry && request.geometry_model) {
+    stage.memory.weights = weight_bytes_of(BundlePart::backbone(), *request.geometry_model) +
+                           weight_bytes_of(BundlePart::dpt_head(), *request.geometry_model);
+  } else {
+    stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(needs.part, bundle) : 0;
+  }
   stage.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);
   stage.peak_bytes = predicted_peak_bytes(stage.memory);
+}
+
+Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
+  return bundle.has_rgb_decoder() ? rgb_decoder_cost(bundle.rgb_decoder, grid)
+                                  : bundle.backbone.architecture().decoding_cost(grid);
+}
+
+// The grid of another backbone that looks at the generated images: sides rounded to its patches, as the pipeline does.
+LatentGrid geometry_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                         const PlanRequest& request) {
+  const int64_t side = geometry.backbone.patch_side();
+  const auto tokens = [&](int64_t count) {
+    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
+  };
+  return {request.grid.views, tokens(request.grid.height), tokens(request.grid.width)};
+}
+
+Cost geometry_model_cost(const BundleOptions& geometry, const BundleOptions& bundle,
+                         const PlanRequest& request) {
+  const LatentGrid grid = geometry_grid(geometry, bundle, request);
+  Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
+  const Cost head = geometry.dpt_head.cost(grid, request.outputs.geometry_maps());
+  cost.add_operations_of(head);
+  cost.working_bytes = std::max(cost.working_bytes, head.working_bytes);
+  return cost;
 }
 
 // Of the stages that run once.
@@ -154,25 +184,26 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
   switch (stage.kind) {
     case StageKind::kSourceEncoding: {
       Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
-      if (request.num_sources > 1 && stages.decodes()) {
-        cost.add_operations_of(backbone.encoding_cost(with_views(request.grid, 1), bundle.boundary_level));
+      // Leading tokens of new views, which one source alone has given already where all get the same.
+      if (stages.decodes() && backbone.leading_tokens() > 0 && backbone.propagates() &&
+          (request.num_sources > 1 || backbone.carried_rows() > 1)) {
+        cost.add_operations_of(
+            backbone.encoding_cost(with_views(request.grid, backbone.carried_rows()), bundle.boundary_level));
       }
       return cost;
     }
     case StageKind::kViewPairs:
-      return stages.source_depth() ? dpt_head_cost(bundle.dpt_head, sources, GeometryMaps::kDepthAndRays)
-                                   : Cost();
+      return stages.source_depth() ? bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays) : Cost();
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:
       return backbone.propagation_cost(request.grid, bundle.boundary_level);
     case StageKind::kRgbDecoding:
-      return rgb_decoder_cost(bundle.rgb_decoder,
-                              with_views(request.grid, stages.decoded_views(stages.image_views)));
+      return image_decoding_cost(bundle, with_views(request.grid, stages.decoded_views(stages.image_views)));
     case StageKind::kGeometry:
-      return dpt_head_cost(bundle.dpt_head,
-                           with_views(request.grid, stages.decoded_views(stages.geometry_views)),
-                           request.outputs.geometry_maps());
+      if (request.geometry_model) return geometry_model_cost(*request.geometry_model, bundle, request);
+      return bundle.dpt_head.cost(with_views(request.grid, stages.decoded_views(stages.geometry_views)),
+                                  request.outputs.geometry_maps());
   }
   return Cost();
 }

@@ -10,9 +10,10 @@
 #include "infer/pipeline/sampling_stages.h"
 #include "models/bundle/bundle_options.h"
 #include "models/cost/cost_model.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,8 @@ struct PlanRequest {
   int64_t num_sources = 1;
   RequestedOutputs outputs;
   FlowSettings flow;
+  // Of the bundle that geometry comes from, where that is another one looking at the generated images; null where not.
+  std::shared_ptr<const BundleOptions> geometry_model;
   double visible_share =
       1;  // of view pairs: those that attend where flow.approximate.view_pairs says visible
 

@@ -3,7 +3,6 @@
 #include "gld/cameras/latent_grid.h"
 #include "gld/machine/timing.h"
 #include "models/backbones/backbone.h"
-#include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
 
 #include <algorithm>
@@ -42,7 +41,7 @@ double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request)
   const int64_t deepest = deepest_encoded_level(bundle.level_set(), request.stage_request());
   return seconds_of([&] {
     backbone->encode(images, deepest);
-    if (request.num_sources > 1) backbone->encode(images.narrow(0, 0, 1), bundle.boundary_level);
+    if (request.num_sources > 1) backbone->carried_tokens(images.narrow(0, 0, 1), bundle.boundary_level);
   });
 }
 
@@ -59,6 +58,12 @@ double propagation_seconds(const BundleOptions& bundle, const PlanRequest& reque
 }
 
 double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
+  if (!bundle.has_rgb_decoder()) {
+    const auto backbone = bundle.backbone.make(ParameterPlacement{});
+    fill(*backbone);
+    const auto latents = random_levels(bundle, grid).back();
+    return seconds_of([&] { backbone->decode(latents, grid); });
+  }
   RgbDecoder decoder(bundle.rgb_decoder, ParameterPlacement{});
   fill(decoder);
   const auto features = torch::randn({grid.views, grid.tokens_per_view(), bundle.rgb_decoder.in_channels});
@@ -66,10 +71,13 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
 }
 
 double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, GeometryMaps maps) {
-  DptHead head(bundle.dpt_head, ParameterPlacement{});
-  fill(head);
-  const auto levels = random_levels(bundle, grid);
-  return seconds_of([&] { head.forward(levels, grid, maps); });
+  const auto head = bundle.dpt_head.make(ParameterPlacement{});
+  fill(*head);
+  GeometryInputs inputs;
+  inputs.levels = random_levels(bundle, grid);
+  inputs.leading =
+      torch::randn({grid.views, bundle.backbone.leading_tokens(), bundle.backbone.level_channels()});
+  return seconds_of([&] { head->forward(inputs, grid, maps); });
 }
 
 }  // namespace

@@ -53,6 +53,9 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"views", "which views"}, views);
   visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
   visitor.texts({"outputs", "what to make: image, depth, rays, points, latents"}, outputs);
+  visitor.text({"geometry_model",
+                "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
+               geometry_model);
   visit_seed(visitor, seed, "the noise");
   visit_choice(visitor, {"preset", "published: the release's sampler, whatever the solver options say"},
                preset, {"options", "published"});

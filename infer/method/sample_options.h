@@ -29,6 +29,8 @@ struct SampleOptions : OptionsGroup {
   ViewSelection views;
   std::string size = "auto";
   std::vector<std::string> outputs{"image", "depth", "points"};
+  // Bundle whose backbone and geometry head look at the generated images; empty for the model's own levels.
+  std::string geometry_model;
   int64_t seed = 0;
   SamplingPreset preset = SamplingPreset::kOptions;
   // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays

@@ -1,5 +1,7 @@
 #include "infer/pipeline/bundle_models.h"
 
+#include "gld/base/error.h"
+
 #include <map>
 #include <memory>
 
@@ -15,12 +17,24 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   models.generator = [=](size_t number) {
     return shared->load_generator(shared->options().generators.at(number).generator, placement);
   };
-  models.rgb_decoder = [=] { return shared->load_rgb_decoder(placement); };
+  models.rgb_decoder = [=] { return shared->load_image_decoder(placement); };
   models.dpt_head = [=] { return shared->load_dpt_head(placement); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
   }
   return models;
+}
+
+void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const torch::Device& device) {
+  if (!bundle.options().dpt_head.exists()) {
+    fail({"--geometry-model", "a bundle with a geometry head", bundle.folder().string() + ", which has none",
+          "choose a DA3 or VGGT model"});
+  }
+  const auto shared = std::make_shared<const ModelBundle>(bundle);
+  ParameterPlacement placement;
+  placement.device = device;
+  models.geometry_backbone = [=] { return shared->load_backbone(placement); };
+  models.dpt_head = [=] { return shared->load_dpt_head(placement); };
 }
 
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device) {

@@ -14,4 +14,7 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
 // for several threads at once.
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device);
 
+// Depth and rays then come from that bundle, which looks at the generated images. Error where it has no geometry head.
+void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const torch::Device& device);
+
 }  // namespace gld

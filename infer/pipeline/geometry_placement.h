@@ -5,7 +5,7 @@
 #include "gld/cameras/depth_scale.h"
 #include "gld/cameras/pose_alignment.h"
 #include "infer/export/point_cloud.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 
 #include <optional>
 #include <string>

@@ -3,7 +3,7 @@
 #include "gld/cameras/camera.h"
 #include "gld/cameras/pose_from_rays.h"
 #include "gld/cameras/view_maps.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 
 #include <vector>
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "infer/pipeline/sampling_stages.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 
 namespace gld {
 

@@ -25,8 +25,8 @@ void require_finite(const torch::Tensor& tensor, const std::string& stage, const
 // What the source images say.
 struct EncodedSources {
   SourceLatents latents;
-  // All levels as the DPT head takes them; only where view pairs are decided with their depth.
-  std::vector<torch::Tensor> decodable;
+  // What the geometry head takes; only where view pairs are decided with the sources' depth.
+  GeometryInputs decodable;
 };
 
 EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
@@ -38,7 +38,11 @@ EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
   EncodedSources sources;
   sources.latents = space.encode_sources(request.source_images.to(request.device), wanted);
   if (stages.source_depth()) {
-    for (const auto& level : sources.latents.levels) sources.decodable.push_back(space.decodable(level));
+    for (const auto& level : sources.latents.levels) {
+      sources.decodable.levels.push_back(space.decodable(level));
+    }
+    sources.decodable.leading =
+        sources.latents.levels.back().narrow(1, 0, space.leading_tokens()).contiguous();
   }
   for (const auto& generator : levels.generators) {
     require_finite(sources.latents.levels[static_cast<size_t>(generator.level)], stage,
@@ -51,7 +55,7 @@ EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
 
 VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
                                 const EncodedSources& sources) {
-  if (sources.decodable.empty()) return visible_pairs(request.views);
+  if (sources.decodable.levels.empty()) return visible_pairs(request.views);
   return visible_pairs(request.views, models.dpt_head()->forward(sources.decodable, sources.latents.grid,
                                                                  GeometryMaps::kDepthAndRays));
 }
@@ -183,8 +187,8 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   result.latents[generator.level] = latent.cpu();
 }
 
-std::vector<torch::Tensor> complete_levels(const PipelineModels& models, const PipelineState& state,
-                                           const LatentGrid& grid, const std::string& stage) {
+CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
+                                const LatentGrid& grid, const std::string& stage) {
   const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
   std::map<int64_t, torch::Tensor> raw;
   for (size_t i = 0; i < models.levels.generators.size(); ++i) {
@@ -192,11 +196,50 @@ std::vector<torch::Tensor> complete_levels(const PipelineModels& models, const P
     raw[level] = models.statistics[i].denormalise(state.latents.at(level));
   }
   auto levels = space.complete(raw, state.sources.latents.carried, grid);
-  for (size_t level = 0; level < levels.size(); ++level) {
-    if (levels[level].defined())
-      require_finite(levels[level], stage, fmt::format("level {} features", level));
+  for (size_t level = 0; level < levels.patches.size(); ++level) {
+    if (levels.patches[level].defined())
+      require_finite(levels.patches[level], stage, fmt::format("level {} features", level));
   }
   return levels;
+}
+
+// Depth and rays as another model sees them in the source images and the generated ones.
+GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRequest& request,
+                                  const PipelineResult& result) {
+  if (!result.images.defined()) {
+    fail({"geometry", "generated images, which the geometry model looks at", "none",
+          "ask for images beside depth, rays or points"});
+  }
+  const auto backbone = models.geometry_backbone();
+  const auto& architecture = backbone->architecture();
+  auto images = torch::cat({request.source_images, result.images}).clamp(0, 1).to(request.device);
+  const int64_t height = images.size(2), width = images.size(3), side = architecture.patch_side();
+  const auto whole = [side](int64_t length) {
+    return std::max<int64_t>(1, (length + side / 2) / side) * side;
+  };
+  const std::vector<int64_t> size = {whole(height), whole(width)};
+  if (size[0] != height || size[1] != width) {
+    images = torch::upsample_bilinear2d(images, size, /*align_corners=*/false);
+  }
+  GeometryInputs inputs;
+  const auto levels = backbone->encode(images, architecture.levels() - 1);
+  for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
+  inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
+  auto maps = models.dpt_head()->forward(inputs, architecture.grid_of(images.size(0), size[0], size[1]),
+                                         request.geometry_maps);
+  const auto finish = [&](torch::Tensor& map, bool of_pixels) {
+    if (!map.defined()) return;
+    if (of_pixels && (map.size(1) != height || map.size(2) != width)) {
+      map = torch::upsample_bilinear2d(map.unsqueeze(1), {height, width}, /*align_corners=*/false).squeeze(1);
+    }
+    if (request.geometry_views == DecodedViews::kTargets) map = map.slice(0, request.views.num_sources);
+  };
+  finish(maps.depth, true);
+  finish(maps.depth_confidence, true);
+  finish(maps.rays, false);
+  finish(maps.ray_confidence, false);
+  maps.points = maps.point_confidence = torch::Tensor();
+  return maps;
 }
 
 }  // namespace
@@ -233,15 +276,18 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         state.scene.view_mask = pairs.view_mask();
         result.view_pairs = pairs.visibility;
         result.warnings = pairs.warnings;
-        state.sources.decodable.clear();
+        state.sources.decodable = {};
         return;
       }
       case StageKind::kFlow:
         run_flow_stage(models, request, stage, state, result);
         return;
-      case StageKind::kPropagation:
-        result.levels = complete_levels(models, state, result.grid, stage.name);
+      case StageKind::kPropagation: {
+        CompletedLevels levels = complete_levels(models, state, result.grid, stage.name);
+        result.levels = std::move(levels.patches);
+        result.leading = levels.leading;
         return;
+      }
       case StageKind::kRgbDecoding: {
         const auto selected =
             select_views(result, models.levels.decoded_levels(), request.image_views, num_sources);
@@ -251,8 +297,13 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         return;
       }
       case StageKind::kGeometry: {
+        if (models.geometry_backbone) {
+          result.geometry = geometry_of_images(models, request, result);
+          return;
+        }
         const auto selected = select_views(result, all_levels(result), request.geometry_views, num_sources);
-        result.geometry = models.dpt_head()->forward(selected.levels, selected.grid, request.geometry_maps);
+        result.geometry = models.dpt_head()->forward(GeometryInputs{selected.levels, result.leading},
+                                                     selected.grid, request.geometry_maps);
         return;
       }
     }

@@ -9,8 +9,8 @@
 #include "infer/pipeline/sampling_stages.h"
 #include "models/backbones/backbone.h"
 #include "models/cost/branch_choice.h"
-#include "models/decoders/dpt_head.h"
-#include "models/decoders/rgb_decoder.h"
+#include "models/decoders/geometry_head.h"
+#include "models/decoders/image_decoder.h"
 #include "models/dit/approximate_savings.h"
 #include "models/dit/dit_dh.h"
 #include "models/dit/dit_field.h"
@@ -34,8 +34,11 @@ struct PipelineModels {
   LevelSet levels;
   std::function<std::shared_ptr<Backbone>()> backbone;
   std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
-  std::function<std::shared_ptr<RgbDecoder>()> rgb_decoder;
-  std::function<std::shared_ptr<DptHead>()> dpt_head;
+  std::function<std::shared_ptr<ImageDecoder>()> rgb_decoder;
+  std::function<std::shared_ptr<GeometryHead>()> dpt_head;
+  // The backbone that dpt_head belongs to, where geometry is that of another model, which looks at the generated images;
+  // empty where it is read off the model's own levels.
+  std::function<std::shared_ptr<Backbone>()> geometry_backbone;
   std::vector<LevelStatistics> statistics;  // of what each generator makes
 };
 
@@ -84,6 +87,8 @@ struct PipelineResult {
   // All levels as decoders take them, (views, patch tokens, channels); empty when nothing is decoded, and a level that is
   // neither generated nor propagated is undefined.
   std::vector<torch::Tensor> levels;
+  torch::Tensor
+      leading;  // of the last level and all views (CompletedLevels); undefined when nothing is decoded
   torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
   std::vector<FlowReport> flows;

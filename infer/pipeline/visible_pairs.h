@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/cameras/view_visibility.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 
 #include <string>
 #include <vector>

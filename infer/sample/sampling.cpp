@@ -21,6 +21,8 @@
 #include <algorithm>
 #include <iostream>
 #include <memory>
+#include <optional>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -91,7 +93,20 @@ struct PreparedSampling {
   ModelBundle bundle;
   Scene found;
   SamplingScene scene;
+  std::optional<ModelBundle> geometry_model;
 };
+
+// Where depth, rays and points come from.
+std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
+  if (!options.geometry_model.empty()) return ModelBundle::open(options.geometry_model);
+  if (options.requested().needs_geometry() && !bundle.options().dpt_head.exists()) {
+    fail(
+        {"--outputs", "image or latents of a model without a geometry head",
+         "depth, rays or points of " + options.model,
+         "add --outputs image, or --geometry-model DIR to have a geometry model look at the generated images"});
+  }
+  return std::nullopt;
+}
 
 using SceneLoader = SamplingScene (*)(const Scene&, const ViewSelection&, const ImageSize&);
 
@@ -101,7 +116,8 @@ PreparedSampling prepare(const SampleOptions& options, SceneLoader load) {
   const Scene found = open_scene(options.scene, options.reading);
   const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
                                      bundle.options().backbone.patch_side());
-  return {device, bundle, found, load(found, options.views, size)};
+  auto geometry_model = geometry_model_of(options, bundle);
+  return {device, bundle, found, load(found, options.views, size), std::move(geometry_model)};
 }
 
 // The method and what it would take. model_hash is called where the bundle's measured errors are needed.
@@ -122,6 +138,9 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   request.grid = bundle.backbone.grid_of(views.size(), prepared.scene.size.height, prepared.scene.size.width);
   request.num_sources = views.num_sources;
   request.outputs = options.requested();
+  if (prepared.geometry_model) {
+    request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
+  }
   PlannedSampling planned;
   planned.visibility = view_visibility(views);
   request.visible_share = planned.visibility.kept();
@@ -189,6 +208,10 @@ void sample(const SampleOptions& options) {
   std::cout << scene_line(scene) << planned_text(planned) << std::flush;
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
+  if (prepared.geometry_model && requested.needs_geometry()) {
+    std::cout << "depth, rays and points are what " << prepared.geometry_model->options().name
+              << " sees in the generated images\n";
+  }
   provenance.seed = options.seed;
   SamplingOutputs outputs(run, scene, requested, options.points, provenance);
   FlowProgress progress;
@@ -200,7 +223,9 @@ void sample(const SampleOptions& options) {
     wait_for_hash();
     outputs.write_images(images);
   };
-  const PipelineResult result = run_pipeline(bundle_models(bundle, prepared.device), request, stages);
+  PipelineModels models = bundle_models(bundle, prepared.device);
+  if (prepared.geometry_model) take_geometry_from(models, *prepared.geometry_model, prepared.device);
+  const PipelineResult result = run_pipeline(models, request, stages);
   wait_for_hash();
   stages.run("writing",
              [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
@@ -220,6 +245,12 @@ void sample(const SampleOptions& options) {
   report["options"] = to_json(options);
   report["model"] = {
       {"folder", options.model}, {"name", bundle.options().name}, {"hash", provenance.model_hash}};
+  if (prepared.geometry_model && requested.needs_geometry()) {
+    report["geometry"] = {{"from", "the generated images"},
+                          {"folder", options.geometry_model},
+                          {"name", prepared.geometry_model->options().name},
+                          {"hash", prepared.geometry_model->content_hash()}};
+  }
   report["seed"] = options.seed;
   report["scene"] = {{"name", scene.name},        {"format", prepared.found.format},
                      {"width", scene.size.width}, {"height", scene.size.height},

@@ -17,7 +17,7 @@ std::string level_name(const std::string& group, int64_t level) {
 // The deepest level of that group that the case compares; -1 for none.
 int64_t deepest_level(const ReferenceCase& reference, const std::string& group, int64_t levels) {
   for (int64_t level = levels - 1; level >= 0; --level) {
-    if (reference.expects(level_name(group, level))) return level;
+    if (reference.expects_prefix(level_name(group, level))) return level;
   }
   return -1;
 }
@@ -27,9 +27,35 @@ void encode_group(const ReferenceCase& reference, const Backbone& backbone, cons
   const int64_t deepest = deepest_level(reference, group, backbone.architecture().levels());
   if (deepest < 0) return;
   const auto levels = backbone.encode(images, deepest);
+  const int64_t leading = backbone.architecture().leading_tokens();
   for (size_t level = 0; level < levels.size(); ++level) {
-    outputs[level_name(group, static_cast<int64_t>(level))] = levels[level];
+    const auto name = level_name(group, static_cast<int64_t>(level));
+    outputs[name] = levels[level];
+    outputs[name + ".patches"] = levels[level].slice(1, leading);
+    outputs[name + ".special"] = levels[level].narrow(1, 0, leading);
   }
+}
+
+// Cases of one level name its kinds of tokens: class, registers, patches.
+void encode_tokens(const ReferenceCase& reference, const Backbone& backbone, const torch::Tensor& images,
+                   NamedTensors& outputs) {
+  if (!reference.expects("patch_tokens")) return;
+  const int64_t leading = backbone.architecture().leading_tokens();
+  const auto tokens = backbone.encode(images, backbone.architecture().levels() - 1).back();
+  outputs["class_token"] = tokens.select(1, 0);
+  outputs["register_tokens"] = tokens.slice(1, 1, leading);
+  outputs["patch_tokens"] = tokens.slice(1, leading);
+}
+
+// Leading tokens and patches are one input, or one each.
+torch::Tensor propagation_input(const ReferenceCase& reference, int64_t level, int64_t channels) {
+  const auto number = std::to_string(level);
+  const auto whole = "propagate_input_level" + number, patches = "propagate_patches_level" + number;
+  if (reference.inputs.count(whole) > 0) return reference.input(whole, {-1, -1, channels});
+  if (reference.inputs.count(patches) == 0) return {};
+  return torch::cat({reference.input("propagate_special_level" + number, {-1, -1, channels}),
+                     reference.input(patches, {-1, -1, channels})},
+                    1);
 }
 
 }  // namespace
@@ -54,13 +80,13 @@ NamedTensors run_backbone_case(const ReferenceCase& reference) {
     encode_group(reference, *backbone, "source_views", images.slice(0, 0, sources), outputs);
   }
   encode_group(reference, *backbone, "first_view", images.slice(0, 0, 1), outputs);
+  encode_tokens(reference, *backbone, images, outputs);
 
   for (int64_t level = 0; level < options.levels(); ++level) {
-    const auto name = "propagate_input_level" + std::to_string(level);
-    if (reference.inputs.count(name) == 0) continue;
     PropagationStart start;
     start.level = level;
-    start.tokens = reference.input(name, {-1, -1, options.level_channels()});
+    start.tokens = propagation_input(reference, level, options.level_channels());
+    if (!start.tokens.defined()) continue;
     start.grid = options.grid_of(start.tokens.size(0), images.size(2), images.size(3));
     auto reached = level;
     for (const auto& propagated : backbone->propagate(start)) {

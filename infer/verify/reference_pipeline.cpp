@@ -2,6 +2,8 @@
 #include "infer/verify/reference_dit.h"
 #include "infer/verify/reference_runners.h"
 #include "models/backbones/backbone_registry.h"
+#include "models/decoders/dpt_head.h"
+#include "models/decoders/rgb_decoder.h"
 #include "models/weights/weight_loading.h"
 
 #include <string>

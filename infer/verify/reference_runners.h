@@ -7,6 +7,8 @@ namespace gld {
 // One runner a kind; each stands in a file of its own (infer/reference_<kind>.cpp).
 NamedTensors run_backbone_case(const ReferenceCase& reference);     // kind "backbone"
 NamedTensors run_dpt_head_case(const ReferenceCase& reference);     // kind "dpt_head"
+NamedTensors run_camera_head_case(const ReferenceCase& reference);  // kind "camera_head"
+NamedTensors run_autoencoder_case(const ReferenceCase& reference);  // kind "autoencoder"
 NamedTensors run_rgb_decoder_case(const ReferenceCase& reference);  // kind "rgb_decoder"
 NamedTensors run_lpips_case(const ReferenceCase& reference);        // kind "lpips"
 NamedTensors run_camera_case(const ReferenceCase& reference);       // kind "camera_conditioning"

@@ -13,6 +13,39 @@ LatentGrid BackboneArchitecture::grid_of(int64_t views, int64_t image_height, in
   return {views, image_height / p, image_width / p};
 }
 
+void Backbone::require_level(int64_t level) const {
+  if (level >= 0 && level < architecture().levels()) return;
+  fail({"backbone", "a level from 0 to " + std::to_string(architecture().levels() - 1), std::to_string(level),
+        "ask for a level that out_layers lists"});
+}
+
+void Backbone::require_images(const torch::Tensor& images) const {
+  if (images.dim() == 4 && images.size(0) > 0 && images.size(1) == 3) return;
+  fail({"backbone", "images (views, 3, height, width)", "a tensor of shape " + c10::str(images.sizes()),
+        "give at least one RGB image"});
+}
+
+void Backbone::require_propagation_tokens(const PropagationStart& start) const {
+  const std::vector<int64_t> expected = {start.grid.views,
+                                         architecture().leading_tokens() + start.grid.tokens_per_view(),
+                                         architecture().level_channels()};
+  if (start.grid.views > 0 && start.tokens.sizes() == expected) return;
+  fail({"propagation", "tokens of shape " + c10::str(c10::IntArrayRef(expected)),
+        c10::str(start.tokens.sizes()),
+        "put the leading tokens in front of the patches of the same token grid"});
+}
+
+torch::Tensor Backbone::decode(const torch::Tensor& /*patches*/, const LatentGrid& /*grid*/) const {
+  fail({"images", "a backbone that decodes images", "one of kind " + architecture().kind(),
+        "use the model's RGB decoder"});
+}
+
+Autoencoding Backbone::autoencode(const torch::Tensor& /*images*/,
+                                  const torch::Generator& /*generator*/) const {
+  fail({"autoencoder", "a backbone that decodes images", "one of kind " + architecture().kind(),
+        "train its RGB decoder with gld train decoder"});
+}
+
 torch::Tensor Backbone::carried_tokens(const torch::Tensor& first_source, int64_t level) const {
   const auto levels = encode(first_source, level);
   return levels.at(static_cast<size_t>(level)).narrow(1, 0, architecture().leading_tokens()).contiguous();

@@ -18,7 +18,7 @@ namespace gld {
 
 class Backbone;
 
-// The sizes of a geometric foundation model, and what the rest of the program asks about them. Each family has one, with
+// The sizes of a backbone, and what the rest of the program asks about them. Each family has one, with
 // its own fields, in its own file; backbone_registry.h lists them.
 class BackboneArchitecture : public OptionsGroup {
  public:
@@ -36,6 +36,10 @@ class BackboneArchitecture : public OptionsGroup {
   virtual int64_t level_channels() const = 0;  // C
   // Tokens in front of the patch tokens of a level: class, camera and register tokens.
   virtual int64_t leading_tokens() const = 0;
+  // Rows of Backbone::carried_tokens: 1 where all views get the same leading tokens, 2 where the first view's are others.
+  virtual int64_t carried_rows() const { return 1; }
+  // Whether Backbone::propagate makes deeper levels of a level.
+  virtual bool propagates() const { return true; }
 
   virtual int64_t blocks() const = 0;
   // Whether that block's attention is over the tokens of all views and not of one alone.
@@ -44,6 +48,10 @@ class BackboneArchitecture : public OptionsGroup {
   // Of Backbone::encode up to that level, and of Backbone::propagate from it, for all views of the grid.
   virtual Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const = 0;
   virtual Cost propagation_cost(const LatentGrid& grid, int64_t level) const = 0;
+
+  // Whether it makes images of its level by itself: an autoencoder's other half, in the place of an RGB decoder.
+  virtual bool decodes_images() const { return false; }
+  virtual Cost decoding_cost(const LatentGrid& /*grid*/) const { return {}; }
 
   // Of an image; Error unless both sides are whole patches.
   LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const;
@@ -55,13 +63,20 @@ struct DecodableLevel {
   torch::Tensor patches;  // (views, tokens, C)
 };
 
+// Images through both halves of an autoencoder, with gradients.
+struct Autoencoding {
+  torch::Tensor images;      // (views, 3, height, width), RGB in about [0, 1]
+  torch::Tensor divergence;  // a scalar: how far latents are from standard normal ones
+};
+
 struct PropagationStart {
   int64_t level = 1;
   torch::Tensor tokens;  // (views, leading tokens + tokens, C) raw, leading tokens first
   LatentGrid grid;
 };
 
-// A frozen geometric foundation model: DA3 (docs/DESIGN.md section 4, "Backbone"), and others that registered themselves.
+// What latents are of: a frozen geometric foundation model (DA3, docs/DESIGN.md section 4, "Backbone"), another network of
+// image features, or an autoencoder; all register themselves.
 // Nothing outside models/backbones names one of them. View 0 is the reference view; views are never reordered.
 class Backbone : public torch::nn::Module {
  public:
@@ -76,8 +91,9 @@ class Backbone : public torch::nn::Module {
   virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                             std::vector<AttentionTap>* taps) const = 0;
 
-  // The leading tokens that propagation from that level gives to every view, (1, leading tokens, C) raw: new views have
-  // no image to take them from, so all get those of `first_source` (1, 3, height, width), RGB in [0, 1], encoded alone.
+  // The leading tokens that propagation from that level gives to the views, (carried_rows, leading tokens, C) raw, the last
+  // row for all views that have none of their own: new views have no image to take them from, so they get those of
+  // `first_source` (1, 3, height, width), RGB in [0, 1]; with one row, encoded alone.
   virtual torch::Tensor carried_tokens(const torch::Tensor& first_source, int64_t level) const;
 
   // Runs the blocks behind start.level. Returns levels start.level (as given) to the last.
@@ -86,6 +102,13 @@ class Backbone : public torch::nn::Module {
   // (views, tokens, C) raw -> what the DPT head and the RGB decoder take.
   virtual torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const = 0;
 
+  // Of architectures with decodes_images(): (views, tokens, C), decodable -> images (views, 3, height, width), RGB in about
+  // [0, 1], not clamped. Error of others.
+  virtual torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const;
+
+  // Of the same, for training: latents may be drawn with the generator. Error of others.
+  virtual Autoencoding autoencode(const torch::Tensor& images, const torch::Generator& generator) const;
+
   // Splits a raw level into leading tokens and decodable patches.
   DecodableLevel decodable(const torch::Tensor& level) const;
   // The patch tokens of a raw level.
@@ -93,6 +116,12 @@ class Backbone : public torch::nn::Module {
 
   // Random weights to train from.
   virtual void initialise(const torch::Generator& generator) = 0;
+
+ protected:
+  // Errors of who calls.
+  void require_level(int64_t level) const;
+  void require_images(const torch::Tensor& images) const;
+  void require_propagation_tokens(const PropagationStart& start) const;
 };
 
 }  // namespace gld

@@ -1,48 +1,28 @@
 #include "models/backbones/backbone_registry.h"
 
+#include "models/backbones/autoencoder_kl.h"
 #include "models/backbones/da3_backbone.h"
+#include "models/backbones/dinov2_backbone.h"
+#include "models/backbones/tiny_autoencoder.h"
+#include "models/backbones/vggt_backbone.h"
 
 namespace gld {
-namespace {
-
-template <class Architecture>
-std::unique_ptr<BackboneArchitecture> with_defaults() {
-  return std::make_unique<Architecture>();
-}
-
-}  // namespace
 
 const std::vector<BackboneKind>& backbone_kinds() {
   static const std::vector<BackboneKind> kinds = {
-      {"da3", with_defaults<Da3BackboneOptions>},
+      architecture_kind<BackboneArchitecture, Da3BackboneOptions>("da3"),
+      architecture_kind<BackboneArchitecture, VggtBackboneOptions>("vggt"),
+      architecture_kind<BackboneArchitecture, Dinov2Options>("dinov2"),
+      architecture_kind<BackboneArchitecture, AutoencoderKlOptions>("autoencoder_kl"),
+      architecture_kind<BackboneArchitecture, TinyAutoencoderOptions>("tiny_autoencoder"),
   };
   return kinds;
 }
 
-BackboneOptions::BackboneOptions() : architecture_(backbone_kinds().front().architecture()) {}
+BackboneOptions::BackboneOptions() : ChosenArchitecture(backbone_kinds(), "family of the backbone") {}
 
-BackboneOptions::BackboneOptions(const BackboneArchitecture& architecture)
-    : architecture_(architecture.copy()) {}
-
-BackboneOptions::BackboneOptions(const BackboneOptions& other)
-    : OptionsGroup(other), architecture_(other.architecture_->copy()) {}
-
-BackboneOptions& BackboneOptions::operator=(const BackboneOptions& other) {
-  if (this != &other) architecture_ = other.architecture_->copy();
-  return *this;
-}
-
-void BackboneOptions::visit(FieldVisitor& visitor) {
-  std::vector<std::string> names;
-  int kind = 0;
-  for (const auto& entry : backbone_kinds()) {
-    if (entry.name == architecture_->kind()) kind = static_cast<int>(names.size());
-    names.push_back(entry.name);
-  }
-  visitor.choice({"type", "family of the backbone"}, kind, names);
-  const auto& chosen = backbone_kinds().at(static_cast<size_t>(kind));
-  if (chosen.name != architecture_->kind()) architecture_ = chosen.architecture();
-  architecture_->visit(visitor);
+BackboneOptions::BackboneOptions(const BackboneArchitecture& architecture) : BackboneOptions() {
+  choose(architecture);
 }
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
+#include "models/layers/position_embedding.h"
 
 #include <algorithm>
 #include <string>
@@ -120,24 +121,8 @@ Da3Backbone::Da3Backbone(const Da3BackboneOptions& options, const ParameterPlace
   norm_ = register_module("norm", std::make_shared<LayerNorm>(channels, 1e-5, placement));
 }
 
-void Da3Backbone::require_level(int64_t level) const {
-  if (level < 0 || level >= options_.levels()) {
-    fail({"backbone", "a level from 0 to " + std::to_string(options_.levels() - 1), std::to_string(level),
-          "ask for a level that out_layers lists"});
-  }
-}
-
 torch::Tensor Da3Backbone::position_embedding(const LatentGrid& grid) const {
-  const int64_t side = options_.pos_embed_grid;
-  if (grid.height == side && grid.width == side) return position_table_;
-  const auto patches =
-      position_table_.slice(1, 1).view({1, side, side, options_.embed_dim}).permute({0, 3, 1, 2});
-  // DINOv2 resizes by the scale (size + 0.1) / side and not to the size; the sampling points depend on it.
-  const double scale_rows = (static_cast<double>(grid.height) + 0.1) / static_cast<double>(side);
-  const double scale_columns = (static_cast<double>(grid.width) + 0.1) / static_cast<double>(side);
-  const auto resized = torch::upsample_bicubic2d(patches, {grid.height, grid.width}, /*align_corners=*/false,
-                                                 scale_rows, scale_columns);
-  return torch::cat({position_table_.slice(1, 0, 1), resized.flatten(2).transpose(1, 2)}, 1);
+  return resized_positions(position_table_, grid, PositionResizing());
 }
 
 torch::Tensor Da3Backbone::with_camera_tokens(const torch::Tensor& tokens) const {
@@ -186,10 +171,7 @@ std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t fir
 std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int64_t last_level,
                                                std::vector<AttentionTap>* taps) const {
   require_level(last_level);
-  if (images.dim() != 4 || images.size(0) == 0 || images.size(1) != 3) {
-    fail({"backbone", "images (views, 3, height, width)", "a tensor of shape " + c10::str(images.sizes()),
-          "give at least one RGB image"});
-  }
+  require_images(images);
   const auto grid = options_.grid_of(images.size(0), images.size(2), images.size(3));
   const auto class_tokens = class_token_.expand({grid.views, 1, options_.embed_dim});
   const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(imagenet_normalise(images))}, 1);
@@ -200,13 +182,7 @@ std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int6
 
 std::vector<DecodableLevel> Da3Backbone::propagate(const PropagationStart& start) const {
   require_level(start.level);
-  const std::vector<int64_t> expected = {start.grid.views, 1 + start.grid.tokens_per_view(),
-                                         options_.level_channels()};
-  if (start.grid.views <= 0 || start.tokens.sizes() != expected) {
-    fail({"propagation", "tokens of shape " + c10::str(c10::IntArrayRef(expected)),
-          c10::str(start.tokens.sizes()),
-          "put the class token in front of the patches of the same token grid"});
-  }
+  require_propagation_tokens(start);
   std::vector<DecodableLevel> levels = {decodable(start.tokens)};
   const int64_t last_level = options_.levels() - 1;
   if (start.level == last_level) return levels;

@@ -82,7 +82,6 @@ class Da3Backbone : public Backbone {
   std::vector<torch::Tensor> run_blocks(TokenState state, int64_t first_block, int64_t last_level,
                                         const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   torch::Tensor with_camera_tokens(const torch::Tensor& tokens) const;
-  void require_level(int64_t level) const;
 
   Da3BackboneOptions options_;
   std::shared_ptr<PatchEmbed> patch_embed_;

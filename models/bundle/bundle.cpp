@@ -21,10 +21,24 @@ std::filesystem::path part_file(const std::filesystem::path& folder, const Bundl
   return folder / (bundle_part_name(part) + kExtension);
 }
 
+// An autoencoder's half as what decodes images.
+class BackboneImages : public ImageDecoder {
+ public:
+  explicit BackboneImages(std::shared_ptr<const Backbone> backbone) : backbone_(std::move(backbone)) {}
+  torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const override {
+    return backbone_->decode(features, grid);
+  }
+
+ private:
+  std::shared_ptr<const Backbone> backbone_;
+};
+
 }  // namespace
 
 std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
-  std::vector<BundlePart> parts = {BundlePart::backbone(), BundlePart::dpt_head(), BundlePart::rgb_decoder()};
+  std::vector<BundlePart> parts = {BundlePart::backbone()};
+  if (options.dpt_head.exists()) parts.push_back(BundlePart::dpt_head());
+  if (options.has_rgb_decoder()) parts.push_back(BundlePart::rgb_decoder());
   std::vector<int64_t> levels, special;
   for (const auto& part : options.generators) {
     parts.push_back(BundlePart::of(part.generator));
@@ -62,7 +76,7 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, co
     case BundlePart::Kind::kBackbone:
       return options.backbone.make(placement);
     case BundlePart::Kind::kDptHead:
-      return std::make_shared<DptHead>(options.dpt_head, placement);
+      return options.dpt_head.make(placement);
     case BundlePart::Kind::kRgbDecoder:
       return std::make_shared<RgbDecoder>(options.rgb_decoder, placement);
     case BundlePart::Kind::kGenerator:
@@ -117,8 +131,17 @@ std::shared_ptr<Backbone> ModelBundle::load_backbone(const ParameterPlacement& p
   return loaded(options_.backbone.make(placement), BundlePart::backbone());
 }
 
-std::shared_ptr<DptHead> ModelBundle::load_dpt_head(const ParameterPlacement& placement) const {
-  return loaded(std::make_shared<DptHead>(options_.dpt_head, placement), BundlePart::dpt_head());
+std::shared_ptr<GeometryHead> ModelBundle::load_dpt_head(const ParameterPlacement& placement) const {
+  return loaded(options_.dpt_head.make(placement), BundlePart::dpt_head());
+}
+
+BundlePart ModelBundle::image_decoder_part() const {
+  return options_.has_rgb_decoder() ? BundlePart::rgb_decoder() : BundlePart::backbone();
+}
+
+std::shared_ptr<ImageDecoder> ModelBundle::load_image_decoder(const ParameterPlacement& placement) const {
+  if (options_.has_rgb_decoder()) return load_rgb_decoder(placement);
+  return std::make_shared<BackboneImages>(load_backbone(placement));
 }
 
 std::shared_ptr<RgbDecoder> ModelBundle::load_rgb_decoder(const ParameterPlacement& placement) const {

@@ -64,8 +64,11 @@ class ModelBundle {
 
   // The module with its weights, in the placement's dtype whatever the file's is.
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
-  std::shared_ptr<DptHead> load_dpt_head(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<GeometryHead> load_dpt_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
+  // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
+  std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;
+  BundlePart image_decoder_part() const;
   std::shared_ptr<DitDh> load_generator(const LevelGenerator& generator,
                                         const ParameterPlacement& placement = {}) const;
   // Of the latent that this generator makes, with the bundle's epsilon; Error unless there are as many channels as the

@@ -1,6 +1,8 @@
 #include "models/bundle/bundle_options.h"
 
 #include "gld/base/error.h"
+#include "models/backbones/vggt_backbone.h"
+#include "models/decoders/vggt_heads.h"
 
 #include <algorithm>
 #include <charconv>
@@ -23,6 +25,22 @@ bool read_side(const char*& position, const char* end, int64_t& side) {
   const auto result = std::from_chars(position, end, side);
   position = result.ptr;
   return result.ec == std::errc() && side > 0 && side <= kLargestSide;
+}
+
+void check_geometry_head(const GeometryHeadOptions& head, const BackboneOptions& backbone) {
+  if (!head.exists()) return;
+  const auto& architecture = head.architecture();
+  if (backbone.levels() < 4) {
+    fail({"dpt_head.type", "none for a backbone with fewer than four levels", architecture.kind(),
+          "set dpt_head: {type: none}; geometry then comes from gld sample --geometry-model"});
+  }
+  require_equal("dpt_head.dim_in", architecture.level_channels(), backbone.level_channels(),
+                "the channels of the backbone's levels");
+  require_equal("dpt_head.patch_size", architecture.patch_side(), backbone.patch_side(),
+                "the backbone's patch size");
+  if (architecture.leading_tokens() < 0) return;
+  require_equal("dpt_head.num_special_tokens", architecture.leading_tokens(), backbone.leading_tokens(),
+                "the backbone's tokens in front of the patches");
 }
 
 }  // namespace
@@ -68,7 +86,7 @@ void BundleOptions::set_generators(const std::vector<LevelGenerator>& wanted) {
 void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.text({"name", "name of the model"}, name);
   visitor.group({"backbone", "frozen backbone"}, backbone);
-  visitor.group({"dpt_head", "frozen DPT head"}, dpt_head);
+  visitor.group({"dpt_head", "frozen geometry head"}, dpt_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
   std::vector<std::string> texts;
   for (const auto& part : generators) texts.push_back(generator_text(part.generator));
@@ -126,6 +144,7 @@ GeneratorOptions& BundleOptions::generator(const LevelGenerator& generator) {
 
 bool BundleOptions::has_geometry() const {
   const auto set = level_set();
+  if (!dpt_head.exists()) return false;
   for (int64_t level = 0; level < set.levels; ++level) {
     if (!set.knows(level)) return false;
   }
@@ -137,14 +156,20 @@ void BundleOptions::check() const {
   const std::string because = "the channels of the backbone's levels";
   const LevelSet set = level_set();
   check_level_set(set);
-  require_equal("dpt_head.dim_in", dpt_head.dim_in, channels, because);
-  const auto decoded = static_cast<int64_t>(set.decoded_levels().size());
-  require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, decoded * channels,
-                decoded == set.levels ? "the channels of all levels together"
-                                      : "the channels of the decoded levels together");
   const std::string patches = "the backbone's patch size";
-  require_equal("dpt_head.patch_size", dpt_head.patch_size, backbone.patch_side(), patches);
-  require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_side(), patches);
+  check_geometry_head(dpt_head, backbone);
+  if (has_rgb_decoder()) {
+    const auto decoded = static_cast<int64_t>(set.decoded_levels().size());
+    require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, decoded * channels,
+                  decoded == set.levels ? "the channels of all levels together"
+                                        : "the channels of the decoded levels together");
+    require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_side(), patches);
+  }
+  if (!backbone.architecture().propagates()) {
+    require_equal(
+        "boundary_level", boundary_level, set.levels - 1,
+        "the deepest level of a " + backbone.architecture().kind() + " backbone, which propagates none");
+  }
   for (const auto& part : generators) {
     const std::string key = generator_name(part.generator);
     require_equal(key + ".in_channels", part.dit.in_channels, channels, because);
@@ -188,6 +213,50 @@ BundleOptions released_da3_options() {
   released_cascade.prope_image_size = "504";
   released_cascade.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
   for (auto& part : options.generators) apply_published_conventions(part.dit);
+  return options;
+}
+
+BundleOptions released_vggt_options() {
+  BundleOptions options;
+  options.name = "GLD VGGT-1B, released";
+  options.backbone = VggtBackboneOptions();
+  options.dpt_head = VggtHeadsOptions();
+  const int64_t channels = options.backbone.level_channels();
+  options.rgb_decoder.in_channels = options.backbone.levels() * channels;
+  options.rgb_decoder.hidden_size = 1152;
+  options.rgb_decoder.num_layers = 28;
+  options.rgb_decoder.num_heads = 16;
+  options.rgb_decoder.intermediate_size = 4096;
+  for (auto& part : options.generators) {
+    part.dit.in_channels = channels;
+    part.dit.num_special_tokens = options.backbone.leading_tokens();
+    apply_published_conventions(part.dit);
+  }
+  return options;
+}
+
+BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone) {
+  BundleOptions options;
+  options.name = name;
+  options.backbone = backbone;
+  options.dpt_head = GeometryHeadOptions::none();
+  const int64_t deepest = backbone.levels() - 1, channels = backbone.level_channels();
+  options.boundary_level = deepest;
+  options.set_generators({level_model(deepest)});
+  options.decoded_levels = {deepest};
+  options.rgb_decoder.in_channels = channels;
+  options.rgb_decoder.patch_size = backbone.patch_side();
+  options.trained_sizes.clear();
+  const int64_t side = backbone.patch_side();
+  for (const int64_t height : {504, 378, 336, 280}) {
+    options.trained_sizes.push_back(
+        fmt::format("{}x{}", (504 + side / 2) / side * side, (height + side / 2) / side * side));
+  }
+  options.rgb_decoder.base_image_size = (504 + side / 2) / side * side;
+  for (auto& part : options.generators) {
+    part.dit.in_channels = channels;
+    part.dit.camera_patch_size = side;
+  }
   return options;
 }
 

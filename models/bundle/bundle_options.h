@@ -4,6 +4,7 @@
 #include "gld/cameras/image_size.h"
 #include "models/backbones/backbone_registry.h"
 #include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head_registry.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"
 #include "models/latent_spaces/level_set.h"
@@ -40,7 +41,7 @@ struct GeneratorOptions {
 struct BundleOptions : OptionsGroup {
   std::string name = "unnamed";
   BackboneOptions backbone;
-  DptHeadOptions dpt_head;
+  GeometryHeadOptions dpt_head;
   RgbDecoderOptions rgb_decoder;
   std::vector<GeneratorOptions> generators;  // in the order of sampling
   int64_t boundary_level = 1;                // level that propagation starts from
@@ -61,12 +62,19 @@ struct BundleOptions : OptionsGroup {
   // Error naming the bundle's generators where it is none of them.
   const GeneratorOptions& generator(const LevelGenerator& generator) const;
   GeneratorOptions& generator(const LevelGenerator& generator);
-  // Whether the DPT head can run: it takes all levels.
+  // Whether the model has a geometry head and it can run: it takes all levels.
   bool has_geometry() const;
+  // Whether images come from an RGB decoder, and not from the other half of an autoencoder.
+  bool has_rgb_decoder() const { return !backbone.architecture().decodes_images(); }
 };
 
 // What the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published
 // conventions of cameras.
 BundleOptions released_da3_options();
+// The same for the released VGGT checkpoints: 5 special tokens generated with the
+// patches (num_special_tokens: 0 leaves them to propagation, as the paper's final experiments do).
+BundleOptions released_vggt_options();
+// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder.
+BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone);
 
 }  // namespace gld

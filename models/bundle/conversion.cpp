@@ -5,6 +5,9 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/backbones/dinov2_backbone.h"
+#include "models/bundle/published_backbones.h"
+#include "models/decoders/vggt_heads.h"
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>
@@ -24,7 +27,8 @@ const std::string kReportFile = "conversion.json";
 // A part that a source file gives.
 struct SourcePart {
   BundlePart part;
-  std::string prefix;  // of its tensors in the file
+  std::string prefix;                // of its tensors in the file
+  std::vector<IgnoredName> ignored;  // of this part alone, without the prefix
 };
 
 // A published file: what it gives, and which of its tensors no part takes, with the reason.
@@ -60,34 +64,47 @@ std::vector<IgnoredName> ignored_in_checkpoint(CheckpointWeights weights) {
   return ignored;
 }
 
+std::vector<std::pair<std::string, std::string>> backbone_files(const ConversionOptions& options) {
+  return {{"da3", options.da3},
+          {"vggt", options.vggt},
+          {"dinov2", options.dinov2},
+          {"autoencoder_kl", options.autoencoder_kl},
+          {"tiny_autoencoder_encoder", options.tiny_autoencoder_encoder},
+          {"tiny_autoencoder_decoder", options.tiny_autoencoder_decoder}};
+}
+
 std::vector<Source> sources_of(const ConversionOptions& options, const BundleOptions& bundle) {
   const std::string prefix = checkpoint_prefix(options.weights);
   const auto ignored = ignored_in_checkpoint(options.weights);
   std::vector<Source> sources;
-  if (!options.da3.empty()) {
-    sources.push_back({options.da3,
-                       {{BundlePart::backbone(), bundle.backbone.architecture().published_prefix()},
-                        {BundlePart::dpt_head(), DptHead::kPrefix}},
-                       {{"model.cam_dec.*", "DA3's pose decoder, which GLD does not use"},
-                        {"model.cam_enc.*", "DA3's pose encoder, which GLD does not use"}}});
+  for (const auto& [option, file] : backbone_files(options)) {
+    const auto& published = published_backbone(option);
+    if (file.empty() || !published.with_head) continue;
+    const auto& backbone_prefix = bundle.backbone.architecture().published_prefix();
+    Source source = {file, {{BundlePart::backbone(), backbone_prefix, {}}}, published.ignored};
+    SourcePart head = {BundlePart::dpt_head(), bundle.dpt_head.architecture().published_prefix(), {}};
+    if (head.prefix.empty()) head.ignored = {{backbone_prefix + "*", "the backbone, a part of its own"}};
+    if (bundle.dpt_head.exists()) source.parts.push_back(head);
+    sources.push_back(std::move(source));
   }
   if (!options.rgb_decoder.empty()) {
     auto unused = ignored;
     unused.push_back({prefix + "encoder.*", "the frozen backbone, which comes from the DA3 file"});
     sources.push_back(
-        {options.rgb_decoder, {{BundlePart::rgb_decoder(), prefix + RgbDecoder::kPrefix}}, unused});
+        {options.rgb_decoder, {{BundlePart::rgb_decoder(), prefix + RgbDecoder::kPrefix, {}}}, unused});
   }
   if (!options.level1.empty())
-    sources.push_back({options.level1, {{BundlePart::of(level_model(1)), prefix}}, ignored});
+    sources.push_back({options.level1, {{BundlePart::of(level_model(1)), prefix, {}}}, ignored});
   if (!options.cascade.empty())
-    sources.push_back({options.cascade, {{BundlePart::of(cascade(1, 0)), prefix}}, ignored});
+    sources.push_back({options.cascade, {{BundlePart::of(cascade(1, 0)), prefix, {}}}, ignored});
   const std::vector<IgnoredName> derived = {{"std", "the square root of var"}};
-  if (!options.statistics_level0.empty()) {
-    sources.push_back({options.statistics_level0, {{BundlePart::statistics(0), ""}}, derived});
-  }
-  if (!options.statistics_level1.empty()) {
-    sources.push_back({options.statistics_level1, {{BundlePart::statistics(1), ""}}, derived});
-  }
+  const auto statistics = [&](const std::string& file, const BundlePart& part) {
+    if (!file.empty()) sources.push_back({file, {{part, "", {}}}, derived});
+  };
+  statistics(options.statistics_level0, BundlePart::statistics(0));
+  statistics(options.statistics_level1, BundlePart::statistics(1));
+  statistics(options.special_statistics_level0, BundlePart::special_statistics(0));
+  statistics(options.special_statistics_level1, BundlePart::special_statistics(1));
   return sources;
 }
 
@@ -151,6 +168,12 @@ struct PlannedTensor {
   DType dtype = DType::kFloat32;
 };
 
+ParameterPlacement on_meta() {
+  ParameterPlacement meta;
+  meta.device = torch::kMeta;
+  return meta;
+}
+
 // Statistics are few numbers that everything is divided by: never rounded.
 ordered_json convert_statistics(const WeightFile& file, const Source& source, const BundlePart& part,
                                 const ConversionOptions& options, const BundleOptions& bundle) {
@@ -175,9 +198,8 @@ ordered_json convert_part(const WeightFile& file, const Source& source, const So
   WeightSelection selection;
   selection.prefix = part.prefix;
   selection.ignored = source.ignored;
-  ParameterPlacement meta;
-  meta.device = torch::kMeta;
-  const auto module = make_bundle_module(part.part, bundle, meta);
+  selection.ignored.insert(selection.ignored.end(), part.ignored.begin(), part.ignored.end());
+  const auto module = make_bundle_module(part.part, bundle, on_meta());
   if (module == nullptr) return convert_statistics(file, source, part.part, options, bundle);
   LoadReport report;
   const DType dtype = stored_dtype(options.precision);
@@ -210,15 +232,169 @@ ordered_json convert_part(const WeightFile& file, const Source& source, const So
           {"bytes", std::filesystem::file_size(target)}};
 }
 
+// Puts a part together from tensors in memory, strictly, and writes it.
+ordered_json convert_tensors(const BundlePart& part, const std::map<std::string, torch::Tensor>& tensors,
+                             const std::string& where, const ConversionOptions& options,
+                             const BundleOptions& bundle) {
+  const auto module = make_bundle_module(part, bundle, {});
+  load_strict(*module, tensors, where);
+  const auto made = named_tensors(*module);
+  const DType dtype = stored_dtype(options.precision);
+  int64_t elements = 0;
+  for (const auto& [name, tensor] : made) elements += tensor.numel();
+  save_bundle_part(options.out, part, made, dtype);
+  return {{"source", where},
+          {"selection", ""},
+          {"tensors", made.size()},
+          {"elements", elements},
+          {"from", ordered_json::object()},
+          {"to", dtype_name(dtype)},
+          {"bytes", std::filesystem::file_size(ModelBundle::open(options.out).file(part))}};
+}
+
+// Backbones without a head: the names of their files may be others than the module's, and two files may hold one half each.
+void convert_renamed_backbone(const ConversionOptions& options, const BundleOptions& bundle,
+                              ordered_json& report) {
+  const auto module = make_bundle_module(BundlePart::backbone(), bundle, on_meta());
+  const auto shapes = named_tensors(*module);
+  std::map<std::string, torch::Tensor> tensors;
+  std::string where;
+  for (const auto& [option, path] : backbone_files(options)) {
+    const auto& published = published_backbone(option);
+    if (path.empty() || published.with_head) continue;
+    where += (where.empty() ? "" : " and ") + path;
+    const auto file = WeightFile::open(path);
+    std::map<std::string, int64_t> ignored;
+    for (const auto& entry : file->entries()) {
+      if (const auto* reason = ignored_name(published.ignored, entry.name)) {
+        ++ignored[reason->name];
+        continue;
+      }
+      std::string name = entry.name;
+      for (const auto& prefix : published.outer_prefixes) {
+        if (name.compare(0, prefix.size(), prefix) == 0) name.erase(0, prefix.size());
+      }
+      name = published.module_prefix + (published.renamed ? published.renamed(name, bundle) : name);
+      auto tensor = converted(*file, entry, stored_dtype(options.precision));
+      // Attention over pixels is a linear layer here, and was a 1 x 1 convolution in some files.
+      const auto target = shapes.find(name);
+      if (target != shapes.end() && tensor.dim() == 4 && target->second.dim() == 2 &&
+          tensor.numel() == target->second.numel()) {
+        tensor = tensor.view(target->second.sizes());
+      }
+      tensors[name] = tensor;
+    }
+    for (const auto& name : published.ignored) {
+      if (ignored.count(name.name) == 0) continue;
+      report["ignored"].push_back(
+          {{"source", path}, {"names", name.name}, {"tensors", ignored[name.name]}, {"reason", name.reason}});
+    }
+  }
+  if (tensors.empty()) return;
+  report["parts"]["backbone"] = convert_tensors(BundlePart::backbone(), tensors, where, options, bundle);
+}
+
+// GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the published
+// head's; the others stay.
+void replace_head(const ConversionOptions& options, const BundleOptions& bundle, ordered_json& report) {
+  const auto file = WeightFile::open(options.dpt_decoder);
+  const auto there = ModelBundle::open(options.out);
+  std::map<std::string, torch::Tensor> tensors;
+  if (there.has(BundlePart::dpt_head())) {
+    const auto head = WeightFile::open(there.file(BundlePart::dpt_head()));
+    for (const auto& entry : head->entries()) tensors[entry.name] = read_tensor(*head, entry).clone();
+  }
+  int64_t replaced = 0;
+  for (const auto& entry : file->entries()) {
+    for (const std::string prefix : {"model.decoder.", "model.pred."}) {
+      if (entry.name.compare(0, prefix.size(), prefix) != 0) continue;
+      tensors[entry.name.substr(prefix.size())] = converted(*file, entry, stored_dtype(options.precision));
+      ++replaced;
+    }
+  }
+  if (replaced == 0) {
+    fail({options.dpt_decoder, "tensors model.decoder.* or model.pred.*", "none",
+          "give the release's dpt_decoder.pt"});
+  }
+  auto part = convert_tensors(BundlePart::dpt_head(), tensors, options.dpt_decoder, options, bundle);
+  part["replaced"] = replaced;
+  report["parts"]["dpt_head"] = std::move(part);
+}
+
+// What the weights are of.
+BundleOptions described_bundle(const ConversionOptions& options) {
+  if (!options.description.empty()) {
+    BundleOptions bundle;
+    load_yaml(bundle, options.description);
+    return bundle;
+  }
+  if (std::filesystem::exists(std::filesystem::path(options.out) / "model.yaml")) {
+    return ModelBundle::open(options.out).options();
+  }
+  for (const auto& [option, file] : backbone_files(options)) {
+    if (!file.empty()) return published_backbone(option).options();
+  }
+  return released_da3_options();
+}
+
+void check_backbone_files(const ConversionOptions& options, const BundleOptions& bundle) {
+  for (const auto& [option, path] : backbone_files(options)) {
+    if (path.empty()) continue;
+    const auto& published = published_backbone(option);
+    if (bundle.backbone.architecture().kind() != published.kind) {
+      fail({path, "weights of the model's backbone, of kind " + bundle.backbone.architecture().kind(),
+            "weights of " + published.name, "choose another --out or --description"});
+    }
+    const auto file = WeightFile::open(path);
+    const auto has = [&](const std::string& beginning) {
+      return std::any_of(file->entries().begin(), file->entries().end(), [&](const TensorEntry& entry) {
+        return entry.name.compare(0, beginning.size(), beginning) == 0;
+      });
+    };
+    if (option == "vggt" && bundle.dpt_head.architecture().kind() == option) {
+      const auto& heads = bundle.dpt_head.as<VggtHeadsOptions>();
+      for (const auto& [head, wanted] : std::vector<std::pair<std::string, bool>>{
+               {"depth_head", true}, {"point_head", heads.point_head}, {"camera_head", heads.camera_head}}) {
+        if (!wanted || has(head + ".")) continue;
+        fail({path, "VGGT's " + head + ", tensors " + head + ".*", "none",
+              "get the whole file, or say in --description what the model has (dpt_head." + head + ")"});
+      }
+    }
+    if (option == "dinov2" && bundle.backbone.as<Dinov2Options>().sizes.num_register_tokens > 0 &&
+        !has("register_tokens")) {
+      fail({path, "DINOv2 with registers, a tensor register_tokens", "none",
+            "give a model with registers, or say num_register_tokens: 0, antialias: false and "
+            "interpolate_offset: 0.1 in --description"});
+    }
+  }
+}
+
+bool gives_anything(const ConversionOptions& options) {
+  const auto files = backbone_files(options);
+  const bool backbone =
+      std::any_of(files.begin(), files.end(), [](const auto& file) { return !file.second.empty(); });
+  return backbone || !options.dpt_decoder.empty() || !sources_of(options, BundleOptions()).empty();
+}
+
 }  // namespace
 
 void ConversionOptions::visit(FieldVisitor& visitor) {
   visitor.text({"da3", "DA3-Base safetensors: gives the backbone and the DPT head"}, da3);
+  visitor.text({"vggt", "VGGT-1B safetensors or .pt: gives the backbone and its heads"}, vggt);
+  visitor.text({"dinov2", "DINOv2's .pth, with or without registers: gives the backbone"}, dinov2);
+  visitor.text({"autoencoder_kl", "autoencoder of Stable Diffusion or SDXL, diffusers' or original names"},
+               autoencoder_kl);
+  visitor.text({"tiny_autoencoder_encoder", "encoder of a tiny autoencoder, taef2_encoder.pth"},
+               tiny_autoencoder_encoder);
+  visitor.text({"tiny_autoencoder_decoder", "its decoder, taef2_decoder.pth"}, tiny_autoencoder_decoder);
+  visitor.text({"dpt_decoder", "GLD's dpt_decoder.pt: replaces tensors of the DA3 head"}, dpt_decoder);
   visitor.text({"rgb_decoder", "GLD's .pt file of the RGB decoder"}, rgb_decoder);
   visitor.text({"level1", "GLD's .pt file of M1"}, level1);
   visitor.text({"cascade", "GLD's .pt file of the cascade"}, cascade);
   visitor.text({"statistics_level0", ".pt file with mean and var of level 0"}, statistics_level0);
   visitor.text({"statistics_level1", ".pt file with mean and var of level 1"}, statistics_level1);
+  visitor.text({"special_statistics_level0", "the same of special tokens"}, special_statistics_level0);
+  visitor.text({"special_statistics_level1", "the same of special tokens"}, special_statistics_level1);
   visitor.text({"description", "model.yaml that describes the weights; empty: the released DA3-Base model"},
                description);
   visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
@@ -230,18 +406,18 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
 
 void ConversionOptions::check() const {
   check_out(out, "models/gld");
-  if (sources_of(*this, BundleOptions()).empty()) {
+  if (!gives_anything(*this)) {
     fail({"gld convert", "at least one file to convert", "none",
           "give --da3, --level1, ... (see gld convert --help)"});
   }
 }
 
 ordered_json convert(const ConversionOptions& options) {
-  BundleOptions bundle = released_da3_options();
-  if (!options.description.empty()) {
-    bundle = BundleOptions();
-    load_yaml(bundle, options.description);
+  for (const auto& [option, file] : backbone_files(options)) {
+    if (!file.empty()) require_published(*WeightFile::open(file), option);
   }
+  const BundleOptions bundle = described_bundle(options);
+  check_backbone_files(options, bundle);
   save_bundle_options(options.out, bundle);
   ordered_json report = {
       {"bundle", options.out}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
@@ -252,6 +428,8 @@ ordered_json convert(const ConversionOptions& options) {
       report["parts"][bundle_part_name(part.part)] = convert_part(*file, source, part, options, bundle);
     }
   }
+  convert_renamed_backbone(options, bundle, report);
+  if (!options.dpt_decoder.empty()) replace_head(options, bundle, report);
   report["missing"] = ordered_json::array();
   const auto written = ModelBundle::open(options.out);
   for (const BundlePart& part : bundle_parts(bundle)) {

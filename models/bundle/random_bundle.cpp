@@ -101,9 +101,10 @@ BundleOptions small_bundle_options() {
   options.name = "small random model";
   apply_setting(options, fmt::format("backbone.embed_dim={}", kWidth));
   apply_setting(options, "backbone.num_heads=4");
-  options.dpt_head.dim_in = 2 * kWidth;
-  options.dpt_head.features = 32;
-  options.dpt_head.out_channels = {24, 48, 96, 192};
+  auto& head = options.dpt_head.as<DptHeadOptions>();
+  head.dim_in = 2 * kWidth;
+  head.features = 32;
+  head.out_channels = {24, 48, 96, 192};
   options.rgb_decoder.in_channels = 8 * kWidth;
   options.rgb_decoder.hidden_size = kWidth;
   options.rgb_decoder.num_layers = 3;

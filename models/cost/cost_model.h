@@ -1,7 +1,6 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
-#include "models/decoders/dpt_head.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"
 #include "models/layers/operation_cost.h"
@@ -10,8 +9,8 @@
 
 namespace gld {
 
-// Cost (models/layers/operation_cost.h) of one forward pass of each part; a backbone says its own
-// (models/backbones/backbone.h).
+// Cost (models/layers/operation_cost.h) of one forward pass of each part; a backbone and a
+// geometry head say their own (models/backbones/backbone.h, models/decoders/geometry_head.h).
 
 Cost condition_encoder_cost(const DitOptions& options, const LatentGrid& grid);
 // Everything but the condition encoder: projector, embedder, velocity decoder, final layer.
@@ -21,6 +20,5 @@ Cost velocity_decoder_cost(const DitOptions& options, const LatentGrid& grid);
 Cost dit_cost(const DitOptions& options, const LatentGrid& grid);
 
 Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid);
-Cost dpt_head_cost(const DptHeadOptions& options, const LatentGrid& grid, GeometryMaps maps);
 
 }  // namespace gld

@@ -14,22 +14,26 @@ ConvolutionSizes same_size(int64_t channels, int64_t kernel) {
 
 }  // namespace
 
-ResidualConvolution::ResidualConvolution(int64_t channels, const ParameterPlacement& placement) {
+ResidualConvolution::ResidualConvolution(int64_t channels, FusionResidual residual,
+                                         const ParameterPlacement& placement)
+    : residual_(residual) {
   first_ = register_module("conv1", std::make_shared<Convolution>(same_size(channels, 3), placement));
   second_ = register_module("conv2", std::make_shared<Convolution>(same_size(channels, 3), placement));
 }
 
 torch::Tensor ResidualConvolution::forward(const torch::Tensor& x) const {
-  return x + second_->forward(torch::relu(first_->forward(torch::relu(x))));
+  const auto rectified = torch::relu(x);
+  const auto refined = second_->forward(torch::relu(first_->forward(rectified)));
+  return (residual_ == FusionResidual::kRaw ? x : rectified) + refined;
 }
 
 FusionBlock::FusionBlock(const Sizes& sizes, const ParameterPlacement& placement) {
   if (sizes.inputs == FusionInputs::kRunningAndLateral) {
-    lateral_unit_ =
-        register_module("resConfUnit1", std::make_shared<ResidualConvolution>(sizes.channels, placement));
+    lateral_unit_ = register_module(
+        "resConfUnit1", std::make_shared<ResidualConvolution>(sizes.channels, sizes.residual, placement));
   }
-  running_unit_ =
-      register_module("resConfUnit2", std::make_shared<ResidualConvolution>(sizes.channels, placement));
+  running_unit_ = register_module(
+      "resConfUnit2", std::make_shared<ResidualConvolution>(sizes.channels, sizes.residual, placement));
   mix_ = register_module("out_conv", std::make_shared<Convolution>(same_size(sizes.channels, 1), placement));
 }
 

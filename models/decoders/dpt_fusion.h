@@ -11,13 +11,17 @@
 
 namespace gld {
 
+// What the unit's result is added to: x, or relu(x), which is what published code whose activations work in place adds it to.
+enum class FusionResidual { kRaw, kRectified };
+
 // x + conv2(relu(conv1(relu(x)))), 3x3 convolutions; parameters "conv1", "conv2".
 class ResidualConvolution : public torch::nn::Module {
  public:
-  ResidualConvolution(int64_t channels, const ParameterPlacement& placement);
+  ResidualConvolution(int64_t channels, FusionResidual residual, const ParameterPlacement& placement);
   torch::Tensor forward(const torch::Tensor& x) const;
 
  private:
+  FusionResidual residual_;
   std::shared_ptr<Convolution> first_, second_;
 };
 
@@ -32,6 +36,7 @@ class FusionBlock : public torch::nn::Module {
   struct Sizes {
     int64_t channels = 0;
     FusionInputs inputs = FusionInputs::kRunningAndLateral;
+    FusionResidual residual = FusionResidual::kRaw;
   };
   FusionBlock(const Sizes& sizes, const ParameterPlacement& placement);
 

@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
+#include "models/decoders/image_decoder.h"
 #include "models/layers/layers.h"
 
 #include <cstdint>
@@ -36,7 +37,7 @@ class RgbDecoderLayer;
 // The ViT that turns the four levels into images (DESIGN.md section 4, "RGB decoder"; a ViT-MAE decoder with
 // a class token of its own). Parameters have the published names behind kPrefix; the position table is a
 // buffer, because it is never trained.
-class RgbDecoder : public torch::nn::Module {
+class RgbDecoder : public ImageDecoder {
  public:
   static constexpr const char* kPrefix = "decoder.";
   // Views attend within themselves, so they are decoded in groups; the widest activation of a group of this many tokens
@@ -55,7 +56,7 @@ class RgbDecoder : public torch::nn::Module {
   torch::Tensor unpatchify(const torch::Tensor& logits, const LatentGrid& grid) const;
 
   // features -> images (views, 3, height, width), RGB in about [0, 1], not clamped.
-  torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const;
+  torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const override;
 
   // The position table for that grid: (1, 1 + tokens, hidden_size), class token first.
   torch::Tensor position_embedding(const LatentGrid& grid) const;

@@ -2,9 +2,20 @@
 
 #include "gld/base/error.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace gld {
+namespace {
+
+// Rows of Backbone::carried_tokens -> (views, leading tokens, C): the last row is that of all further views.
+torch::Tensor carried_to_views(const torch::Tensor& carried, int64_t views) {
+  const int64_t own = std::min(carried.size(0) - 1, views);
+  const auto others = carried.slice(0, -1).expand({views - own, carried.size(1), carried.size(2)});
+  return torch::cat({carried.narrow(0, 0, own), others});
+}
+
+}  // namespace
 
 GeometricLatentSpace::GeometricLatentSpace(std::shared_ptr<const Backbone> backbone, int64_t boundary)
     : backbone_(std::move(backbone)), boundary_(boundary) {
@@ -29,7 +40,8 @@ SourceLatents GeometricLatentSpace::encode_sources(const torch::Tensor& images,
   sources.levels = backbone_->encode(images, wanted.deepest);
   if (!wanted.carried) return sources;
   // With one source view the joint encoding is the view alone already.
-  const bool alone = images.size(0) == 1 && wanted.deepest >= boundary_;
+  const bool alone =
+      images.size(0) == 1 && wanted.deepest >= boundary_ && backbone_->architecture().carried_rows() == 1;
   sources.carried =
       alone ? sources.levels[static_cast<size_t>(boundary_)].narrow(1, 0, leading_tokens()).contiguous()
             : backbone_->carried_tokens(images.slice(0, 0, 1), boundary_);
@@ -40,28 +52,27 @@ torch::Tensor GeometricLatentSpace::decodable(const torch::Tensor& raw_level) co
   return backbone_->decodable(raw_level).patches;
 }
 
-std::vector<torch::Tensor> GeometricLatentSpace::complete(const std::map<int64_t, torch::Tensor>& generated,
-                                                          const torch::Tensor& carried,
-                                                          const LatentGrid& grid) const {
-  std::vector<torch::Tensor> result(static_cast<size_t>(levels()));
+CompletedLevels GeometricLatentSpace::complete(const std::map<int64_t, torch::Tensor>& generated,
+                                               const torch::Tensor& carried, const LatentGrid& grid) const {
+  CompletedLevels result;
+  result.patches.resize(static_cast<size_t>(levels()));
   for (const auto& [level, tokens] : generated) {
     const bool special = tokens.size(1) > grid.tokens_per_view();
     if (level != boundary_) {
-      result.at(static_cast<size_t>(level)) =
+      result.patches.at(static_cast<size_t>(level)) =
           backbone_->normalise_for_decoding(special ? backbone_->patches_of(tokens) : tokens);
       continue;
     }
     PropagationStart start;
     start.level = level;
     start.grid = grid;
-    start.tokens =
-        special ? tokens
-                : torch::cat({carried.expand({grid.views, leading_tokens(), tokens.size(2)}), tokens}, 1);
+    start.tokens = special ? tokens : torch::cat({carried_to_views(carried, grid.views), tokens}, 1);
     // Propagation attends over all views, so all take part whatever is decoded.
     const auto propagated = backbone_->propagate(start);
     for (size_t i = 0; i < propagated.size(); ++i) {
-      result.at(static_cast<size_t>(level) + i) = propagated[i].patches;
+      result.patches.at(static_cast<size_t>(level) + i) = propagated[i].patches;
     }
+    result.leading = propagated.back().leading;
   }
   return result;
 }

@@ -7,8 +7,8 @@
 
 namespace gld {
 
-// The levels of a frozen geometric foundation model (docs/DESIGN.md section 4, "Propagation"): the boundary level goes
-// through the remaining blocks, which gives the levels behind it.
+// The levels of a frozen backbone (docs/DESIGN.md section 4, "Propagation"): the boundary level goes through the remaining
+// blocks, which gives the levels behind it; backbones that propagate none have the deepest level as their boundary.
 class GeometricLatentSpace : public LatentSpace {
  public:
   // boundary: level that propagation starts from.
@@ -20,8 +20,8 @@ class GeometricLatentSpace : public LatentSpace {
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t deepest) const override;
   SourceLatents encode_sources(const torch::Tensor& images, const SourceEncoding& wanted) const override;
   torch::Tensor decodable(const torch::Tensor& raw_level) const override;
-  std::vector<torch::Tensor> complete(const std::map<int64_t, torch::Tensor>& generated,
-                                      const torch::Tensor& carried, const LatentGrid& grid) const override;
+  CompletedLevels complete(const std::map<int64_t, torch::Tensor>& generated, const torch::Tensor& carried,
+                           const LatentGrid& grid) const override;
 
  private:
   std::shared_ptr<const Backbone> backbone_;

@@ -15,8 +15,16 @@ struct SourceLatents {
   LatentGrid grid;  // of the source views
   // Raw features of levels 0, 1, ..., (sources, leading + patch tokens, C).
   std::vector<torch::Tensor> levels;
-  // What propagation puts in front of every view's patch tokens, (1, leading tokens, C) raw.
+  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw (Backbone::carried_tokens).
   torch::Tensor carried;
+};
+
+// Levels as decoders take them.
+struct CompletedLevels {
+  // (views, patch tokens, C) by level; undefined where a level is neither generated nor propagated.
+  std::vector<torch::Tensor> patches;
+  // The last level's leading tokens, (views, leading tokens, C) raw; undefined where the last level is.
+  torch::Tensor leading;
 };
 
 // What encode_sources has to make.
@@ -49,8 +57,8 @@ class LatentSpace {
   // All levels as decoders take them. generated: raw levels by number, (views, patch tokens, C), or with leading tokens
   // in front; those behind the boundary level are propagated from it, with `carried` in front where it has patch tokens
   // only. A level that is neither is undefined.
-  virtual std::vector<torch::Tensor> complete(const std::map<int64_t, torch::Tensor>& generated,
-                                              const torch::Tensor& carried, const LatentGrid& grid) const = 0;
+  virtual CompletedLevels complete(const std::map<int64_t, torch::Tensor>& generated,
+                                   const torch::Tensor& carried, const LatentGrid& grid) const = 0;
 };
 
 // Of a raw level, what a generator with that many special tokens generates: none, or all leading tokens of the level.

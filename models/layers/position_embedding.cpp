@@ -1,6 +1,7 @@
 #include "models/layers/position_embedding.h"
 
 #include <cmath>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -18,6 +19,24 @@ torch::Tensor sincos_positions(const LatentGrid& grid, int64_t channels,
   const auto columns = waves(grid.width).unsqueeze(0).expand({grid.height, grid.width, 2 * quarter});
   const auto rows = waves(grid.height).unsqueeze(1).expand({grid.height, grid.width, 2 * quarter});
   return torch::cat({columns, rows}, 2).flatten(0, 1).to(options.requires_grad(false));
+}
+
+torch::Tensor resized_positions(const torch::Tensor& table, const LatentGrid& grid,
+                                const PositionResizing& resizing) {
+  const auto side = static_cast<int64_t>(std::llround(std::sqrt(static_cast<double>(table.size(1) - 1))));
+  if (grid.height == side && grid.width == side) return table;
+  const auto patches =
+      table.slice(1, 1).view({1, side, side, table.size(2)}).permute({0, 3, 1, 2}).to(torch::kFloat32);
+  const auto scale = [&](int64_t size) {
+    return (static_cast<double>(size) + resizing.offset) / static_cast<double>(side);
+  };
+  const std::vector<int64_t> sizes = {grid.height, grid.width};
+  const auto resized = resizing.antialias
+                           ? torch::_upsample_bicubic2d_aa(patches, sizes, /*align_corners=*/false,
+                                                           scale(grid.height), scale(grid.width))
+                           : torch::upsample_bicubic2d(patches, sizes, /*align_corners=*/false,
+                                                       scale(grid.height), scale(grid.width));
+  return torch::cat({table.slice(1, 0, 1), resized.flatten(2).transpose(1, 2).to(table.scalar_type())}, 1);
 }
 
 }  // namespace gld

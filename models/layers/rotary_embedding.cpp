@@ -31,12 +31,12 @@ RotaryTables local_rotary_tables(const RotaryGrid& grid, const torch::TensorOpti
   const auto rows = torch::arange(1, grid.height + 1, torch::kFloat32).repeat_interleave(grid.width);
   const auto columns = torch::arange(1, grid.width + 1, torch::kFloat32).repeat({grid.height});
   const auto patches = torch::stack({rows, columns}, 1);
-  return tables_of(torch::cat({torch::zeros({1, 2}), patches}), grid, options);
+  return tables_of(torch::cat({torch::zeros({grid.leading_tokens, 2}), patches}), grid, options);
 }
 
 RotaryTables global_rotary_tables(const RotaryGrid& grid, const torch::TensorOptions& options) {
   const auto patches = torch::ones({grid.height * grid.width, 2});
-  return tables_of(torch::cat({torch::zeros({1, 2}), patches}), grid, options);
+  return tables_of(torch::cat({torch::zeros({grid.leading_tokens, 2}), patches}), grid, options);
 }
 
 torch::Tensor apply_rotary(const torch::Tensor& x, const RotaryTables& tables) {

@@ -20,7 +20,7 @@ torch::Tensor register_scale(torch::nn::Module& block, const std::string& name, 
 
 VitBlock::VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
   const int64_t channels = sizes.embed_dim;
-  norm1_ = register_module("norm1", std::make_shared<LayerNorm>(channels, 1e-6, placement));
+  norm1_ = register_module("norm1", std::make_shared<LayerNorm>(channels, sizes.norm_epsilon, placement));
 
   auto attention_part = register_module("attn", std::make_shared<torch::nn::Module>());
   qkv_ = attention_part->register_module(
@@ -36,7 +36,7 @@ VitBlock::VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placeme
       "proj", std::make_shared<Linear>(LinearSizes{channels, channels}, placement));
   attention_scale_ = register_scale(*this, "ls1", channels, placement);
 
-  norm2_ = register_module("norm2", std::make_shared<LayerNorm>(channels, 1e-6, placement));
+  norm2_ = register_module("norm2", std::make_shared<LayerNorm>(channels, sizes.norm_epsilon, placement));
   auto feed_forward_part = register_module("mlp", std::make_shared<torch::nn::Module>());
   if (sizes.feed_forward == FeedForward::kMlp) {
     expansion_ = feed_forward_part->register_module(

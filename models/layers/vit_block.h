@@ -21,13 +21,14 @@ struct VitBlockSizes {
   int64_t hidden_dim = 0;  // of the feed-forward part, as embed_dim * mlp_ratio; SwiGLU uses about 2/3 of it
   FeedForward feed_forward = FeedForward::kMlp;
   bool qk_norm = false;
+  double norm_epsilon = 1e-6;  // of the block's two norms
 };
 
 // Which tokens see each other: those of one view, or those of all views.
 enum class AttentionScope { kLocal, kGlobal };
 
 // A DINOv2 block: x + ls1(attention(norm1(x))), then x + ls2(feed_forward(norm2(x))), with per-channel scales
-// ls1, ls2 ("gamma"). Block norms have epsilon 1e-6, query and key norms 1e-5.
+// ls1, ls2 ("gamma"). Query and key norms have epsilon 1e-5.
 class VitBlock : public torch::nn::Module {
  public:
   VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placement);

@@ -21,10 +21,11 @@ inline BundleOptions small_model() {
   backbone.qk_norm_start = 2;
   backbone.rope_start = 2;
   model.backbone = backbone;
-  model.dpt_head.dim_in = 64;
-  model.dpt_head.features = 16;
-  model.dpt_head.out_channels = {8, 8, 16, 16};
-  model.dpt_head.aux_out1_conv_num = 1;
+  auto& head = model.dpt_head.as<DptHeadOptions>();
+  head.dim_in = 64;
+  head.features = 16;
+  head.out_channels = {8, 8, 16, 16};
+  head.aux_out1_conv_num = 1;
   model.rgb_decoder.in_channels = 256;
   model.rgb_decoder.hidden_size = 32;
   model.rgb_decoder.num_layers = 2;

@@ -62,6 +62,11 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     fail({"objective.head_probability", "1 where nothing but the head has a loss",
           fmt::format("{:g}", options_.head_probability), "give geometry_weights or pixel_weights"});
   }
+  if (!model_.dpt_head.exists() && none_positive(options_.pixel_weights) &&
+      none_positive(options_.geometry_weights)) {
+    fail({"objective.pixel_weights", "a weight above 0 for a backbone without a geometry head", "none",
+          "give pixel_weights or geometry_weights"});
+  }
   if (options_.feature_noise > 0 && !head_only()) {
     fail({"objective.feature_noise", "0 while the backbone is trained, whose features have to be exact",
           fmt::format("{:g}", options_.feature_noise), "set objective.training to head_only"});
@@ -77,11 +82,13 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   if (options_.training == GeometryTraining::kFromScratch) {
     backbone_ = model_.backbone.make(placement);
-    head_ = std::make_shared<DptHead>(model_.dpt_head, placement);
     backbone_->initialise(generator);
-    head_->initialise(generator);
+    if (model_.dpt_head.exists()) {
+      head_ = model_.dpt_head.make(placement);
+      head_->initialise(generator);
+    }
   } else {
-    if (!trained.backbone || !trained.head) {
+    if (!trained.backbone || (!trained.head && (head_only() || model_.dpt_head.exists()))) {
       fail({head_only() ? "objective.training head_only" : "objective.training from_bundle",
             "a bundle with a trained backbone and DPT head", "none", "train them from_scratch first"});
     }
@@ -105,9 +112,12 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
 }
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
-  if (head_only()) return named_parameters(*head_, DptHead::kPrefix);
+  const std::string prefix = model_.dpt_head.architecture().published_prefix();
+  if (head_only()) return named_parameters(*head_, prefix);
   auto result = named_parameters(*backbone_, model_.backbone.architecture().published_prefix());
-  for (auto& item : named_parameters(*head_, DptHead::kPrefix)) result.push_back(std::move(item));
+  if (head_) {
+    for (auto& item : named_parameters(*head_, prefix)) result.push_back(std::move(item));
+  }
   for (size_t level = 0; level < pixel_layers_.size(); ++level) {
     const std::string prefix = "pixels." + std::to_string(level) + ".";
     for (auto& item : named_parameters(*pixel_layers_[level], prefix)) result.push_back(std::move(item));
@@ -131,6 +141,7 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
   const auto grid = model_.backbone.grid_of(views, shown.height(), shown.width());
   const auto pixels = imagenet_normalise(shown.images);
   std::vector<torch::Tensor> levels;
+  torch::Tensor leading;  // of the last level
   const bool wants_correspondence = options_.correspondence_weight > 0 && !head_only() && views > 1;
   std::vector<AttentionTap> taps;
   {
@@ -140,7 +151,9 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
       taps.push_back({block, {}, {}});
     }
     for (const auto& level : backbone_->encode(shown.images, model_.backbone.levels() - 1, &taps)) {
-      levels.push_back(backbone_->decodable(level).patches);
+      const DecodableLevel decodable = backbone_->decodable(level);
+      levels.push_back(decodable.patches);
+      leading = decodable.leading;
     }
   }
 
@@ -150,7 +163,7 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
 
   SceneResult result;
   if (showing.head) {
-    result.output = head_->forward(levels, grid, GeometryMaps::kDepthAndRays);
+    result.output = head_->forward(GeometryInputs{levels, leading}, grid, GeometryMaps::kDepthAndRays);
     const RayGrid rays = {result.output.rays.size(1), result.output.rays.size(2)};
     const GeometryTargets targets = geometry_targets(shown, rays);
     result.geometry = geometry_losses(result.output, targets, options_.loss);
@@ -202,7 +215,7 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
     }
     Showing showing;
     showing.views = views;
-    showing.head = head_only() || draws[2].item<double>() < options_.head_probability;
+    showing.head = head_ && (head_only() || draws[2].item<double>() < options_.head_probability);
     showing.noisy = &generator;
     const SceneResult result = evaluate(scene, showing);
     torch::Tensor total = showing.head ? result.geometry.total : torch::zeros({}, scene.images.options());
@@ -242,9 +255,12 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
   for (const TrainingScene& scene : scenes) {
     Showing showing;
     showing.views = scene.views.size();
+    showing.head = head_ != nullptr;
     const SceneResult result = evaluate(scene, showing);
-    total += result.geometry.total.item<double>();
-    relative += result.geometry.absolute_relative.item<double>();
+    if (head_) {
+      total += result.geometry.total.item<double>();
+      relative += result.geometry.absolute_relative.item<double>();
+    }
     if (result.correspondence.defined()) correspondence += result.correspondence.item<double>();
     rays += result.rays;
     for (size_t level = 0; level < token_rays.size(); ++level) {
@@ -266,6 +282,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
           row.pictures.emplace_back("level 0 pixels",
                                     result.shallow_image[view].to(torch::kCPU).clamp(0.0, 1.0));
         }
+        if (!head_) continue;
         row.pictures.emplace_back("true depth", depth_picture(true_depth[view], true_depth));
         const auto depth = result.output.depth.to(torch::kCPU);
         row.pictures.emplace_back("depth", depth_picture(depth[view], depth));
@@ -274,12 +291,14 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     }
   }
   const auto count = static_cast<double>(scenes.size());
-  validation.values = {{"geometry_loss", total / count},
-                       {"depth_abs_rel", relative / count},
-                       {"direction_degrees", rays.direction_degrees / count},
-                       {"rotation_degrees", rays.rotation_degrees / count},
-                       {"translation_degrees", rays.translation_degrees / count},
-                       {"origin_error", rays.origin / count}};
+  if (head_) {
+    validation.values = {{"geometry_loss", total / count},
+                         {"depth_abs_rel", relative / count},
+                         {"direction_degrees", rays.direction_degrees / count},
+                         {"rotation_degrees", rays.rotation_degrees / count},
+                         {"translation_degrees", rays.translation_degrees / count},
+                         {"origin_error", rays.origin / count}};
+  }
   for (size_t level = 0; level < token_rays.size(); ++level) {
     if (!geometry_layers_[level]) continue;
     const std::string name = "level" + std::to_string(level) + "_";
@@ -299,7 +318,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
 void BackboneObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
   save_bundle_options(folder, model_);
   if (!head_only()) save_bundle_part(folder, BundlePart::backbone(), named_tensors(*backbone_), dtype);
-  save_bundle_part(folder, BundlePart::dpt_head(), named_tensors(*head_), dtype);
+  if (head_) save_bundle_part(folder, BundlePart::dpt_head(), named_tensors(*head_), dtype);
 }
 
 }  // namespace gld

@@ -36,7 +36,7 @@ struct BackboneObjectiveOptions : OptionsGroup {
 
 struct TrainedGeometry {
   std::shared_ptr<Backbone> backbone;
-  std::shared_ptr<DptHead> head;
+  std::shared_ptr<GeometryHead> head;
 };
 
 // Trains a geometric backbone and its DPT head from scratch on scenes with depth (geometry_loss.h).
@@ -92,7 +92,7 @@ class BackboneObjective : public Objective {
   BackboneObjectiveOptions options_;
   ParameterPlacement placement_;
   std::shared_ptr<Backbone> backbone_;
-  std::shared_ptr<DptHead> head_;
+  std::shared_ptr<GeometryHead> head_;  // null where the model has none
   std::vector<std::shared_ptr<Linear>> pixel_layers_;
   std::vector<std::shared_ptr<Linear>> geometry_layers_;  // null where the weight is 0
 };

@@ -109,7 +109,7 @@ torch::Tensor FlowObjective::decode(const TrainingScene& scene, const torch::Ten
       torch::zeros({latent.size(0), grid_of(scene).tokens_per_view(), latent.size(2)}, latent.options());
   std::vector<torch::Tensor> decoded;
   for (const int64_t level : model_.level_set().decoded_levels()) {
-    const auto& made = completed.at(static_cast<size_t>(level));
+    const auto& made = completed.patches.at(static_cast<size_t>(level));
     decoded.push_back(made.defined() ? made : shape);
   }
   return frozen_.rgb_decoder->decode(torch::cat(decoded, 2), grid_of(scene));

@@ -32,9 +32,9 @@ struct FlowObjectiveOptions : OptionsGroup {
 // What a diffusion objective needs beside the model it trains; nothing here is changed.
 struct FrozenParts {
   std::shared_ptr<const LatentSpace> space;
-  LevelStatistics statistics;                     // of the level to generate
-  LevelStatistics deeper_statistics;              // of the level that a cascade starts from
-  std::shared_ptr<const RgbDecoder> rgb_decoder;  // for validation pictures; may be null
+  LevelStatistics statistics;                       // of the level to generate
+  LevelStatistics deeper_statistics;                // of the level that a cascade starts from
+  std::shared_ptr<const ImageDecoder> rgb_decoder;  // for validation pictures; may be null
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
-#include "models/decoders/dpt_head.h"
+#include "models/decoders/geometry_head.h"
 #include "train/objectives/geometry_targets.h"
 
 #include <torch/types.h>

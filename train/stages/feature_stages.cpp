@@ -1,10 +1,14 @@
 #include "train/stages/feature_stages.h"
 
+#include "gld/base/error.h"
+
 namespace gld {
 
 void TrainBackboneOptions::visit(FieldVisitor& visitor) {
   TrainOptions::visit(visitor);
   visitor.group({"objective", "losses"}, objective);
+  visitor.group({"autoencoder", "losses of a backbone that decodes images itself, in the place of objective"},
+                autoencoder);
 }
 
 TrainDecoderOptions::TrainDecoderOptions() {
@@ -25,14 +29,23 @@ void TrainDecoderOptions::visit(FieldVisitor& visitor) {
 std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train backbone";
-  stage.parts = FrameParts::kImageAndDepth;
+  const BundleOptions model = ModelBundle::open(options.model).options();
+  const bool head = model.dpt_head.exists(), autoencoder = !model.has_rgb_decoder();
+  if (head || !options.objective.geometry_weights.empty()) stage.parts = FrameParts::kImageAndDepth;
   const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
-  stage.made = {BundlePart::dpt_head()};
+  if (head) stage.made.push_back(BundlePart::dpt_head());
   if (!head_only) stage.made.push_back(BundlePart::backbone());
   const bool goes_on = options.objective.training != GeometryTraining::kFromScratch;
-  stage.objective = [&options, goes_on](const ModelBundle& bundle, const ParameterPlacement& placement) {
+  stage.objective = [&options, goes_on, head, autoencoder](
+                        const ModelBundle& bundle,
+                        const ParameterPlacement& placement) -> std::unique_ptr<Objective> {
     TrainedGeometry trained;
-    if (goes_on) trained = {bundle.load_backbone(placement), bundle.load_dpt_head(placement)};
+    if (goes_on) trained.backbone = bundle.load_backbone(placement);
+    if (autoencoder) {
+      return std::make_unique<AutoencoderObjective>(bundle.options(), options.autoencoder, placement,
+                                                    options.loop.seed, trained.backbone);
+    }
+    if (goes_on && head) trained.head = bundle.load_dpt_head(placement);
     return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
                                                options.loop.seed, trained);
   };
@@ -42,6 +55,10 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train decoder";
+  if (!ModelBundle::open(options.model).options().has_rgb_decoder()) {
+    fail({"train decoder", "a model with an RGB decoder", "one whose backbone decodes images itself",
+          "train both halves with gld train backbone"});
+  }
   stage.made = {BundlePart::rgb_decoder()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     auto objective = std::make_unique<DecoderObjective>(

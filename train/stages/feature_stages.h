@@ -1,5 +1,6 @@
 #pragma once
 
+#include "train/objectives/autoencoder_objective.h"
 #include "train/objectives/backbone_objective.h"
 #include "train/objectives/decoder_objective.h"
 #include "train/stages/training_stage.h"
@@ -10,6 +11,7 @@ namespace gld {
 
 struct TrainBackboneOptions : TrainOptions {
   BackboneObjectiveOptions objective;
+  AutoencoderObjectiveOptions autoencoder;  // of a backbone that decodes images itself
   void visit(FieldVisitor& visitor) override;
 };
 

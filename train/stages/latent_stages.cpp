@@ -61,7 +61,7 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
       frozen.deeper_statistics = bundle.load_statistics(part.generator).to(placement.device);
     }
   }
-  if (bundle.has(BundlePart::rgb_decoder())) frozen.rgb_decoder = bundle.load_rgb_decoder(placement);
+  if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
   return frozen;
 }
 

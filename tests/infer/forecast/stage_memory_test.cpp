@@ -22,9 +22,10 @@ BundleOptions middling_bundle() {
   backbone.embed_dim = 128;
   backbone.num_heads = 4;
   bundle.backbone = backbone;
-  bundle.dpt_head.dim_in = 256;
-  bundle.dpt_head.features = 64;
-  bundle.dpt_head.out_channels = {24, 48, 96, 192};
+  auto& head = bundle.dpt_head.as<DptHeadOptions>();
+  head.dim_in = 256;
+  head.features = 64;
+  head.out_channels = {24, 48, 96, 192};
   bundle.rgb_decoder.in_channels = 1024;
   bundle.rgb_decoder.hidden_size = 192;
   bundle.rgb_decoder.num_layers = 3;

@@ -22,6 +22,11 @@ INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
                          testing::Values("backbone_da3", "dpt_head_da3", "rgb_decoder", "lpips_squeeze",
                                          "metrics_image_depth"));
 
+INSTANTIATE_TEST_SUITE_P(OtherLatents, ReferenceCases,
+                         testing::Values("backbone_vggt", "dpt_head_vggt", "point_head_vggt",
+                                         "camera_head_vggt", "backbone_dinov2", "vae_sd", "vae_sdxl",
+                                         "vae_taef2"));
+
 INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
                          testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",
                                          "dit_options", "dit_true_inverse", "dit_special_level1",

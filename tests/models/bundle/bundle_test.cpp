@@ -50,7 +50,8 @@ TEST_F(Bundles, EveryPartLoads) {
   EXPECT_EQ(bundle.options().image_sizes().at(3).width, 504);
   EXPECT_EQ(bundle.options().image_sizes().at(3).height, 280);
   EXPECT_EQ(bundle.load_backbone()->architecture().blocks(), 12);
-  EXPECT_EQ(bundle.load_dpt_head()->options().features, 32);
+  EXPECT_EQ(bundle.options().dpt_head.as<DptHeadOptions>().features, 32);
+  EXPECT_NE(bundle.load_dpt_head(), nullptr);
   EXPECT_EQ(bundle.load_rgb_decoder()->options().num_layers, 3);
   EXPECT_EQ(bundle.load_generator(cascade(1, 0))->options().conditioning, DitConditioning::kDeeperLevel);
   EXPECT_EQ(bundle.load_statistics(level_model(1)).patches.channels(), 128);

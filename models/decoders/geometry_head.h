@@ -1,0 +1,67 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/cameras/camera.h"
+#include "models/layers/layers.h"
+#include "models/layers/operation_cost.h"
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <torch/nn/module.h>
+#include <torch/types.h>
+
+namespace gld {
+
+// Which of its maps the head computes.
+enum class GeometryMaps { kDepth, kRays, kDepthAndRays };
+
+// Maps that were not asked for are undefined.
+struct GeometryOutput {
+  torch::Tensor depth;             // (views, height, width), > 0, in units of the backbone's scene scale
+  torch::Tensor depth_confidence;  // (views, height, width), >= 1
+  torch::Tensor
+      rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/cameras/view_maps.h)
+  torch::Tensor ray_confidence;  // (views, 8 grid height, 8 grid width), >= 1
+  // Of heads that predict points apart from depth and cameras, with depth; undefined of others. In the frame of the rays.
+  torch::Tensor points;            // (views, height, width, 3)
+  torch::Tensor point_confidence;  // (views, height, width), >= 1
+};
+
+struct GeometryInputs {
+  // All decodable levels of the views whose maps are wanted: (views, tokens, channels) each, patch tokens only.
+  std::vector<torch::Tensor> levels;
+  // The last level's leading tokens of all views of the scene, (views, leading tokens, channels) raw, of which the last ones
+  // are those of `levels`. Undefined for heads that take none.
+  torch::Tensor leading;
+};
+
+// Depth, rays and what else a backbone's head reads off its levels.
+class GeometryHead : public torch::nn::Module {
+ public:
+  virtual GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid,
+                                 GeometryMaps maps) const = 0;
+  // Random weights to train from.
+  virtual void initialise(const torch::Generator& generator) = 0;
+};
+
+// The sizes of a head. Each family has one, in its own file; geometry_head_registry.h lists them.
+class GeometryHeadArchitecture : public OptionsGroup {
+ public:
+  ~GeometryHeadArchitecture() override = default;
+
+  virtual std::string kind() const = 0;
+  virtual std::unique_ptr<GeometryHeadArchitecture> copy() const = 0;
+  virtual std::shared_ptr<GeometryHead> make(const ParameterPlacement& placement) const = 0;
+  // Of the tensors' names in the published file.
+  virtual std::string published_prefix() const = 0;
+  virtual int64_t level_channels() const = 0;  // C
+  virtual int64_t patch_side() const = 0;      // pixels
+  // Leading tokens of the backbone that it was made for; -1 for any.
+  virtual int64_t leading_tokens() const { return -1; }
+  virtual Cost cost(const LatentGrid& grid, GeometryMaps maps) const = 0;
+};
+
+}  // namespace gld
