@@ -118,6 +118,13 @@ Scene open_scene(const std::filesystem::path& path, const SceneReading& reading)
     fail({path.string(), "one scene", "a folder of " + std::to_string(below.size()) + " scenes",
           "name one of them, such as " + below.front().path.string()});
   }
+  if (const auto photographs = list_images(path); !photographs.empty()) {
+    fail({path.string(), "images with cameras (one of: " + joined(markers, ", ") + ")",
+          std::to_string(photographs.size()) + " photographs without cameras",
+          "let the model estimate them with gld sample --photos " + path.string() +
+              ", or let COLMAP: colmap automatic_reconstructor --workspace_path " + path.string() +
+              "_colmap --image_path " + path.string() + ", then put its sparse/0 beside the images"});
+  }
   fail({path.string(), "one of: " + joined(markers, ", "), "none of them",
         "check the folder or force a layout with --format"});
 }

@@ -1,8 +1,28 @@
 #include "gld/cameras/depth_scale.h"
 
+#include "gld/cameras/angles.h"
+
 #include <algorithm>
+#include <cmath>
+#include <iterator>
+
+#include <fmt/format.h>
 
 namespace gld {
+namespace {
+
+constexpr double kLargestResidual = 0.3;
+constexpr double kLargestFactor = 2;         // between the ends of the interval
+constexpr double kSmallestDeviation = 1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
+
+double log_width(const DepthScale& estimate) { return std::log(estimate.high / estimate.low); }
+
+// Of the logarithm of the scale.
+double deviation(const DepthScale& estimate) { return std::max(log_width(estimate) / 4, kSmallestDeviation); }
+
+bool overlap(const DepthScale& a, const DepthScale& b) { return a.low <= b.high && b.low <= a.high; }
+
+}  // namespace
 
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model) {
   if (!world_from_model.scale_known) return std::nullopt;
@@ -11,19 +31,46 @@ std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from
   estimate.scale = world_from_model.b_from_a.scale;
   estimate.low = std::max(0.0, estimate.scale - 2 * world_from_model.scale_deviation);
   estimate.high = estimate.scale + 2 * world_from_model.scale_deviation;
-  estimate.residual = world_from_model.centre_error / world_from_model.spread;
+  estimate.residual = std::hypot(world_from_model.centre_error / world_from_model.spread,
+                                 world_from_model.rotation_error / kDegreesPerRadian);
   return estimate;
 }
 
-std::optional<DepthScale> surest_depth_scale(const std::vector<DepthScale>& estimates) {
-  const auto doubt = [](const DepthScale& estimate) {
-    return (estimate.high - estimate.low) / estimate.scale;
-  };
+std::string doubt_about(const DepthScale& estimate) {
+  if (!(estimate.residual <= kLargestResidual)) {
+    return fmt::format("its fit leaves {:.0f} % of what it is fitted to", 100 * estimate.residual);
+  }
+  if (!(estimate.high <= kLargestFactor * estimate.low)) {
+    return fmt::format("it may be anything from {:.3g} to {:.3g}", estimate.low, estimate.high);
+  }
+  return "";
+}
+
+std::optional<DepthScale> combined_depth_scale(const std::vector<DepthScale>& estimates) {
+  std::vector<DepthScale> believed;
+  std::copy_if(estimates.begin(), estimates.end(), std::back_inserter(believed),
+               [](const DepthScale& estimate) { return doubt_about(estimate).empty(); });
   const auto surest =
-      std::min_element(estimates.begin(), estimates.end(),
-                       [&](const DepthScale& a, const DepthScale& b) { return doubt(a) < doubt(b); });
-  if (surest == estimates.end()) return std::nullopt;
-  return *surest;
+      std::min_element(believed.begin(), believed.end(),
+                       [](const DepthScale& a, const DepthScale& b) { return log_width(a) < log_width(b); });
+  if (surest == believed.end()) return std::nullopt;
+  DepthScale combined;
+  double weights = 0, log_scale = 0, residual = 0;
+  for (const DepthScale& estimate : believed) {
+    if (!overlap(estimate, *surest)) continue;
+    const double weight = 1 / (deviation(estimate) * deviation(estimate));
+    weights += weight;
+    log_scale += weight * std::log(estimate.scale);
+    residual += weight * estimate.residual;
+    combined.estimator += (combined.estimator.empty() ? "" : " + ") + estimate.estimator;
+  }
+  log_scale /= weights;
+  const double two_deviations = 2 / std::sqrt(weights);
+  combined.scale = std::exp(log_scale);
+  combined.low = std::exp(log_scale - two_deviations);
+  combined.high = std::exp(log_scale + two_deviations);
+  combined.residual = residual / weights;
+  return combined;
 }
 
 }  // namespace gld

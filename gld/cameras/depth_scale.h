@@ -11,18 +11,24 @@ namespace gld {
 // The length in the world of one unit of the geometry model's depth, and how far to believe it. Every way of finding it
 // gives one of these, so that they can be compared.
 struct DepthScale {
-  std::string estimator;  // "camera_poses"
+  std::string estimator;  // "camera_poses", "photographs", ...; several joined by " + "
   double scale = 1;       // > 0
   double low = 1;         // two standard errors to both sides; 0 <= low <= scale <= high
   double high = 1;
   double residual = 0;  // what the estimator's fit leaves, relative to what it fits; 0 is perfect
 };
 
-// From the distances between the predicted cameras and those between the given ones: the residual is that of the centres
-// relative to their spread. Nothing where the alignment does not know the scale.
+// From the distances between the predicted cameras and those between the given ones: the residual is what is left between
+// the centres, relative to their spread, and between the orientations, radians. Nothing where the cameras stand at one
+// place.
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model);
 
-// The estimate with the narrowest interval relative to its scale, the first of equals; nothing of none.
-std::optional<DepthScale> surest_depth_scale(const std::vector<DepthScale>& estimates);
+// Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.3 of what it is fitted to, or its
+// interval is wider than a factor of 2. Empty where it tells it.
+std::string doubt_about(const DepthScale& estimate);
+
+// What the estimates without doubt say together: the one with the narrowest interval, and with it all whose intervals
+// overlap with its own, their logarithms weighted by their precision. Nothing where all are in doubt.
+std::optional<DepthScale> combined_depth_scale(const std::vector<DepthScale>& estimates);
 
 }  // namespace gld

@@ -39,6 +39,10 @@ bool MetricInputs::has(MetricNeed need) const {
       return depth.defined();
     case MetricNeed::kDepthScale:
       return depth_scale.has_value();
+    case MetricNeed::kCloud:
+      return cloud.defined() && true_surface.defined();
+    case MetricNeed::kPhotoCameras:
+      return !photo_cameras.empty();
     case MetricNeed::kRays:
       return rays.defined() && !predicted_cameras.empty();
   }

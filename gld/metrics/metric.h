@@ -21,8 +21,10 @@ enum class MetricNeed {
   kPerceptualDistance,  // a network that measures how alike two images look
   kTrueDepth,
   kDepth,
-  kDepthScale,  // what brings the predicted depth into the scene's unit
-  kRays,        // predicted rays of all views, and the cameras that fit them
+  kDepthScale,    // what brings the predicted depth into the scene's unit
+  kCloud,         // the point cloud in the scene, and the true surface
+  kRays,          // predicted rays of all views, and the cameras that fit them
+  kPhotoCameras,  // the cameras that were estimated from the true pictures of all views
 };
 
 // A scene's truth beside what was predicted. A quantity that is not known stays as it is here; `missing` says why.
@@ -34,9 +36,12 @@ struct MetricInputs {
   torch::Tensor true_depth;           // (targets, height, width) in the scene's unit, 0 where unknown
   torch::Tensor depth;                // (targets, height, width) in the model's own unit
   std::optional<double> depth_scale;  // scene units in one of the model's
+  torch::Tensor cloud;                // (points, 3) in the scene
+  torch::Tensor true_surface;         // (points, 3) in the scene, as dense as the true depth maps
   Views views;                        // the scene's cameras, sources first
   torch::Tensor rays;  // (views, rows, columns, 6): direction, then origin, in the model's frame
   std::vector<Camera> predicted_cameras;      // the cameras that fit the rays best, one a view
+  std::vector<Camera> photo_cameras;          // estimated from the pictures alone, one a view
   std::map<MetricNeed, std::string> missing;  // one phrase each
 
   bool has(MetricNeed need) const;

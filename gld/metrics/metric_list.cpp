@@ -8,23 +8,28 @@
 namespace gld {
 
 // One line a metric.
-#define GLD_METRICS(METRIC)           \
-  METRIC(psnr)                        \
-  METRIC(ssim)                        \
-  METRIC(lpips)                       \
-  METRIC(sharpness)                   \
-  METRIC(depth_abs_rel_unscaled)      \
-  METRIC(depth_sq_rel_unscaled)       \
-  METRIC(depth_rmse_unscaled)         \
-  METRIC(depth_delta1_unscaled)       \
-  METRIC(depth_abs_rel_median_scaled) \
-  METRIC(depth_sq_rel_median_scaled)  \
-  METRIC(depth_rmse_median_scaled)    \
-  METRIC(depth_delta1_median_scaled)  \
-  METRIC(rotation_error)              \
-  METRIC(translation_direction_error) \
-  METRIC(ray_angle_error)             \
-  METRIC(ray_origin_error)
+#define GLD_METRICS(METRIC)                 \
+  METRIC(psnr)                              \
+  METRIC(ssim)                              \
+  METRIC(lpips)                             \
+  METRIC(sharpness)                         \
+  METRIC(depth_abs_rel_unscaled)            \
+  METRIC(depth_sq_rel_unscaled)             \
+  METRIC(depth_rmse_unscaled)               \
+  METRIC(depth_delta1_unscaled)             \
+  METRIC(depth_abs_rel_median_scaled)       \
+  METRIC(depth_sq_rel_median_scaled)        \
+  METRIC(depth_rmse_median_scaled)          \
+  METRIC(depth_delta1_median_scaled)        \
+  METRIC(depth_scale_ratio)                 \
+  METRIC(cloud_distance)                    \
+  METRIC(rotation_error)                    \
+  METRIC(translation_direction_error)       \
+  METRIC(ray_angle_error)                   \
+  METRIC(ray_origin_error)                  \
+  METRIC(photo_rotation_error)              \
+  METRIC(photo_translation_direction_error) \
+  METRIC(photo_centre_error)
 
 #define GLD_DECLARE_METRIC(name) Metric name##_metric();
 GLD_METRICS(GLD_DECLARE_METRIC)

@@ -110,7 +110,40 @@ PoseErrors pose_errors(const Views& views, const std::vector<Camera>& predicted,
   return errors;
 }
 
+EstimatedCameraErrors estimated_camera_errors(const std::vector<Camera>& truth,
+                                              const std::vector<Camera>& estimated) {
+  if (truth.empty() || truth.size() != estimated.size()) {
+    fail({"pose metrics", "an estimated camera for each of " + std::to_string(truth.size()) + " views",
+          std::to_string(estimated.size()), "estimate all views"});
+  }
+  const auto true_poses = seen_from_first(truth), poses = seen_from_first(estimated);
+  const double baseline = largest_distance(true_poses), scale = centre_scale(poses, true_poses);
+  const auto others = static_cast<int64_t>(truth.size()) - 1;
+  EstimatedCameraErrors errors;
+  errors.rotation = torch::full({others}, kUndefinedAngle, torch::kFloat64);
+  errors.translation_direction = errors.rotation.clone();
+  errors.centre = errors.rotation.clone();
+  for (int64_t i = 0; i < others; ++i) {
+    const Eigen::Isometry3d &a = true_poses[static_cast<size_t>(i) + 1],
+                            &b = poses[static_cast<size_t>(i) + 1];
+    errors.rotation[i] = rotation_angle(a.linear(), b.linear());
+    if (a.translation().norm() > 0 && b.translation().norm() > 0) {
+      errors.translation_direction[i] = angle_between(a.translation(), b.translation());
+    }
+    if (baseline > 0) errors.centre[i] = (scale * b.translation() - a.translation()).norm() / baseline;
+  }
+  return errors;
+}
+
 namespace {
+
+template <torch::Tensor EstimatedCameraErrors::*error>
+Metric photo_metric(const std::string& name, const std::string& unit, const std::string& without_any) {
+  return {name, unit, Better::kLower, {MetricNeed::kPhotoCameras}, [without_any](const MetricInputs& inputs) {
+            const auto errors = estimated_camera_errors(inputs.views.cameras, inputs.photo_cameras);
+            return metric_of_views(errors.*error, without_any);
+          }};
+}
 
 template <torch::Tensor PoseErrors::*error>
 Metric pose_metric(const std::string& name, const std::string& unit, const std::string& without_any) {
@@ -124,6 +157,21 @@ Metric pose_metric(const std::string& name, const std::string& unit, const std::
 
 Metric rotation_error_metric() {
   return pose_metric<&PoseErrors::rotation>("rotation_error", "degrees", "no predicted camera is finite");
+}
+
+Metric photo_rotation_error_metric() {
+  return photo_metric<&EstimatedCameraErrors::rotation>("photo_rotation_error", "degrees",
+                                                        "there is one view");
+}
+
+Metric photo_translation_direction_error_metric() {
+  return photo_metric<&EstimatedCameraErrors::translation_direction>(
+      "photo_translation_direction_error", "degrees", "the cameras, true or estimated, stand at one place");
+}
+
+Metric photo_centre_error_metric() {
+  return photo_metric<&EstimatedCameraErrors::centre>("photo_centre_error", "baselines",
+                                                      "the scene's cameras stand at one place");
 }
 
 Metric translation_direction_error_metric() {

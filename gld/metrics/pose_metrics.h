@@ -27,4 +27,16 @@ struct PoseErrors {
 // that are not finite are left out of the means. Throws Error unless there is one of each a view, and a target view.
 PoseErrors pose_errors(const Views& views, const std::vector<Camera>& predicted, const torch::Tensor& rays);
 
+// How far cameras that were estimated without being given any are from the true ones. Each is (views - 1), float64, one for
+// every view behind the first, from which both sides are seen.
+struct EstimatedCameraErrors {
+  torch::Tensor rotation;               // degrees
+  torch::Tensor translation_direction;  // degrees, as in PoseErrors
+  // Distance between the centres over the baseline, after the best scale, as PoseErrors::ray_origin.
+  torch::Tensor centre;
+};
+// One estimated camera a view; Error otherwise.
+EstimatedCameraErrors estimated_camera_errors(const std::vector<Camera>& truth,
+                                              const std::vector<Camera>& estimated);
+
 }  // namespace gld

@@ -43,6 +43,14 @@ nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
   return json;
 }
 
+// Of an even number the upper middle one.
+double median_over_scenes(std::vector<double> values) {
+  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 const EvaluationColumn* column_of(const Metric& metric, Predictor predictor) {
   for (const EvaluationColumn& column : evaluation_columns()) {
     if (column.metric.name == metric.name && column.of == predictor) return &column;
@@ -157,6 +165,21 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
   summary["better_than_every_trivial"] =
       std::count_if(scenes.begin(), scenes.end(),
                     [](const SceneEvaluation& scene) { return scene.sample_beats_every_trivial(); });
+  // A scene whose scale is not known is one where it is missed.
+  const auto right = std::count_if(scenes.begin(), scenes.end(), [](const SceneEvaluation& scene) {
+    const double ratio = scene.number("depth_scale_ratio").value;
+    return ratio >= 0.9 && ratio <= 1.1;
+  });
+  const auto unknown = std::count_if(scenes.begin(), scenes.end(), [](const SceneEvaluation& scene) {
+    return std::isnan(scene.number("depth_scale_ratio").value);
+  });
+  summary["depth_scale"] = {{"within_10_percent", right}, {"unknown", unknown}};
+  std::vector<double> distances;
+  for (const SceneEvaluation& scene : scenes) {
+    const double distance = scene.number("cloud_distance").value;
+    distances.push_back(std::isnan(distance) ? std::numeric_limits<double>::infinity() : distance);
+  }
+  summary["median_cloud_distance"] = number_or_null(median_over_scenes(distances));
   return summary;
 }
 
@@ -167,6 +190,14 @@ std::string evaluation_text(const nlohmann::ordered_json& summary) {
   text += absent_text(means, scenes);
   text += fmt::format("samples are better than every trivial predictor in {} of {} scenes (PSNR)\n",
                       summary.at("better_than_every_trivial").get<int64_t>(), scenes);
+  const auto& scale = summary.at("depth_scale");
+  const auto& distance = summary.at("median_cloud_distance");
+  text += fmt::format(
+      "the scale of depth is within 10 % of the true one in {} of {} scenes (unknown in {}); median distance of the "
+      "cloud from the true surface: {}\n",
+      scale.at("within_10_percent").get<int64_t>(), scenes, scale.at("unknown").get<int64_t>(),
+      distance.is_null() ? "unknown"
+                         : fmt::format("{:.2f} % of the scene's largest side", 100 * distance.get<double>()));
   const auto margin = [&](const char* key) {
     const auto& value = summary.at(key);
     return value.is_null() ? std::string("unknown") : fmt::format("{:+.2f} dB", value.get<double>());

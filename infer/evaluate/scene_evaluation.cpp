@@ -5,6 +5,7 @@
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_placement.h"
+#include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/scene_request.h"
 
 #include <algorithm>
@@ -75,6 +76,37 @@ torch::Tensor true_depth(const SamplingScene& scene) {
   return any ? torch::stack(maps) : torch::Tensor();
 }
 
+torch::Tensor points_of(const PointCloud& cloud) {
+  torch::Tensor points = torch::empty({cloud.size(), 3}, torch::kFloat64);
+  for (int64_t i = 0; i < cloud.size(); ++i) {
+    Eigen::Map<Eigen::Vector3d>(points.data_ptr<double>() + 3 * i) = cloud.x_in_world[static_cast<size_t>(i)];
+  }
+  return points;
+}
+
+// What the true depth of all views shows of the scene, (points, 3); undefined where a view has none.
+torch::Tensor true_surface(const SamplingScene& scene) {
+  std::vector<DepthMap> depths = scene.source_depths;
+  depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
+  const bool complete =
+      static_cast<int64_t>(depths.size()) == scene.views.size() &&
+      std::none_of(depths.begin(), depths.end(), [](const DepthMap& d) { return d.empty(); });
+  if (!complete) return {};
+  std::vector<PointView> views;
+  for (size_t i = 0; i < depths.size(); ++i) {
+    PointView view;
+    view.camera = scene.views.cameras[i];
+    view.image = Image(1, 1);
+    view.depth = depths[i];
+    views.push_back(std::move(view));
+  }
+  PointCloudOptions all;
+  all.confidence_quantile = 0;
+  all.edge_step = 1e6;
+  all.far_limit = 0;
+  return points_of(build_point_cloud(views, 1, all));
+}
+
 PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, const FlowSettings& settings,
                    int64_t noise_seed, DecodedViews geometry_views) {
   PipelineRequest request = scene_request(scene, models.bundle, noise_seed, models.device);
@@ -89,7 +121,9 @@ PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, c
 // A scene's truth as metrics take it, and how to measure images against it.
 class SceneMetrics {
  public:
-  SceneMetrics(const EvaluationModels& models, const SamplingScene& scene) : lpips_(models.lpips) {
+  // Both must outlive this object.
+  SceneMetrics(const EvaluationModels& models, const SamplingScene& scene)
+      : models_(models), scene_(scene), lpips_(models.lpips) {
     truth_.true_images = true_images(scene);
     truth_.true_depth = true_depth(scene);
     truth_.views = scene.views;
@@ -117,8 +151,9 @@ class SceneMetrics {
     return inputs;
   }
 
-  // Of the geometry of all views.
-  MetricInputs of_geometry(const GeometryOutput& geometry) const {
+  // Of the geometry of all views of a sample.
+  MetricInputs of_geometry(const PipelineResult& sample) const {
+    const GeometryOutput& geometry = sample.geometry;
     MetricInputs inputs = truth_;
     const Views& views = truth_.views;
     if (!geometry.depth.defined()) {
@@ -129,18 +164,50 @@ class SceneMetrics {
     }
     inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     inputs.rays = geometry.rays;
-    const GeometryPlacement placement = place_geometry(geometry, views.cameras);
-    if (placement.scale) inputs.depth_scale = placement.scale->scale;
+    const GeometryPlacement placement =
+        place_geometry(geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence()));
     inputs.predicted_cameras = placement.predicted;
-    inputs.missing[MetricNeed::kDepthScale] = inputs.missing[MetricNeed::kRays] =
-        placement.predicted.empty() ? "no camera fits the predicted rays"
-                                    : "the cameras do not tell the scale of the predicted depth";
+    inputs.missing[MetricNeed::kRays] = "no camera fits the predicted rays";
+    inputs.missing[MetricNeed::kDepthScale] = "the scale of the predicted depth is not known";
+    inputs.missing[MetricNeed::kCloud] =
+        placement.scale ? "a view of the scene has no true depth" : inputs.missing[MetricNeed::kDepthScale];
+    inputs.true_surface = true_surface(scene_);
+    if (placement.scale) {
+      inputs.depth_scale = placement.scale->scale;
+      inputs.cloud = points_of(cloud_of(sample, placement));
+    }
+    set_photo_cameras(inputs);
     return inputs;
   }
 
   const torch::Tensor& target_images() const { return truth_.true_images; }
 
  private:
+  // As gld sample writes it: the sources' pixels with their photographs, the targets' with the sample's images.
+  PointCloud cloud_of(const PipelineResult& sample, const GeometryPlacement& placement) const {
+    std::vector<Image> images = scene_.source_images;
+    for (int64_t i = 0; i < sample.images.size(0); ++i) images.push_back(to_image(sample.images[i]));
+    return point_cloud_of(sample.geometry, placement, scene_.views.cameras, images, PointCloudOptions());
+  }
+
+  // The cameras that the model finds when it is given the true pictures of all views and no cameras.
+  void set_photo_cameras(MetricInputs& inputs) const {
+    if (!truth_.true_images.defined()) {
+      inputs.missing[MetricNeed::kPhotoCameras] = "a target view of the scene has no picture";
+      return;
+    }
+    const auto photographs = torch::cat({stacked(scene_.source_images), truth_.true_images});
+    try {
+      inputs.photo_cameras =
+          photo_cameras(geometry_of_photographs(models_.models, photographs, models_.device), photographs)
+              .cameras;
+    } catch (const Error&) {
+      inputs.missing[MetricNeed::kPhotoCameras] = "no camera fits the rays of a picture";
+    }
+  }
+
+  const EvaluationModels& models_;
+  const SamplingScene& scene_;
   MetricInputs truth_;
   std::shared_ptr<Lpips> lpips_;
 };
@@ -232,7 +299,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   } else {
     set(Predictor::kReconstruction, metrics.of_images(torch::Tensor()));
   }
-  const MetricInputs geometry = metrics.of_geometry(result.sample.geometry);
+  const MetricInputs geometry = metrics.of_geometry(result.sample);
 
   result.evaluation.scene = scene.name;
   for (const EvaluationColumn& column : evaluation_columns()) {

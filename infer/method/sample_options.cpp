@@ -4,6 +4,8 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 
+#include <algorithm>
+
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -49,6 +51,10 @@ SampleOptions::SampleOptions() {
 void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "model bundle: a folder with model.yaml"}, model);
   visit_scene(visitor, scene);
+  visitor.texts(
+      {"photos",
+       "instead of a scene: photographs without cameras, files or folders; the model estimates the cameras"},
+      photos);
   visitor.group({"reading", "how the scene is read"}, reading);
   visitor.group({"views", "which views"}, views);
   visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
@@ -72,6 +78,11 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
   visitor.group({"approximate", "work left out with an error"}, approximate);
+  visitor.texts({"scale_from",
+                 "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
+                 "photographs (which match at the right scale), sparse_points (of a reconstruction), "
+                 "source_depth (measured in source views)"},
+                scale_from);
   visitor.group({"points", "how the point cloud is made"}, points);
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
@@ -82,12 +93,24 @@ void SampleOptions::visit(FieldVisitor& visitor) {
 }
 
 void SampleOptions::check() const {
-  if (scene.empty()) {
-    fail({"--scene", "a folder of images with cameras", "nothing", "add for example --scene my_photos"});
+  if (scene.empty() && photos.empty()) {
+    fail({"--scene", "a folder of images with cameras", "nothing",
+          "add for example --scene my_photos, or --photos my_photos where there are no cameras"});
   }
+  if (!scene.empty() && !photos.empty()) {
+    fail({"--scene, --photos", "one of the two", "both", "leave out --photos where the scene has cameras"});
+  }
+  if (photos.empty()) views.require_complete();
   check_out(out, "runs/sample");
   requested();
   savings();
+  for (const auto& kind : scale_from) {
+    const auto& known = scale_evidence_names();
+    if (std::find(known.begin(), known.end(), kind) != known.end()) continue;
+    const auto near = nearest_name(kind, known);
+    fail({"--scale-from", fmt::format("{}", fmt::join(known, ", ")), "'" + kind + "'",
+          near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
+  }
   refuse_two_methods(*this);
 }
 

@@ -6,6 +6,7 @@
 #include "gld/flow/solvers/solver.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
+#include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_scene.h"
 #include "models/dit/approximate_savings.h"
@@ -25,6 +26,7 @@ enum class SamplingPreset {
 struct SampleOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string scene;
+  std::vector<std::string> photos;  // instead of a scene: files and folders; their cameras are estimated
   SceneReading reading;
   ViewSelection views;
   std::string size = "auto";
@@ -40,6 +42,7 @@ struct SampleOptions : OptionsGroup {
   SolverOptions solver;
   GuidanceOptions guidance;
   ApproximateSavings approximate;
+  std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (geometry_placement.h)
   PointCloudOptions points;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   std::string device = "cpu";

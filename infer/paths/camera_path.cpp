@@ -2,10 +2,11 @@
 
 #include "datasets/formats/cameras_json.h"
 #include "gld/base/error.h"
-#include "infer/paths/orbit_path.h"
 #include "infer/paths/spline_path.h"
 
 #include <filesystem>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -39,25 +40,47 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"frames", "target views along the path (0: 6, or all cameras of the file)"}, frames,
                   {0, 4096});
   visitor.real({"orbit_degrees", "angle that an orbit sweeps; 360 closes it"}, orbit_degrees, {-360, 360});
-  visitor.real(
-      {"orbit_distance",
-       "distance of the point an orbit looks at, used where the sources look in parallel (0: estimated)"},
-      orbit_distance, {0, 1e9});
+  visitor.real({"orbit_distance",
+                "about how far away what an orbit turns about is, where that is known (0: estimated)"},
+               orbit_distance, {0, 1e9});
+  visitor.reals({"orbit_center", "point that an orbit turns about, x,y,z in the scene; empty: found"},
+                orbit_center, {-1e12, 1e12});
+  visitor.real({"orbit_radius", "of an orbit's circle, in the scene's unit (0: the sources' mean distance)"},
+               orbit_radius, {0, 1e12});
 }
 
-std::vector<Camera> make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,
-                                     double typical_depth) {
+void CameraPathOptions::check() const {
+  if (orbit_center.empty() || orbit_center.size() == 3) return;
+  fail({"--orbit-center", "three numbers, x,y,z in the scene", std::to_string(orbit_center.size()),
+        "write for example --orbit-center 0,0,2.5"});
+}
+
+CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,
+                            const PathSurroundings& surroundings) {
   if (sources.empty()) fail({"camera path", "at least one source camera", "none", "name the sources"});
   const int64_t frames = options.frames == 0 ? kDefaultFrames : options.frames;
   if (options.path == "orbit") {
+    PathSurroundings known = surroundings;
+    if (options.orbit_distance > 0) known.typical_depth = options.orbit_distance;
+    OrbitCentre centre = orbit_centre(sources, known);
+    if (!options.orbit_center.empty()) {
+      centre = {Eigen::Map<const Eigen::Vector3d>(options.orbit_center.data()), "as asked for"};
+    }
     OrbitShape shape;
     shape.frames = frames;
     shape.degrees = options.orbit_degrees;
-    shape.fallback_distance = options.orbit_distance > 0 ? options.orbit_distance : typical_depth;
-    return orbit_cameras(sources, shape);
+    shape.centre = centre.x_in_world;
+    shape.radius = options.orbit_radius;
+    CameraPath path;
+    path.cameras = orbit_cameras(sources, shape);
+    const double away = (path.cameras.front().world_from_camera.translation() - centre.x_in_world).norm();
+    path.note = fmt::format(
+        "orbit about ({:.4g}, {:.4g}, {:.4g}), {:.4g} away: {} (--orbit-center, --orbit-radius)",
+        centre.x_in_world.x(), centre.x_in_world.y(), centre.x_in_world.z(), away, centre.found_by);
+    return path;
   }
-  if (options.path == "spline") return spline_cameras(sources, frames);
-  return path_from_file(options.path, options.frames);
+  if (options.path == "spline") return {spline_cameras(sources, frames), ""};
+  return {path_from_file(options.path, options.frames), ""};
 }
 
 }  // namespace gld

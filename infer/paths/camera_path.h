@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
+#include "infer/paths/orbit_path.h"
 
 #include <cstdint>
 #include <string>
@@ -14,15 +15,22 @@ struct CameraPathOptions : OptionsGroup {
   int64_t frames = 0;
   double orbit_degrees = 60;
   double orbit_distance = 0;
+  std::vector<double> orbit_center;
+  double orbit_radius = 0;
 
   void visit(FieldVisitor& visitor) override;
+  void check() const override;  // orbit_center is a point or nothing
 };
 
 // The target cameras of --path: "orbit", "spline", or a cameras.json file whose cameras are taken as they are (all of
-// them, or `frames` evenly spread over them). sources are the source views' cameras; typical_depth is a depth of the
-// scene in the unit of the poses, 0 where none is known. Throws Error for no sources, a file that is not there, and
-// more frames than a file has cameras.
-std::vector<Camera> make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,
-                                     double typical_depth);
+// them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a file
+// that is not there, and more frames than a file has cameras.
+struct CameraPath {
+  std::vector<Camera> cameras;
+  std::string
+      note;  // a line that says what an orbit turns about and how that was found; empty for other paths
+};
+CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,
+                            const PathSurroundings& surroundings);
 
 }  // namespace gld

@@ -40,24 +40,82 @@ double largest_baseline(const std::vector<Camera>& cameras) {
   return largest;
 }
 
-}  // namespace
-
-LookAtPoint look_at_point(const std::vector<Camera>& cameras, double fallback_distance) {
+// The point with the least sum of weighted squared distances from the axes; nothing where they are parallel.
+std::optional<Eigen::Vector3d> where_axes_meet(const std::vector<Camera>& cameras,
+                                               const std::vector<double>& weights) {
   const Eigen::Vector3d middle = mean_centre(cameras);
   // Normal equations around the middle, so that a far origin costs no digits.
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
-  for (const Camera& camera : cameras) {
-    const Eigen::Matrix3d across = Eigen::Matrix3d::Identity() - axis(camera) * axis(camera).transpose();
+  double sum = 0;
+  for (size_t i = 0; i < cameras.size(); ++i) {
+    const Eigen::Vector3d z = axis(cameras[i]);
+    const Eigen::Matrix3d across = weights[i] * (Eigen::Matrix3d::Identity() - z * z.transpose());
     normal += across;
-    right += across * (centre(camera) - middle);
+    right += across * (centre(cameras[i]) - middle);
+    sum += weights[i];
   }
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(normal);
-  LookAtPoint point;
   // Axes within about two degrees of each other leave the distance to noise.
   constexpr double kSmallestSpread = 1e-3;
-  if (eigen.eigenvalues()[0] > kSmallestSpread * static_cast<double>(cameras.size())) {
-    point.x_in_world = middle + normal.ldlt().solve(right);
+  if (!(eigen.eigenvalues()[0] > kSmallestSpread * sum)) return std::nullopt;
+  return middle + normal.ldlt().solve(right);
+}
+
+// Least absolute distances instead of squares, by reweighting.
+std::optional<Eigen::Vector3d> where_most_axes_meet(const std::vector<Camera>& cameras) {
+  if (cameras.empty()) return std::nullopt;
+  std::vector<double> weights(cameras.size(), 1.0);
+  auto point = where_axes_meet(cameras, weights);
+  const double small = 1e-3 * largest_baseline(cameras);
+  for (int iteration = 0; point && iteration < 20; ++iteration) {
+    for (size_t i = 0; i < cameras.size(); ++i) {
+      const Eigen::Vector3d from_centre = *point - centre(cameras[i]);
+      const double distance = (from_centre - axis(cameras[i]) * axis(cameras[i]).dot(from_centre)).norm();
+      weights[i] = 1 / std::max(distance, std::max(small, 1e-30));
+    }
+    const double largest = *std::max_element(weights.begin(), weights.end());
+    for (double& weight : weights) weight /= largest;
+    point = where_axes_meet(cameras, weights);
+  }
+  return point;
+}
+
+// In front of every source, and about as far as what they see.
+bool is_seen(const Eigen::Vector3d& point, const std::vector<Camera>& sources, double typical_depth) {
+  constexpr double kLargestFactor = 3;
+  return std::all_of(sources.begin(), sources.end(), [&](const Camera& camera) {
+    const double depth = axis(camera).dot(point - centre(camera));
+    return depth > 0 && (typical_depth <= 0 ||
+                         (depth < kLargestFactor * typical_depth && depth > typical_depth / kLargestFactor));
+  });
+}
+
+}  // namespace
+
+OrbitCentre orbit_centre(const std::vector<Camera>& sources, const PathSurroundings& surroundings) {
+  const double depth = surroundings.typical_depth;
+  if (surroundings.cameras.size() > sources.size()) {
+    const auto point = where_most_axes_meet(surroundings.cameras);
+    if (point && is_seen(*point, sources, depth)) {
+      return {*point,
+              "where the axes of all " + std::to_string(surroundings.cameras.size()) + " cameras meet"};
+    }
+  }
+  const auto point = where_axes_meet(sources, std::vector<double>(sources.size(), 1.0));
+  if (point && is_seen(*point, sources, depth)) return {*point, "where the axes of the source cameras meet"};
+  const double baseline = largest_baseline(sources);
+  const double distance = depth > 0 ? depth : baseline > 0 ? 3 * baseline : 1;
+  return {mean_centre(sources) + distance * mean_direction(sources, 2, 1),
+          depth > 0 ? "at the depth of what the source cameras see"
+                    : "at an assumed distance, because no axes meet in front of the source cameras"};
+}
+
+LookAtPoint look_at_point(const std::vector<Camera>& cameras, double fallback_distance) {
+  const Eigen::Vector3d middle = mean_centre(cameras);
+  LookAtPoint point;
+  if (const auto meeting = where_axes_meet(cameras, std::vector<double>(cameras.size(), 1.0))) {
+    point.x_in_world = *meeting;
     point.from_axes = std::all_of(cameras.begin(), cameras.end(), [&](const Camera& camera) {
       return axis(camera).dot(point.x_in_world - centre(camera)) > 0;
     });
@@ -84,7 +142,8 @@ Eigen::Matrix3d looking_along(const Eigen::Vector3d& forward, const Eigen::Vecto
 
 std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const OrbitShape& shape) {
   if (sources.empty()) fail({"orbit", "at least one source camera", "none", "name the sources"});
-  const Eigen::Vector3d target = look_at_point(sources, shape.fallback_distance).x_in_world;
+  const Eigen::Vector3d target =
+      shape.centre ? *shape.centre : look_at_point(sources, shape.fallback_distance).x_in_world;
   const Eigen::Vector3d up = mean_direction(sources, 1, -1);
   const Eigen::Vector3d to_middle = mean_centre(sources) - target;
   Eigen::Vector3d outwards = to_middle - up * up.dot(to_middle);
@@ -101,6 +160,10 @@ std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const Orbi
     const Eigen::Vector3d from_target = centre(source) - target;
     height += up.dot(from_target) / static_cast<double>(sources.size());
     radius += (from_target - up * up.dot(from_target)).norm() / static_cast<double>(sources.size());
+  }
+  if (shape.radius > 0) {
+    height *= radius > 0 ? shape.radius / radius : 1;  // the same elevation
+    radius = shape.radius;
   }
   const bool closed = std::abs(shape.degrees) >= 360;
   std::vector<Camera> cameras;

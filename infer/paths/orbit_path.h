@@ -3,6 +3,8 @@
 #include "gld/cameras/camera.h"
 
 #include <cstdint>
+#include <optional>
+#include <string>
 #include <vector>
 
 #include <Eigen/Core>
@@ -20,14 +22,32 @@ struct LookAtPoint {
 // 1 when they all stand at one place.
 LookAtPoint look_at_point(const std::vector<Camera>& cameras, double fallback_distance);
 
+// What is known of a scene beside its source cameras.
+struct PathSurroundings {
+  std::vector<Camera> cameras;  // of all its frames; may be empty
+  double typical_depth = 0;     // of what the sources see, in the unit of the poses; 0 where it is not known
+};
+
+// What an orbit around the sources' scene turns about, and how that was found, in words: the point nearest to the axes of
+// all cameras (least absolute distances, so that cameras that look elsewhere do not move it), or to those of the sources;
+// either only where it lies in front of every source and at 1/3 to 3 times the typical depth, where that is known. Else a
+// point on the sources' mean axis, at the typical depth or at an assumed one.
+struct OrbitCentre {
+  Eigen::Vector3d x_in_world = Eigen::Vector3d::Zero();
+  std::string found_by;
+};
+OrbitCentre orbit_centre(const std::vector<Camera>& sources, const PathSurroundings& surroundings);
+
 struct OrbitShape {
   int64_t frames = 6;
   double degrees = 60;  // sweep, centred on the sources; 360 closes the circle without a frame twice
   double fallback_distance = 0;
+  std::optional<Eigen::Vector3d> centre;  // else look_at_point of the sources
+  double radius = 0;                      // of the circle; 0: the sources' mean distance
 };
 
 // Cameras on a circle around the vertical axis through the look-at point, each looking exactly at it. Up is the mean
-// of the sources' up directions. The circle has the sources' mean distance from the axis and mean height; size and
+// of the sources' up directions. The circle has the sources' mean distance from the axis (or the shape's radius) and mean height; size and
 // intrinsics are the first source's, with the principal point kept.
 std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const OrbitShape& shape);
 

@@ -5,13 +5,37 @@
 #include "gld/cameras/depth_scale.h"
 #include "gld/cameras/pose_alignment.h"
 #include "infer/export/point_cloud.h"
+#include "infer/pipeline/sampling_scene.h"
 #include "models/decoders/geometry_head.h"
 
 #include <optional>
 #include <string>
 #include <vector>
 
+#include <torch/types.h>
+
+#include <Eigen/Core>
+#include <nlohmann/json.hpp>
+
 namespace gld {
+
+// What may tell the scale of predicted depth beside the given cameras. What is left empty says nothing.
+struct ScaleEvidence {
+  bool camera_poses = true;  // the distances between the predicted cameras
+  // (photographs, 3, height, width) in [0, 1], of the first views: they match where the scale is right. Pictures that were
+  // generated do not, to a pixel, so they are no evidence.
+  torch::Tensor photographs;
+  std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
+  // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
+  std::vector<DepthMap> source_depth;
+};
+
+// The kinds of evidence, as DepthScale::estimator and --scale-from name them.
+const std::vector<std::string>& scale_evidence_names();
+// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths.
+ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
+// The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.
+std::vector<std::string> usual_scale_evidence();
 
 // Where the geometry model's predictions lie in the scene. The model has a frame and a scale of its own; its predicted
 // rays tell where it thinks the cameras are, the given cameras where they are.
@@ -19,24 +43,32 @@ struct GeometryPlacement {
   std::vector<Camera>
       predicted;  // in the model's frame and unit; empty where no camera fits some view's rays
   std::optional<PoseAlignment> alignment;  // of the predicted cameras with the given ones
-  std::optional<DepthScale> scale;         // nothing where the cameras do not tell it
-  std::string problem;                     // why there are no predicted cameras; empty where there are
+  std::vector<DepthScale> estimates;  // one for each kind of evidence that says something, believed or not
+  std::optional<DepthScale> scale;    // what those without doubt say together; nothing where all are in doubt
+  std::string problem;                // why there are no predicted cameras; empty where there are
 
   // From the model's frame to the scene's. Without a scale the model's unit stays, only turned and moved; without
   // predicted cameras the model's frame does.
   Similarity scene_from_model() const;
 };
 
-// given: the scene's camera of each view of the geometry.
-GeometryPlacement place_geometry(const GeometryOutput& geometry, const std::vector<Camera>& given);
+// given: the scene's camera of each view of the geometry. Without depth only the predicted cameras tell the scale.
+GeometryPlacement place_geometry(const GeometryOutput& geometry, const std::vector<Camera>& given,
+                                 const ScaleEvidence& evidence = {});
+
+// What every kind of evidence said, for report.json: estimator, scale, interval, residual and, where it is not believed,
+// the doubt.
+nlohmann::ordered_json depth_scale_json(const DepthScale& estimate);
+nlohmann::ordered_json estimates_json(const std::vector<DepthScale>& estimates);
+// The same in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of what it is fitted to; ...".
+std::string estimates_text(const std::vector<DepthScale>& estimates);
 
 // The cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the views line up:
 // the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the given ones are.
 // Nothing where there are none.
 std::vector<Camera> cameras_of_depth(const GeometryPlacement& placement, const std::vector<Camera>& given);
 
-// The cloud of all views, images one a view, in the frame of scene_from_model(). Where options.lifting asks for
-// cameras and there are none, rays lift.
+// The cloud of all views, images one a view, in the frame of cameras_of_depth(). Where there are none, rays lift.
 PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacement& placement,
                           const std::vector<Camera>& given, const std::vector<Image>& images,
                           const PointCloudOptions& options);

@@ -54,7 +54,9 @@ SamplingScene load_held_out_scene(const Scene& scene, const ViewSampling& sampli
   selection.sources.assign(chosen.frames.begin(), first_target);
   selection.targets.assign(first_target, chosen.frames.end());
   const auto size = choose_size("auto", scene, bundle.image_sizes(), bundle.backbone.patch_side());
-  return load_sampling_scene(scene, selection, size);
+  SamplingScene loaded = load_sampling_scene(scene, selection, size);
+  load_source_depths(scene, selection, loaded);
+  return loaded;
 }
 
 }  // namespace gld

@@ -14,19 +14,20 @@ struct RequestedOutputs {
   bool latents = false;
 
   bool needs_depth() const { return depth || points; }
-  // A point cloud takes its scale from the rays.
-  bool needs_rays() const { return rays || points; }
+  // Depth takes its scale from the rays too, and its cameras where that leaves the scale open.
+  bool needs_rays() const { return rays || needs_depth(); }
   bool needs_geometry() const { return needs_depth() || needs_rays(); }
   bool needs_image() const { return image || points; }  // points are coloured by the images
 
   DecodedViews image_views() const { return needs_image() ? DecodedViews::kTargets : DecodedViews::kNone; }
   DecodedViews geometry_views() const {
-    return !needs_geometry() ? DecodedViews::kNone : points ? DecodedViews::kAll : DecodedViews::kTargets;
+    // What photographs say of the scale of depth they say of the source views'.
+    return !needs_geometry() ? DecodedViews::kNone
+           : needs_depth()   ? DecodedViews::kAll
+                             : DecodedViews::kTargets;
   }
   GeometryMaps geometry_maps() const {
-    return needs_depth() && needs_rays() ? GeometryMaps::kDepthAndRays
-           : needs_depth()               ? GeometryMaps::kDepth
-                                         : GeometryMaps::kRays;
+    return needs_depth() ? GeometryMaps::kDepthAndRays : GeometryMaps::kRays;
   }
 };
 

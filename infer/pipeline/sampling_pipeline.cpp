@@ -56,8 +56,10 @@ EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
 VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
                                 const EncodedSources& sources) {
   if (sources.decodable.levels.empty()) return visible_pairs(request.views);
-  return visible_pairs(request.views, models.dpt_head()->forward(sources.decodable, sources.latents.grid,
-                                                                 GeometryMaps::kDepthAndRays));
+  return visible_pairs(
+      request.views,
+      models.dpt_head()->forward(sources.decodable, sources.latents.grid, GeometryMaps::kDepthAndRays),
+      request.source_images);
 }
 
 struct FlowStage {

@@ -48,7 +48,12 @@ double typical_depth(const Scene& scene, const Camera& camera) {
 
 void add_target_path(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling) {
   const auto sources = sampling.views.cameras;
-  const auto cameras = make_camera_path(selection.path, sources, typical_depth(scene, sources.front()));
+  PathSurroundings surroundings;
+  for (const Frame& frame : scene.frames) surroundings.cameras.push_back(frame.camera);
+  surroundings.typical_depth = typical_depth(scene, sources.front());
+  CameraPath path = make_camera_path(selection.path, sources, surroundings);
+  sampling.path_note = path.note;
+  const std::vector<Camera>& cameras = path.cameras;
   for (size_t i = 0; i < cameras.size(); ++i) {
     // A file's cameras may have another size; those of an orbit or spline have it already.
     const auto plan = plan_resize_crop(cameras[i].width, cameras[i].height, sampling.size);
@@ -74,14 +79,21 @@ void ViewSelection::visit(FieldVisitor& visitor) {
 }
 
 void ViewSelection::check() const {
-  if (sources.empty()) {
-    fail({"--sources", "at least one source view", "none", "add for example --sources 0,3"});
-  }
   if (std::set<int64_t>(sources.begin(), sources.end()).size() != sources.size()) {
     fail({"--sources", "each source view once", "a frame number twice", "remove the repetition"});
   }
-  if (targets.empty() == path.path.empty()) {
-    fail({"--targets, --path", "either target frames or a path", targets.empty() ? "neither" : "both",
+  if (!targets.empty() && !path.path.empty()) {
+    fail({"--targets, --path", "either target frames or a path", "both",
+          "add for example --targets 1,2, or --path orbit"});
+  }
+}
+
+void ViewSelection::require_complete() const {
+  if (sources.empty()) {
+    fail({"--sources", "at least one source view", "none", "add for example --sources 0,3"});
+  }
+  if (targets.empty() && path.path.empty()) {
+    fail({"--targets, --path", "either target frames or a path", "neither",
           "add for example --targets 1,2, or --path orbit"});
   }
 }
@@ -92,6 +104,7 @@ SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection,
   sampling.metric = scene.metric;
   sampling.size = size;
   sampling.warnings = scene.warnings;
+  sampling.points_in_world = scene.points_in_world;
   for (const int64_t number : selection.sources) {
     const Frame& frame = frame_of(scene, number, "--sources");
     sampling.views.cameras.push_back(
@@ -125,6 +138,17 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selec
     if (frame.has_depth()) sampling.true_depths[i] = resize_crop(frame.depth(), plan);
   }
   return sampling;
+}
+
+void load_source_depths(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling) {
+  sampling.source_depths.clear();
+  for (const int64_t number : selection.sources) {
+    const Frame& frame = frame_of(scene, number, "--sources");
+    sampling.source_depths.emplace_back();
+    if (!frame.has_depth()) continue;
+    sampling.source_depths.back() =
+        resize_crop(frame.depth(), plan_resize_crop(frame.camera.width, frame.camera.height, sampling.size));
+  }
 }
 
 ImageSize choose_size(const std::string& text, const Scene& scene,

@@ -21,7 +21,8 @@ struct ViewSelection : OptionsGroup {
 
   ViewSelection();
   void visit(FieldVisitor& visitor) override;
-  void check() const override;  // either targets or path; no frame twice among the sources
+  void check() const override;    // not both targets and path; no frame twice among the sources
+  void require_complete() const;  // Error without sources, or with neither targets nor path
 };
 
 // The scene as the sampler takes it: source views first, all at one size.
@@ -32,9 +33,14 @@ struct SamplingScene {
   Views views;
   std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path
   std::vector<Image> source_images;     // one a source view
-  std::vector<Image> true_images;       // one a target view; empty where the scene has none
-  std::vector<DepthMap> true_depths;    // one a target view; empty where the scene has none
-  std::vector<std::string> warnings;    // what is unusual about the cameras, one sentence each
+  std::vector<DepthMap>
+      source_depths;               // measured, one a source view; empty unless load_source_depths was called
+  std::vector<Image> true_images;  // one a target view; empty where the scene has none
+  std::vector<DepthMap> true_depths;  // one a target view; empty where the scene has none
+  std::vector<Eigen::Vector3d>
+      points_in_world;                // sparse points of a reconstruction, where the scene has them
+  std::string path_note;              // what an orbit turns about; empty for other targets
+  std::vector<std::string> warnings;  // what is unusual about the cameras, one sentence each
 };
 
 // The selected frames and views without their pixels, for which no image file is decoded: images and depths are empty.
@@ -44,6 +50,9 @@ SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection,
 // Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
 // numbers that the scene does not have and for cameras that make no sense (gld/cameras/camera_checks.h).
 SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
+
+// The measured depth of the source views, an empty map for one that has none.
+void load_source_depths(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling);
 
 // "504x280" -> that size; "auto" -> the trained size whose aspect is nearest to the first frame's. Sides must be
 // whole patches. Throws Error otherwise.

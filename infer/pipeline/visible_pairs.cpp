@@ -1,11 +1,8 @@
 #include "infer/pipeline/visible_pairs.h"
 
-#include "gld/base/error.h"
-#include "gld/cameras/pose_alignment.h"
-#include "infer/pipeline/predicted_cameras.h"
+#include "infer/pipeline/geometry_placement.h"
 
 #include <algorithm>
-#include <cmath>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -13,41 +10,8 @@
 namespace gld {
 namespace {
 
-// Predicted cameras that fit worse than this do not tell the depth's unit well enough: degrees, and a share of the root
-// mean square distance of the source views from their middle.
-constexpr double kLargestTurn = 15;
-constexpr double kLargestCentreError = 0.3;
-
 std::vector<Camera> source_cameras(const Views& views) {
   return {views.cameras.begin(), views.cameras.begin() + static_cast<std::ptrdiff_t>(views.num_sources)};
-}
-
-double spread(const std::vector<Camera>& cameras) {
-  Eigen::Vector3d middle = Eigen::Vector3d::Zero();
-  for (const Camera& camera : cameras) middle += camera.world_from_camera.translation();
-  middle /= static_cast<double>(cameras.size());
-  double square = 0;
-  for (const Camera& camera : cameras)
-    square += (camera.world_from_camera.translation() - middle).squaredNorm();
-  return std::sqrt(square / static_cast<double>(cameras.size()));
-}
-
-// The length in the world of one unit of the DPT head's depth. Throws Error where it is not known.
-double depth_unit(const Views& views, const GeometryOutput& geometry) {
-  const auto fail_with = [](const std::string& found) {
-    fail({"source depth", "predicted cameras that fit the given ones", found, "the cameras alone decide"});
-  };
-  const auto given = source_cameras(views);
-  const auto alignment = align_poses(predicted_cameras(geometry, given), given);
-  if (!alignment.scale_known) fail_with("cameras that do not tell its unit");
-  if (alignment.rotation_error > kLargestTurn) {
-    fail_with(fmt::format("cameras turned by {:.0f} degrees", alignment.rotation_error));
-  }
-  if (alignment.centre_error > kLargestCentreError * spread(given)) {
-    fail_with(
-        fmt::format("centres off by {:.0f} % of their spread", 100 * alignment.centre_error / spread(given)));
-  }
-  return alignment.b_from_a.scale;
 }
 
 std::vector<PlanarDepth> depth_in_world_units(const torch::Tensor& depth, double unit) {
@@ -86,19 +50,21 @@ VisiblePairs visible_pairs(const Views& views) {
   return pairs;
 }
 
-VisiblePairs visible_pairs(const Views& views, const GeometryOutput& source_geometry) {
-  double unit = 0;
-  try {
-    unit = depth_unit(views, source_geometry);
-  } catch (const Error& error) {
+VisiblePairs visible_pairs(const Views& views, const GeometryOutput& source_geometry,
+                           const torch::Tensor& photographs) {
+  ScaleEvidence evidence;
+  evidence.photographs = photographs;
+  const GeometryPlacement placement = place_geometry(source_geometry, source_cameras(views), evidence);
+  if (!placement.scale) {
     auto pairs = visible_pairs(views);
     pairs.warnings.push_back(fmt::format(
         "view pairs that attend were found from the cameras alone: the depth's unit is not known ({})",
-        error.parts().found));
+        placement.problem.empty() ? estimates_text(placement.estimates) : placement.problem));
     return pairs;
   }
   VisiblePairs pairs;
-  pairs.visibility = view_visibility(views, depth_in_world_units(source_geometry.depth, unit));
+  pairs.visibility =
+      view_visibility(views, depth_in_world_units(source_geometry.depth, placement.scale->scale));
   warn_of_lonely_targets(pairs);
   return pairs;
 }

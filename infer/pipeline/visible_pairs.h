@@ -26,9 +26,10 @@ struct VisiblePairs {
 VisiblePairs visible_pairs(const Views& views);
 
 // From cameras and the DPT head's depth and rays of the source views (N, height, width; num_sources = N). Depth is
-// brought to the unit of the cameras by the rays, as exported depth is (gld/cameras/pose_alignment.h); where the two do not
-// agree well enough for that, or one source leaves the unit open, the cameras alone decide.
-VisiblePairs visible_pairs(const Views& views, const GeometryOutput& source_geometry);
+// brought to the unit of the cameras as exported depth is (infer/pipeline/geometry_placement.h), by the rays and by the
+// photographs, (N, 3, height, width) or undefined; where neither tells it, the cameras alone decide.
+VisiblePairs visible_pairs(const Views& views, const GeometryOutput& source_geometry,
+                           const torch::Tensor& photographs = {});
 
 nlohmann::ordered_json view_pairs_json(const ViewVisibility& visibility);
 

@@ -16,6 +16,7 @@
 #include "infer/pipeline/scene_request.h"
 #include "infer/pipeline/visible_pairs.h"
 #include "infer/sample/background_hash.h"
+#include "infer/sample/photo_scene.h"
 #include "infer/sample/sampling_outputs.h"
 
 #include <algorithm>
@@ -91,6 +92,7 @@ void print_warnings(const std::vector<std::string>& warnings) {
 struct PreparedSampling {
   torch::Device device = torch::kCPU;
   ModelBundle bundle;
+  std::optional<PhotoScene> photos;  // where the cameras were estimated
   Scene found;
   SamplingScene scene;
   std::optional<ModelBundle> geometry_model;
@@ -113,11 +115,31 @@ using SceneLoader = SamplingScene (*)(const Scene&, const ViewSelection&, const 
 PreparedSampling prepare(const SampleOptions& options, SceneLoader load) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
-  const Scene found = open_scene(options.scene, options.reading);
+  std::optional<PhotoScene> photos;
+  if (!options.photos.empty()) photos = photo_scene(options.photos, options.size, bundle, device);
+  const Scene found = photos ? photos->scene : open_scene(options.scene, options.reading);
   const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
                                      bundle.options().backbone.patch_side());
   auto geometry_model = geometry_model_of(options, bundle);
-  return {device, bundle, found, load(found, options.views, size), std::move(geometry_model)};
+  ViewSelection selection = options.views;
+  // Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
+  if (photos && selection.sources.empty()) {
+    for (size_t i = 0; i < found.frames.size(); ++i) selection.sources.push_back(static_cast<int64_t>(i));
+  }
+  if (photos && selection.targets.empty() && selection.path.path.empty()) {
+    selection.path.path = found.frames.size() > 1 ? "spline" : "orbit";
+  }
+  SamplingScene scene = load(found, selection, size);
+  const auto& kinds = options.scale_from;
+  if (std::find(kinds.begin(), kinds.end(), "source_depth") != kinds.end()) {
+    load_source_depths(found, selection, scene);
+    const auto& depths = scene.source_depths;
+    if (std::all_of(depths.begin(), depths.end(), [](const DepthMap& depth) { return depth.empty(); })) {
+      fail({"--scale-from source_depth", "a source view with measured depth", "none",
+            "leave it out, or choose sources that have depth"});
+    }
+  }
+  return {device, bundle, std::move(photos), found, std::move(scene), std::move(geometry_model)};
 }
 
 // The method and what it would take. model_hash is called where the bundle's measured errors are needed.
@@ -165,8 +187,9 @@ std::string planned_text(const PlannedSampling& planned) {
 }
 
 std::string scene_line(const SamplingScene& scene) {
-  return fmt::format("scene {}: {} source and {} target views at {}x{}\n", scene.name,
-                     scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height);
+  return fmt::format("scene {}: {} source and {} target views at {}x{}\n{}", scene.name,
+                     scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height,
+                     scene.path_note.empty() ? "" : scene.path_note + "\n");
 }
 
 }  // namespace
@@ -206,6 +229,7 @@ void sample(const SampleOptions& options) {
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
   std::cout << scene_line(scene) << planned_text(planned) << std::flush;
+  if (prepared.photos) std::cout << prepared.photos->text << std::flush;
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
   if (prepared.geometry_model && requested.needs_geometry()) {
@@ -213,7 +237,7 @@ void sample(const SampleOptions& options) {
               << " sees in the generated images\n";
   }
   provenance.seed = options.seed;
-  SamplingOutputs outputs(run, scene, requested, options.points, provenance);
+  SamplingOutputs outputs(run, scene, requested, options, provenance);
   FlowProgress progress;
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
     progress.update(stage, solve);
@@ -227,8 +251,10 @@ void sample(const SampleOptions& options) {
   if (prepared.geometry_model) take_geometry_from(models, *prepared.geometry_model, prepared.device);
   const PipelineResult result = run_pipeline(models, request, stages);
   wait_for_hash();
-  stages.run("writing",
-             [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
+  stages.run("writing", [&] {
+    if (prepared.photos) write_photo_scene(run, *prepared.photos, provenance);
+    outputs.write_rest(result, one_line_summary(options, result, bundle.options().name));
+  });
 
   std::vector<std::string> warnings = scene.warnings;
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
@@ -255,6 +281,7 @@ void sample(const SampleOptions& options) {
   report["scene"] = {{"name", scene.name},        {"format", prepared.found.format},
                      {"width", scene.size.width}, {"height", scene.size.height},
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
+  if (prepared.photos) report["photo_cameras"] = photo_scene_json(*prepared.photos);
   report["threads"] = thread_count();
   report["stages"] = stages.to_json();
   report["sampling"] = choice_json(planned.choice);
@@ -265,7 +292,7 @@ void sample(const SampleOptions& options) {
   report["warnings"] = warnings;
   run.write_report(report);
   run.note("report", "report.json");
-  std::cout << actual_text(planned.plan, stages.records()) << run.closing_box();
+  std::cout << actual_text(planned.plan, stages.records()) << outputs.scale_text() << run.closing_box();
 }
 
 }  // namespace gld

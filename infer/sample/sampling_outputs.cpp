@@ -30,15 +30,10 @@ DepthMap depth_map(const torch::Tensor& depth) {
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
-                                 const RequestedOutputs& requested, const PointCloudOptions& point_options,
+                                 const RequestedOutputs& requested, const SampleOptions& options,
                                  const Provenance& provenance)
-    : run_(run),
-      scene_(scene),
-      requested_(requested),
-      point_options_(point_options),
-      provenance_(provenance) {
-  // A point cloud takes the depth of the source views as well.
-  first_geometry_view_ = requested.points ? 0 : scene.views.num_sources;
+    : run_(run), scene_(scene), requested_(requested), options_(options), provenance_(provenance) {
+  first_geometry_view_ = requested.geometry_views() == DecodedViews::kAll ? 0 : scene.views.num_sources;
 }
 
 void SamplingOutputs::write_images(const torch::Tensor& images) {
@@ -140,41 +135,47 @@ std::vector<Camera> SamplingOutputs::geometry_cameras() const {
 }
 
 void SamplingOutputs::place(const PipelineResult& result) {
-  placement_ = place_geometry(result.geometry, geometry_cameras());
+  const bool sources = first_geometry_view_ == 0;
+  placement_ = place_geometry(result.geometry, geometry_cameras(),
+                              sources ? scale_evidence(scene_, options_.scale_from) : ScaleEvidence());
   if (placement_.predicted.empty()) {
-    warnings_.push_back(
-        fmt::format("No camera fits the predicted rays: {} Depth keeps the model's own unit, "
-                    "and points.ply its frame as well.",
-                    placement_.problem));
-    return;
+    warnings_.push_back(fmt::format("No camera fits the predicted rays: {}", placement_.problem));
+  } else {
+    const PoseAlignment& alignment = *placement_.alignment;
+    findings_["pose_alignment"] = {{"rotation_error_degrees", alignment.rotation_error},
+                                   {"centre_error", alignment.centre_error},
+                                   {"spread", alignment.spread}};
   }
-  const PoseAlignment& alignment = *placement_.alignment;
-  findings_["pose_alignment"] = {{"scale", alignment.b_from_a.scale},
-                                 {"scale_known", alignment.scale_known},
-                                 {"rotation_error_degrees", alignment.rotation_error},
-                                 {"centre_error", alignment.centre_error}};
+  if (!requested_.needs_depth()) return;
+  findings_["depth_scale_estimates"] = estimates_json(placement_.estimates);
   if (placement_.scale) {
-    const DepthScale& scale = *placement_.scale;
-    findings_["depth_scale"] = {{"estimator", scale.estimator},
-                                {"scale", scale.scale},
-                                {"interval", {scale.low, scale.high}},
-                                {"residual", scale.residual}};
+    findings_["depth_scale"] = depth_scale_json(*placement_.scale);
     return;
   }
-  warnings_.emplace_back(
-      "The cameras do not tell the scale of the predicted depth: "
-      "depth keeps the model's own unit, and points.ply is seen from the predicted cameras, "
-      "turned and moved to the given ones.");
+  warnings_.push_back(fmt::format(
+      "The scale of the predicted depth is not known ({}). {}", estimates_text(placement_.estimates),
+      placement_.predicted.empty()
+          ? "Depth keeps the model's own unit, points.ply its frame as well, and cameras.json goes without depth."
+          : "Depth, points.ply and cameras.json are in the model's own unit, with the cameras that the model "
+            "predicts, turned and moved as one to the given ones, which are in given_cameras.json."));
+}
+
+std::string SamplingOutputs::scale_text() const {
+  if (!requested_.needs_depth()) return "";
+  if (!placement_.scale) return "depth is in the model's own unit: its scale is not known\n";
+  const DepthScale& scale = *placement_.scale;
+  return fmt::format("depth scale {:.4g} (95 %: {:.4g} to {:.4g}; the fit leaves {:.0f} %), from {}\n",
+                     scale.scale, scale.low, scale.high, 100 * scale.residual, scale.estimator);
 }
 
 void SamplingOutputs::write_points(const PipelineResult& result) {
   std::vector<Image> images = scene_.source_images;
   images.insert(images.end(), images_.begin(), images_.end());
   const PointCloud cloud =
-      point_cloud_of(result.geometry, placement_, geometry_cameras(), images, point_options_);
+      point_cloud_of(result.geometry, placement_, geometry_cameras(), images, options_.points);
   export_ply(run_.path() / "points.ply", cloud, provenance_);
   const PointCounts& counts = cloud.counts;
-  const PointLifting lifting = lifting_of(placement_, point_options_);
+  const PointLifting lifting = lifting_of(placement_, options_.points);
   findings_["points"] = {{"written", cloud.size()},
                          {"lifted_by", point_lifting_names()[static_cast<size_t>(lifting)]},
                          {"pixels", counts.pixels},
@@ -201,8 +202,13 @@ void SamplingOutputs::write_cameras() {
     export_image(folder / (view_name(static_cast<int64_t>(view), scene_.views.size()) + ".png"),
                  scene_.source_images[view], provenance_);
   }
+  // Depth belongs to the cameras that it is written with: where it keeps the model's unit, to the model's.
+  const bool of_model = requested_.needs_depth() && !placement_.scale;
+  const std::vector<Camera> model_cameras =
+      of_model ? cameras_of_depth(placement_, geometry_cameras()) : std::vector<Camera>();
   CameraList list;
-  list.metric = scene_.metric && (depth_has_scene_unit_ || !requested_.depth);
+  list.metric = scene_.metric && model_cameras.empty();
+  const bool with_depth = requested_.depth && (!of_model || !model_cameras.empty());
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
     const bool target = view >= scene_.views.num_sources;
     CameraRecord record;
@@ -211,11 +217,20 @@ void SamplingOutputs::write_cameras() {
     record.camera = scene_.views.cameras[static_cast<size_t>(view)];
     if (!target) record.image = "sources/" + record.name + ".png";
     if (target && requested_.image) record.image = "images/" + record.name + ".png";
-    if (requested_.depth && view >= first_geometry_view_) {
+    if (with_depth && view >= first_geometry_view_) {
       record.depth = "depth/" + record.name + ".png";
       record.depth_unit = depth_unit_;
     }
     list.records.push_back(record);
+  }
+  if (!model_cameras.empty()) {
+    CameraList given = list;
+    given.metric = scene_.metric;
+    for (CameraRecord& record : given.records) record.depth.clear();
+    write_cameras_json(run_.path() / "given_cameras.json", given);
+    run_.note("given cameras", "given_cameras.json");
+    for (size_t view = 0; view < model_cameras.size(); ++view)
+      list.records[view].camera = model_cameras[view];
   }
   write_cameras_json(run_.path() / "cameras.json", list);
   run_.note("cameras", "cameras.json");

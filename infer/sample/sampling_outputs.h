@@ -19,12 +19,15 @@ class SamplingOutputs {
  public:
   // All five must outlive this object.
   SamplingOutputs(RunFolder& run, const SamplingScene& scene, const RequestedOutputs& requested,
-                  const PointCloudOptions& point_options, const Provenance& provenance);
+                  const SampleOptions& options, const Provenance& provenance);
 
   // images/: the target views, (targets, 3, height, width). Keeps them for the sheet and the point cloud.
   void write_images(const torch::Tensor& images);
   // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json and contact_sheet.png.
   void write_rest(const PipelineResult& result, const std::string& sheet_subtitle);
+
+  // What is known of the depth's unit, a line; nothing where no depth was asked for.
+  std::string scale_text() const;
 
   // PSNR and SSIM of each target view that has a truth, depth scale, counts of points; for report.json.
   const nlohmann::ordered_json& findings() const { return findings_; }
@@ -47,7 +50,7 @@ class SamplingOutputs {
   RunFolder& run_;
   const SamplingScene& scene_;
   const RequestedOutputs& requested_;
-  const PointCloudOptions& point_options_;
+  const SampleOptions& options_;
   const Provenance& provenance_;
   std::vector<Image> images_;     // one a target view
   std::vector<double> psnr_;      // one a target view; NaN without truth
@@ -55,7 +58,7 @@ class SamplingOutputs {
   GeometryPlacement placement_;   // empty where no rays were asked for
   double depth_unit_ = 0;
   bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
-  int64_t first_geometry_view_ = 0;    // 0, or the first target where only targets have geometry
+  int64_t first_geometry_view_ = 0;    // 0, or the first target where only rays were asked for
   nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
   std::vector<std::string> warnings_;
 };

@@ -2,6 +2,7 @@
 #include "datasets/formats/hypersim_reader.h"
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -9,6 +10,7 @@
 #include <cmath>
 #include <cstdlib>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -151,6 +153,17 @@ TEST(SceneWriter, RefusesWhatALayoutCannotHold) {
             "or choose another layout.");
   EXPECT_EQ(error_of([&] { write_scene(make_synthetic_scene(options, 0), "colmab", folder.path()); }),
             "layout: expected a layout that can be written, found \"colmab\"; did you mean \"colmap\"?");
+}
+
+TEST(SceneReader, SaysHowPhotographsWithoutCamerasGetSome) {
+  const TemporaryFolder folder;
+  write_png(folder.path() / "a.png", Image(4, 4));
+  write_png(folder.path() / "b.png", Image(4, 4));
+  const std::string sentence = error_of([&] { open_scene(folder.path()); });
+  EXPECT_THAT(sentence,
+              testing::HasSubstr("found 2 photographs without cameras; let the model estimate them with gld "
+                                 "sample --photos " +
+                                 folder.path().string() + ", or let COLMAP: colmap "));
 }
 
 TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {

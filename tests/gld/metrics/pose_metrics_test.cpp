@@ -180,5 +180,36 @@ TEST(PoseErrors, LeaveOutRaysThatAreNotFiniteAndRefuseMissingViews) {
               testing::HasSubstr("found 4 cameras and rays of shape [3, 9, 12, 6]"));
 }
 
+// Frame and unit do not count; what is left does.
+TEST(PoseMetrics, EstimatedCamerasAreComparedAsTheirFirstOneSeesThem) {
+  std::vector<Camera> truth(3), estimated(3);
+  truth[1].world_from_camera.translation() = Eigen::Vector3d(1, 0, 0);
+  truth[2].world_from_camera.translation() = Eigen::Vector3d(0, 2, 0);
+  Eigen::Isometry3d frame = Eigen::Isometry3d::Identity();
+  frame.linear() = Eigen::AngleAxisd(1, Eigen::Vector3d(1, 2, 3).normalized()).toRotationMatrix();
+  frame.translation() = Eigen::Vector3d(5, 6, 7);
+  for (size_t i = 0; i < 3; ++i) {
+    estimated[i].world_from_camera = frame * truth[i].world_from_camera;
+    estimated[i].world_from_camera.translation() =
+        frame * Eigen::Vector3d(0.1 * truth[i].world_from_camera.translation());
+  }
+  auto errors = estimated_camera_errors(truth, estimated);
+  EXPECT_LT(errors.rotation.max().item<double>(), 1e-6);
+  EXPECT_LT(errors.translation_direction.max().item<double>(), 1e-6);
+  EXPECT_LT(errors.centre.max().item<double>(), 1e-9);
+  const Eigen::Matrix3d off = Eigen::AngleAxisd(0.1, Eigen::Vector3d::UnitX()).toRotationMatrix();
+  estimated[2].world_from_camera.linear() = (estimated[2].world_from_camera.linear() * off).eval();
+  errors = estimated_camera_errors(truth, estimated);
+  EXPECT_LT(errors.rotation[0].item<double>(), 1e-6);
+  EXPECT_NEAR(errors.rotation[1].item<double>(), 5.7296, 1e-3);
+  // All at one place: as far off as the truth is long.
+  for (Camera& camera : estimated) camera.world_from_camera.translation().setZero();
+  errors = estimated_camera_errors(truth, estimated);
+  EXPECT_TRUE(errors.translation_direction.isnan().all().item<bool>());
+  EXPECT_NEAR(errors.centre[1].item<double>(), 2 / std::sqrt(5.0), 1e-9);
+  estimated.pop_back();
+  EXPECT_THROW(estimated_camera_errors(truth, estimated), Error);
+}
+
 }  // namespace
 }  // namespace gld

@@ -275,8 +275,7 @@ TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   for (const auto& view : written.at("against_truth")) psnr += view.at("psnr").get<double>() / 2;
   EXPECT_NEAR(evaluated.evaluation.number("sample_psnr").value, psnr, 0.01);
   // Depth without scaling is there exactly where gld sample knows the scale.
-  const bool scale_known =
-      written.contains("pose_alignment") && written.at("pose_alignment").at("scale_known");
+  const bool scale_known = written.contains("depth_scale");
   EXPECT_EQ(evaluated.evaluation.number("depth_abs_rel_unscaled").absent.empty(), scale_known);
 }
 

@@ -31,6 +31,12 @@ Camera camera_at(const Vector3d& centre, const Vector3d& target, const Vector3d&
 Vector3d centre_of(const Camera& camera) { return camera.world_from_camera.translation(); }
 Vector3d axis_of(const Camera& camera) { return camera.world_from_camera.linear().col(2); }
 
+// Of a scene of which nothing but the sources and perhaps a depth is known.
+std::vector<Camera> path_of(const CameraPathOptions& options, const std::vector<Camera>& sources,
+                            double typical_depth) {
+  return make_camera_path(options, sources, {{}, typical_depth}).cameras;
+}
+
 void expect_rotation(const Camera& camera) {
   const Eigen::Matrix3d rotation = camera.world_from_camera.linear();
   EXPECT_LT((rotation * rotation.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff(), 1e-12);
@@ -239,9 +245,9 @@ TEST(CameraPath, TakesEvenlySpreadCamerasOfAFile) {
   write_cameras_json(file, list);
   CameraPathOptions options;
   options.path = file.string();
-  EXPECT_EQ(make_camera_path(options, winding(1), 0).size(), 5U);
+  EXPECT_EQ(path_of(options, winding(1), 0).size(), 5U);
   options.frames = 3;
-  const std::vector<Camera> three = make_camera_path(options, winding(1), 0);
+  const std::vector<Camera> three = path_of(options, winding(1), 0);
   ASSERT_EQ(three.size(), 3U);
   for (size_t i = 0; i < 3; ++i) {
     EXPECT_EQ(three[i].world_from_camera.matrix(), winding(5)[2 * i].world_from_camera.matrix());
@@ -249,34 +255,83 @@ TEST(CameraPath, TakesEvenlySpreadCamerasOfAFile) {
   }
   options.frames = 6;
   EXPECT_EQ(
-      test::error_of([&] { make_camera_path(options, winding(1), 0); }),
+      test::error_of([&] { path_of(options, winding(1), 0); }),
       "--frames: expected at most the 5 cameras of " + file.string() + ", found 6; ask for fewer frames.");
   options.path = "orbits";
-  EXPECT_EQ(test::error_of([&] { make_camera_path(options, winding(1), 0); }),
+  EXPECT_EQ(test::error_of([&] { path_of(options, winding(1), 0); }),
             "--path: expected orbit, spline or a cameras.json file, found \"orbits\", which is no file; "
             "check the name.");
+}
+
+// A phone capture whose neighbouring frames look almost the same way: the axes of two of them meet anywhere, those of all
+// where the thing stands.
+TEST(CameraPath, AnOrbitTurnsAboutWhatAllCamerasLookAt) {
+  const Vector3d thing(1, 2, 3);
+  std::vector<Camera> all;
+  for (int i = 0; i < 12; ++i) {
+    const double angle = 0.12 * i;
+    const Vector3d away(7 * std::sin(angle), -7 * std::cos(angle), 0.2 * (i % 3));
+    // The hand shakes by a degree.
+    const Vector3d shake(0.06 * ((i * 7) % 5 - 2), 0, 0.06 * ((i * 3) % 5 - 2));
+    all.push_back(camera_at(thing + away, thing + shake));
+  }
+  const std::vector<Camera> sources{all[5], all[6]};
+  PathSurroundings surroundings;
+  surroundings.cameras = all;
+  const OrbitCentre centre = orbit_centre(sources, surroundings);
+  EXPECT_LT((centre.x_in_world - thing).norm(), 0.15);
+  EXPECT_EQ(centre.found_by, "where the axes of all 12 cameras meet");
+  // A few cameras that look elsewhere do not move it.
+  surroundings.cameras.push_back(camera_at({0, -9, 0}, {9, 9, 9}));
+  surroundings.cameras.push_back(camera_at({0, -9, 0}, {-20, 3, -5}));
+  EXPECT_LT((orbit_centre(sources, surroundings).x_in_world - thing).norm(), 0.15);
+  // Sparse points at a tenth of that distance say that the axes meet behind what is seen.
+  surroundings.typical_depth = 0.7;
+  const OrbitCentre near = orbit_centre(sources, surroundings);
+  EXPECT_EQ(near.found_by, "at the depth of what the source cameras see");
+  EXPECT_NEAR((near.x_in_world - centre_of(sources[0])).norm(), 0.7, 0.2);
+}
+
+TEST(CameraPath, AnOrbitTurnsAsAsked) {
+  CameraPathOptions options;
+  options.orbit_center = {0, 5, 0};
+  options.orbit_radius = 2;
+  options.frames = 4;
+  const CameraPath path = make_camera_path(options, ring(Vector3d::Zero()), {});
+  EXPECT_THAT(path.note, testing::StartsWith("orbit about (0, 5, 0), "));
+  EXPECT_THAT(path.note, testing::HasSubstr("as asked for"));
+  for (const Camera& camera : path.cameras) {
+    EXPECT_LT(distance_from_axis(camera, {0, 5, 0}), 1e-12);
+    // The circle lies across the sources' mean up direction, which is nearly z.
+    EXPECT_GE((centre_of(camera) - Vector3d(0, 5, 0)).norm(), 2 - 1e-12);
+    EXPECT_NEAR((centre_of(camera) - Vector3d(0, 5, 0)).head<2>().norm(), 2, 0.3);
+  }
+  options.orbit_center = {1, 2};
+  EXPECT_EQ(test::error_of([&] { options.check(); }),
+            "--orbit-center: expected three numbers, x,y,z in the scene, found 2; "
+            "write for example --orbit-center 0,0,2.5.");
 }
 
 TEST(CameraPath, ChoosesByName) {
   CameraPathOptions options;
   options.orbit_degrees = 30;
-  EXPECT_EQ(make_camera_path(options, ring(Vector3d::Zero()), 0).size(), 6U);
+  EXPECT_EQ(path_of(options, ring(Vector3d::Zero()), 0).size(), 6U);
   options.path = "spline";
   options.frames = 9;
-  const std::vector<Camera> spline = make_camera_path(options, ring(Vector3d::Zero()), 0);
+  const std::vector<Camera> spline = path_of(options, ring(Vector3d::Zero()), 0);
   ASSERT_EQ(spline.size(), 9U);
   EXPECT_LT((centre_of(spline[8]) - centre_of(ring(Vector3d::Zero())[3])).norm(), 1e-12);
-  EXPECT_EQ(test::error_of([&] { make_camera_path(options, {}, 0); }),
+  EXPECT_EQ(test::error_of([&] { path_of(options, {}, 0); }),
             "camera path: expected at least one source camera, found none; name the sources.");
   // Parallel sources: the scene's typical depth is where an orbit looks, unless a distance is given.
   options.path = "orbit";
   options.frames = 3;
   const std::vector<Camera> parallel{camera_at({0, 0, 0}, {0, 9, 0}), camera_at({2, 0, 0}, {2, 9, 0})};
-  for (const Camera& camera : make_camera_path(options, parallel, 7)) {
+  for (const Camera& camera : path_of(options, parallel, 7)) {
     EXPECT_LT(distance_from_axis(camera, {1, 7, 0}), 1e-12);
   }
   options.orbit_distance = 3;
-  for (const Camera& camera : make_camera_path(options, parallel, 7)) {
+  for (const Camera& camera : path_of(options, parallel, 7)) {
     EXPECT_LT(distance_from_axis(camera, {1, 3, 0}), 1e-12);
   }
 }

@@ -3,6 +3,7 @@
 #include "gld/cameras/pose_from_rays.h"
 #include "infer/pipeline/predicted_cameras.h"
 #include "tests/support/error_of.h"
+#include "tests/support/textured_plane.h"
 
 #include <cmath>
 #include <limits>
@@ -150,6 +151,50 @@ TEST(GeometryPlacement, WithoutAScaleTheViewsStillLineUp) {
   EXPECT_NEAR(
       (cameras[0].world_from_camera.translation() - cameras[1].world_from_camera.translation()).norm(),
       Vector3d(0.8, 0.1, -0.2).norm(), 1e-3);
+}
+
+// The shipped model's rays say nothing of where cameras stand. The photographs do.
+TEST(GeometryPlacement, PhotographsTellTheScaleWhereRaysDoNot) {
+  const test::TexturedPlane plane;
+  std::vector<Camera> given;
+  GeometryOutput geometry;
+  std::vector<torch::Tensor> depths, pictures, rays;
+  for (const double x : {0.0, 0.7, 0.4}) {
+    given.push_back(test::camera_before_plane({x, 0.1 * x, 0}, -0.2 * x));
+    const PicturedView view = plane.seen_by(given.back(), 2.5);
+    depths.push_back(torch::tensor(view.depth.values).view({view.height, view.width}));
+    pictures.push_back(torch::tensor(view.rgb).view({view.height, view.width, 3}).permute({2, 0, 1}));
+    const RayMap map = rays_of_camera(given.back(), 32, 24);
+    rays.push_back(torch::tensor(map.values).view({24, 32, 6}));
+  }
+  torch::manual_seed(1);
+  geometry.depth = torch::stack(depths);
+  geometry.rays = torch::stack(rays);
+  geometry.rays.narrow(3, 3, 3).copy_(1e-4 * torch::randn({3, 1, 1, 3}).expand({3, 24, 32, 3}));
+  geometry.ray_confidence = torch::full({3, 24, 32}, 2.0F);
+  geometry.depth_confidence = torch::full_like(geometry.depth, 2.0F);
+
+  const auto by_rays = place_geometry(geometry, given);
+  EXPECT_FALSE(by_rays.scale.has_value());
+  EXPECT_THAT(estimates_text(by_rays.estimates), testing::HasSubstr("but its fit leaves"));
+
+  ScaleEvidence evidence;
+  evidence.photographs = torch::stack({pictures[0], pictures[1]});  // the third view was not photographed
+  const auto placement = place_geometry(geometry, given, evidence);
+  ASSERT_TRUE(placement.scale.has_value());
+  EXPECT_EQ(placement.scale->estimator, "photographs");
+  EXPECT_NEAR(placement.scale->scale, 2.5, 0.05);
+  const auto listed = estimates_json(placement.estimates);
+  ASSERT_EQ(listed.size(), 2U);
+  EXPECT_TRUE(listed[0].contains("doubt"));
+  EXPECT_FALSE(listed[1].contains("doubt"));
+
+  // Even where no camera fits the rays.
+  geometry.rays.fill_(std::numeric_limits<float>::quiet_NaN());
+  const auto without_rays = place_geometry(geometry, given, evidence);
+  ASSERT_TRUE(without_rays.scale.has_value());
+  EXPECT_EQ(lifting_of(without_rays, PointCloudOptions()), PointLifting::kCameras);
+  EXPECT_EQ(cameras_of_depth(without_rays, given).size(), 3U);
 }
 
 TEST(GeometryPlacement, WithoutCamerasTheRaysLift) {

@@ -82,12 +82,12 @@ TEST(VisiblePairs, CamerasAloneDecideWhereTheUnitIsNotKnown) {
   EXPECT_TRUE(turned.visibility.all());
   ASSERT_EQ(turned.warnings.size(), 1U);
   EXPECT_THAT(turned.warnings[0], testing::HasSubstr("cameras alone"));
-  EXPECT_THAT(turned.warnings[0], testing::HasSubstr("degrees"));
+  EXPECT_THAT(turned.warnings[0], testing::HasSubstr("but its fit leaves"));
 
   Views on_the_spot = views;
   for (Camera& camera : on_the_spot.cameras) camera.world_from_camera.translation().setZero();
   EXPECT_THAT(visible_pairs(on_the_spot, true_geometry(on_the_spot)).warnings,
-              testing::Contains(testing::HasSubstr("do not tell its unit")));
+              testing::Contains(testing::HasSubstr("nothing tells it")));
 
   auto no_rays = true_geometry(views);
   no_rays.rays.fill_(std::nan(""));

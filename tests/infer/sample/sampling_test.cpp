@@ -1,5 +1,6 @@
 #include "infer/sample/sampling.h"
 
+#include "datasets/formats/cameras_json.h"
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
@@ -111,6 +112,89 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   EXPECT_EQ(report.at("model").at("hash").get<std::string>().size(), 64u);
   EXPECT_THAT(printed_, HasSubstr("2 source and 2 target views at 112x56"));
   EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
+}
+
+// A random model's depth means nothing: no evidence agrees on a scale. Then files belong to each other, and what was given
+// is not lost.
+TEST_F(Sampling, WithoutAScaleCamerasAndDepthAreOfOneUnit) {
+  auto asked = options("no_scale");
+  asked.outputs = {"image", "depth", "points"};
+  asked.scale_from = {"camera_poses"};
+  const auto report = run(asked);
+  const std::filesystem::path out = asked.out;
+  ASSERT_FALSE(report.contains("depth_scale"));
+  EXPECT_THAT(report.at("warnings").dump(),
+              HasSubstr("The scale of the predicted depth is not known (camera_poses"));
+  EXPECT_THAT(printed_, HasSubstr("its scale is not known"));
+  const CameraList written = read_cameras_json(out / "cameras.json");
+  const CameraList given = read_cameras_json(out / "given_cameras.json");
+  EXPECT_FALSE(written.metric);
+  EXPECT_TRUE(given.metric);  // the drawn scene is in metres
+  const Scene scene = open_scene(folder_->path() / "scene");
+  ASSERT_EQ(written.records.size(), 4U);
+  for (const auto& record : given.records) EXPECT_EQ(record.depth, "");
+  EXPECT_EQ(given.records[1].camera.world_from_camera.matrix(),
+            scene.frames[3].camera.world_from_camera.matrix());
+  EXPECT_NE(written.records[1].depth, "");
+  // The model's cameras, of which those of the rays are a copy in its own frame.
+  asked = options("no_scale_rays");
+  asked.outputs = {"image", "depth", "rays", "points"};
+  asked.scale_from = {"camera_poses"};
+  run(asked);
+  const CameraList predicted =
+      read_cameras_json(std::filesystem::path(asked.out) / "rays" / "predicted_cameras.json");
+  const auto distance = [](const CameraList& list) {
+    return (list.records[0].camera.world_from_camera.translation() -
+            list.records[3].camera.world_from_camera.translation())
+        .norm();
+  };
+  EXPECT_NEAR(distance(written), distance(predicted), 1e-9);
+  EXPECT_EQ(written.records[3].camera.intrinsics, predicted.records[3].camera.intrinsics);
+}
+
+// Depth that was measured tells the scale when it is asked; a scene without has none to ask.
+TEST_F(Sampling, MeasuredDepthOfASourceTellsTheScaleWhenAsked) {
+  auto asked = options("measured");
+  asked.outputs = {"depth"};
+  asked.scale_from = {"source_depth"};
+  const auto report = run(asked);
+  ASSERT_EQ(report.at("depth_scale_estimates").size(), 1U);
+  EXPECT_EQ(report.at("depth_scale_estimates").at(0).at("estimator"), "source_depth");
+  asked.scale_from = {"source_depths"};
+  EXPECT_EQ(test::error_of([&] { asked.check(); }),
+            "--scale-from: expected camera_poses, photographs, sparse_points, source_depth, found "
+            "'source_depths'; did you mean 'source_depth'?");
+}
+
+TEST_F(Sampling, PhotographsNeedNoCameras) {
+  auto asked = options("photographs");
+  asked.scene.clear();
+  asked.photos = {(folder_->path() / "scene" / "images").string()};
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 2;
+  asked.outputs = {"image", "depth"};
+  EXPECT_EQ(test::error_of([&] { asked.check(); }), "");
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("scene").at("sources"), 6);
+  EXPECT_EQ(report.at("scene").at("views").size(), 8U);
+  EXPECT_EQ(report.at("photo_cameras").at("cameras").size(), 6U);
+  EXPECT_TRUE(report.at("photo_cameras").contains("doubts"));
+  EXPECT_THAT(printed_, HasSubstr("cameras estimated from the photographs:"));
+  // What was estimated is a scene that the same command takes.
+  const Scene estimated = open_scene(std::filesystem::path(asked.out) / "photo_scene");
+  ASSERT_EQ(estimated.frames.size(), 6U);
+  EXPECT_EQ(estimated.frames[0].camera.world_from_camera.matrix(), Eigen::Matrix4d::Identity());
+  EXPECT_EQ(estimated.frames[5].image().width, 112);
+  asked.scene = (folder_->path() / "scene").string();
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--scene, --photos: expected one of the two, found both; leave out --photos where the scene has cameras.");
+  asked.scene.clear();
+  asked.photos = {(folder_->path() / "model").string()};
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--photos: expected photographs, or folders of them, found '" + asked.photos[0] +
+                "', which has none; check the name.");
 }
 
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {
@@ -260,7 +344,8 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
             "--device: expected cpu, cuda or cuda:N, found 'tpu'; write for example --device cpu.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.scene.clear(); }),
-      "--scene: expected a folder of images with cameras, found nothing; add for example --scene my_photos.");
+      "--scene: expected a folder of images with cameras, found nothing; add for example --scene my_photos, "
+      "or --photos my_photos where there are no cameras.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.out.clear(); }),
             "--out: expected a folder to write into, found nothing; add for example --out runs/sample.");
   EXPECT_FALSE(std::filesystem::exists(folder_->path() / "refused"));

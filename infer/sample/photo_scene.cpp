@@ -1,0 +1,104 @@
+#include "infer/sample/photo_scene.h"
+
+#include "datasets/formats/cameras_json.h"
+#include "datasets/formats/file_listing.h"
+#include "datasets/images/image_file.h"
+#include "datasets/scenes/resize_crop.h"
+#include "gld/base/error.h"
+#include "infer/export/image_export.h"
+#include "infer/pipeline/bundle_models.h"
+#include "infer/pipeline/sampling_scene.h"
+#include "infer/pipeline/scene_request.h"
+
+#include <filesystem>
+#include <set>
+
+namespace gld {
+namespace {
+
+std::vector<std::filesystem::path> photograph_files(const std::vector<std::string>& photos) {
+  std::vector<std::filesystem::path> files;
+  for (const std::string& photo : photos) {
+    const std::filesystem::path path = photo;
+    if (std::filesystem::is_regular_file(path)) {
+      files.push_back(path);
+      continue;
+    }
+    const auto listed = list_images(path);
+    if (listed.empty()) {
+      fail({"--photos", "photographs, or folders of them", "'" + photo + "', which has none",
+            "check the name"});
+    }
+    files.insert(files.end(), listed.begin(), listed.end());
+  }
+  return files;
+}
+
+std::vector<std::string> names_of(const Scene& scene) {
+  std::vector<std::string> names;
+  for (const Frame& frame : scene.frames) names.push_back(frame.name);
+  return names;
+}
+
+}  // namespace
+
+PhotoScene photo_scene(const std::vector<std::string>& photos, const std::string& size,
+                       const ModelBundle& bundle, const torch::Device& device) {
+  PhotoScene made;
+  Scene& scene = made.scene;
+  scene.name = "photographs";
+  scene.format = "photos";
+  std::vector<Image> originals;
+  std::set<std::string> names;
+  for (const auto& file : photograph_files(photos)) {
+    Frame frame;
+    frame.name = file.stem().string();
+    frame.image_file = file;
+    if (!names.insert(frame.name).second) {
+      fail(
+          {"--photos", "photographs of different names", "'" + frame.name + "' twice", "rename one of them"});
+    }
+    originals.push_back(read_image(file, ImageOrientation::kUpright));
+    frame.camera.width = originals.back().width;
+    frame.camera.height = originals.back().height;
+    scene.frames.push_back(std::move(frame));
+  }
+  const BundleOptions& model = bundle.options();
+  const ImageSize wanted = choose_size(size, scene, model.image_sizes(), model.backbone.patch_side());
+  for (const Image& original : originals) {
+    made.images.push_back(resize_crop(original, plan_resize_crop(original.width, original.height, wanted)));
+  }
+  const auto photographs = stacked(made.images);
+  made.found =
+      photo_cameras(geometry_of_photographs(bundle_models(bundle, device), photographs, device), photographs);
+  for (size_t i = 0; i < scene.frames.size(); ++i) {
+    scene.frames[i].camera = made.found.cameras[i];
+    scene.frames[i].load_image = [image = made.images[i]] { return image; };
+  }
+  made.text = photo_cameras_text(made.found, names_of(scene));
+  for (const std::string& doubt : made.found.doubts()) {
+    scene.warnings.push_back("the cameras estimated from the photographs are not sure: " + doubt);
+  }
+  return made;
+}
+
+void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenance& provenance) {
+  const auto folder = run.subfolder("photo_scene");
+  CameraList list;
+  for (size_t i = 0; i < photos.images.size(); ++i) {
+    CameraRecord record;
+    record.name = photos.scene.frames[i].name;
+    record.camera = photos.scene.frames[i].camera;
+    record.image = record.name + ".png";
+    export_image(folder / record.image, photos.images[i], provenance);
+    list.records.push_back(record);
+  }
+  write_cameras_json(folder / "cameras.json", list);
+  run.note("photographs with cameras", "photo_scene");
+}
+
+nlohmann::ordered_json photo_scene_json(const PhotoScene& photos) {
+  return photo_cameras_json(photos.found, names_of(photos.scene));
+}
+
+}  // namespace gld

@@ -1,0 +1,61 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/cameras/photo_consistency.h"
+
+#include <cmath>
+#include <vector>
+
+#include <Eigen/LU>
+
+namespace gld::test {
+
+// A slanted plane, painted with waves of several lengths, so that windows of it match at one place only.
+struct TexturedPlane {
+  Eigen::Vector3d normal = Eigen::Vector3d(0.25, -0.2, 1).normalized();
+  double distance = 4;  // normal . x = distance
+
+  static float brightness(const Eigen::Vector3d& x, size_t colour) {
+    const double shift = 2.1 * static_cast<double>(colour);
+    return static_cast<float>(0.5 + 0.16 * std::sin(5.3 * x.x() + 2.9 * x.y() + shift) +
+                              0.16 * std::sin(-3.1 * x.x() + 6.7 * x.y() + 2 * shift) +
+                              0.16 * std::sin(11.3 * x.x() - 9.1 * x.y() + 3 * shift));
+  }
+
+  // Depth in units that are `unit` long in the world. Without a picture where not photographed.
+  PicturedView seen_by(const Camera& camera, double unit, bool photographed = true) const {
+    PicturedView view;
+    view.camera = camera;
+    view.width = view.depth.width = camera.width;
+    view.height = view.depth.height = camera.height;
+    const Eigen::Vector3d centre = camera.world_from_camera.translation();
+    for (int64_t y = 0; y < camera.height; ++y) {
+      for (int64_t x = 0; x < camera.width; ++x) {
+        const Eigen::Vector3d direction =
+            camera.world_from_camera.linear() *
+            (camera.intrinsics.inverse() *
+             Eigen::Vector3d(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5, 1));
+        const double depth = (distance - normal.dot(centre)) / normal.dot(direction);
+        view.depth.values.push_back(static_cast<float>(depth / unit));
+        if (!photographed) continue;
+        for (size_t c = 0; c < 3; ++c) view.rgb.push_back(brightness(centre + depth * direction, c));
+      }
+    }
+    return view;
+  }
+};
+
+// Looks along z, turned by an angle about y.
+inline Camera camera_before_plane(const Eigen::Vector3d& centre, double turn, int64_t width = 96,
+                                  int64_t height = 72) {
+  Camera camera;
+  camera.width = width;
+  camera.height = height;
+  const auto w = static_cast<double>(width), h = static_cast<double>(height);
+  camera.intrinsics << w, 0, w / 2, 0, w, h / 2, 0, 0, 1;
+  camera.world_from_camera.linear() = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  camera.world_from_camera.translation() = centre;
+  return camera;
+}
+
+}  // namespace gld::test
