@@ -1,12 +1,17 @@
 #include "cli/command.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/flag_values.h"
+#include "gld/base/interrupt.h"
+#include "gld/report/progress.h"
+#include "gld/report/provenance.h"
 
 #include <algorithm>
 #include <iostream>
 #include <map>
 #include <new>
 #include <optional>
+#include <set>
 
 #include <c10/util/Exception.h>
 
@@ -17,18 +22,19 @@ namespace {
 
 constexpr int kFailed = 1;
 constexpr int kWrongUsage = 2;
-constexpr int kInterrupted = 130;  // the shell's convention for SIGINT
 
-struct Setting {
+struct FlagValue {
   std::string key;
   std::string value;
+  std::string flag;  // as it is shown: "--sources"
 };
 
 // What the command line said about the options, before it is applied in the documented order.
 struct Collected {
   std::string config_file;
+  bool quiet = false;
   std::vector<std::string> settings;
-  std::vector<Setting> flags;
+  std::vector<FlagValue> flags;
 };
 
 std::string dashed(std::string key) {
@@ -38,26 +44,55 @@ std::string dashed(std::string key) {
 
 std::string last_part(const std::string& key) { return key.substr(key.rfind('.') + 1); }
 
+bool has_short_form(const std::string& key, const std::map<std::string, int>& uses_of_last_part) {
+  const std::string last = last_part(key);
+  return last != key && uses_of_last_part.at(last) == 1;
+}
+
 // "--solver.evaluations,--evaluations": the short form only where it is unambiguous.
 std::string flag_names(const std::string& key, const std::map<std::string, int>& uses_of_last_part,
                        const std::string& prefix) {
   std::string names = prefix + dashed(key);
-  const std::string last = last_part(key);
-  if (last != key && uses_of_last_part.at(last) == 1) names += "," + prefix + dashed(last);
+  if (has_short_form(key, uses_of_last_part)) names += "," + prefix + dashed(last_part(key));
   return names;
 }
 
-void add_flags(CLI::App& app, const OptionsGroup& options, Collected& collected) {
+// Types of the options that commands have outside groups, by name.
+using OutermostTypes = std::map<std::string, std::set<std::string>>;
+
+void add_outermost_types(const std::vector<Command>& commands, OutermostTypes& types) {
+  for (const auto& command : commands) {
+    add_outermost_types(command.subcommands, types);
+    if (!command.options) continue;
+    for (const auto& option : describe_options(*command.options)) {
+      if (option.key.find('.') == std::string::npos) types[option.key].insert(option.type + option.range);
+    }
+  }
+}
+
+void add_flags(CLI::App& app, const OptionsGroup& options, const OutermostTypes& outermost,
+               Collected& collected) {
   app.add_option("--config", collected.config_file, "YAML file of options, applied before --set and flags")
       ->type_name("FILE");
   app.add_option("--set", collected.settings, "set one option, applied after --config; may be repeated")
       ->type_name("KEY=VALUE")
       ->allow_extra_args(false);
+  app.add_flag("--quiet", collected.quiet, "print warnings and errors only");
   const auto descriptions = describe_options(options);
-  std::map<std::string, int> uses_of_last_part{{"config", 1}, {"set", 1}, {"help", 1}};
-  for (const auto& description : descriptions) ++uses_of_last_part[last_part(description.key)];
+  std::map<std::string, int> uses_of_last_part{{"config", 1}, {"set", 1}, {"help", 1}, {"quiet", 1}};
+  for (const auto& description : descriptions) {
+    const std::string last = last_part(description.key);
+    ++uses_of_last_part[last];
+    // "--tolerance" is what gld sample calls so, and not the solver's where a command has that alone.
+    const auto other = outermost.find(last);
+    if (last != description.key && other != outermost.end() &&
+        other->second.count(description.type + description.range) == 0) {
+      ++uses_of_last_part[last];
+    }
+  }
   for (const auto& description : descriptions) {
     const std::string key = description.key;
+    const std::string shown = "--" + dashed(has_short_form(key, uses_of_last_part) ? last_part(key) : key);
     std::string type = description.type;
     if (!description.range.empty()) type += " " + description.range;
     if (description.type == "true|false") {
@@ -65,8 +100,8 @@ void add_flags(CLI::App& app, const OptionsGroup& options, Collected& collected)
           flag_names(key, uses_of_last_part, "--") + "," + flag_names(key, uses_of_last_part, "!--no-");
       app.add_flag_function(
              names,
-             [&collected, key](int64_t count) {
-               collected.flags.push_back({key, count > 0 ? "true" : "false"});
+             [&collected, key, shown](int64_t count) {
+               collected.flags.push_back({key, count > 0 ? "true" : "false", shown});
              },
              description.help + " (default " + description.default_value + ")")
           ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
@@ -74,8 +109,8 @@ void add_flags(CLI::App& app, const OptionsGroup& options, Collected& collected)
     }
     auto* option = app.add_option_function<std::string>(
         flag_names(key, uses_of_last_part, "--"),
-        [&collected, key](const std::string& value) {
-          collected.flags.push_back({key, value});
+        [&collected, key, shown](const std::string& value) {
+          collected.flags.push_back({key, value, shown});
         },
         description.help);
     option->type_name(type)->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
@@ -91,11 +126,23 @@ std::vector<std::string> known_flags(const CLI::App& app) {
   return names;
 }
 
+// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else the nearest name.
+std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
+  if (flag.rfind("--", 0) == 0) {
+    const std::string end = "." + flag.substr(2);
+    for (const auto& name : known) {
+      if (name.size() > end.size() && name.compare(name.size() - end.size(), end.size(), end) == 0)
+        return name;
+    }
+  }
+  return nearest_name(flag, known);
+}
+
 void refuse_unknown(const Command& command, const CLI::App& app, const std::vector<std::string>& left_over) {
   for (const auto& argument : left_over) {
     if (argument.size() < 2 || argument[0] != '-') continue;
     const std::string flag = argument.substr(0, argument.find('='));
-    const auto near = nearest_name(flag, known_flags(app));
+    const auto near = flag_like(flag, known_flags(app));
     fail({"gld " + command.name, "a known flag", "'" + flag + "'",
           near.empty() ? "see gld " + command.name + " --help" : "did you mean " + near + "?"});
   }
@@ -116,7 +163,7 @@ void apply(const Collected& collected, OptionsGroup& options) {
   if (!collected.config_file.empty()) load_yaml(options, collected.config_file);
   for (const auto& setting : collected.settings) apply_setting(options, setting);
   for (const auto& flag : collected.flags) {
-    apply_setting(options, flag.key, flag.value, "--" + dashed(flag.key));
+    apply_flag(options, flag.key, flag.value, flag.flag);
   }
 }
 
@@ -131,17 +178,41 @@ std::vector<std::string> named_keys(const Collected& collected) {
 struct Invocation {
   const Command* command = nullptr;
   std::vector<std::string> arguments;
+  bool quiet = false;
 };
 
+// Keeps standard output from showing anything for as long as it lives.
+class SilentOutput {
+ public:
+  SilentOutput() : before_(std::cout.rdbuf(nullptr)) {}
+  ~SilentOutput() {
+    std::cout.rdbuf(before_);
+    std::cout.clear();  // writing without a buffer sets badbit
+  }
+  SilentOutput(const SilentOutput&) = delete;
+  SilentOutput& operator=(const SilentOutput&) = delete;
+
+ private:
+  std::streambuf* before_;
+};
+
+int run_invocation(const Invocation& invocation) {
+  std::unique_ptr<SilentOutput> silent;
+  if (invocation.quiet) silent = std::make_unique<SilentOutput>();
+  show_progress(!invocation.quiet);
+  return invocation.command->run(invocation.arguments);
+}
+
 // Empty after --help, which is printed.
-std::optional<Invocation> parse(const Command& command, std::vector<std::string> arguments) {
+std::optional<Invocation> parse(const Command& command, std::vector<std::string> arguments,
+                                const OutermostTypes& outermost) {
   CLI::App app(
       command.summary + (command.description.empty() ? "" : "\n\n" + command.description),
       "gld " + command.name + (command.arguments.usage.empty() ? "" : " " + command.arguments.usage));
   app.allow_extras();
   app.get_formatter()->column_width(48);
   Collected collected;
-  if (command.options) add_flags(app, *command.options, collected);
+  if (command.options) add_flags(app, *command.options, outermost, collected);
   try {
     std::reverse(arguments.begin(), arguments.end());  // CLI11 takes them last first
     app.parse(arguments);
@@ -159,7 +230,7 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
     if (command.on_named) command.on_named(named_keys(collected));
     check_options(*command.options, "gld " + command.name);
   }
-  return Invocation{&command, left_over};
+  return Invocation{&command, left_over, collected.quiet};
 }
 
 // A program, or a command that has commands of its own.
@@ -167,33 +238,46 @@ struct CommandGroup {
   std::string program;  // "gld train"
   std::string description;
   const std::vector<Command>& commands;  // outlive what is found among them
+  const OutermostTypes& outermost;       // of the whole program
 };
 
 void print_overview(const CommandGroup& group) {
-  const auto& [program, description, commands] = group;
-  if (!description.empty()) std::cout << description << "\n";
+  const std::string& program = group.program;
+  if (!group.description.empty()) std::cout << group.description << "\n";
   std::cout << "Usage: " << program << " COMMAND [options]\n\nCommands:\n";
   const auto last_word = [](const Command& command) {
     return command.name.substr(command.name.rfind(' ') + 1);
   };
   size_t width = 0;
-  for (const auto& command : commands) width = std::max(width, last_word(command).size());
-  for (const auto& command : commands) {
+  for (const auto& command : group.commands) width = std::max(width, last_word(command).size());
+  for (const auto& command : group.commands) {
     const std::string last = last_word(command);
     std::cout << "  " << last << std::string(width - last.size() + 2, ' ') << command.summary << "\n";
   }
-  std::cout << "\n" << program << " COMMAND --help lists a command's options with type, range and default.\n";
+  std::cout << "\n"
+            << program
+            << " COMMAND --help, or gld help COMMAND, lists a command's options with type, range and "
+            << "default; gld --version says which program this is.\n";
 }
 
 std::optional<Invocation> find_and_parse(const CommandGroup& group,
                                          const std::vector<std::string>& arguments) {
-  const auto& [program, description, commands] = group;
+  const auto& [program, description, commands, outermost] = group;
   if (arguments.empty()) {
     print_overview(group);
     fail({program, "a command", "none", "choose one of the above"});
   }
+  if (arguments[0] == "help" && arguments.size() > 1) {  // gld help train level: gld train level --help
+    std::vector<std::string> asked(arguments.begin() + 1, arguments.end());
+    asked.emplace_back("--help");
+    return find_and_parse(group, asked);
+  }
   if (arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
     print_overview(group);
+    return std::nullopt;
+  }
+  if (arguments[0] == "--version" && program == "gld") {
+    std::cout << program_version() << "\n";
     return std::nullopt;
   }
   std::vector<std::string> names;
@@ -205,9 +289,9 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     if (!command.subcommands.empty()) {
       const std::string heading =
           command.summary + (command.description.empty() ? "" : "\n\n" + command.description) + "\n";
-      return find_and_parse({"gld " + command.name, heading, command.subcommands}, rest);
+      return find_and_parse({"gld " + command.name, heading, command.subcommands, outermost}, rest);
     }
-    return parse(command, rest);
+    return parse(command, rest, outermost);
   }
   const auto near = nearest_name(arguments[0], names);
   fail({program, "a command", "'" + arguments[0] + "'",
@@ -218,16 +302,21 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
 
 int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments) {
   int status_of_error = kWrongUsage;
+  install_interrupt_handler(StopDeadline::kOneSecond);
   try {
-    const auto invocation = find_and_parse({"gld", "", commands}, arguments);
+    OutermostTypes outermost;
+    add_outermost_types(commands, outermost);
+    const auto invocation = find_and_parse({"gld", "", commands, outermost}, arguments);
     if (!invocation) return 0;
     status_of_error = kFailed;
-    return invocation->command->run(invocation->arguments);
+    return run_invocation(*invocation);
   } catch (const Interrupted& interrupted) {
     std::cerr << "interrupted: " << interrupted.what() << "\n";
-    return kInterrupted;
+    return kInterruptedStatus;
   } catch (const Error& error) {
     std::cerr << "error: " << error.what() << "\n";
+    // Some values can only be judged with the scene or the model in hand.
+    if (error.parts().where.rfind("--", 0) == 0) return kWrongUsage;
   } catch (const c10::Error& error) {
     const std::string text = error.what_without_backtrace();
     std::cerr << "error: LibTorch refused an operation: " << text.substr(0, text.find('\n')) << "\n";

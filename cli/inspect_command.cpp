@@ -1,5 +1,6 @@
 #include "cli/inspect_command.h"
 
+#include "gld/base/command_options.h"
 #include "models/bundle/inspection.h"
 
 #include <iostream>
@@ -10,7 +11,7 @@ namespace {
 
 struct InspectOptions : OptionsGroup {
   bool json = false;
-  void visit(FieldVisitor& visitor) override { visitor.boolean({"json", "print JSON"}, json); }
+  void visit(FieldVisitor& visitor) override { visit_json(visitor, json); }
 };
 
 }  // namespace

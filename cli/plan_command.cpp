@@ -1,7 +1,9 @@
 #include "cli/plan_command.h"
 
+#include "gld/base/error.h"
 #include "infer/sample/sampling.h"
 
+#include <algorithm>
 #include <iostream>
 
 namespace gld {
@@ -17,8 +19,15 @@ struct PlanOptions : SampleOptions {
                     measure);
   }
   void check() const override {
+    // A configuration of gld sample may name a folder; asked for on the command line, it would be waited for in vain.
+    for (const char* key : {"out", "overwrite", "resume"}) {
+      if (std::find(named.begin(), named.end(), key) == named.end()) continue;
+      fail({std::string("--") + key, "no folder: gld plan writes nothing", "one",
+            "leave it out, or run gld sample"});
+    }
     SampleOptions with_folder = *this;
     with_folder.out = "unused";
+    with_folder.overwrite = with_folder.resume = false;
     with_folder.SampleOptions::check();
   }
 };

@@ -1,6 +1,7 @@
 #include "cli/verify_command.h"
 
 #include "cli/reference_training.h"
+#include "gld/base/command_options.h"
 #include "infer/verify/verification.h"
 
 #include <algorithm>
@@ -12,9 +13,7 @@ namespace {
 
 struct VerifyOptions : OptionsGroup {
   bool json = false;
-  void visit(FieldVisitor& visitor) override {
-    visitor.boolean({"json", "print one JSON object instead of lines"}, json);
-  }
+  void visit(FieldVisitor& visitor) override { visit_json(visitor, json); }
 };
 
 int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {

@@ -37,11 +37,11 @@ stage() {
     echo "train_tiny: $name is done already"
     return
   fi
-  local how=()
+  local how=(--overwrite)  # of a run that was stopped before its first checkpoint
   if has_checkpoint "$name"; then
     how=(--resume)
   elif [ "$start" != - ]; then
-    how=(--set "$start" --set loop.learning_rate.warmup_steps=0)
+    how+=(--set "$start" --set loop.learning_rate.warmup_steps=0)
     echo "train_tiny: $name goes on from the weights in $model; its curve begins anew"
   fi
   "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$runs/$name" --device "$device" "$@" \
@@ -61,7 +61,7 @@ if has_checkpoint backbone || [ ! -f "$recipe/statistics_level1.safetensors" ]; 
 fi
 if [ -f "$runs/stats/report.json" ] || [ "$base" != "$recipe" ]; then
   if [ "$action" = train ] && [ ! -f "$runs/stats/report.json" ]; then
-    "$gld" stats --config "$recipe/stats.yaml" --model "$base" --out "$runs/stats" --device "$device"
+    "$gld" stats --config "$recipe/stats.yaml" --model "$base" --out "$runs/stats" --overwrite --device "$device"
   fi
   base=$runs/stats/model
 fi

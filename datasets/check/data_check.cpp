@@ -122,7 +122,10 @@ void load_some(const Scene& scene, const DataCheckOptions& options, DataCheck& c
   for (size_t i = 0; i < wanted; ++i) {
     const Frame& frame = scene.frames[i * count / wanted];
     try {
-      if (frame.has_image()) frame.image();
+      if (frame.has_image()) {
+        frame.image();
+        ++check.decoded_images;
+      }
       if (!frame.has_depth()) continue;
       for (float value : frame.depth().metres) {
         if (value <= 0) continue;
@@ -208,7 +211,8 @@ DataCheckOptions::DataCheckOptions() { reading.broken_frames = BrokenFrames::kSk
 
 void DataCheckOptions::visit(FieldVisitor& visitor) {
   visitor.group({"reading", "how scenes are read"}, reading);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
+  visit_json(visitor, json);
   visitor.integer({"most_scenes", "checked in a folder of scenes"}, most_scenes, {1, 1'000'000});
   visitor.integer({"most_images", "decoded in each scene"}, most_images, {0, 1'000'000});
   visitor.integer({"most_pairs", "of neighbouring frames compared"}, most_pairs, {1, 1000});
@@ -221,6 +225,9 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
   check.scene = scene.name;
   check.format = scene.format;
   check.frames = static_cast<int64_t>(scene.frames.size());
+  for (const Frame& frame : scene.frames) {
+    check.list.push_back({frame.name, frame.camera.width, frame.camera.height});
+  }
   check.missing_files = scene.missing_files;
   check.broken_frames = scene.broken_frames;
   check.notes = scene.warnings;
@@ -228,6 +235,11 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
                                           [](const Frame& frame) { return frame.has_depth(); });
   measure_cameras(scene, check);
   load_some(scene, options, check);
+  const bool pictures = std::any_of(scene.frames.begin(), scene.frames.end(),
+                                    [](const Frame& frame) { return frame.has_image(); });
+  if (!pictures) {
+    check.problems.emplace_back("No frame has a picture: gld sample and gld train have nothing to look at.");
+  }
   look_for_turned_images(scene, check);
   look_at_principal_point(scene, check);
   if (!check.problems.empty()) return check;  // comparing pixels of images that cannot be loaded helps nobody
@@ -240,11 +252,27 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
   return check;
 }
 
+namespace {
+
+// What a command says that refuses broken frames.
+void name_first_broken_frame(const SceneLocation& location, SceneReading reading, DataCheck& check) {
+  reading.broken_frames = BrokenFrames::kRefuse;
+  try {
+    open_scene(location.path, reading);
+  } catch (const Error& error) {
+    check.problems.emplace_back(error.what());
+  }
+}
+
+}  // namespace
+
 DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options) {
   SceneReading reading = options.reading;
   reading.part = location.part;
   try {
-    return check_scene(open_scene(location.path, reading), options);
+    DataCheck check = check_scene(open_scene(location.path, reading), options);
+    if (check.broken_frames > 0) name_first_broken_frame(location, reading, check);
+    return check;
   } catch (const Error& error) {
     DataCheck check;
     check.scene = location.path.string();

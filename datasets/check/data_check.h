@@ -16,7 +16,9 @@ namespace gld {
 
 struct DataCheckOptions : OptionsGroup {
   SceneReading reading;
-  std::string out;          // run folder; empty: only text
+  std::string out;  // run folder; empty: only text
+  bool overwrite = false;
+  bool json = false;
   int64_t most_scenes = 5;  // of a folder of scenes
   int64_t most_images = 8;  // decoded to see whether they can be
   int64_t most_pairs = 6;   // of frames compared
@@ -31,11 +33,18 @@ struct Span {
   double high = 0;
 };
 
+struct CheckedFrame {
+  std::string name;
+  int64_t width = 0, height = 0;  // pixels
+};
+
 // What was found in one scene.
 struct DataCheck {
   std::string scene;
   std::string format;
   int64_t frames = 0;
+  std::vector<CheckedFrame> list;  // in the order of their numbers
+  int64_t decoded_images = 0;
   int64_t missing_files = 0;
   int64_t broken_frames = 0;
   int64_t frames_with_depth = 0;

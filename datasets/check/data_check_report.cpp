@@ -22,9 +22,23 @@ nlohmann::ordered_json span_json(const Span& span) { return {span.low, span.high
 // Only one scene is asked for when the path is one.
 std::vector<SceneLocation> scenes_at(const std::filesystem::path& path, const DataCheckOptions& options) {
   if (!options.reading.part.empty()) return {{path, options.reading.part}};
-  std::vector<SceneLocation> scenes = list_scenes(path, options.reading);
-  scenes.resize(std::min<size_t>(scenes.size(), static_cast<size_t>(options.most_scenes)));
-  return scenes;
+  return list_scenes(path, options.reading);
+}
+
+// Number, name and size, of a long scene its first and last frames; report.json has all.
+std::string frame_lines(const std::vector<CheckedFrame>& frames) {
+  constexpr size_t kMostShown = 24;
+  std::string text;
+  for (size_t i = 0; i < frames.size(); ++i) {
+    if (frames.size() > kMostShown && i == kMostShown / 2) {
+      const size_t left_out = frames.size() - kMostShown;
+      text += fmt::format("  {:<14} ... {} frames more ...\n", "", left_out);
+      i += left_out;
+    }
+    text += fmt::format("  {:<14} {} {} {}x{}\n", i == 0 ? "frame" : "", i, frames[i].name, frames[i].width,
+                        frames[i].height);
+  }
+  return text;
 }
 
 }  // namespace
@@ -57,6 +71,10 @@ std::string data_check_text(const DataCheck& check) {
       line("", fmt::format("({} comparisons: {})", check.poses.comparisons, check.poses.method));
     }
   }
+  text += frame_lines(check.list);
+  if (check.decoded_images > 0 && check.decoded_images < check.frames) {
+    line("decoded", fmt::format("{} of {} images (--most-images)", check.decoded_images, check.frames));
+  }
   for (const std::string& note : check.notes) line("note", note);
   for (const std::string& problem : check.problems) line("PROBLEM", problem);
   if (check.problems.empty()) line("result", "no mistakes found");
@@ -68,6 +86,13 @@ nlohmann::ordered_json data_check_json(const DataCheck& check) {
   object["scene"] = check.scene;
   object["format"] = check.format;
   object["frames"] = check.frames;
+  object["list"] = nlohmann::ordered_json::array();
+  for (size_t i = 0; i < check.list.size(); ++i) {
+    const CheckedFrame& frame = check.list[i];
+    object["list"].push_back(
+        {{"number", i}, {"name", frame.name}, {"width", frame.width}, {"height", frame.height}});
+  }
+  object["decoded_images"] = check.decoded_images;
   object["missing_files"] = check.missing_files;
   object["broken_frames"] = check.broken_frames;
   object["frames_with_depth"] = check.frames_with_depth;
@@ -93,15 +118,18 @@ nlohmann::ordered_json data_check_json(const DataCheck& check) {
 }
 
 int run_data_check(const std::filesystem::path& path, const DataCheckOptions& options) {
-  const auto scenes = scenes_at(path, options);
+  auto scenes = scenes_at(path, options);
+  const size_t found = scenes.size();
+  scenes.resize(std::min<size_t>(found, static_cast<size_t>(options.most_scenes)));
   std::unique_ptr<RunFolder> run;
-  if (!options.out.empty()) run = std::make_unique<RunFolder>(options.out, "check-data", options);
+  if (!options.out.empty())
+    run = std::make_unique<RunFolder>(options.out, "check-data", options, earlier_run(options.overwrite));
   nlohmann::ordered_json report;
   report["scenes"] = nlohmann::ordered_json::array();
   size_t with_problems = 0;
   for (size_t i = 0; i < scenes.size(); ++i) {
     const DataCheck check = check_scene(scenes[i], options);
-    std::cout << data_check_text(check) << std::flush;
+    if (!options.json) std::cout << data_check_text(check) << std::flush;
     with_problems += check.problems.empty() ? 0 : 1;
     report["scenes"].push_back(data_check_json(check));
     if (run == nullptr || check.frames == 0) continue;
@@ -111,10 +139,20 @@ int run_data_check(const std::filesystem::path& path, const DataCheckOptions& op
     write_png(run->path() / name, draw_camera_layout(open_scene(scenes[i].path, reading)));
     run->note("cameras of " + check.scene, name);
   }
+  report["scenes_found"] = found;
+  report["scenes_checked"] = scenes.size();
   if (run != nullptr) {
     run->write_report(report);
     run->note("report", "report.json");
-    std::cout << run->closing_box();
+  }
+  if (options.json) {
+    std::cout << report.dump(2) << "\n";
+  } else {
+    if (scenes.size() < found) {
+      std::cout << fmt::format("{} of {} scenes were checked; --most-scenes {} checks all\n", scenes.size(),
+                               found, found);
+    }
+    if (run != nullptr) std::cout << run->closing_box();
   }
   return with_problems == 0 ? 0 : 1;
 }

@@ -27,12 +27,18 @@ void SceneBuilder::add(const std::string& where, const std::function<std::option
     scene_.frames.push_back(*std::move(frame));
   } catch (const Error& error) {
     if (broken_frames_ == BrokenFrames::kRefuse) throw;
+    note_gap();
     ++scene_.broken_frames;
     scene_.warnings.emplace_back(error.what());
   }
 }
 
+void SceneBuilder::note_gap() {
+  if (scene_.missing_files + scene_.broken_frames == 0) first_gap_ = scene_.frames.size();
+}
+
 void SceneBuilder::add_missing(const std::filesystem::path& file) {
+  note_gap();
   if (scene_.missing_files == 0) first_missing_ = file.string();
   ++scene_.missing_files;
 }
@@ -50,6 +56,14 @@ Scene SceneBuilder::finish() {
     }
     fail({scene_.folder.string(), "at least one frame", found,
           "check that images and cameras belong together"});
+  }
+  const int64_t left_out = scene_.missing_files + scene_.broken_frames;
+  if (left_out > 0 && first_gap_ < scene_.frames.size()) {
+    scene_.warnings.push_back("Frame numbers count the frames that are there: from '" +
+                              scene_.frames[first_gap_].name + "' on, which is number " +
+                              std::to_string(first_gap_) +
+                              ", they are smaller than the place in the listing by up to " +
+                              std::to_string(left_out) + ". Names do not shift.");
   }
   if (scene_.missing_files > 0) {
     scene_.warnings.push_back(

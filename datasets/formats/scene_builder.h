@@ -30,6 +30,8 @@ class SceneBuilder {
   Scene scene_;
   BrokenFrames broken_frames_;
   std::string first_missing_;
+  size_t first_gap_ = 0;  // number that the first frame left out would have had
+  void note_gap();
 };
 
 // The size and orientation of the picture a camera belongs to.

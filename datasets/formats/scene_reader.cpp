@@ -114,6 +114,11 @@ Scene open_scene(const std::filesystem::path& path, const SceneReading& reading)
     markers.push_back(known->marker() + " (" + known->name() + ")");
   std::vector<SceneLocation> below;
   collect_scenes(path, reading, 0, below);
+  if (below.size() == 1) {
+    SceneReading only = reading;
+    only.part = below.front().part;
+    return detect_scene_format(below.front().path)->read(below.front().path, only);
+  }
   if (!below.empty()) {
     fail({path.string(), "one scene", "a folder of " + std::to_string(below.size()) + " scenes",
           "name one of them, such as " + below.front().path.string()});

@@ -73,7 +73,7 @@ void ViewSampling::visit(FieldVisitor& visitor) {
   visitor.integer({"most_sources", "source views, at most; the evaluation modes take this many"},
                   most_sources, {1, 999});
   visit_choice(visitor,
-               {"sources",
+               {"source_choice",
                 "how source views are chosen: at random, spread evenly with the targets between, or the "
                 "first ones"},
                sources, {"random", "interpolate", "prefix"});

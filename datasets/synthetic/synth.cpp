@@ -24,7 +24,7 @@ SynthOptions::SynthOptions() { scene.scene_count = 4; }
 void SynthOptions::visit(FieldVisitor& visitor) {
   visitor.group({"scene", "what is generated"}, scene);
   visitor.text({"layout", fmt::format("on disk: {}", fmt::join(scene_layout_names(), ", "))}, layout);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visit_threads(visitor, threads);
 }
 
@@ -40,7 +40,7 @@ void SynthOptions::check() const {
 
 void run_synth(const SynthOptions& options) {
   options.check();
-  RunFolder run(options.out, "synth", options);
+  RunFolder run(options.out, "synth", options, earlier_run(options.overwrite));
   const auto folder = run.subfolder("scenes");
   Progress progress("scenes", options.scene.scene_count);
   std::atomic<int64_t> next{0};

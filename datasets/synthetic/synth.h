@@ -11,6 +11,7 @@ struct SynthOptions : OptionsGroup {
   SyntheticOptions scene;
   std::string layout = "cameras-json";
   std::string out;  // run folder
+  bool overwrite = false;
   int64_t threads = 0;
 
   SynthOptions();

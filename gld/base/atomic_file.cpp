@@ -1,6 +1,8 @@
 #include "gld/base/atomic_file.h"
 
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/base/run_journal.h"
 
 #include <atomic>
 #include <cerrno>
@@ -32,9 +34,11 @@ AtomicFile::AtomicFile(std::filesystem::path target)
     fail({target_.string(), "an existing folder to write into", "no folder " + folder.string(),
           "create it or choose another output"});
   }
+  remove_if_unfinished(temporary_.string());
 }
 
 AtomicFile::~AtomicFile() {
+  finished(temporary_.string());
   if (committed_) return;
   std::error_code ignored;
   std::filesystem::remove(temporary_, ignored);
@@ -52,6 +56,7 @@ void AtomicFile::commit() {
     fail({target_.string(), "the file to reach the disk", "an error: " + system_reason(),
           "free some space or choose another disk"});
   }
+  note_written(target_);  // before it is there: killed in between, a note too many does no harm
   std::error_code error;
   std::filesystem::rename(temporary_, target_, error);
   if (error) {

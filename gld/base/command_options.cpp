@@ -7,12 +7,20 @@
 
 namespace gld {
 
-void visit_out(FieldVisitor& visitor, std::string& out) {
-  visitor.text({"out", "folder to write into: a new one, or one of an earlier run of the same command"}, out);
+void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite) {
+  visitor.text({"out", "folder to write into: a new one, or see --overwrite"}, out);
+  visitor.boolean(
+      {"overwrite", "remove what an earlier run of this command wrote into the folder, then begin"},
+      overwrite);
 }
 
 void check_out(const std::string& out, const std::string& example) {
   if (out.empty()) fail({"--out", "a folder to write into", "nothing", "add for example --out " + example});
+}
+
+const std::vector<std::string>& options_beside_the_result() {
+  static const std::vector<std::string> names{"out", "overwrite", "resume", "threads", "json"};
+  return names;
 }
 
 void visit_threads(FieldVisitor& visitor, int64_t& threads) {
@@ -22,6 +30,10 @@ void visit_threads(FieldVisitor& visitor, int64_t& threads) {
 int64_t threads_to_use(int64_t threads) {
   // The system may not tell, which is 0 too.
   return threads > 0 ? threads : std::max<int64_t>(1, std::thread::hardware_concurrency());
+}
+
+void visit_json(FieldVisitor& visitor, bool& json) {
+  visitor.boolean({"json", "print the report as JSON in the place of text"}, json);
 }
 
 void visit_device(FieldVisitor& visitor, std::string& device) {

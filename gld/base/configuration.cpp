@@ -2,11 +2,15 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/flag_values.h"
+#include "gld/base/option_differences.h"
 
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <map>
 #include <optional>
+#include <set>
 #include <sstream>
 #include <type_traits>
 
@@ -69,15 +73,18 @@ class LeafVisitor : public FieldVisitor {
   std::string prefix_;
 };
 
-// The place of a value for error messages: "file.yaml:12, key 'solver.evaluations'".
+// The place of a value for error messages: "file.yaml:12, key 'solver.evaluations'", or a flag, which says it all.
+enum class SourceKind { kFile, kSetting, kFlag };
 struct Source {
   std::string where;
-  bool has_lines = false;
+  SourceKind kind = SourceKind::kFile;
 };
 
 std::string place(const Source& source, const YAML::Node& node, const std::string& key) {
+  if (source.kind == SourceKind::kFlag) return source.where;
   std::string text = source.where;
-  if (source.has_lines && node.Mark().line >= 0) text += ":" + std::to_string(node.Mark().line + 1);
+  if (source.kind == SourceKind::kFile && node.Mark().line >= 0)
+    text += ":" + std::to_string(node.Mark().line + 1);
   return text + ", key " + quoted(key);
 }
 
@@ -210,7 +217,13 @@ class Assigner : public FieldVisitor {
     }
     // "0,3" as people write it on a command line.
     std::stringstream parts(node->Scalar());
-    for (std::string part; std::getline(parts, part, ',');) value.push_back(read(YAML::Node(part)));
+    for (std::string part; std::getline(parts, part, ',');) {
+      if constexpr (!std::is_same_v<Value, std::string>) {  // "0, 3"; a text keeps its spaces
+        part.erase(0, part.find_first_not_of(' '));
+        part.erase(part.find_last_not_of(' ') + 1);
+      }
+      value.push_back(read(YAML::Node(part)));
+    }
   }
 
   YAML::Node map_;
@@ -259,6 +272,8 @@ class JsonWriter : public FieldVisitor {
 
 class YamlWriter : public FieldVisitor {
  public:
+  explicit YamlWriter(std::vector<std::string> leave_out) : leave_out_(std::move(leave_out)) {}
+
   void boolean(const Field& field, bool& value) override { line(field, value ? "true" : "false"); }
   void integer(const Field& field, int64_t& value, const IntegerRange&) override {
     line(field, std::to_string(value));
@@ -292,6 +307,8 @@ class YamlWriter : public FieldVisitor {
 
  private:
   void line(const Field& field, const std::string& value) {
+    if (depth_ == 0 && std::find(leave_out_.begin(), leave_out_.end(), field.name) != leave_out_.end())
+      return;
     text_ += std::string(depth_, ' ') + field.name + ": " + value + "\n";
   }
   template <class Value, class Show>
@@ -301,6 +318,7 @@ class YamlWriter : public FieldVisitor {
     line(field, "[" + items + "]");
   }
 
+  std::vector<std::string> leave_out_;
   size_t depth_ = 0;
   std::string text_;
 };
@@ -384,27 +402,77 @@ class RangeChecker : public LeafVisitor {
 // Visiting never changes what these visitors only read; visit() is one function for reading and writing.
 OptionsGroup& visitable(const OptionsGroup& options) { return const_cast<OptionsGroup&>(options); }
 
+// Letters to change, leave out, put in or swap with their neighbour (Damerau's, restricted).
 size_t edit_distance(const std::string& a, const std::string& b) {
-  std::vector<size_t> row(b.size() + 1);
-  for (size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  std::vector<size_t> before(b.size() + 1), above(b.size() + 1), row(b.size() + 1);
+  for (size_t j = 0; j <= b.size(); ++j) above[j] = j;
   for (size_t i = 1; i <= a.size(); ++i) {
-    size_t diagonal = row[0];
     row[0] = i;
     for (size_t j = 1; j <= b.size(); ++j) {
-      const size_t above = row[j];
-      row[j] = std::min({row[j] + 1, row[j - 1] + 1, diagonal + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      diagonal = above;
+      row[j] = std::min({above[j] + 1, row[j - 1] + 1, above[j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
+      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1]) {
+        row[j] = std::min(row[j], before[j - 2] + 1);
+      }
     }
+    before.swap(above);
+    above.swap(row);
   }
-  return row[b.size()];
+  return above[b.size()];
+}
+
+// yaml-cpp takes a key that is there twice, and gives the first value.
+void refuse_duplicate_keys(const YAML::Node& node, const std::string& where) {
+  if (node.IsSequence()) {
+    for (const auto& item : node) refuse_duplicate_keys(item, where);
+  }
+  if (!node.IsMap()) return;
+  std::set<std::string> known;
+  for (const auto& entry : node) {
+    if (entry.first.IsScalar() && !known.insert(entry.first.Scalar()).second) {
+      fail({where + ":" + std::to_string(entry.first.Mark().line + 1), "every key once",
+            quoted(entry.first.Scalar()) + " a second time", "remove one of the two"});
+    }
+    refuse_duplicate_keys(entry.second, where);
+  }
 }
 
 YAML::Node parse_yaml(const std::string& text, const std::string& where) {
   try {
-    return YAML::Load(text);
+    const YAML::Node node = YAML::Load(text);
+    refuse_duplicate_keys(node, where);
+    return node;
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
     fail({where + line, "valid YAML", error.msg, "correct the text"});
+  }
+}
+
+// {a: {b: node}} of the key "a.b".
+YAML::Node nested(const std::string& key, YAML::Node node) {
+  std::stringstream parts(key);
+  std::vector<std::string> names;
+  for (std::string name; std::getline(parts, name, '.');) names.push_back(name);
+  std::reverse(names.begin(), names.end());
+  for (const auto& name : names) {
+    YAML::Node outer(YAML::NodeType::Map);
+    outer[name] = node;
+    node.reset(outer);
+  }
+  return node;
+}
+
+// The leaves of nested maps under their dotted keys, as YAML on one line.
+void flatten(const YAML::Node& node, const std::string& prefix, std::map<std::string, std::string>& leaves) {
+  for (const auto& entry : node) {
+    if (!entry.first.IsScalar()) continue;
+    const std::string key = prefix + entry.first.Scalar();
+    if (entry.second.IsMap()) {
+      flatten(entry.second, key + ".", leaves);
+      continue;
+    }
+    YAML::Emitter emitter;
+    emitter << YAML::Flow << entry.second;
+    leaves[key] = emitter.c_str();
   }
 }
 
@@ -416,7 +484,7 @@ void load_yaml(OptionsGroup& options, const std::filesystem::path& file) {
 }
 
 void load_yaml_text(OptionsGroup& options, const std::string& text, const std::string& where) {
-  assign(options, parse_yaml(text, where), {where, true});
+  assign(options, parse_yaml(text, where), {where, SourceKind::kFile});
 }
 
 void apply_setting(OptionsGroup& options, const std::string& setting) {
@@ -429,28 +497,39 @@ void apply_setting(OptionsGroup& options, const std::string& setting) {
 
 void apply_setting(OptionsGroup& options, const std::string& key, const std::string& value,
                    const std::string& where) {
-  YAML::Node node = parse_yaml(value, where + ", key " + quoted(key));
-  std::stringstream parts(key);
-  std::vector<std::string> names;
-  for (std::string name; std::getline(parts, name, '.');) names.push_back(name);
-  std::reverse(names.begin(), names.end());
-  for (const auto& name : names) {
-    YAML::Node outer(YAML::NodeType::Map);
-    outer[name] = node;
-    node.reset(outer);
-  }
-  assign(options, node, {where, false});
+  assign(options, nested(key, parse_yaml(value, where + ", key " + quoted(key))),
+         {where, SourceKind::kSetting});
+}
+
+void apply_flag(OptionsGroup& options, const std::string& key, const std::string& value,
+                const std::string& flag) {
+  assign(options, nested(key, YAML::Node(value)), {flag, SourceKind::kFlag});
 }
 
 void load_json(OptionsGroup& options, const nlohmann::json& object, const std::string& where) {
   // JSON is a subset of YAML, so both share one reader and its messages.
-  assign(options, parse_yaml(object.dump(), where), {where, false});
+  assign(options, parse_yaml(object.dump(), where), {where, SourceKind::kSetting});
 }
 
-std::string to_yaml(const OptionsGroup& options) {
-  YamlWriter writer;
+std::string to_yaml(const OptionsGroup& options) { return to_yaml_without(options, {}); }
+
+std::string to_yaml_without(const OptionsGroup& options, const std::vector<std::string>& leave_out) {
+  YamlWriter writer(leave_out);
   visitable(options).visit(writer);
   return writer.yaml();
+}
+
+std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
+                                               const OptionsGroup& options) {
+  std::map<std::string, std::string> before, now;
+  flatten(parse_yaml(yaml, where), "", before);
+  flatten(parse_yaml(to_yaml(options), where), "", now);
+  std::vector<OptionDifference> differences;
+  for (const auto& [key, value] : now) {
+    const auto old = before.find(key);
+    if (old != before.end() && old->second != value) differences.push_back({key, old->second, value});
+  }
+  return differences;
 }
 
 nlohmann::json to_json(const OptionsGroup& options) {
@@ -473,7 +552,8 @@ std::vector<OptionDescription> describe_options(const OptionsGroup& options) {
 
 std::string nearest_name(const std::string& name, const std::vector<std::string>& candidates) {
   std::string best;
-  size_t best_distance = std::max<size_t>(3, name.size() / 2) + 1;
+  // Half of the letters: a suggestion that shares less with the name misleads.
+  size_t best_distance = std::max<size_t>(1, name.size() / 2) + 1;
   for (const auto& candidate : candidates) {
     const size_t distance = edit_distance(name, candidate);
     if (distance < best_distance) {

@@ -5,10 +5,27 @@
 namespace gld {
 
 // Ctrl-C (SIGINT) and SIGTERM ask a command to stop at its next safe point; a second one stops at once.
-void install_interrupt_handler();
+
+// How long a command that was asked to stop may go on.
+enum class StopDeadline {
+  // To its next safe point, but no longer than a second: then the process ends wherever it is, with the exit status of
+  // an interrupt. Files under their final names are whole, and unfinished ones are removed.
+  kOneSecond,
+  // To its next safe point, however long that takes: for work that would be lost, as training is before its checkpoint.
+  kSafePoint,
+};
+
+void install_interrupt_handler(StopDeadline deadline);
 bool interrupt_requested();
 
-// Throws Interrupted with what was done so far when a stop was asked for.
+// Throws Interrupted with what was done so far when a stop was asked for; the deadline is met then.
 void stop_if_interrupted(const std::string& done);
+
+constexpr int kInterruptedStatus = 130;  // exit status: the shell's convention for SIGINT
+
+// An unfinished file, which is removed when the deadline ends the process, until finished() is called with the same name. Names
+// longer than 1000 bytes, and more than 64 files at once, are left lying.
+void remove_if_unfinished(const std::string& file);
+void finished(const std::string& file);
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #include "gld/report/progress.h"
 
+#include <atomic>
 #include <cstdio>
 
 #include <fmt/format.h>
@@ -10,11 +11,15 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
+std::atomic<bool> progress_is_shown{true};
+
 double seconds_between(Clock::time_point from, Clock::time_point to) {
   return std::chrono::duration<double>(to - from).count();
 }
 
 }  // namespace
+
+void show_progress(bool shown) { progress_is_shown = shown; }
 
 std::string duration_text(double seconds) {
   if (seconds < 10) return fmt::format("{:.1f} s", seconds);
@@ -34,7 +39,7 @@ Progress::Progress(std::string stage, int64_t steps)
 }
 
 Progress::~Progress() {
-  if (!finished_ && terminal_) std::fputc('\n', stderr);
+  if (!finished_ && terminal_ && progress_is_shown) std::fputc('\n', stderr);
 }
 
 void Progress::update(int64_t done, const std::string& note) {
@@ -52,6 +57,7 @@ void Progress::finish() {
 
 void Progress::draw(bool last) {
   drawn_ = Clock::now();
+  if (!progress_is_shown) return;
   const double elapsed = seconds_between(start_, drawn_);
   std::string line = steps_ > 0 ? fmt::format("{:<18} {:>4}/{}", stage_, done_, steps_)
                                 : fmt::format("{:<18} {:>4}", stage_, done_);

@@ -33,6 +33,9 @@ class Progress {
   std::chrono::steady_clock::time_point drawn_;
 };
 
+// Whether progress is shown at all, which it is until this says otherwise. The terminal is one for the whole process.
+void show_progress(bool shown);
+
 // "1 h 02 min", "3 min 20 s", "4.2 s".
 std::string duration_text(double seconds);
 

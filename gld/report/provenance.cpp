@@ -1,5 +1,6 @@
 #include "gld/report/provenance.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 
 #include <nlohmann/json.hpp>
@@ -8,10 +9,9 @@ namespace gld {
 
 std::string program_version() { return "gld " GLD_VERSION; }
 
-Provenance make_provenance(const std::string& command, const OptionsGroup& options,
-                           const std::vector<std::string>& leave_out) {
+Provenance make_provenance(const std::string& command, const OptionsGroup& options) {
   nlohmann::json values = to_json(options);
-  for (const std::string& name : leave_out) values.erase(name);
+  for (const std::string& name : options_beside_the_result()) values.erase(name);
   Provenance provenance;
   provenance.program = program_version();
   provenance.command = command;

@@ -25,10 +25,9 @@ struct Provenance {
 // "gld 0.1.0": this build.
 std::string program_version();
 
-// program is this build's; options without those named in leave_out ("out", "threads": they do not change what a
-// file shows, and an output's bytes must not depend on where it lies).
-Provenance make_provenance(const std::string& command, const OptionsGroup& options,
-                           const std::vector<std::string>& leave_out);
+// program is this build's; options are those that identify a result (options_beside_the_result): an output's bytes must not
+// depend on where it lies.
+Provenance make_provenance(const std::string& command, const OptionsGroup& options);
 
 // "Software", "gld:command", "gld:options", "gld:model", "gld:seed"; empty texts are left out.
 TextItems provenance_items(const Provenance& provenance);

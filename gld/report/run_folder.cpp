@@ -1,14 +1,20 @@
 #include "gld/report/run_folder.h"
 
 #include "gld/base/atomic_file.h"
-#include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/option_differences.h"
 
 #include <algorithm>
 #include <fstream>
 
 namespace gld {
 namespace {
+
+constexpr const char* kConfigurationFile = "config.yaml";
+
+std::string configuration_header(const std::string& command) {
+  return "# gld " + command + ": the options of this run, defaults included";
+}
 
 std::string first_line(const std::filesystem::path& file) {
   std::ifstream stream(file);
@@ -17,28 +23,63 @@ std::string first_line(const std::filesystem::path& file) {
   return line;
 }
 
-}  // namespace
-
-RunFolder::RunFolder(std::filesystem::path folder, const std::string& command, const OptionsGroup& options)
-    : folder_(std::move(folder)) {
-  if (folder_.empty()) {
-    fail({"--out", "a folder to write into", "nothing", "add for example --out runs/" + command});
-  }
-  const std::string header = "# gld " + command + ": the options of this run, defaults included";
+std::filesystem::path made_folder(const std::filesystem::path& folder, const std::string& command,
+                                  EarlierRun earlier) {
+  check_run_folder(folder, command, earlier);
   std::error_code error;
-  if (std::filesystem::exists(folder_, error)) {
-    if (!std::filesystem::is_directory(folder_, error)) {
-      fail({folder_.string(), "a folder to write into", "a file", "choose another --out"});
-    }
-    if (!std::filesystem::is_empty(folder_, error) && first_line(folder_ / "config.yaml") != header) {
-      fail({folder_.string(), "an empty folder or an earlier run of gld " + command,
-            "a folder with other files", "choose another --out"});
-    }
-  } else if (!std::filesystem::create_directories(folder_, error)) {
-    fail({folder_.string(), "to create the run folder", "an error: " + error.message(),
+  std::filesystem::create_directories(folder, error);
+  if (error) {
+    fail({folder.string(), "to create the run folder", "an error: " + error.message(),
           "choose another --out"});
   }
-  write_file_atomically(folder_ / "config.yaml", header + "\n" + to_yaml(options));
+  return folder;
+}
+
+}  // namespace
+
+EarlierRun earlier_run(bool overwrite) { return overwrite ? EarlierRun::kOverwrite : EarlierRun::kRefuse; }
+
+void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier) {
+  if (folder.empty()) {
+    fail({"--out", "a folder to write into", "nothing", "add for example --out runs/" + command});
+  }
+  std::error_code error;
+  if (!std::filesystem::exists(folder, error)) return;
+  if (!std::filesystem::is_directory(folder, error)) {
+    fail({folder.string(), "a folder to write into", "a file", "choose another --out"});
+  }
+  if (std::filesystem::is_empty(folder, error)) return;
+  RunJournal::refuse_running(folder);
+  const std::string found = first_line(folder / kConfigurationFile);
+  const auto journal = RunJournal::find(folder);
+  // Killed before it wrote its configuration, a run has only begun.
+  const bool begun = found.empty() && journal;
+  if (!begun && found != configuration_header(command)) {
+    const auto other_command = found.find(": the options");
+    const bool other_run = found.rfind("# gld ", 0) == 0 && other_command != std::string::npos;
+    fail({folder.string(), "a new or empty folder",
+          other_run ? "a run of " + found.substr(2, other_command - 2) : "a folder with other files",
+          "choose another --out"});
+  }
+  if (earlier == EarlierRun::kContinue) return;
+  if (earlier == EarlierRun::kRefuse) {
+    if (begun && journal->written.empty()) return;
+    fail({folder.string(), "a new or empty folder", "an earlier run of gld " + command,
+          "choose another --out, or add --overwrite to remove what that run wrote"});
+  }
+  if (!journal || !journal->complete) {
+    fail({folder.string(), "a run folder that says what the run wrote (.gld-run)",
+          "one that a program of before did not note everything in",
+          "remove the folder yourself or choose another --out"});
+  }
+}
+
+RunFolder::RunFolder(const std::filesystem::path& folder, const std::string& command,
+                     const OptionsGroup& options, EarlierRun earlier)
+    : folder_(made_folder(folder, command, earlier)), journal_(folder_) {
+  if (earlier == EarlierRun::kOverwrite) journal_.remove_written();
+  write_file_atomically(folder_ / kConfigurationFile, configuration_header(command) + "\n" +
+                                                          to_yaml_without(options, {"overwrite", "resume"}));
 }
 
 std::filesystem::path RunFolder::subfolder(const std::string& name) const {

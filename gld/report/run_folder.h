@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
+#include "gld/base/run_journal.h"
 
 #include <filesystem>
 #include <string>
@@ -11,14 +12,28 @@
 
 namespace gld {
 
+// What becomes of a run that is in the folder already.
+enum class EarlierRun {
+  kRefuse,
+  kOverwrite,  // what it wrote is removed, nothing else (gld/base/run_journal.h)
+  kContinue,
+};
+// Of a command that has --overwrite and cannot go on with a run.
+EarlierRun earlier_run(bool overwrite);
+
+// Throws Error where RunFolder of the same arguments would, as far as that can be told beforehand. Touches nothing: for
+// commands that have something long to do before they write.
+void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier);
+
 // The folder a command writes into: the resolved configuration first, then results, report.json and a closing
-// box that says where things are (DESIGN.md section 5).
+// box that says where things are (DESIGN.md section 5). As long as it is open no other run can write there; where several
+// processes work at one run, one of them opens it for all.
 class RunFolder {
  public:
-  // Creates the folder and writes config.yaml. An existing folder is taken when it is empty or an earlier run
-  // of the same command (its config.yaml says so); anything else is refused, so that nothing of the user's is
-  // overwritten.
-  RunFolder(std::filesystem::path folder, const std::string& command, const OptionsGroup& options);
+  // Creates the folder and writes config.yaml, without the options that say what becomes of an earlier run. A folder that holds
+  // something is refused unless it is a run of the same command, for which `earlier` says what to do.
+  RunFolder(const std::filesystem::path& folder, const std::string& command, const OptionsGroup& options,
+            EarlierRun earlier);
 
   const std::filesystem::path& path() const { return folder_; }
   // A sub-folder, created when missing.
@@ -33,6 +48,7 @@ class RunFolder {
 
  private:
   std::filesystem::path folder_;
+  RunJournal journal_;
   std::vector<std::pair<std::string, std::string>> notes_;
 };
 

@@ -278,7 +278,7 @@ Table attention_overview(const std::vector<AttentionBenchmarkRow>& rows) {
 }  // namespace
 
 void AttentionBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.integers({"head_dims", "channels a head"}, head_dims, {1, 256});
   visitor.integers({"tokens", "token counts; the composition needs 8 heads tokens^2 bytes"}, tokens,
                    {1, 100000});
@@ -323,7 +323,7 @@ Table attention_benchmark_table(const std::vector<AttentionBenchmarkRow>& rows, 
 }
 
 int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
-  RunFolder folder(options.out, "bench attention", options);
+  RunFolder folder(options.out, "bench attention", options, earlier_run(options.overwrite));
   const ThreadCountScope restore;
   use_threads(thread_counts_of(options).back());
   PeakMeasurement peak;

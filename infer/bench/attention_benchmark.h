@@ -12,6 +12,7 @@ namespace gld {
 // gld bench attention: our kernels beside LibTorch's composition, as fractions of the multiply-add peak.
 struct AttentionBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   std::vector<int64_t> head_dims{48, 128};
   std::vector<int64_t> tokens{1440, 5760};
   std::vector<int64_t> thread_counts;  // empty: 1 and one a core

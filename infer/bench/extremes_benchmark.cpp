@@ -14,7 +14,7 @@
 namespace gld {
 
 void ExtremesBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.integer({"camera_sets", "random extreme camera sets to try"}, camera_sets, {0, 10000000});
 }
 
@@ -51,7 +51,7 @@ std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem:
 
 int run_extremes_benchmark(const ExtremesBenchmarkOptions& options) {
   const at::NoGradGuard no_grad;
-  RunFolder folder(options.out, "bench extremes", options);
+  RunFolder folder(options.out, "bench extremes", options, earlier_run(options.overwrite));
   const auto start = std::chrono::steady_clock::now();
   const auto rows = all_extremes(options.camera_sets, folder.path() / "scratch");
   const auto table = extremes_table(rows);

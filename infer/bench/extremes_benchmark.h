@@ -15,6 +15,7 @@ namespace gld {
 // depth and the whole of a small model.
 struct ExtremesBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   int64_t camera_sets = 10000;
 
   void visit(FieldVisitor& visitor) override;

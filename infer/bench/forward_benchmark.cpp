@@ -184,10 +184,10 @@ Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
 }  // namespace
 
 void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.text({"model", "model bundle; empty for the full-size M1 with random weights"}, model);
   visitor.integer({"views", "source and target views"}, views, {1, 1000});
-  visitor.integer({"sources", "source views"}, sources, {1, 1000});
+  visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size, width x height in pixels"}, size);
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
   visit_threads(visitor, threads);
@@ -195,7 +195,7 @@ void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
 
 void ForwardBenchmarkOptions::check() const {
   if (sources > views) {
-    fail({"--sources", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
+    fail({"--source-views", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
   }
   check_out(out, "runs/bench");
 }
@@ -237,7 +237,7 @@ Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
 }
 
 int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
-  RunFolder folder(options.out, "bench forward", options);
+  RunFolder folder(options.out, "bench forward", options, earlier_run(options.overwrite));
   use_threads(options.threads);
   PeakMeasurement peak;
   peak.settings.threads = thread_count();

@@ -12,6 +12,7 @@ namespace gld {
 // gld bench forward: one evaluation of M1 beside LibTorch's plain composition, as fractions of the multiply-add peak.
 struct ForwardBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   std::string model;  // a bundle; empty: DA3-Base's M1 at full size with random weights
   int64_t views = 8;
   int64_t sources = 4;

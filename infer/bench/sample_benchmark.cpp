@@ -284,7 +284,7 @@ void SampleBenchmarkOptions::visit(FieldVisitor& visitor) {
   lpips.visit(visitor);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
 }
 
 void SampleBenchmarkOptions::check() const {
@@ -430,13 +430,12 @@ std::vector<SampleRow> mean_over_scenes(const std::vector<SampleRow>& rows) {
 }
 
 int run_sample_benchmark(const SampleBenchmarkOptions& options) {
-  install_interrupt_handler();
   use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
   const BenchmarkScenes scenes(options, bundle.options());
   const BenchmarkModels models{bundle.options(), models_of(bundle, device), load_lpips(options.lpips)};
-  RunFolder folder(options.out, "bench sample", options);
+  RunFolder folder(options.out, "bench sample", options, earlier_run(options.overwrite));
   size_t total = 0;
   for (const double scale : options.guidance_scales)
     total += 1 + sampling_variants(options.counts, scale).size();

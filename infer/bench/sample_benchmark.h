@@ -40,6 +40,7 @@ struct SampleBenchmarkOptions : OptionsGroup {
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
+  bool overwrite = false;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

@@ -173,8 +173,8 @@ PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bun
     if (row.variant.method.approximate.view_pairs != ViewPairs::kAll) continue;
     std::vector<double> errors;
     for (const auto& sample : row.samples) errors.push_back(sample.error());
-    table.methods.push_back(
-        {row.variant.method, row.mean_error, row.largest_error, error_bound(errors) + reference_error});
+    table.methods.push_back({row.variant.method, row.mean_error, row.largest_error,
+                             error_bound(errors) + reference_error, row.seconds});
   }
   return table;
 }
@@ -213,7 +213,7 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
   visit_seed(visitor, seed, "the noise");
   visit_device(visitor, device);
   visit_threads(visitor, threads);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
 }
 
 void SamplePlanBenchmarkOptions::check() const {
@@ -234,7 +234,6 @@ void SamplePlanBenchmarkOptions::check() const {
 }
 
 int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
-  install_interrupt_handler();
   const int threads = use_threads(options.threads);
   const auto bundle = ModelBundle::open(options.model);
   const auto device = device_from_text(options.device);
@@ -249,7 +248,7 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
     row.samples.resize(static_cast<size_t>(scene_count));
     rows.push_back(std::move(row));
   }
-  RunFolder folder(options.out, "bench sample-plan", options);
+  RunFolder folder(options.out, "bench sample-plan", options, earlier_run(options.overwrite));
   const BenchScene first = load_bench_scene(*dataset, 0, options, bundle.options());
   const LatentGrid grid =
       bundle.options().backbone.grid_of(first.request.views.size(), first.truth.size(2), first.truth.size(3));

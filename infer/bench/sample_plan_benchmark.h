@@ -29,6 +29,7 @@ struct SamplePlanBenchmarkOptions : OptionsGroup {
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
+  bool overwrite = false;
 
   SamplePlanBenchmarkOptions();
   void visit(FieldVisitor& visitor) override;

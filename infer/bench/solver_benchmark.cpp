@@ -186,7 +186,7 @@ std::string report_text(const std::vector<SolverRow>& rows, const std::vector<So
 }  // namespace
 
 void SolverBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.text({"problem", "problem file (safetensors); empty: the built-in mixture"}, problem);
   visitor.integers({"counts", "function evaluations to try"}, counts, {1, 100000});
   visitor.reals({"tolerances", "tolerances of the adaptive solvers to try"}, tolerances, {1e-14, 1});
@@ -283,7 +283,7 @@ Table solver_table(const std::vector<SolverRow>& rows) {
 
 int run_solver_benchmark(const SolverBenchmarkOptions& options) {
   const at::NoGradGuard no_grad;
-  RunFolder folder(options.out, "bench solvers", options);
+  RunFolder folder(options.out, "bench solvers", options, earlier_run(options.overwrite));
   const auto start = std::chrono::steady_clock::now();
   const auto mixture = benchmark_problem(options);
   std::vector<FlowProblem> problems{mixture};

@@ -16,6 +16,7 @@ namespace gld {
 // gld bench solvers: error against evaluations and time on flows whose solution is known.
 struct SolverBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   // A problem file (gld/flow/problems/exact_flows.h); its rows are named "mixture" whatever the file is called. Empty: the
   // built-in mixture of 48 dimensions, solved to 1e-9 before the sweep.
   std::string problem;

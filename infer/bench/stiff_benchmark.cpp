@@ -88,7 +88,7 @@ Figure stiff_figure(const std::vector<StiffRow>& rows) {
 }  // namespace
 
 void StiffBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.reals({"tolerances", "tolerances of the adaptive solvers"}, tolerances, {1e-14, 1});
   visitor.integer({"max_evaluations", "where an adaptive solver gives up"}, max_evaluations, {1, 1000000000});
   visitor.integer({"fixed_evaluations", "evaluations of the fixed-step solvers"}, fixed_evaluations,
@@ -166,7 +166,7 @@ Table stiff_table(const std::vector<StiffRow>& rows) {
 
 int run_stiff_benchmark(const StiffBenchmarkOptions& options) {
   const at::NoGradGuard no_grad;
-  RunFolder folder(options.out, "bench stiff", options);
+  RunFolder folder(options.out, "bench stiff", options, earlier_run(options.overwrite));
   const auto start = std::chrono::steady_clock::now();
   const auto rows = stiff_rows(options);
   const std::string text =

@@ -14,6 +14,7 @@ namespace gld {
 // gld bench stiff: which solver finishes which stiff problem, and how the others fail.
 struct StiffBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   std::vector<double> tolerances{1e-3, 1e-6, 1e-9};
   int64_t max_evaluations = 50000;
   int64_t fixed_evaluations = 2000;

@@ -15,7 +15,9 @@
 #include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
 #include "infer/pipeline/bundle_models.h"
+#include "models/bundle/part_lineage.h"
 
+#include <iostream>
 #include <vector>
 
 #include <fmt/format.h>
@@ -62,7 +64,9 @@ EvaluationOptions::EvaluationOptions() : views(held_out_views()) {}
 
 void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder"}, model);
-  visit_out(visitor, out);
+  visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
+  visit_out(visitor, out, overwrite);
+  visit_json(visitor, json);
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
                   synthetic_seed, {0, 1'000'000'000'000});
@@ -98,13 +102,20 @@ SamplingMethod EvaluationOptions::sampling_method(const BundleOptions& bundle) c
 }
 
 std::string evaluate(const EvaluationOptions& options) {
-  install_interrupt_handler();
   use_threads(options.threads);
+  check_run_folder(options.out, "eval", earlier_run(options.overwrite));
   const auto bundle = ModelBundle::open(options.model);
+  std::vector<BundlePart> parts;
+  for (const auto& part : bundle_parts(bundle.options())) {
+    if (bundle.has(part)) parts.push_back(part);
+  }
+  for (const auto& warning : mixed_parts(bundle, parts, options.allow_mixed)) {
+    std::cerr << "warning: " << warning << "\n";
+  }
   const auto device = device_from_text(options.device);
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
-  RunFolder folder(options.out, "eval", options);
+  RunFolder folder(options.out, "eval", options, earlier_run(options.overwrite));
   const EvaluationModels models{bundle.options(), kept_bundle_models(bundle, device),
                                 load_lpips(options.lpips), device};
   const SamplingMethod method = options.sampling_method(bundle.options());
@@ -138,6 +149,7 @@ std::string evaluate(const EvaluationOptions& options) {
   folder.note("table", "eval.csv");
   folder.note("report", "report.json");
   if (options.pictures > 0) folder.note("pictures", "sheets");
+  if (options.json) return report.dump(2) + "\n";
   return evaluation_text(summary) + folder.closing_box();
 }
 

@@ -19,6 +19,9 @@ namespace gld {
 struct EvaluationOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string out;
+  bool overwrite = false;
+  bool allow_mixed = false;
+  bool json = false;
   int64_t synthetic = 64;                 // generated scenes; 0 when scenes are given
   int64_t synthetic_seed = kHeldOutSeed;  // training and validation use others
   std::vector<std::string> scenes;        // folders; empty: generated ones

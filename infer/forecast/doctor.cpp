@@ -63,6 +63,12 @@ std::vector<std::string> complaints(const Machine& machine) {
         "libopenblas0-pthread, or stop what else is running.",
         100 * machine.speed.matrix_product / machine.speed.multiply_add_peak));
   }
+  if (machine.threads > machine.cores) {
+    list.push_back(
+        fmt::format("{} threads share {} cores, which makes the figures above those of no machine: "
+                    "lower --threads.",
+                    machine.threads, machine.cores));
+  }
   if (machine.threads < machine.cores) {
     list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
   }
@@ -172,18 +178,18 @@ DoctorOptions::DoctorOptions() {
 void DoctorOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "model bundle to forecast for; empty: examine the machine only"}, model);
   visitor.integer({"views", "views of the forecast, sources included"}, views, {2, 1000});
-  visitor.integer({"sources", "source views among them"}, sources, {1, 999});
+  visitor.integer({"source_views", "source views among them"}, sources, {1, 999});
   visitor.text({"size", "WIDTHxHEIGHT of the forecast, in pixels"}, size);
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
   visit_threads(visitor, threads);
   visitor.boolean({"measure", "measure the machine's rates anew, also where some are kept"}, measure);
-  visitor.boolean({"json", "write JSON"}, json);
+  visit_json(visitor, json);
 }
 
 void DoctorOptions::check() const {
   if (sources >= views) {
-    fail({"--sources", "fewer source views than views", fmt::format("{} of {}", sources, views),
+    fail({"--source-views", "fewer source views than views", fmt::format("{} of {}", sources, views),
           "leave at least one target view"});
   }
 }

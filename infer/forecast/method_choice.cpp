@@ -2,7 +2,9 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "infer/forecast/machine_rates.h"
 
+#include <algorithm>
 #include <utility>
 
 #include <fmt/format.h>
@@ -12,14 +14,31 @@ namespace {
 
 std::filesystem::path table_of(const ModelBundle& bundle) { return bundle.folder() / kPlanErrorsFile; }
 
-std::vector<double> flop_of(const PlanErrors& table, const SampleOptions& options, const ModelBundle& bundle,
-                            PlanRequest request) {
-  std::vector<double> flop;
+bool same_grid(const LatentGrid& a, const LatentGrid& b) {
+  return a.views == b.views && a.height == b.height && a.width == b.width;
+}
+
+// What each method takes for this request, in seconds. A small model spends its time on more than operations, so that time
+// and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds are compared,
+// else those that this machine is expected to take.
+std::vector<double> seconds_of(const PlanErrors& table, const SampleOptions& options,
+                               const ModelBundle& bundle, PlanRequest request) {
+  const bool measured = same_grid(table.grid, request.grid) &&
+                        std::all_of(table.methods.begin(), table.methods.end(),
+                                    [](const MethodErrors& entry) { return entry.seconds > 0; });
+  std::vector<double> seconds;
+  if (measured) {
+    for (const auto& entry : table.methods) seconds.push_back(entry.seconds);
+    return seconds;
+  }
+  const MachineSpeed speed = known_machine_speed().speed;
   for (const auto& entry : table.methods) {
     request.flow = flow_settings(entry.method, options.guidance, bundle.options());
-    flop.push_back(plan_sampling(bundle.options(), request).flop());
+    SamplingPlan plan = plan_sampling(bundle.options(), request);
+    predict_seconds(plan, speed);
+    seconds.push_back(plan.seconds());
   }
-  return flop;
+  return seconds;
 }
 
 // Where the scene is unlike those that were measured.
@@ -55,12 +74,12 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
           fmt::format("{:g}", options.guidance.guidance_scale),
           "lower --guidance-scale, or measure with it: gld bench sample-plan --guidance-scale"});
   }
-  const size_t best = cheapest_within(table, options.tolerance, flop_of(table, options, bundle, request));
+  const size_t best = cheapest_within(table, options.tolerance, seconds_of(table, options, bundle, request));
   ChosenMethod choice;
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];
   choice.measured_scenes = table.scenes;
-  choice.reason = fmt::format("the cheapest of {} measured methods with an error below --tolerance {:g}",
+  choice.reason = fmt::format("the fastest of {} measured methods with an error below --tolerance {:g}",
                               table.methods.size(), options.tolerance);
   choice.notes = notes_on(table, request, options.guidance.guidance_scale);
   return choice;

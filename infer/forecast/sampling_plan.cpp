@@ -276,6 +276,66 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   return plan;
 }
 
+std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageRequest& request) {
+  std::vector<BundlePart> parts;
+  for (const auto& part : bundle_parts(bundle)) {
+    if (part.kind == BundlePart::Kind::kStatistics || part.kind == BundlePart::Kind::kSpecialStatistics)
+      parts.push_back(part);
+  }
+  for (const auto& stage : sampling_stages(bundle.level_set(), request)) {
+    if (!stage.runs || (stage.kind == StageKind::kViewPairs && !request.source_depth())) continue;
+    const BundlePart part = needs_of(stage, bundle).part;
+    if (std::find(parts.begin(), parts.end(), part) == parts.end()) parts.push_back(part);
+  }
+  return parts;
+}
+
+std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& request, int64_t available_bytes) {
+  const auto peak = [&](const LatentGrid& grid) {
+    PlanRequest other = request;
+    other.grid = grid;
+    return plan_sampling(bundle, other).peak_bytes();
+  };
+  const int64_t needed = peak(request.grid);
+  if (needed <= available_bytes) return "";
+  const auto fits = [&](const LatentGrid& grid) { return peak(grid) <= available_bytes; };
+  // Memory grows with views and with the size, so that the most that fits is found by halving.
+  const auto most = [&](int64_t low, int64_t high, const auto& grid_of) {
+    while (low < high) {
+      const int64_t middle = low + (high - low + 1) / 2;
+      if (fits(grid_of(middle))) {
+        low = middle;
+      } else {
+        high = middle - 1;
+      }
+    }
+    return low;
+  };
+  const auto with_width = [&](int64_t width) {
+    LatentGrid grid = request.grid;
+    grid.width = width;
+    grid.height = std::max<int64_t>(1, request.grid.height * width / request.grid.width);
+    return grid;
+  };
+  std::string would_fit;
+  const int64_t fewest = request.num_sources + 1;
+  if (request.grid.views > fewest && fits(with_views(request.grid, fewest))) {
+    const int64_t views =
+        most(fewest, request.grid.views - 1, [&](int64_t count) { return with_views(request.grid, count); });
+    would_fit = fmt::format("{} views of this size", views);
+  }
+  if (request.grid.width > 1 && fits(with_width(1))) {
+    const LatentGrid grid = with_width(most(1, request.grid.width - 1, with_width));
+    const int64_t side = bundle.backbone.patch_side();
+    would_fit += fmt::format("{}{} views at --size {}x{}", would_fit.empty() ? "" : ", or ", grid.views,
+                             grid.width * side, grid.height * side);
+  }
+  return fmt::format("This takes {} of memory by the forecast and {} may be taken; {}.", bytes_text(needed),
+                     bytes_text(available_bytes),
+                     would_fit.empty() ? "no fewer views and no smaller size of this model would fit"
+                                       : "what would fit: " + would_fit);
+}
+
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
   for (auto& stage : plan.stages) {
     if (!stage.runs) continue;

@@ -8,6 +8,7 @@
 #include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/pipeline/sampling_stages.h"
+#include "models/bundle/bundle.h"
 #include "models/bundle/bundle_options.h"
 #include "models/cost/cost_model.h"
 #include "models/decoders/geometry_head.h"
@@ -69,6 +70,11 @@ struct SamplingPlan {
 
 // The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
+// The parts of the model that the stages of a request load, statistics included, each once.
+std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageRequest& request);
+// A sentence about what this request takes, that it does not fit into so many bytes, and which number of views or which
+// image size would; empty where it fits.
+std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& request, int64_t available_bytes);
 // Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. Runs nothing.
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
 // The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where they are

@@ -36,6 +36,7 @@ PlanErrors from_json(const nlohmann::json& document, const std::string& where) {
     method.mean = number_of(entry, "mean_error");
     method.largest = number_of(entry, "largest_error");
     method.bound = number_of(entry, "error_bound");
+    if (entry.contains("seconds")) method.seconds = number_of(entry, "seconds");
     errors.methods.push_back(std::move(method));
   }
   return errors;
@@ -83,7 +84,8 @@ nlohmann::ordered_json plan_errors_json(const PlanErrors& errors) {
     methods.push_back({{"method", to_json(entry.method)},
                        {"mean_error", entry.mean},
                        {"largest_error", entry.largest},
-                       {"error_bound", entry.bound}});
+                       {"error_bound", entry.bound},
+                       {"seconds", entry.seconds}});
   }
   return {
       {"format", kFormat},
@@ -109,12 +111,12 @@ PlanErrors read_plan_errors(const std::filesystem::path& file) {
   }
 }
 
-size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& flop) {
+size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& cost) {
   size_t best = errors.methods.size(), most_exact = 0;
   for (size_t i = 0; i < errors.methods.size(); ++i) {
     if (errors.methods[i].bound < errors.methods[most_exact].bound) most_exact = i;
     if (errors.methods[i].bound > tolerance) continue;
-    if (best == errors.methods.size() || flop[i] < flop[best]) best = i;
+    if (best == errors.methods.size() || cost[i] < cost[best]) best = i;
   }
   if (best < errors.methods.size()) return best;
   if (errors.methods.empty())

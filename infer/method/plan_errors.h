@@ -20,6 +20,7 @@ struct MethodErrors {
   double mean = 0;     // over scenes
   double largest = 0;  // over scenes
   double bound = 0;    // what other scenes are expected to stay below (error_bound)
+  double seconds = 0;  // of the flows of one scene; 0 in a table of a program that did not note it
 };
 
 // An upper bound for a scene that was not measured, which one in a thousand exceeds: the predictive bound of a
@@ -44,9 +45,9 @@ nlohmann::ordered_json plan_errors_json(const PlanErrors& errors);
 // Throws Error, naming file, when it is not such a table.
 PlanErrors read_plan_errors(const std::filesystem::path& file);
 
-// Of the methods whose bound is at most the tolerance, the one with the least flop (one number a method). Throws Error
+// Of the methods whose bound is at most the tolerance, the one with the least cost (one number a method). Throws Error
 // naming the smallest tolerance that a measured method meets when none does.
-size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& flop);
+size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& cost);
 
 // The measurement of the same method, if it is in the table.
 std::optional<MethodErrors> errors_of(const PlanErrors& errors, const SamplingMethod& method);

@@ -32,6 +32,24 @@ std::string method_field_asked_for(const SampleOptions& options) {
   return "";
 }
 
+bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
+
+// What the command line asks for and nothing would look at.
+void refuse_without_effect(const SampleOptions& options) {
+  for (const auto& key : options.named) {
+    if (options.preset == SamplingPreset::kPublished && begins_with(key, "solver.")) {
+      fail({"--preset published", "no solver option beside it, the preset decides about all of them",
+            "'" + key + "'", "leave out one of the two"});
+    }
+    const bool of_a_path =
+        begins_with(key, "views.") && key != "views.sources" && key != "views.targets" && key != "views.path";
+    if (options.views.path.path.empty() && of_a_path) {
+      fail({"--" + key.substr(key.find('.') + 1), "--path, which it is an option of", "--targets",
+            "leave out one of the two"});
+    }
+  }
+}
+
 void refuse_two_methods(const SampleOptions& options) {
   const bool quality = options.quality != SamplingQuality::kOptions;
   if (!quality && options.tolerance == 0) return;
@@ -45,7 +63,8 @@ void refuse_two_methods(const SampleOptions& options) {
 }  // namespace
 
 SampleOptions::SampleOptions() {
-  solver.schedule.shift = 0;  // the model's
+  reading.broken_frames = BrokenFrames::kSkip;  // a frame that nobody chose does not stand in the way
+  solver.schedule.shift = 0;                    // the model's
 }
 
 void SampleOptions::visit(FieldVisitor& visitor) {
@@ -89,7 +108,13 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                 no_skip);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
-  visit_out(visitor, out);
+  visitor.real({"memory_limit", "gigabytes that sampling may take; 0: what is free"}, memory_limit,
+               {0, 1'000'000});
+  visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
+  visit_out(visitor, out, overwrite);
+  visitor.boolean(
+      {"resume", "go on with an interrupted run of the same options, from the levels it has made"}, resume);
+  visit_json(visitor, json);
 }
 
 void SampleOptions::check() const {
@@ -112,6 +137,11 @@ void SampleOptions::check() const {
           near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
   }
   refuse_two_methods(*this);
+  refuse_without_effect(*this);
+  if (resume && overwrite) {
+    fail({"--resume, --overwrite", "one of the two", "both",
+          "--resume goes on with the run, --overwrite removes it"});
+  }
 }
 
 ExactSavings SampleOptions::savings() const {

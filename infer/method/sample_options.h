@@ -47,7 +47,13 @@ struct SampleOptions : OptionsGroup {
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   std::string device = "cpu";
   int64_t threads = 0;
+  // Gigabytes that sampling may take; 0 for what is free.
+  double memory_limit = 0;
+  bool allow_mixed = false;
   std::string out;
+  bool overwrite = false;
+  bool resume = false;
+  bool json = false;
   // Keys that the command line names, so that a value equal to the default counts as asked for; not an option itself.
   std::vector<std::string> named;
 

@@ -175,6 +175,21 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
                     PipelineState& state, PipelineResult& result) {
   const LevelGenerator& generator = models.levels.generators[stage.generator];
   const LevelStatistics& statistics = models.statistics[stage.generator];
+  if (const auto kept = request.kept_latents.find(generator.level); kept != request.kept_latents.end()) {
+    const auto& noise = request.noise[stage.generator];
+    if (kept->second.sizes() != noise.sizes()) {
+      fail({stage.name, "kept latents of shape " + c10::str(noise.sizes()), c10::str(kept->second.sizes()),
+            "begin the run again with --overwrite"});
+    }
+    state.latents[generator.level] = kept->second.to(request.device);
+    result.latents[generator.level] = kept->second;
+    FlowReport report;
+    report.stage = stage.name;
+    report.generator = generator;
+    report.kept = true;
+    result.flows.push_back(std::move(report));
+    return;
+  }
   const auto model = models.generator(stage.generator);
   const auto& raw = state.sources.latents.levels[static_cast<size_t>(generator.level)];
   state.scene.source_features = statistics.normalise(
@@ -187,6 +202,7 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   latent = run_flow(*model, model->prepare_scene(state.scene, request.savings),
                     {stage.name, generator, solver, request.noise[stage.generator]}, request, result);
   result.latents[generator.level] = latent.cpu();
+  if (request.on_latent) request.on_latent(generator.level, result.latents[generator.level]);
 }
 
 CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,

@@ -62,6 +62,10 @@ struct PipelineRequest {
   torch::Device device = torch::kCPU;
   // Called when a flow-matching stage starts (step 0) and after each accepted step.
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
+  // Levels that are there already, as PipelineResult::latents holds them: their flows are not run.
+  std::map<int64_t, torch::Tensor> kept_latents;
+  // Called when a flow has generated its level.
+  std::function<void(int64_t level, const torch::Tensor& latent)> on_latent;
   // Called when the images are there and geometry is still to come, so that they can be written already.
   std::function<void(const torch::Tensor& images)> on_images;
 
@@ -72,6 +76,7 @@ struct PipelineRequest {
 struct FlowReport {
   std::string stage;
   LevelGenerator generator;
+  bool kept = false;  // not run: its level was among PipelineRequest::kept_latents
   std::vector<double> times;
   int64_t evaluations = 0;
   int64_t rejected = 0;

@@ -1,5 +1,6 @@
 #include "infer/pipeline/sampling_scene.h"
 
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/cameras/camera_checks.h"
 
@@ -69,19 +70,83 @@ bool read_side(const std::string& text, int64_t& side) {
 
 }  // namespace
 
+namespace {
+
+void visit_frames(FieldVisitor& visitor, const Field& field, std::vector<FrameChoice>& frames) {
+  std::vector<std::string> texts;
+  for (const auto& frame : frames) texts.push_back(frame.text());
+  visitor.texts(field, texts);
+  frames.clear();
+  for (const auto& text : texts) {
+    int64_t number = 0;
+    const auto end = text.data() + text.size();
+    const auto parsed = std::from_chars(text.data(), end, number);
+    // "007" is a name.
+    if (parsed.ec == std::errc() && parsed.ptr == end && number >= 0 && std::to_string(number) == text) {
+      frames.emplace_back(number);
+    } else {
+      frames.emplace_back(text);
+    }
+  }
+}
+
+void refuse_repeated(const ViewSelection& selection) {
+  std::set<std::string> sources, targets;
+  for (const auto& source : selection.sources) {
+    if (sources.insert(source.text()).second) continue;
+    fail(
+        {"--sources", "each source view once", "frame " + source.text() + " twice", "remove the repetition"});
+  }
+  for (const auto& target : selection.targets) {
+    if (sources.count(target.text()) > 0) {
+      fail({"--targets", "frames that are not sources", "frame " + target.text() + ", which is a source",
+            "leave it out of one of the two"});
+    }
+    if (targets.insert(target.text()).second) continue;
+    fail(
+        {"--targets", "each target view once", "frame " + target.text() + " twice", "remove the repetition"});
+  }
+}
+
+void look_up(std::vector<FrameChoice>& frames, const Scene& scene, const char* flag) {
+  for (auto& choice : frames) {
+    if (choice.name.empty()) continue;
+    const auto named = std::find_if(scene.frames.begin(), scene.frames.end(),
+                                    [&](const Frame& frame) { return frame.name == choice.name; });
+    if (named != scene.frames.end()) {
+      choice = FrameChoice(named - scene.frames.begin());
+      continue;
+    }
+    std::vector<std::string> names;
+    for (const auto& frame : scene.frames) names.push_back(frame.name);
+    const auto near = nearest_name(choice.name, names);
+    fail({flag, "frames of scene '" + scene.name + "'", "'" + choice.name + "', which is none",
+          near.empty() ? "gld check-data lists them" : "did you mean '" + near + "'?"});
+  }
+}
+
+}  // namespace
+
+ViewSelection looked_up(const ViewSelection& selection, const Scene& scene) {
+  ViewSelection found = selection;
+  look_up(found.sources, scene, "--sources");
+  look_up(found.targets, scene, "--targets");
+  refuse_repeated(found);
+  return found;
+}
+
 ViewSelection::ViewSelection() { path.path.clear(); }
 
 void ViewSelection::visit(FieldVisitor& visitor) {
-  visitor.integers({"sources", "source views: frame numbers of the scene, from 0"}, sources, {0, 1'000'000});
-  visitor.integers({"targets", "target views: frame numbers; their images only serve to compare with"},
-                   targets, {0, 1'000'000});
+  visit_frames(visitor, {"sources", "source views: frame numbers of the scene, from 0, or names"}, sources);
+  visit_frames(visitor,
+               {"targets", "target views: frame numbers or names; their images only serve to compare with"},
+               targets);
   path.visit(visitor);
 }
 
 void ViewSelection::check() const {
-  if (std::set<int64_t>(sources.begin(), sources.end()).size() != sources.size()) {
-    fail({"--sources", "each source view once", "a frame number twice", "remove the repetition"});
-  }
+  refuse_repeated(*this);
   if (!targets.empty() && !path.path.empty()) {
     fail({"--targets, --path", "either target frames or a path", "both",
           "add for example --targets 1,2, or --path orbit"});
@@ -98,7 +163,8 @@ void ViewSelection::require_complete() const {
   }
 }
 
-SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
+SamplingScene sampling_views(const Scene& scene, const ViewSelection& asked, const ImageSize& size) {
+  const ViewSelection selection = looked_up(asked, scene);
   SamplingScene sampling;
   sampling.name = scene.name;
   sampling.metric = scene.metric;
@@ -122,7 +188,8 @@ SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection,
   return sampling;
 }
 
-SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size) {
+SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& asked, const ImageSize& size) {
+  const ViewSelection selection = looked_up(asked, scene);
   SamplingScene sampling = sampling_views(scene, selection, size);
   for (const int64_t number : selection.sources) {
     sampling.source_images.push_back(

@@ -9,19 +9,31 @@
 
 #include <cstdint>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace gld {
 
+// A frame of a scene as it is asked for: by number, from 0, or by name.
+struct FrameChoice {
+  int64_t number = -1;  // -1 until a name is looked up
+  std::string name;     // empty where the number was given
+
+  FrameChoice(int64_t chosen) : number(chosen) {}  // NOLINT: a number is a choice
+  explicit FrameChoice(std::string chosen) : name(std::move(chosen)) {}
+  operator int64_t() const { return number; }  // NOLINT: of a choice that was looked up
+  std::string text() const { return name.empty() ? std::to_string(number) : name; }
+};
+
 // Which views of a scene are given and which are asked for.
 struct ViewSelection : OptionsGroup {
-  std::vector<int64_t> sources;  // frame numbers, from 0
-  std::vector<int64_t> targets;  // frame numbers; their images are only used to compare with
-  CameraPathOptions path;        // instead of targets; unused while path.path is empty
+  std::vector<FrameChoice> sources;
+  std::vector<FrameChoice> targets;  // their images are only used to compare with
+  CameraPathOptions path;            // instead of targets; unused while path.path is empty
 
   ViewSelection();
   void visit(FieldVisitor& visitor) override;
-  void check() const override;    // not both targets and path; no frame twice among the sources
+  void check() const override;    // not both targets and path; no frame twice
   void require_complete() const;  // Error without sources, or with neither targets nor path
 };
 
@@ -42,6 +54,10 @@ struct SamplingScene {
   std::string path_note;              // what an orbit turns about; empty for other targets
   std::vector<std::string> warnings;  // what is unusual about the cameras, one sentence each
 };
+
+// The selection with the numbers of all frames. "7" is a number, also where a frame has that name; "007" is a name. Throws
+// Error for a name that the scene does not have, and for a frame that is chosen twice under two names.
+ViewSelection looked_up(const ViewSelection& selection, const Scene& scene);
 
 // The selected frames and views without their pixels, for which no image file is decoded: images and depths are empty.
 // Throws Error as load_sampling_scene does.

@@ -1,9 +1,11 @@
 #include "infer/sample/sampling.h"
 
 #include "datasets/formats/scene_reader.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
-#include "gld/base/interrupt.h"
+#include "gld/base/option_differences.h"
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -18,6 +20,8 @@
 #include "infer/sample/background_hash.h"
 #include "infer/sample/photo_scene.h"
 #include "infer/sample/sampling_outputs.h"
+#include "infer/sample/unfinished_latents.h"
+#include "models/bundle/part_lineage.h"
 
 #include <algorithm>
 #include <iostream>
@@ -26,6 +30,7 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
@@ -46,6 +51,10 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
 nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
   auto list = nlohmann::ordered_json::array();
   for (const auto& flow : flows) {
+    if (flow.kept) {
+      list.push_back({{"stage", flow.stage}, {"kept", "its level was made before --resume"}});
+      continue;
+    }
     list.push_back({{"stage", flow.stage},
                     {"function_evaluations", flow.evaluations},
                     {"rejected_steps", flow.rejected},
@@ -63,8 +72,23 @@ nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
 
 std::string one_line_summary(const SampleOptions& options, const PipelineResult& result,
                              const std::string& model) {
+  int64_t evaluations = 0;  // of a flow that was run now
+  for (const auto& flow : result.flows) evaluations = std::max(evaluations, flow.evaluations);
   return fmt::format("model {}, seed {}, {} evaluations a level, guidance {}", model, options.seed,
-                     result.flows.front().evaluations, options.guidance.guidance_scale);
+                     evaluations, options.guidance.guidance_scale);
+}
+
+// Only a run of the same options would go on as the one that was interrupted.
+void refuse_other_options(const SampleOptions& options) {
+  const auto file = std::filesystem::path(options.out) / "config.yaml";
+  if (!std::filesystem::is_regular_file(file)) return;
+  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
+    const auto& free = options_beside_the_result();
+    if (difference.key == "memory_limit" || std::find(free.begin(), free.end(), difference.key) != free.end())
+      continue;
+    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
+          difference.now, "leave it as it was, or begin again with --overwrite"});
+  }
 }
 
 // One progress line a flow-matching stage.
@@ -88,13 +112,28 @@ void print_warnings(const std::vector<std::string>& warnings) {
   for (const auto& warning : warnings) std::cerr << "warning: " << warning << "\n";
 }
 
+// Where more or other views are asked for than the model was trained on, a sentence each.
+std::vector<std::string> unlike_training(const SamplingScene& scene, const BundleOptions& bundle) {
+  std::vector<std::string> notes;
+  const auto sizes = bundle.image_sizes();
+  const bool trained = std::any_of(sizes.begin(), sizes.end(), [&](const ImageSize& size) {
+    return size.width == scene.size.width && size.height == scene.size.height;
+  });
+  if (!trained) {
+    notes.push_back(fmt::format("The model was trained on images of {}, these are {}x{}.",
+                                fmt::join(bundle.trained_sizes, ", "), scene.size.width, scene.size.height));
+  }
+  return notes;
+}
+
 // What sampling needs before anything is computed.
 struct PreparedSampling {
   torch::Device device = torch::kCPU;
   ModelBundle bundle;
   std::optional<PhotoScene> photos;  // where the cameras were estimated
   Scene found;
-  SamplingScene scene;
+  ViewSelection selection;  // as asked for, completed where cameras were estimated
+  SamplingScene scene;      // without its images
   std::optional<ModelBundle> geometry_model;
 };
 
@@ -110,9 +149,9 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
   return std::nullopt;
 }
 
-using SceneLoader = SamplingScene (*)(const Scene&, const ViewSelection&, const ImageSize&);
-
-PreparedSampling prepare(const SampleOptions& options, SceneLoader load) {
+// Reads no pixels of a scene that has cameras: what is wrong with the options, the model or the cameras, or does not fit,
+// is said first.
+PreparedSampling prepare(const SampleOptions& options) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
   std::optional<PhotoScene> photos;
@@ -129,17 +168,12 @@ PreparedSampling prepare(const SampleOptions& options, SceneLoader load) {
   if (photos && selection.targets.empty() && selection.path.path.empty()) {
     selection.path.path = found.frames.size() > 1 ? "spline" : "orbit";
   }
-  SamplingScene scene = load(found, selection, size);
-  const auto& kinds = options.scale_from;
-  if (std::find(kinds.begin(), kinds.end(), "source_depth") != kinds.end()) {
-    load_source_depths(found, selection, scene);
-    const auto& depths = scene.source_depths;
-    if (std::all_of(depths.begin(), depths.end(), [](const DepthMap& depth) { return depth.empty(); })) {
-      fail({"--scale-from source_depth", "a source view with measured depth", "none",
-            "leave it out, or choose sources that have depth"});
-    }
-  }
-  return {device, bundle, std::move(photos), found, std::move(scene), std::move(geometry_model)};
+  SamplingScene views = sampling_views(found, selection, size);
+  PreparedSampling prepared{device, bundle, std::move(photos), found, std::move(selection), std::move(views),
+                            std::move(geometry_model)};
+  const auto notes = unlike_training(prepared.scene, bundle.options());
+  prepared.scene.warnings.insert(prepared.scene.warnings.end(), notes.begin(), notes.end());
+  return prepared;
 }
 
 // The method and what it would take. model_hash is called where the bundle's measured errors are needed.
@@ -152,17 +186,72 @@ struct PlannedSampling {
   ViewVisibility visibility;
 };
 
-PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
-                        const std::function<std::string()>& model_hash) {
-  const BundleOptions& bundle = prepared.bundle.options();
-  const Views& views = prepared.scene.views;
+PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options) {
   PlanRequest request;
-  request.grid = bundle.backbone.grid_of(views.size(), prepared.scene.size.height, prepared.scene.size.width);
-  request.num_sources = views.num_sources;
+  const ImageSize& size = prepared.scene.size;
+  request.grid =
+      prepared.bundle.options().backbone.grid_of(prepared.scene.views.size(), size.height, size.width);
+  request.num_sources = prepared.scene.views.num_sources;
   request.outputs = options.requested();
   if (prepared.geometry_model) {
     request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
   }
+  return request;
+}
+
+StageRequest stage_request(const PreparedSampling& prepared, const SampleOptions& options) {
+  PlanRequest request = plan_request(prepared, options);
+  request.flow.approximate = options.method(prepared.bundle.options()).approximate;
+  return request.stage_request();
+}
+
+void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& parts) {
+  for (const auto& part : parts) {
+    if (bundle.has(part)) continue;
+    fail({bundle.folder().string(), "a file " + bundle.file(part).filename().string(), "none",
+          "add the part with gld convert or gld train"});
+  }
+}
+
+// The pixels of the views that were chosen without them.
+void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
+  SamplingScene loaded = load_sampling_scene(prepared.found, prepared.selection, prepared.scene.size);
+  const auto& kinds = options.scale_from;
+  if (std::find(kinds.begin(), kinds.end(), "source_depth") != kinds.end()) {
+    load_source_depths(prepared.found, prepared.selection, loaded);
+    const auto& depths = loaded.source_depths;
+    if (std::all_of(depths.begin(), depths.end(), [](const DepthMap& depth) { return depth.empty(); })) {
+      fail({"--scale-from source_depth", "a source view with measured depth", "none",
+            "leave it out, or choose sources that have depth"});
+    }
+  }
+  loaded.warnings = std::move(prepared.scene.warnings);  // which are more
+  prepared.scene = std::move(loaded);
+}
+
+// Why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is known here.
+std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options) {
+  if (!prepared.device.is_cpu()) return "";
+  PlanRequest request = plan_request(prepared, options);
+  request.flow =
+      flow_settings(options.method(prepared.bundle.options()), options.guidance, prepared.bundle.options());
+  constexpr double kGigabyte = 1e9;
+  const auto limit = options.memory_limit > 0 ? static_cast<int64_t>(options.memory_limit * kGigabyte)
+                                              : available_memory_bytes();
+  if (limit <= 0) return "";  // the system does not tell
+  return memory_refusal(prepared.bundle.options(), request, limit);
+}
+
+void refuse_too_large(const PreparedSampling& prepared, const SampleOptions& options) {
+  const std::string problem = memory_problem(prepared, options);
+  if (!problem.empty()) fail({"gld sample", "", "", problem});
+}
+
+PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
+                        const std::function<std::string()>& model_hash) {
+  const BundleOptions& bundle = prepared.bundle.options();
+  const Views& views = prepared.scene.views;
+  PlanRequest request = plan_request(prepared, options);
   PlannedSampling planned;
   planned.visibility = view_visibility(views);
   request.visible_share = planned.visibility.kept();
@@ -196,24 +285,43 @@ std::string scene_line(const SamplingScene& scene) {
 
 std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing) {
   use_threads(options.threads);
-  const PreparedSampling prepared = prepare(options, sampling_views);
+  const PreparedSampling prepared = prepare(options);
+  const std::string problem = memory_problem(prepared, options);
   const auto planned = plan_of(prepared, options, timing, [&] { return prepared.bundle.content_hash(); });
-  std::string text = scene_line(prepared.scene) + planned_text(planned);
-  for (const auto& list : {planned.choice.notes, prepared.scene.warnings}) {
-    for (const auto& warning : list) text += "warning: " + warning + "\n";
+  std::vector<std::string> warnings = planned.choice.notes;
+  warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
+  if (!problem.empty()) warnings.push_back(problem);
+  if (options.json) {
+    const nlohmann::ordered_json report{{"scene", prepared.scene.name},
+                                        {"sampling", choice_json(planned.choice)},
+                                        {"plan", plan_json(planned.plan)},
+                                        {"predicted_seconds", planned.plan.seconds()},
+                                        {"predicted_peak_bytes", planned.plan.peak_bytes()},
+                                        {"rates", planned.speed_origin},
+                                        {"warnings", warnings}};
+    return report.dump(2) + "\n";
   }
+  std::string text = scene_line(prepared.scene) + planned_text(planned);
+  for (const auto& warning : warnings) text += "warning: " + warning + "\n";
   return text;
 }
 
 void sample(const SampleOptions& options) {
-  install_interrupt_handler();
   use_threads(options.threads);
-  const PreparedSampling prepared = prepare(options, load_sampling_scene);
+  const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
+  check_run_folder(options.out, "sample", earlier);
+  if (options.resume) refuse_other_options(options);
+  PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
-  const SamplingScene& scene = prepared.scene;
+  SamplingScene& scene = prepared.scene;
+  const auto parts = needed_parts(bundle.options(), stage_request(prepared, options));
+  bundle_has_all(bundle, parts);
+  refuse_too_large(prepared, options);
+  for (auto& note : mixed_parts(bundle, parts, options.allow_mixed))
+    scene.warnings.push_back(std::move(note));
 
   StageRecords stages;
-  Provenance provenance = make_provenance("sample", options, {"out", "threads"});
+  Provenance provenance = make_provenance("sample", options);
   std::unique_ptr<BackgroundHash> hash;
   const auto wait_for_hash = [&] {
     if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
@@ -225,18 +333,27 @@ void sample(const SampleOptions& options) {
   const PlannedSampling planned = plan_of(prepared, options, PlanTiming::kPredicted, wait_for_hash);
   // Not before the plan, which may estimate how fast this machine computes.
   if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
-  RunFolder run(options.out, "sample", options);
-  const RequestedOutputs requested = options.requested();
-  PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
-  std::cout << scene_line(scene) << planned_text(planned) << std::flush;
-  if (prepared.photos) std::cout << prepared.photos->text << std::flush;
+  if (!options.json) {
+    std::cout << scene_line(scene) << planned_text(planned);
+    if (prepared.photos) std::cout << prepared.photos->text;
+    std::cout << std::flush;
+  }
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
-  if (prepared.geometry_model && requested.needs_geometry()) {
+  load_pixels(prepared, options);
+  if (prepared.geometry_model && options.requested().needs_geometry() && !options.json) {
     std::cout << "depth, rays and points are what " << prepared.geometry_model->options().name
               << " sees in the generated images\n";
   }
+  RunFolder run(options.out, "sample", options, earlier);
+  const RequestedOutputs requested = options.requested();
+  PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
   provenance.seed = options.seed;
+  const UnfinishedLatents kept(run.path());
+  if (options.resume) request.kept_latents = kept.read(wait_for_hash());
+  request.on_latent = [&](int64_t level, const torch::Tensor& latent) {
+    kept.write(level, latent, hash->get());  // inside a stage, which records no other one
+  };
   SamplingOutputs outputs(run, scene, requested, options, provenance);
   FlowProgress progress;
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
@@ -291,8 +408,13 @@ void sample(const SampleOptions& options) {
   for (const auto& [key, value] : outputs.findings().items()) report[key] = value;
   report["warnings"] = warnings;
   run.write_report(report);
+  kept.remove();
   run.note("report", "report.json");
-  std::cout << actual_text(planned.plan, stages.records()) << outputs.scale_text() << run.closing_box();
+  if (options.json) {
+    std::cout << report.dump(2) << "\n";
+  } else {
+    std::cout << actual_text(planned.plan, stages.records()) << outputs.scale_text() << run.closing_box();
+  }
 }
 
 }  // namespace gld

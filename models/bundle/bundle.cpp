@@ -33,6 +33,20 @@ class BackboneImages : public ImageDecoder {
   std::shared_ptr<const Backbone> backbone_;
 };
 
+// A relative path is looked up where one works first, then where the program is installed (PREFIX/share/gld beside
+// PREFIX/bin), then in the tree that it was built in (TREE/build/PRESET/cli).
+std::filesystem::path found_bundle(const std::filesystem::path& folder) {
+  std::error_code error;
+  if (folder.is_absolute() || std::filesystem::exists(folder, error)) return folder;
+  const auto program = std::filesystem::read_symlink("/proc/self/exe", error);
+  if (error) return folder;
+  for (const char* from_program : {"../share/gld", "../../.."}) {
+    const auto there = (program.parent_path() / from_program / folder).lexically_normal();
+    if (std::filesystem::is_regular_file(there / kOptionsFile, error)) return there;
+  }
+  return folder;
+}
+
 }  // namespace
 
 std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
@@ -88,7 +102,8 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, co
   return nullptr;
 }
 
-ModelBundle ModelBundle::open(const std::filesystem::path& folder) {
+ModelBundle ModelBundle::open(const std::filesystem::path& asked) {
+  const auto folder = found_bundle(asked);
   const auto yaml = folder / kOptionsFile;
   if (!std::filesystem::is_regular_file(yaml)) {
     fail({folder.string(), "a model bundle, a folder with " + kOptionsFile,

@@ -376,6 +376,14 @@ bool gives_anything(const ConversionOptions& options) {
   return backbone || !options.dpt_decoder.empty() || !sources_of(options, BundleOptions()).empty();
 }
 
+// Parts are added to a bundle one after the other, but none is taken away without a word.
+void refuse_part_that_is_there(const ConversionOptions& options, const BundlePart& part) {
+  const auto file = std::filesystem::path(options.out) / (bundle_part_name(part) + ".safetensors");
+  if (options.overwrite || !std::filesystem::exists(file)) return;
+  fail({file.string(), "no such part in the bundle yet", "one that is there",
+        "choose another --out, or add --overwrite to replace it"});
+}
+
 }  // namespace
 
 void ConversionOptions::visit(FieldVisitor& visitor) {
@@ -401,7 +409,7 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
                weights, {"ema", "model", "plain"});
   visit_choice(visitor, {"precision", "how floating-point weights are stored"}, precision,
                {"fp32", "fp16", "bf16"});
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
 }
 
 void ConversionOptions::check() const {
@@ -418,10 +426,16 @@ ordered_json convert(const ConversionOptions& options) {
   }
   const BundleOptions bundle = described_bundle(options);
   check_backbone_files(options, bundle);
+  const auto sources = sources_of(options, bundle);
+  // Everything that can be told beforehand, so that a mistake leaves nothing behind.
+  for (const auto& source : sources) {
+    WeightFile::open(source.file);
+    for (const auto& part : source.parts) refuse_part_that_is_there(options, part.part);
+  }
   save_bundle_options(options.out, bundle);
   ordered_json report = {
       {"bundle", options.out}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
-  for (const auto& source : sources_of(options, bundle)) {
+  for (const auto& source : sources) {
     const auto file = WeightFile::open(source.file);
     account_for_all(*file, source, report["ignored"]);
     for (const auto& part : source.parts) {

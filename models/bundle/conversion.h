@@ -40,6 +40,7 @@ struct ConversionOptions : OptionsGroup {
   CheckpointWeights weights = CheckpointWeights::kEma;
   StoredPrecision precision = StoredPrecision::kFloat32;
   std::string out;
+  bool overwrite = false;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "tests/support/temporary_folder.h"
 
+#include <iostream>
 #include <stdexcept>
 
 #include <gmock/gmock.h>
@@ -99,12 +100,45 @@ TEST_F(CommandLine, WrongUsageGetsOneSentence) {
             "error: gld paint: expected at least 1 argument(s): FILE, found 0; see gld paint --help.\n");
   EXPECT_EQ(run({"paint", "x", "--frame-count", "0"}), 2);
   EXPECT_EQ(error_text_,
-            "error: --frame-count, key 'frame_count': expected an integer in the range [1, 100], found 0; "
+            "error: --frame-count: expected an integer in the range [1, 100], found 0; "
             "choose a value inside the range.\n");
   EXPECT_EQ(run({"paint", "x", "--set", "frame_count"}), 2);
   EXPECT_EQ(error_text_,
             "error: --set: expected key=value, found 'frame_count'; "
             "write for example --set solver.evaluations=16.\n");
+}
+
+TEST_F(CommandLine, AFlagIsNamedAsItIsTypedAndItsValueIsText) {
+  EXPECT_EQ(run({"paint", "x", "--scale", "#2"}), 2);
+  EXPECT_EQ(error_text_, "error: --scale: expected a number, found '#2'; correct the value.\n");
+  EXPECT_EQ(run({"paint", "x", "--set", "guidance.scale=#2"}), 2);  // a comment: YAML
+  EXPECT_EQ(error_text_,
+            "error: --set, key 'guidance.scale': expected a number, found nothing; correct the value.\n");
+}
+
+// An option that only the work can judge is wrong usage all the same.
+TEST_F(CommandLine, AnErrorAboutAFlagIsWrongUsageWheneverItIsFound) {
+  failure_ = [] { fail({"--size", "whole patches", "3x3", "take 14x14"}); };
+  EXPECT_EQ(run({"paint", "x"}), 2);
+}
+
+TEST_F(CommandLine, QuietShowsNothingButErrors) {
+  failure_ = [] { std::cout << "painted\n"; };
+  EXPECT_EQ(run({"paint", "x"}), 0);
+  EXPECT_EQ(output_text_, "painted\n");
+  EXPECT_EQ(run({"paint", "x", "--quiet"}), 0);
+  EXPECT_EQ(output_text_, "");
+  EXPECT_EQ(run({"paint", "x"}), 0);
+  EXPECT_EQ(output_text_, "painted\n");
+}
+
+TEST_F(CommandLine, HelpAndVersionAreFoundWhereTheyAreLookedFor) {
+  EXPECT_EQ(run({"paint", "--help"}), 0);
+  const auto help = output_text_;
+  EXPECT_EQ(run({"help", "paint"}), 0);
+  EXPECT_EQ(output_text_, help);
+  EXPECT_EQ(run({"--version"}), 0);
+  EXPECT_THAT(output_text_, testing::MatchesRegex("gld [0-9.]+\n"));
 }
 
 TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {

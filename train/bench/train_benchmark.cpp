@@ -335,12 +335,12 @@ std::string ratio_text(const std::vector<TrainBenchmarkRow>& rows, const std::st
 }  // namespace
 
 void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.boolean(
       {"full_width", "measure the full-width model; otherwise the small one and the optimiser only"},
       full_width);
   visitor.integer({"views", "source and target views"}, views, {1, 1000});
-  visitor.integer({"sources", "source views"}, sources, {1, 1000});
+  visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size of the full-width model, width x height in pixels"}, size);
   visitor.integers({"depth", "blocks of the full-width model's encoder and decoder"}, depth, {1, 1000});
   visitor.integer({"large_views", "views of the large case; 0 leaves it out"}, large_views, {0, 1000});
@@ -357,7 +357,7 @@ void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
 
 void TrainBenchmarkOptions::check() const {
   if (sources > views) {
-    fail({"--sources", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
+    fail({"--source-views", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
   }
   for (const auto* blocks : {&depth, &large_depth}) {
     if (blocks->size() != 2) {
@@ -401,7 +401,7 @@ Table train_benchmark_table(const std::vector<TrainBenchmarkRow>& rows) {
 }
 
 int run_train_benchmark(const TrainBenchmarkOptions& options) {
-  RunFolder folder(options.out, "bench train", options);
+  RunFolder folder(options.out, "bench train", options, earlier_run(options.overwrite));
   use_threads(options.threads);
   PeakMeasurement peak;
   peak.settings.threads = thread_count();

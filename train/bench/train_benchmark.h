@@ -13,6 +13,7 @@ namespace gld {
 // activations saves and costs, and the optimiser's share of a step.
 struct TrainBenchmarkOptions : OptionsGroup {
   std::string out;
+  bool overwrite = false;
   bool full_width = true;  // full width, the large case and the memory of full depth
   int64_t views = 8;
   int64_t sources = 4;

@@ -19,6 +19,8 @@
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -295,7 +297,7 @@ void Session::count_non_finite(const StepOutcome& outcome) {
   fail({"training step " + std::to_string(step_), "finite losses and gradients",
         outcome.problem + " (" + std::to_string(skipped_in_a_row_) + " skipped steps in a row)",
         "look at the batch in " + (run_.folder / "non_finite" / "batch.safetensors").string() +
-            ", or lower the learning rate and use --resume"});
+            ", or lower the learning rate with --resume --may-change loop.learning_rate.peak"});
 }
 
 void Session::validate() {
@@ -325,7 +327,12 @@ void Session::validate() {
 
 TrainingSummary Session::run() {
   const int64_t first_step = step_;
-  Progress progress("training the " + objective_.kind(), std::max<int64_t>(options_.steps - first_step, 1));
+  std::optional<Progress> progress;
+  if (first_step < options_.steps) {
+    progress.emplace("training the " + objective_.kind(), options_.steps - first_step);
+  } else {
+    messages_.push_back(fmt::format("nothing to train: the run is at step {} of {}", step_, options_.steps));
+  }
   Averages averages;
   int64_t scenes = 0;
   auto logged = std::chrono::steady_clock::now();
@@ -364,11 +371,11 @@ TrainingSummary Session::run() {
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
-      progress.update(step_ - first_step, "step " + std::to_string(step_) + ", loss " +
-                                              six_digits(last_loss_) + ", rate " + six_digits(rate) + ", " +
-                                              six_digits(line["samples_per_second"].get<double>()) +
-                                              " scenes/s, data wait " +
-                                              six_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
+      progress->update(step_ - first_step, "step " + std::to_string(step_) + ", loss " +
+                                               six_digits(last_loss_) + ", rate " + six_digits(rate) + ", " +
+                                               six_digits(line["samples_per_second"].get<double>()) +
+                                               " scenes/s, data wait " +
+                                               six_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
       averages.clear();
       scenes = 0;
     }
@@ -378,7 +385,7 @@ TrainingSummary Session::run() {
     }
     if (step_ % options_.checkpoint_every == 0 || last) checkpoints_.save(snapshot());
   }
-  progress.finish();
+  if (progress) progress->finish();
   {
     const torch::NoGradGuard no_grad;
     const AverageInPlace average(parameters_, optimiser_);

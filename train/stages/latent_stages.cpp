@@ -124,7 +124,7 @@ StatsOptions::StatsOptions() { data.validation_scenes = 0; }
 
 void StatsOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder with a trained backbone"}, model);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
   visitor.integer({"scene_count", "training scenes to look at"}, scene_count, {1, 1'000'000'000});
@@ -141,15 +141,15 @@ void StatsOptions::check() const {
 
 std::string compute_statistics(const StatsOptions& options) {
   const torch::NoGradGuard no_grad;
-  install_interrupt_handler();
   use_threads(options.threads);
+  check_run_folder(options.out, "stats", earlier_run(options.overwrite));
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;
   placement.device = device_from_text(options.device);
   const BundleOptions& model = bundle.options();
   const GeometricLatentSpace space(bundle.load_backbone(placement), model.boundary_level);
   const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
-  RunFolder folder(options.out, "stats", options);
+  RunFolder folder(options.out, "stats", options, earlier_run(options.overwrite));
 
   std::vector<LevelMoments> moments = moments_of(model);
   Progress progress("latent statistics", options.scene_count);
@@ -186,6 +186,7 @@ std::string compute_statistics(const StatsOptions& options) {
                                                {"smallest_deviation", deviation.min().item<double>()},
                                                {"largest_deviation", deviation.max().item<double>()}};
   }
+  note_what_was_trained_on(ModelBundle::open(made), parts);
   folder.write_report(report);
   folder.note("model", "model");
   folder.note("report", "report.json");

@@ -24,6 +24,7 @@ struct TrainCascadeOptions : TrainOptions {
 struct StatsOptions : OptionsGroup {
   std::string model;
   std::string out;
+  bool overwrite = false;
   std::string device = "cpu";
   int64_t threads = 0;
   int64_t scene_count = 512;

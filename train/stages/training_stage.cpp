@@ -1,14 +1,18 @@
 #include "train/stages/training_stage.h"
 
+#include "gld/base/atomic_file.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/option_differences.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
+#include "models/bundle/part_lineage.h"
 
 #include <algorithm>
 #include <iostream>
+#include <set>
 
 #include <nlohmann/json.hpp>
 
@@ -31,8 +35,11 @@ DType file_dtype_of(ExportPrecision precision) {
 
 void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder: model.yaml and the parts trained before"}, model);
-  visit_out(visitor, out);
+  visit_out(visitor, out, overwrite);
   visitor.boolean({"resume", "continue the run in the run folder"}, resume);
+  visitor.texts({"may_change", "options that may differ from those of the run that --resume continues"},
+                may_change);
+  visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
   visit_choice(visitor, {"weights", "precision of the exported weights"}, weights,
@@ -46,6 +53,53 @@ void TrainOptions::check() const {
     fail({"--model", "a bundle folder with a model.yaml", "nothing", "add for example --model configs/tiny"});
   }
   check_out(out, "runs/train");
+  if (resume && overwrite) {
+    fail({"--resume, --overwrite", "one of the two", "both",
+          "--resume goes on with the run, --overwrite removes it"});
+  }
+}
+
+void refuse_changed_options(const std::filesystem::path& folder, const OptionsGroup& now,
+                            const std::vector<std::string>& may_change) {
+  const std::set<std::string> free = {"model",
+                                      "device",
+                                      "weights",
+                                      "may_change",
+                                      "allow_mixed",
+                                      "loop.steps",
+                                      "loop.log_every",
+                                      "loop.checkpoint_every",
+                                      "loop.keep_last",
+                                      "loop.validate_every",
+                                      "loop.stop_after_non_finite",
+                                      "loop.loader_threads",
+                                      "loop.workers",
+                                      "loop.learning_rate.schedule",
+                                      "loop.learning_rate.warmup_steps",
+                                      "loop.learning_rate.decay_start_step",
+                                      "loop.learning_rate.decay_end_step",
+                                      "objective.start",
+                                      "objective.flow.start",
+                                      "objective.training"};
+  const auto contains = [](const auto& names, const std::string& name) {
+    return std::find(names.begin(), names.end(), name) != names.end();
+  };
+  const auto file = folder / "config.yaml";
+  if (!std::filesystem::is_regular_file(file)) return;  // killed before it was written
+  std::string before, here, keys;
+  for (const auto& difference : differences_from(read_file(file), file.string(), now)) {
+    if (free.count(difference.key) > 0 || contains(options_beside_the_result(), difference.key) ||
+        contains(may_change, difference.key)) {
+      continue;
+    }
+    const std::string separator = keys.empty() ? "" : ", ";
+    before += separator + difference.key + " " + difference.before;
+    here += separator + difference.now;
+    keys += (keys.empty() ? "" : ",") + difference.key;
+  }
+  if (keys.empty()) return;
+  fail({"--resume", "the options that the run was begun with (" + before + ")", here,
+        "leave them as they were, or allow it with --may-change " + keys});
 }
 
 // Parts of the bundle that the run did not make itself.
@@ -54,25 +108,44 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
   const auto target = ModelBundle::open(to);
   for (const BundlePart& part : bundle_parts(from.options())) {
     if (!from.has(part) || std::find(made.begin(), made.end(), part) != made.end()) continue;
-    std::filesystem::copy_file(from.file(part), target.file(part),
-                               std::filesystem::copy_options::overwrite_existing);
+    AtomicFile copy(target.file(part));
+    std::filesystem::copy_file(from.file(part), copy.temporary());
+    copy.commit();
+  }
+}
+
+void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<BundlePart>& made) {
+  for (const BundlePart& part : bundle_parts(bundle.options())) {
+    if (std::find(made.begin(), made.end(), part) != made.end()) note_trained_on(bundle, part);
   }
 }
 
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw) {
-  install_interrupt_handler();
   use_threads(options.threads);
+  EarlierRun earlier = earlier_run(options.overwrite);
+  if (options.resume) earlier = EarlierRun::kContinue;
+  const auto start = options.resume ? TrainingStart::kResume : TrainingStart::kFresh;
+  if (!options.overwrite) check_training_start(options.out, start);
+  check_run_folder(options.out, stage.command, earlier);
+  if (options.resume) refuse_changed_options(options.out, all_options, options.may_change);
   const auto bundle = ModelBundle::open(options.model);
   ParameterPlacement placement;
   placement.device = device_from_text(options.device);
-  const auto start = options.resume ? TrainingStart::kResume : TrainingStart::kFresh;
-  check_training_start(options.out, start);
+  for (const auto& part : stage.made) {
+    std::vector<BundlePart> others;
+    for (const auto& other : trained_on(part, bundle.options())) {
+      if (bundle.has(other)) others.push_back(other);
+    }
+    for (const auto& warning : mixed_parts(bundle, others, options.allow_mixed)) {
+      std::cerr << "warning: " << warning << "\n";
+    }
+  }
   const auto objective = stage.objective(bundle, placement);
   const auto sizes = bundle.options().image_sizes();
   const auto data = std::make_shared<DatasetBatches>(options.data, sizes, stage.parts);
 
-  RunFolder folder(options.out, stage.command, all_options);
+  RunFolder folder(options.out, stage.command, all_options, earlier);
   TrainingRun run;
   run.folder = folder.path();
   run.objective = objective.get();
@@ -83,8 +156,11 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   int64_t parameters = 0;
   for (const auto& item : objective->parameters()) parameters += item.parameter.numel();
 
+  // A stop waits for the end of the step, where a checkpoint is written.
+  install_interrupt_handler(StopDeadline::kSafePoint);
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);
+  note_what_was_trained_on(ModelBundle::open(folder.path() / "model"), stage.made);
 
   nlohmann::ordered_json report = {{"command", stage.command},
                                    {"parameters", parameters},

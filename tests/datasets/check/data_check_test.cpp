@@ -220,5 +220,48 @@ TEST(DataCheck, WritesReportAndPicture) {
   EXPECT_GT(coloured, 1000);
 }
 
+// What gld sample says about a scene, the check says too.
+TEST(DataCheck, ABrokenFrameIsAMistakeAndShiftsTheNumbersBehindIt) {
+  const TemporaryFolder folder;
+  write_scene(rendered_scene(0), "cameras-json", folder.path() / "scene");
+  const Scene whole = open_scene(folder.path() / "scene");
+  write_file_atomically(whole.frames[3].image_file, "this is text");
+  const DataCheck check = check_scene(SceneLocation{folder.path() / "scene", ""}, {});
+  ASSERT_FALSE(check.problems.empty());
+  EXPECT_THAT(check.problems[0], HasSubstr(whole.frames[3].image_file.filename().string()));
+  EXPECT_THAT(check.notes,
+              ::testing::Contains(StartsWith("Frame numbers count the frames that are there: from '" +
+                                             whole.frames[4].name + "' on, which is number 3,")));
+  ASSERT_EQ(check.list.size(), 11U);
+  EXPECT_EQ(check.list[3].name, whole.frames[4].name);
+  EXPECT_EQ(check.list[3].width, 200);
+  EXPECT_THAT(data_check_text(check), HasSubstr(" 3 " + whole.frames[4].name + " 200x150\n"));
+}
+
+TEST(DataCheck, AFolderWithASceneIsThatScene) {
+  const TemporaryFolder folder;
+  write_scene(rendered_scene(0), "cameras-json", folder.path() / "parent" / "scene");
+  EXPECT_EQ(open_scene(folder.path() / "parent").frames.size(), 12U);
+}
+
+TEST(DataCheck, SaysHowManyScenesItLeftOut) {
+  const TemporaryFolder folder;
+  for (const char* name : {"a", "b", "c"}) {
+    write_scene(rendered_scene(0), "cameras-json", folder.path() / "scenes" / name);
+  }
+  DataCheckOptions options;
+  options.most_scenes = 2;
+  options.most_images = 1;
+  ::testing::internal::CaptureStdout();
+  EXPECT_EQ(run_data_check(folder.path() / "scenes", options), 0);
+  const std::string text = ::testing::internal::GetCapturedStdout();
+  EXPECT_THAT(text, HasSubstr("2 of 3 scenes were checked; --most-scenes 3 checks all\n"));
+  EXPECT_THAT(text, HasSubstr("1 of 12 images (--most-images)"));
+  options.json = true;
+  ::testing::internal::CaptureStdout();
+  run_data_check(folder.path() / "scenes", options);
+  EXPECT_EQ(nlohmann::json::parse(::testing::internal::GetCapturedStdout()).at("scenes_found"), 3);
+}
+
 }  // namespace
 }  // namespace gld

@@ -10,10 +10,12 @@ namespace {
 
 struct EveryOption : OptionsGroup {
   std::string out, device = "cpu", scene;
+  bool overwrite = false, json = false;
   int64_t threads = 0, seed = 0;
   std::vector<std::string> scenes;
   void visit(FieldVisitor& visitor) override {
-    visit_out(visitor, out);
+    visit_out(visitor, out, overwrite);
+    visit_json(visitor, json);
     visit_device(visitor, device);
     visit_threads(visitor, threads);
     visit_seed(visitor, seed, "the noise");

@@ -2,6 +2,8 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/flag_values.h"
+#include "gld/base/option_differences.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
@@ -79,6 +81,47 @@ TEST(Configuration, SettingsTakeDottedKeysAndCommaLists) {
   EXPECT_TRUE(options.loud);
 }
 
+// Seen: --out "runs/trip #2" wrote over runs/trip.
+TEST(Configuration, AFlagsValueIsItsText) {
+  OuterOptions options;
+  for (const std::string text :
+       {"runs/trip #2", "a: b", "[a]", "*x", "@x", "&x", " 'quoted' ", "~", "null", ""}) {
+    apply_flag(options, "title", text, "--title");
+    EXPECT_EQ(options.title, text);
+  }
+  apply_flag(options, "names", "a: b,[c", "--names");
+  EXPECT_THAT(options.names, testing::ElementsAre("a: b", "[c"));
+  apply_flag(options, "inner.sizes", "3, 9", "--sizes");
+  EXPECT_THAT(options.inner.sizes, testing::ElementsAre(3, 9));
+  apply_flag(options, "inner.sizes", "", "--sizes");
+  EXPECT_TRUE(options.inner.sizes.empty());
+  EXPECT_EQ(test::error_of([&] { apply_flag(options, "inner.sizes", "1,x", "--sizes"); }),
+            "--sizes: expected an integer, found 'x'; correct the value.");
+}
+
+TEST(Configuration, SaysWhatDiffersFromAnEarlierText) {
+  OuterOptions options;
+  const auto before = to_yaml(options) + "of_an_older_program: 3\n";
+  EXPECT_TRUE(differences_from(before, "config.yaml", options).empty());
+  options.inner.weight = 0.125;
+  options.inner.sizes = {1, 2, 3};
+  options.title = "b";
+  const auto differences = differences_from(before, "config.yaml", options);
+  ASSERT_EQ(differences.size(), 3U);
+  EXPECT_EQ(differences[0].key, "inner.sizes");
+  EXPECT_EQ(differences[0].before, "[1, 2]");
+  EXPECT_EQ(differences[0].now, "[1, 2, 3]");
+  EXPECT_EQ(differences[1].key, "inner.weight");
+  EXPECT_EQ(differences[1].before, "0.5");
+  EXPECT_EQ(differences[2].key, "title");
+}
+
+TEST(Configuration, SuggestsOnlyWhatIsNear) {
+  EXPECT_EQ(nearest_name("ddim", {"euler", "dp54", "unipc3"}), "");
+  EXPECT_EQ(nearest_name("--schedule", {"--help", "--size"}), "");
+  EXPECT_EQ(nearest_name("eluer", {"euler", "heun"}), "euler");
+}
+
 struct Refusal {
   std::string yaml;
   std::string message;
@@ -117,6 +160,8 @@ INSTANTIATE_TEST_SUITE_P(
         Refusal{"inner: 3\n",
                 "f.yaml:1, key 'inner': expected a map of options, found '3'; "
                 "write its options indented below it."},
+        Refusal{"count: 2\ncount: 3\n",
+                "f.yaml:2: expected every key once, found 'count' a second time; remove one of the two."},
         Refusal{"- a\n", "f.yaml: expected a map of options, found a list; write one 'key: value' a line."},
         Refusal{"loud: maybe\n",
                 "f.yaml:1, key 'loud': expected true or false, found 'maybe'; correct the value."}));

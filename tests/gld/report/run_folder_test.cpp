@@ -3,13 +3,11 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
-#include "gld/base/interrupt.h"
 #include "gld/machine/stage_record.h"
 #include "gld/report/progress.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
-#include <csignal>
 #include <stdexcept>
 #include <vector>
 
@@ -27,7 +25,7 @@ struct CountOptions : OptionsGroup {
 TEST(RunFolder, WritesTheConfigurationFirstAndTheBoxLast) {
   test::TemporaryFolder temporary;
   const auto path = temporary.path() / "runs" / "one";
-  RunFolder run(path, "count", CountOptions());
+  RunFolder run(path, "count", CountOptions(), EarlierRun::kRefuse);
   CountOptions read;
   read.count = 1;
   load_yaml(read, path / "config.yaml");
@@ -40,24 +38,118 @@ TEST(RunFolder, WritesTheConfigurationFirstAndTheBoxLast) {
               testing::HasSubstr("| report      " + (path / "report.json").string() + " |"));
 }
 
+struct CountAgainOptions : CountOptions {
+  bool overwrite = true, resume = true;
+  void visit(FieldVisitor& visitor) override {
+    CountOptions::visit(visitor);
+    visitor.boolean({"overwrite", "remove"}, overwrite);
+    visitor.boolean({"resume", "continue"}, resume);
+  }
+};
+
+// Otherwise gld COMMAND --config config.yaml would remove the run that it repeats.
+TEST(RunFolder, TheConfigurationDoesNotSayWhatBecameOfAnEarlierRun) {
+  test::TemporaryFolder temporary;
+  const RunFolder run(temporary.path() / "run", "count", CountAgainOptions(), EarlierRun::kRefuse);
+  EXPECT_EQ(read_file(temporary.path() / "run" / "config.yaml"),
+            "# gld count: the options of this run, defaults included\ncount: 3\n");
+}
+
+std::string refusal(const std::filesystem::path& path, const std::string& command, EarlierRun earlier) {
+  const auto checked = test::error_of([&] { check_run_folder(path, command, earlier); });
+  EXPECT_EQ(test::error_of([&] { RunFolder(path, command, CountOptions(), earlier); }), checked);
+  return checked;
+}
+
 TEST(RunFolder, NeverWritesOverSomethingElse) {
   test::TemporaryFolder temporary;
   const auto path = temporary.path() / "holiday";
   std::filesystem::create_directory(path);
   write_file_atomically(path / "photo.jpg", "x");
-  EXPECT_EQ(test::error_of([&] { RunFolder(path, "count", CountOptions()); }),
-            path.string() +
-                ": expected an empty folder or an earlier run of gld count, found a folder with other files; "
-                "choose another --out.");
-  EXPECT_EQ(test::error_of([&] { RunFolder(path / "photo.jpg", "count", CountOptions()); }),
+  for (const auto earlier : {EarlierRun::kRefuse, EarlierRun::kOverwrite, EarlierRun::kContinue}) {
+    EXPECT_EQ(refusal(path, "count", earlier),
+              path.string() +
+                  ": expected a new or empty folder, found a folder with other files; choose another --out.");
+  }
+  EXPECT_EQ(refusal(path / "photo.jpg", "count", EarlierRun::kRefuse),
             (path / "photo.jpg").string() +
                 ": expected a folder to write into, found a file; choose another --out.");
-  EXPECT_EQ(test::error_of([&] { RunFolder("", "count", CountOptions()); }),
+  EXPECT_EQ(refusal("", "count", EarlierRun::kRefuse),
             "--out: expected a folder to write into, found nothing; add for example --out runs/count.");
-  const RunFolder first(temporary.path() / "run", "count", CountOptions());
-  EXPECT_NO_THROW(RunFolder(temporary.path() / "run", "count", CountOptions()));
-  EXPECT_THAT(test::error_of([&] { RunFolder(temporary.path() / "run", "sample", CountOptions()); }),
-              testing::HasSubstr("expected an empty folder or an earlier run of gld sample"));
+  const auto run = temporary.path() / "run";
+  { const RunFolder first(run, "count", CountOptions(), EarlierRun::kRefuse); }
+  EXPECT_EQ(
+      refusal(run, "sample", EarlierRun::kOverwrite),
+      run.string() + ": expected a new or empty folder, found a run of gld count; choose another --out.");
+}
+
+TEST(RunFolder, AnEarlierRunIsRefusedOrItsFilesAndNoOthersGo) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  {
+    const RunFolder first(path, "count", CountOptions(), EarlierRun::kRefuse);
+    write_file_atomically(first.subfolder("images") / "old.png", "x");
+    write_file_atomically(first.subfolder("depth") / "old.pfm", "x");
+    first.write_report({{"answer", 41}});
+  }
+  write_file_atomically(path / "notes.txt", "mine");
+  write_file_atomically(path / "images" / "mine.png", "mine");
+  EXPECT_EQ(refusal(path, "count", EarlierRun::kRefuse),
+            path.string() +
+                ": expected a new or empty folder, found an earlier run of gld count; choose another "
+                "--out, or add --overwrite to remove what that run wrote.");
+  EXPECT_TRUE(std::filesystem::exists(path / "images" / "old.png"));
+  {
+    const RunFolder second(path, "count", CountOptions(), EarlierRun::kOverwrite);
+    EXPECT_FALSE(std::filesystem::exists(path / "images" / "old.png"));
+    EXPECT_FALSE(std::filesystem::exists(path / "depth"));
+    EXPECT_FALSE(std::filesystem::exists(path / "report.json"));
+    EXPECT_EQ(read_file(path / "notes.txt"), "mine");
+    EXPECT_EQ(read_file(path / "images" / "mine.png"), "mine");
+    second.write_report({{"answer", 42}});
+  }
+  // Continued, nothing goes.
+  const RunFolder third(path, "count", CountOptions(), EarlierRun::kContinue);
+  EXPECT_TRUE(std::filesystem::exists(path / "report.json"));
+}
+
+TEST(RunFolder, ARunOfAProgramWithoutJournalIsContinuedButNotRemoved) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  std::filesystem::create_directory(path);
+  write_file_atomically(path / "config.yaml", "# gld count: the options of this run, defaults included\n");
+  write_file_atomically(path / "step_1.safetensors", "x");
+  { const RunFolder continued(path, "count", CountOptions(), EarlierRun::kContinue); }
+  EXPECT_EQ(
+      refusal(path, "count", EarlierRun::kOverwrite),
+      path.string() +
+          ": expected a run folder that says what the run wrote (.gld-run), found one that a program of "
+          "before did not note everything in; remove the folder yourself or choose another --out.");
+}
+
+TEST(RunFolder, KilledBeforeItsConfigurationItMayBeginAgain) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  std::filesystem::create_directory(path);
+  { const RunJournal begun(path); }
+  const RunFolder run(path, "count", CountOptions(), EarlierRun::kRefuse);
+  EXPECT_TRUE(std::filesystem::exists(path / "config.yaml"));
+}
+
+TEST(RunFolder, ASecondRunAtTheSameTimeIsRefused) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  {
+    const RunFolder first(path, "count", CountOptions(), EarlierRun::kRefuse);
+    for (const auto earlier : {EarlierRun::kRefuse, EarlierRun::kOverwrite, EarlierRun::kContinue}) {
+      EXPECT_THAT(
+          refusal(path, "count", earlier),
+          testing::MatchesRegex(".*: expected a run folder that no other process writes, found one that "
+                                "another process is writing \\(process [0-9]+ on .*\\); wait for it or "
+                                "choose another --out\\."));
+    }
+  }
+  const RunFolder second(path, "count", CountOptions(), EarlierRun::kOverwrite);
 }
 
 TEST(StageRecords, KeepTimeAndMemoryAlsoOfAFailedStage) {
@@ -80,19 +172,6 @@ TEST(Text, DurationsAndSizes) {
   EXPECT_EQ(duration_text(3720), "1 h 02 min");
   EXPECT_EQ(bytes_text(1500), "1.5 kB");
   EXPECT_EQ(bytes_text(2'340'000'000), "2.34 GB");
-}
-
-TEST(Interrupt, StopsAtTheNextSafePoint) {
-  install_interrupt_handler();
-  EXPECT_NO_THROW(stop_if_interrupted("nothing"));
-  std::raise(SIGINT);
-  EXPECT_TRUE(interrupt_requested());
-  try {
-    stop_if_interrupted("2 of 3 views are finished");
-    FAIL() << "it went on";
-  } catch (const Interrupted& interrupted) {
-    EXPECT_STREQ(interrupted.what(), "2 of 3 views are finished");
-  }
 }
 
 }  // namespace

@@ -29,7 +29,7 @@ struct TwoOptions : OptionsGroup {
 };
 
 Provenance example() {
-  Provenance provenance = make_provenance("sample", TwoOptions(), {"out"});
+  Provenance provenance = make_provenance("sample", TwoOptions());
   provenance.model_hash = "00ff";
   provenance.seed = 7;
   return provenance;

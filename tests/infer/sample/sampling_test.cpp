@@ -14,6 +14,7 @@
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
 #include "infer/forecast/machine_rates.h"
+#include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -328,7 +329,7 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
   EXPECT_EQ(sentence([](SampleOptions& asked) {
               asked.views.sources = {1, 1};
             }),
-            "--sources: expected each source view once, found a frame number twice; remove the repetition.");
+            "--sources: expected each source view once, found frame 1 twice; remove the repetition.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.path.path = "orbit"; }),
             "--targets, --path: expected either target frames or a path, found both; "
             "add for example --targets 1,2, or --path orbit.");
@@ -357,7 +358,8 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
   asked.outputs = {"image"};
   testing::internal::CaptureStdout();
   testing::internal::CaptureStderr();
-  // The handler is installed by sample(); the alarm arrives while M1 runs.
+  install_interrupt_handler(StopDeadline::kSafePoint);
+  // The alarm arrives while M1 runs.
   std::signal(SIGALRM, [](int) { std::raise(SIGINT); });
   ::alarm(2);
   std::string done;
@@ -373,6 +375,131 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
     EXPECT_THAT(entry.path().filename().string(), testing::Not(HasSubstr("partial")));
   }
   EXPECT_TRUE(std::filesystem::is_regular_file(std::filesystem::path(asked.out) / "config.yaml"));
+  std::signal(SIGALRM, SIG_DFL);
+}
+
+TEST_F(Sampling, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
+  auto asked = options("twice");
+  asked.outputs = {"image", "latents"};
+  run(asked);
+  const std::filesystem::path out = asked.out;
+  EXPECT_THAT(test::error_of([&] { sample(asked); }),
+              HasSubstr("found an earlier run of gld sample; choose another --out, or add --overwrite"));
+  write_file_atomically(out / "images" / "mine.png", "mine");
+  asked.overwrite = true;
+  asked.outputs = {"image"};
+  run(asked);
+  EXPECT_FALSE(std::filesystem::exists(out / "latents.safetensors"));
+  EXPECT_TRUE(std::filesystem::exists(out / "images" / "mine.png"));
+  EXPECT_TRUE(std::filesystem::exists(out / "images" / "view_02.png"));
+}
+
+// A wrong request says so before anything is removed.
+TEST_F(Sampling, AMistakeLeavesTheEarlierRunAsItWas) {
+  auto asked = options("kept_run");
+  asked.outputs = {"image"};
+  run(asked);
+  asked.overwrite = true;
+  asked.views.targets = {9};
+  EXPECT_THROW(sample(asked), Error);
+  EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "images" / "view_02.png"));
+}
+
+TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
+  auto asked = options("resumed");
+  asked.outputs = {"image", "latents"};
+  run(asked);
+  const std::filesystem::path out = asked.out;
+  EXPECT_FALSE(std::filesystem::exists(out / "unfinished"));
+  const auto before = read_file(out / "images" / "view_02.png");
+  const auto hash = nlohmann::json::parse(read_file(out / "report.json")).at("model").at("hash");
+  const UnfinishedLatents unfinished(out);
+  unfinished.write(1, read_all(out / "latents.safetensors").at("level1"), hash);
+  unfinished.write(0, read_all(out / "latents.safetensors").at("level0"), "of other weights");
+  std::filesystem::remove(out / "images" / "view_02.png");
+  asked.resume = true;
+  const auto report = run(asked);
+  EXPECT_TRUE(report.at("flows").at(0).contains("kept"));
+  EXPECT_EQ(report.at("flows").at(1).at("function_evaluations"), 3);
+  EXPECT_TRUE(read_file(out / "images" / "view_02.png") == before);
+  EXPECT_FALSE(std::filesystem::exists(out / "unfinished"));
+  asked.seed = 1;
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--resume: expected the options of the run, which has seed 0, found 1; leave it as it was, or "
+            "begin again with --overwrite.");
+}
+
+TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
+  auto asked = options("too_large");
+  asked.memory_limit = 0.23;
+  asked.views.targets.clear();
+  asked.views.path.path = "orbit";
+  asked.views.path.frames = 400;
+  EXPECT_THAT(
+      test::error_of([&] { sample(asked); }),
+      testing::ContainsRegex("This takes .* of memory by the forecast and 230 MB may be taken; what would "
+                             "fit: [0-9]+ views of this size"));
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));
+}
+
+TEST_F(Sampling, AMissingPartIsNamedFirst) {
+  const auto model = folder_->path() / "without_head";
+  std::filesystem::copy(folder_->path() / "model", model);
+  std::filesystem::remove(model / "dpt_head.safetensors");
+  auto asked = options("missing_part");
+  asked.model = model.string();
+  EXPECT_EQ(
+      test::error_of([&] { sample(asked); }),
+      model.string() +
+          ": expected a file dpt_head.safetensors, found none; add the part with gld convert or gld train.");
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+  asked.outputs = {"image"};  // which needs none
+  run(asked);
+}
+
+TEST_F(Sampling, FramesAreChosenByNumberOrName) {
+  const auto frames = open_scene(folder_->path() / "scene").frames;
+  auto numbers = options("by_number"), names = options("by_name");
+  numbers.outputs = names.outputs = {"image"};
+  names.views.sources = {FrameChoice(frames[0].name), FrameChoice(3)};
+  names.views.targets = {FrameChoice(frames[1].name), FrameChoice(frames[2].name)};
+  EXPECT_EQ(run(names).at("scene"), run(numbers).at("scene"));
+  names.views.targets = {FrameChoice(frames[0].name)};
+  EXPECT_THAT(test::error_of([&] { sampling_plan_report(names, PlanTiming::kPredicted); }),
+              HasSubstr("--targets: expected frames that are not sources"));
+  names.views.targets = {FrameChoice("nobody")};
+  EXPECT_THAT(test::error_of([&] { sampling_plan_report(names, PlanTiming::kPredicted); }),
+              HasSubstr("--targets: expected frames of scene 'scene', found 'nobody', which is none"));
+}
+
+TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
+  const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
+    SampleOptions asked = options("refused");
+    change(asked);
+    return test::error_of([&] { check_options(asked, "gld sample"); });
+  };
+  EXPECT_EQ(sentence([](SampleOptions& asked) {
+              asked.preset = SamplingPreset::kPublished;
+              asked.named = {"preset", "solver.evaluations"};
+            }),
+            "--preset published: expected no solver option beside it, the preset decides about all of them, "
+            "found 'solver.evaluations'; leave out one of the two.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.named = {"views.targets", "views.frames"};
+      }),
+      "--frames: expected --path, which it is an option of, found --targets; leave out one of the two.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) {
+              asked.views.targets = {1, 1};
+            }),
+            "--targets: expected each target view once, found frame 1 twice; remove the repetition.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.targets = {3}; }),
+            "--targets: expected frames that are not sources, found frame 3, which is a source; leave it out "
+            "of one of the two.");
+  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.resume = asked.overwrite = true; }),
+            "--resume, --overwrite: expected one of the two, found both; --resume goes on with the run, "
+            "--overwrite removes it.");
 }
 
 TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
@@ -436,7 +563,7 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   asked.sources = asked.views;
   EXPECT_EQ(
       test::error_of([&] { asked.check(); }),
-      "--sources: expected fewer source views than views, found 8 of 8; leave at least one target view.");
+      "--source-views: expected fewer source views than views, found 8 of 8; leave at least one target view.");
 }
 
 }  // namespace

@@ -145,7 +145,7 @@ TEST(TrainingLoop, StopsAfterTooManyStepsThatAreNotFinite) {
             "training step 8: expected finite losses and gradients, "
             "found a loss of nan (3 skipped steps in a row); look at the batch in " +
                 (folder.path() / "non_finite" / "batch.safetensors").string() +
-                ", or lower the learning rate and use --resume.");
+                ", or lower the learning rate with --resume --may-change loop.learning_rate.peak.");
   const auto batch = WeightFile::open(folder.path() / "non_finite" / "batch.safetensors");
   EXPECT_NE(batch->find("scene0.images"), nullptr);
   EXPECT_NE(batch->find("scene0.world_from_camera"), nullptr);

@@ -2,6 +2,7 @@
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
 #include "gld/latents/latent_statistics.h"
+#include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -17,6 +18,7 @@
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -113,6 +115,46 @@ TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
             path("nothing").string() + ": expected a checkpoint to resume from, found none in " +
                 path("nothing/checkpoints").string() + "; start the run without --resume.");
   EXPECT_FALSE(std::filesystem::exists(path("nothing")));
+}
+
+TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
+  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_options"));
+  train_level(options, {});
+  EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
+              testing::HasSubstr("continue it with --resume or choose another --out"));
+  options.resume = true;
+  const double peak = options.loop.learning_rate.peak;
+  options.loop.learning_rate.peak = 0.25;
+  options.data.views.longest_interval += 1;
+  const auto refused = test::error_of([&] { train_level(options, {}); });
+  EXPECT_THAT(refused, testing::StartsWith("--resume: expected the options that the run was begun with ("));
+  EXPECT_THAT(refused,
+              testing::HasSubstr("with --may-change data.views.longest_interval,loop.learning_rate.peak"));
+  options.may_change = {"data.views.longest_interval"};
+  EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
+              testing::EndsWith("with --may-change loop.learning_rate.peak."));
+  // How far it goes and the course of its rate are not what it is: scripts/train_tiny.sh branches off runs so.
+  options.loop.learning_rate.peak = peak;
+  options.loop.learning_rate.schedule = LearningRateSchedule::kLinear;
+  options.loop.learning_rate.decay_start_step = options.loop.steps;
+  options.loop.steps += 1;
+  options.objective.start = ModelStart::kBundle;
+  train_level(options, {});
+}
+
+TEST_F(TrainedChain, PartsOfAnotherBackboneAreRefused) {
+  std::filesystem::copy(path("stats/model"), path("mixed"));
+  const auto backbone = path("mixed") / "backbone.safetensors";
+  save_safetensors(backbone, read_all(backbone), {{"trained", "again"}});
+  auto options = stage_options<TrainLevelOptions>(path("mixed"), path("on_mixed"));
+  EXPECT_EQ(
+      test::error_of([&] { train_level(options, {}); }),
+      (path("mixed") / "statistics_level1.safetensors").string() +
+          ": expected a part that was trained on the backbone beside it, found one of another backbone; "
+          "train statistics_level1 again, or take it as it is with --allow-mixed.");
+  EXPECT_FALSE(std::filesystem::exists(path("on_mixed")));
+  options.allow_mixed = true;
+  train_level(options, {});
 }
 
 // Another set of levels than the published one, with special tokens: statistics, a level and a cascade.

@@ -1,0 +1,23 @@
+#pragma once
+
+#include "gld/base/options.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// to_yaml() of configuration.h without those fields of the outermost group.
+std::string to_yaml_without(const OptionsGroup& options, const std::vector<std::string>& leave_out);
+
+// An option that has another value than in a YAML text that to_yaml() wrote; values as YAML.
+struct OptionDifference {
+  std::string key;  // "group.field"
+  std::string before;
+  std::string now;
+};
+// Keys that only one of the two has are left out: a program of another version had other options. where names the text.
+std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
+                                               const OptionsGroup& options);
+
+}  // namespace gld

@@ -1,0 +1,184 @@
+#include "gld/base/run_journal.h"
+
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <cstring>
+#include <fstream>
+#include <set>
+
+#include <fcntl.h>
+#include <nlohmann/json.hpp>
+#include <sys/file.h>
+#include <unistd.h>
+
+namespace gld {
+namespace {
+
+constexpr const char* kJournalName = ".gld-run";
+// Of fixed length, so that it is replaced in place: another name would lose the lock.
+constexpr size_t kHeaderLength = 256;
+
+std::string host_name() {
+  std::array<char, 128> name{};
+  if (::gethostname(name.data(), name.size() - 1) != 0) return "unknown";
+  return name.data();
+}
+
+std::string header_text(bool running, bool complete) {
+  const nlohmann::ordered_json header = {
+      {"gld run", 1}, {"host", host_name()}, {"process", running ? ::getpid() : 0}, {"complete", complete}};
+  std::string text = header.dump();
+  text.resize(kHeaderLength - 1, ' ');
+  return text + "\n";
+}
+
+// An empty object for a damaged one.
+nlohmann::json read_header(const std::filesystem::path& journal) {
+  std::ifstream stream(journal);
+  std::string line(kHeaderLength, '\0');
+  stream.read(line.data(), kHeaderLength);
+  line.resize(static_cast<size_t>(stream.gcount()));
+  auto header = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
+  return header.is_object() ? header : nlohmann::json::object();
+}
+
+bool has_journal(const std::filesystem::path& folder) {
+  std::error_code error;
+  return std::filesystem::is_regular_file(folder / kJournalName, error);
+}
+
+// Some file systems cannot lock; there a second run is not noticed.
+bool lock(int file) {
+  if (::flock(file, LOCK_EX | LOCK_NB) == 0) return true;
+  return errno != EWOULDBLOCK;
+}
+
+[[noreturn]] void fail_running(const std::filesystem::path& folder) {
+  const auto header = read_header(folder / kJournalName);
+  std::string writer = "one that another process is writing";
+  if (header.contains("process") && header["process"].is_number_integer()) {
+    writer += " (process " + std::to_string(header["process"].get<int64_t>()) + " on " +
+              header.value("host", std::string("unknown")) + ")";
+  }
+  fail({folder.string(), "a run folder that no other process writes", writer,
+        "wait for it or choose another --out"});
+}
+
+}  // namespace
+
+std::optional<RunJournal::Found> RunJournal::find(const std::filesystem::path& folder) {
+  if (!has_journal(folder)) return std::nullopt;
+  const auto header = read_header(folder / kJournalName);
+  Found found;
+  found.complete = header.contains("complete") && header["complete"] == true;
+  std::ifstream stream(folder / kJournalName);
+  stream.seekg(kHeaderLength);
+  std::set<std::string> known;
+  for (std::string line; std::getline(stream, line);) {
+    const auto name = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
+    if (!name.is_string() || !known.insert(name.get<std::string>()).second) continue;
+    std::error_code error;
+    if (std::filesystem::exists(std::filesystem::symlink_status(folder / name.get<std::string>(), error))) {
+      found.written.push_back(name.get<std::string>());
+    }
+  }
+  return found;
+}
+
+void RunJournal::refuse_running(const std::filesystem::path& folder) {
+  const int file = ::open((folder / kJournalName).c_str(), O_RDONLY | O_CLOEXEC);
+  if (file < 0) return;
+  const bool locked = lock(file);
+  ::close(file);
+  if (!locked) fail_running(folder);
+}
+
+RunJournal::RunJournal(const std::filesystem::path& folder) : folder_(folder) {
+  const auto found = find(folder);
+  std::error_code error;
+  complete_ = found ? found->complete : std::filesystem::is_empty(folder, error);
+  file_ = ::open((folder / kJournalName).c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+  if (file_ < 0) {
+    const std::string reason = std::strerror(errno);
+    fail({(folder / kJournalName).string(), "a file that can be written", reason,
+          "check the folder's permissions"});
+  }
+  if (!lock(file_)) {
+    ::close(file_);
+    fail_running(folder);
+  }
+  write_header(/*running=*/true);
+}
+
+RunJournal::~RunJournal() {
+  write_header(/*running=*/false);
+  ::close(file_);  // releases the lock
+}
+
+void RunJournal::write_header(bool running) const {
+  const std::string text = header_text(running, complete_);
+  // A disk that is full will refuse the run's files too, with their names.
+  if (::pwrite(file_, text.data(), text.size(), 0) < 0) return;
+}
+
+void RunJournal::remove_written() {
+  std::set<std::filesystem::path> folders;
+  std::error_code error;
+  const auto found = find(folder_);
+  for (const auto& name : found->written) {
+    const auto relative = std::filesystem::path(name).lexically_normal();
+    // A damaged journal must not reach outside.
+    if (relative.is_absolute() || relative.empty() || *relative.begin() == "..") continue;
+    if (!std::filesystem::is_directory(folder_ / relative, error)) {
+      std::filesystem::remove(folder_ / relative, error);
+      if (error) {
+        fail({(folder_ / relative).string(), "to remove a file of the earlier run",
+              "an error: " + error.message(), "check the folder's permissions or choose another --out"});
+      }
+    }
+    for (auto above = relative.parent_path(); !above.empty(); above = above.parent_path()) {
+      folders.insert(above);
+    }
+  }
+  // Inner folders first. Those that still hold something stay.
+  std::vector<std::filesystem::path> inner_first(folders.begin(), folders.end());
+  std::sort(inner_first.begin(), inner_first.end(), [](const auto& a, const auto& b) {
+    return std::distance(a.begin(), a.end()) > std::distance(b.begin(), b.end());
+  });
+  for (const auto& folder : inner_first) std::filesystem::remove(folder_ / folder, error);
+  if (::ftruncate(file_, static_cast<off_t>(kHeaderLength)) != 0) {
+    fail({(folder_ / kJournalName).string(), "to be shortened", std::strerror(errno), "check the disk"});
+  }
+}
+
+void note_written(const std::filesystem::path& file) {
+  std::error_code error;
+  const auto target = std::filesystem::absolute(file, error).lexically_normal();
+  if (error) return;
+  auto folder = target.parent_path();
+  while (!has_journal(folder)) {
+    if (folder == folder.parent_path()) return;
+    folder = folder.parent_path();
+  }
+  const auto header = read_header(folder / kJournalName);
+  if (header.value("process", nlohmann::json()) != ::getpid() ||
+      header.value("host", nlohmann::json()) != host_name()) {
+    return;  // an earlier run's folder, into which this process puts something of its own
+  }
+  const std::string line = nlohmann::json(target.lexically_relative(folder).string())
+                               .dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) +
+                           "\n";
+  const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_APPEND | O_CLOEXEC);
+  if (journal < 0) return;
+  const auto written = ::write(journal, line.data(), line.size());  // one call: lines of threads do not mix
+  ::close(journal);
+  if (written != static_cast<ssize_t>(line.size())) {
+    fail({(folder / kJournalName).string(), "to note " + target.string(), "a write that failed",
+          "free some space or check the folder's permissions"});
+  }
+}
+
+}  // namespace gld

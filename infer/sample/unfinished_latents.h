@@ -1,0 +1,29 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <string>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Generated levels of a run that is not finished, in its folder: gld sample --resume goes on from them. A level appears whole
+// or not at all.
+class UnfinishedLatents {
+ public:
+  explicit UnfinishedLatents(const std::filesystem::path& run_folder) : folder_(run_folder / "unfinished") {}
+
+  // As PipelineRequest::kept_latents takes them; those that weights of another hash made are not taken. Throws Error for a
+  // damaged file.
+  std::map<int64_t, torch::Tensor> read(const std::string& model_hash) const;
+  void write(int64_t level, const torch::Tensor& latent, const std::string& model_hash) const;
+  // When everything that is made of them is written.
+  void remove() const;
+
+ private:
+  std::filesystem::path folder_;
+};
+
+}  // namespace gld

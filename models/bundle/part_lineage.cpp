@@ -1,0 +1,101 @@
+#include "models/bundle/part_lineage.h"
+
+#include "gld/base/error.h"
+#include "gld/base/sha256.h"
+#include "gld/files/weight_file.h"
+#include "gld/tensors/weight_tensors.h"
+
+#include <filesystem>
+#include <map>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+constexpr const char* kTrainedOn = "gld:trained_on";
+
+// Each file once, however many parts were trained on it.
+class PartHashes {
+ public:
+  explicit PartHashes(const ModelBundle& bundle) : bundle_(bundle) {}
+  // Empty for a part that is not there.
+  const std::string& of(const BundlePart& part) {
+    const auto [entry, added] = hashes_.try_emplace(bundle_part_name(part));
+    if (added && bundle_.has(part)) entry->second = sha256_of_file(bundle_.file(part));
+    return entry->second;
+  }
+
+ private:
+  const ModelBundle& bundle_;
+  std::map<std::string, std::string> hashes_;
+};
+
+}  // namespace
+
+std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options) {
+  if (part.kind == BundlePart::Kind::kBackbone) return {};
+  std::vector<BundlePart> parts = {BundlePart::backbone()};
+  if (part.kind != BundlePart::Kind::kGenerator) return parts;
+  std::vector<int64_t> levels = {part.generator.level};
+  if (part.generator.is_cascade()) levels.push_back(*part.generator.deeper);
+  for (const auto& statistics : bundle_parts(options)) {
+    const bool of_latents = statistics.kind == BundlePart::Kind::kStatistics ||
+                            statistics.kind == BundlePart::Kind::kSpecialStatistics;
+    for (const int64_t level : levels) {
+      if (of_latents && statistics.level == level) parts.push_back(statistics);
+    }
+  }
+  return parts;
+}
+
+void note_trained_on(const ModelBundle& bundle, const BundlePart& part) {
+  PartHashes hashes(bundle);
+  nlohmann::ordered_json made_of = nlohmann::ordered_json::object();
+  for (const auto& other : trained_on(part, bundle.options())) {
+    if (bundle.has(other)) made_of[bundle_part_name(other)] = hashes.of(other);
+  }
+  const auto file = WeightFile::open(bundle.file(part));
+  auto metadata = file->metadata();
+  metadata[kTrainedOn] = made_of.dump();
+  save_safetensors(
+      bundle.file(part), file->entries(),
+      [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
+}
+
+std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vector<BundlePart>& parts,
+                                     bool allow_mixed) {
+  std::vector<std::string> warnings;
+  std::string silent;
+  PartHashes hashes(bundle);
+  for (const auto& part : parts) {
+    if (trained_on(part, bundle.options()).empty()) continue;
+    const auto metadata = WeightFile::open(bundle.file(part))->metadata();
+    const std::string name = bundle_part_name(part);
+    const auto noted = metadata.find(kTrainedOn);
+    if (noted == metadata.end()) {
+      silent += (silent.empty() ? "" : ", ") + name;
+      continue;
+    }
+    const auto made_of = nlohmann::json::parse(noted->second, nullptr, /*allow_exceptions=*/false);
+    for (const auto& other : trained_on(part, bundle.options())) {
+      const std::string other_name = bundle_part_name(other);
+      if (!made_of.is_object() || !made_of.contains(other_name) || !bundle.has(other)) continue;
+      if (made_of[other_name] == hashes.of(other)) continue;
+      if (!allow_mixed) {
+        fail({bundle.file(part).string(), "a part that was trained on the " + other_name + " beside it",
+              "one of another " + other_name,
+              "train " + name + " again, or take it as it is with --allow-mixed"});
+      }
+      warnings.push_back(name + " was trained on another " + other_name + " than the model has.");
+    }
+  }
+  if (!silent.empty() && !std::filesystem::exists(bundle.folder() / "conversion.json")) {
+    warnings.push_back(
+        "Whether these parts belong to their backbone is not known, an earlier program wrote them: " +
+        silent + ".");
+  }
+  return warnings;
+}
+
+}  // namespace gld
