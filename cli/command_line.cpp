@@ -222,7 +222,13 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
     const auto invocation = find_and_parse({"gld", "", commands}, arguments);
     if (!invocation) return 0;
     status_of_error = kFailed;
-    return invocation->command->run(invocation->arguments);
+    const int status = invocation->command->run(invocation->arguments);
+    // What a full disk or a closed pipe did not take must not look like success.
+    if (!std::cout.flush()) {
+      fail({"standard output", "to take the result", "a write that failed",
+            "check the disk or the program behind the pipe"});
+    }
+    return status;
   } catch (const Interrupted& interrupted) {
     std::cerr << "interrupted: " << interrupted.what() << "\n";
     return kInterrupted;

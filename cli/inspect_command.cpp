@@ -1,5 +1,6 @@
 #include "cli/inspect_command.h"
 
+#include "gld/base/json_text.h"
 #include "models/bundle/inspection.h"
 
 #include <iostream>
@@ -27,7 +28,7 @@ Command make_inspect_command() {
   command.options = options;
   command.run = [options](const std::vector<std::string>& arguments) {
     const auto inspection = inspect(arguments[0]);
-    std::cout << (options->json ? inspection.dump(2) + "\n" : inspection_text(inspection));
+    std::cout << (options->json ? json_text(inspection, 2) + "\n" : inspection_text(inspection));
     return 0;
   };
   return command;

@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 
 #include <algorithm>
 #include <charconv>
@@ -147,7 +148,11 @@ class Assigner : public FieldVisitor {
 
   void refuse_unknown() const {
     for (const auto& entry : map_) {
-      const auto name = entry.first.as<std::string>();
+      if (!entry.first.IsScalar()) {
+        fail({place(source_, entry.first, prefix_), "the name of an option", shown(entry.first),
+              "correct the text"});
+      }
+      const auto name = entry.first.Scalar();
       if (std::find(known_.begin(), known_.end(), name) != known_.end()) continue;
       const auto near = nearest_name(name, known_);
       fail({place(source_, entry.first, prefix_ + name), "a known option", "an unknown one",
@@ -224,9 +229,13 @@ void assign(OptionsGroup& options, const YAML::Node& root, const Source& source)
   if (!root.IsMap()) {
     fail({source.where, "a map of options", shown(root), "write one 'key: value' a line"});
   }
-  Assigner assigner(root, source, "");
-  options.visit(assigner);
-  assigner.refuse_unknown();
+  try {
+    Assigner assigner(root, source, "");
+    options.visit(assigner);
+    assigner.refuse_unknown();
+  } catch (const YAML::Exception& error) {
+    fail({source.where, "options", error.msg, "correct the text"});
+  }
 }
 
 // Writes YAML and JSON; both from one walk, since a JSON document is the structure YAML needs.
@@ -401,7 +410,12 @@ size_t edit_distance(const std::string& a, const std::string& b) {
 
 YAML::Node parse_yaml(const std::string& text, const std::string& where) {
   try {
-    return YAML::Load(text);
+    const auto documents = YAML::LoadAll(text);
+    if (documents.size() > 1) {
+      fail(
+          {where, "one YAML document", std::to_string(documents.size()), "remove what stands from '---' on"});
+    }
+    return documents.empty() ? YAML::Node() : documents.front();
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
     fail({where + line, "valid YAML", error.msg, "correct the text"});
@@ -411,7 +425,7 @@ YAML::Node parse_yaml(const std::string& text, const std::string& where) {
 }  // namespace
 
 void load_yaml(OptionsGroup& options, const std::filesystem::path& file) {
-  constexpr uint64_t kLargestConfiguration = 16 << 20;
+  constexpr uint64_t kLargestConfiguration = 1 << 20;
   load_yaml_text(options, read_file(file, kLargestConfiguration), file.string());
 }
 
@@ -444,7 +458,7 @@ void apply_setting(OptionsGroup& options, const std::string& key, const std::str
 
 void load_json(OptionsGroup& options, const nlohmann::json& object, const std::string& where) {
   // JSON is a subset of YAML, so both share one reader and its messages.
-  assign(options, parse_yaml(object.dump(), where), {where, false});
+  assign(options, parse_yaml(json_text(object), where), {where, false});
 }
 
 std::string to_yaml(const OptionsGroup& options) {

@@ -1,6 +1,8 @@
 #include "infer/export/ray_export.h"
 
+#include "datasets/images/image.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/files/npy.h"
 
 #include <algorithm>
