@@ -309,7 +309,13 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
     const auto invocation = find_and_parse({"gld", "", commands, outermost}, arguments);
     if (!invocation) return 0;
     status_of_error = kFailed;
-    return run_invocation(*invocation);
+    const int status = run_invocation(*invocation);
+    // What a full disk or a closed pipe did not take must not look like success.
+    if (!std::cout.flush()) {
+      fail({"standard output", "to take the result", "a write that failed",
+            "check the disk or the program behind the pipe"});
+    }
+    return status;
   } catch (const Interrupted& interrupted) {
     std::cerr << "interrupted: " << interrupted.what() << "\n";
     return kInterruptedStatus;

@@ -1,6 +1,7 @@
 #include "cli/inspect_command.h"
 
 #include "gld/base/command_options.h"
+#include "gld/base/json_text.h"
 #include "models/bundle/inspection.h"
 
 #include <iostream>
@@ -28,7 +29,7 @@ Command make_inspect_command() {
   command.options = options;
   command.run = [options](const std::vector<std::string>& arguments) {
     const auto inspection = inspect(arguments[0]);
-    std::cout << (options->json ? inspection.dump(2) + "\n" : inspection_text(inspection));
+    std::cout << (options->json ? json_text(inspection, 2) + "\n" : inspection_text(inspection));
     return 0;
   };
   return command;

@@ -2,6 +2,7 @@
 
 #include "cli/reference_training.h"
 #include "gld/base/command_options.h"
+#include "gld/base/json_text.h"
 #include "infer/verify/verification.h"
 
 #include <algorithm>
@@ -23,7 +24,7 @@ int verify(const std::vector<std::string>& folders, const VerifyOptions& options
     results.push_back(verify_case(folder, runners));
     if (!options.json) std::cout << case_text(results.back()) << std::flush;
   }
-  std::cout << (options.json ? verification_json(results).dump(2) + "\n" : summary_text(results));
+  std::cout << (options.json ? json_text(verification_json(results), 2) + "\n" : summary_text(results));
   const bool passed =
       std::all_of(results.begin(), results.end(), [](const auto& result) { return result.passed(); });
   return passed ? 0 : 1;

@@ -4,11 +4,14 @@
 #include "datasets/images/image_probe.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
+#include "gld/base/printable_text.h"
 #include "gld/cameras/angles.h"
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <map>
+#include <system_error>
 
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -158,6 +161,33 @@ void look_for_turned_images(const Scene& scene, DataCheck& check) {
   }
 }
 
+// Links are followed; who did not make the folder should know where they lead.
+void look_for_links(const Scene& scene, DataCheck& check) {
+  if (scene.folder.empty()) return;
+  std::error_code error;
+  // RealEstate10K's scene is a file, whose frames may lie beside its folder.
+  const bool is_folder = std::filesystem::is_directory(scene.folder, error);
+  const auto folder = std::filesystem::absolute(is_folder ? scene.folder : scene.folder.parent_path());
+  const auto real_folder = std::filesystem::canonical(folder, error);
+  if (error) return;
+  const auto is_below = [](const std::filesystem::path& file, const std::filesystem::path& base) {
+    const auto relative = file.lexically_normal().lexically_relative(base.lexically_normal());
+    return !relative.empty() && *relative.begin() != "..";
+  };
+  int64_t outside = 0;
+  std::string first;
+  for (const Frame& frame : scene.frames) {
+    if (frame.image_file.empty() || !is_below(std::filesystem::absolute(frame.image_file), folder)) continue;
+    const auto real = std::filesystem::canonical(frame.image_file, error);
+    if (error || is_below(real, real_folder)) continue;
+    if (outside++ == 0) first = frame.image_file.string() + " is " + real.string();
+  }
+  if (outside == 0) return;
+  check.notes.push_back(printable_text(
+      fmt::format("{} of {} images are links to places outside the scene's folder, which are followed: {}.",
+                  outside, check.frames, first)));
+}
+
 void look_at_principal_point(const Scene& scene, DataCheck& check) {
   int64_t turned = 0;
   for (const Frame& frame : scene.frames) {
@@ -241,6 +271,7 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
     check.problems.emplace_back("No frame has a picture: gld sample and gld train have nothing to look at.");
   }
   look_for_turned_images(scene, check);
+  look_for_links(scene, check);
   look_at_principal_point(scene, check);
   if (!check.problems.empty()) return check;  // comparing pixels of images that cannot be loaded helps nobody
   look_at_poses(scene, options, check);

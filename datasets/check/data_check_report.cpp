@@ -1,6 +1,7 @@
 #include "datasets/check/data_check.h"
 #include "datasets/images/image_file.h"
 #include "datasets/pictures/camera_layout_picture.h"
+#include "gld/base/printable_text.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
@@ -44,9 +45,9 @@ std::string frame_lines(const std::vector<CheckedFrame>& frames) {
 }  // namespace
 
 std::string data_check_text(const DataCheck& check) {
-  std::string text = fmt::format("{} ({})\n", check.scene, check.format);
+  std::string text = fmt::format("{} ({})\n", printable_text(check.scene), check.format);
   const auto line = [&](const char* name, const std::string& value) {
-    text += fmt::format("  {:<14} {}\n", name, value);
+    text += fmt::format("  {:<14} {}\n", name, printable_text(value));
   };
   if (check.frames > 0) {
     line("frames", fmt::format("{} ({} listed files missing, {} broken)", check.frames, check.missing_files,

@@ -4,6 +4,7 @@
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 
 #include <cmath>
 #include <set>
@@ -111,7 +112,7 @@ std::string cameras_json_text(const CameraList& cameras) {
   root["unit"] = cameras.metric ? "metres" : "scene";
   root["frames"] = ordered_json::array();
   for (const CameraRecord& record : cameras.records) root["frames"].push_back(record_json(record));
-  return root.dump(1) + "\n";
+  return json_text(root, 1) + "\n";
 }
 
 void write_cameras_json(const std::filesystem::path& file, const CameraList& cameras) {

@@ -2,6 +2,7 @@
 
 #include "datasets/formats/file_listing.h"
 #include "datasets/formats/frame_pixels.h"
+#include "datasets/images/decoded_pixels.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/error.h"
 
@@ -27,6 +28,7 @@ FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
     fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
           "export the model again"});
   }
+  check_picture_size(camera->second.width, camera->second.height, where);
   const ColmapLens lens = colmap_lens(camera->second, where);
   FrameRecord record;
   record.name = image_file.stem().string();

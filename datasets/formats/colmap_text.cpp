@@ -58,7 +58,7 @@ void read_images_txt(const std::filesystem::path& file, ColmapModel& model) {
       continue;
     }
     if (is_blank(line.text)) continue;
-    const auto fields = blank_separated(line.text);
+    const auto fields = blank_separated(line.text, 10);
     if (fields.size() < 10) {
       fail({line.where, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
             std::to_string(fields.size()) + " fields",
@@ -79,7 +79,7 @@ void read_points_txt(const std::filesystem::path& file, ColmapModel& model) {
   std::map<int64_t, Eigen::Vector3d> points;
   for (const TextLine& line : read_lines(file)) {
     if (is_comment(line.text) || is_blank(line.text)) continue;
-    const auto fields = blank_separated(line.text);
+    const auto fields = blank_separated(line.text, 4);  // the track behind them may be long
     const auto n = parse_numbers(fields, 1, 3, line.where);
     points[parse_integer(fields[0], line.where)] = {n[0], n[1], n[2]};
   }

@@ -1,5 +1,6 @@
 #include "datasets/formats/depth_files.h"
 
+#include "datasets/images/decoded_pixels.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 #include "gld/files/npy.h"
@@ -16,7 +17,7 @@ void clear_unknown(DepthMap& depth) {
 }
 
 DepthMap read_depth_npy(const std::filesystem::path& file) {
-  const NpyArray array = read_npy(file);
+  const NpyArray array = read_npy(file, kMostPixels * sizeof(double));
   const bool flat = array.shape.size() == 2 || (array.shape.size() == 3 && array.shape[2] == 1);
   if (!flat || !is_floating(array.dtype)) {
     std::string shape;
@@ -24,6 +25,7 @@ DepthMap read_depth_npy(const std::filesystem::path& file) {
     fail({file.string(), "depth as (height, width) of floating type",
           dtype_name(array.dtype) + " (" + shape + ")", "check the file"});
   }
+  check_picture_size(array.shape[1], array.shape[0], file.string());
   DepthMap depth;
   depth.height = array.shape[0];
   depth.width = array.shape[1];
@@ -37,15 +39,17 @@ void write_depth_npy(const std::filesystem::path& file, const DepthMap& depth) {
 }
 
 DepthMap read_depth_raw(const std::filesystem::path& file, int64_t width, int64_t height) {
-  const std::string bytes = read_file(file);
-  DepthMap depth(width, height);
-  const size_t expected = depth.metres.size() * sizeof(float);
+  // The size is what a text file says: no memory for it before the file has that many bytes.
+  check_picture_size(width, height, file.string());
+  const std::string bytes = read_file(file, kMostPixels * sizeof(float));
+  const auto expected = static_cast<size_t>(width * height) * sizeof(float);
   if (bytes.size() != expected) {
     fail({file.string(),
           std::to_string(width) + "x" + std::to_string(height) + " float32 values (" +
               std::to_string(expected) + " bytes)",
           std::to_string(bytes.size()) + " bytes", "check that depth and camera belong together"});
   }
+  DepthMap depth(width, height);
   std::memcpy(depth.metres.data(), bytes.data(), expected);
   clear_unknown(depth);
   return depth;

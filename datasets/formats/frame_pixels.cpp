@@ -45,6 +45,11 @@ std::vector<Value> nearest(const std::vector<Value>& source, const Undistorter::
 
 void fit(std::vector<float>& values, int64_t& width, int64_t& height, const Undistorter::Size& to) {
   if (width == to.width && height == to.height) return;
+  if (width < 1 || height < 1 || values.size() != static_cast<size_t>(width * height)) {
+    fail({"depth or mask", "a value for every pixel",
+          std::to_string(values.size()) + " values for " + size_text(width, height),
+          "check what made the file"});
+  }
   values = nearest(values, {width, height}, to);
   width = to.width;
   height = to.height;

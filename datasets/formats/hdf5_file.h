@@ -1,24 +1,18 @@
 #pragma once
 
+#include "gld/files/hdf5_array.h"
+
 #include <cstdint>
 #include <filesystem>
 #include <string>
-#include <vector>
 
 namespace gld {
 
-// One dataset of an HDF5 file as floats, row by row.
-struct Hdf5Array {
-  std::vector<int64_t> shape;
-  std::vector<float> values;
-};
+// Reads a file with parse_hdf5_array (gld/files/hdf5_array.h), from any number of threads. Throws Error when it is missing,
+// damaged or truncated, has no such dataset, or the dataset has more elements than what it is for can have.
+Hdf5Array read_hdf5(const std::filesystem::path& file, const std::string& dataset, int64_t most_elements);
 
-// Any numeric type is converted to float32 (HyperSim stores float16). Throws Error when the file is missing, damaged or
-// truncated, has no such dataset, or the dataset is larger than 2^30 elements. Calls are serialised: the usual build of
-// the HDF5 library is not safe to use from several threads.
-Hdf5Array read_hdf5(const std::filesystem::path& file, const std::string& dataset);
-
-// Writes one float32 dataset; the file appears whole or not at all.
+// Writes one float32 dataset with libhdf5, one call at a time; the file appears whole or not at all.
 void write_hdf5(const std::filesystem::path& file, const std::string& dataset, const Hdf5Array& array);
 
 }  // namespace gld

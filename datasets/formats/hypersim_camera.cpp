@@ -2,6 +2,7 @@
 
 #include "datasets/formats/file_listing.h"
 #include "datasets/formats/text_fields.h"
+#include "datasets/images/decoded_pixels.h"
 #include "gld/base/error.h"
 
 #include <cmath>
@@ -20,7 +21,7 @@ constexpr double kVisibleSkew = 0.05;  // pixels
 std::map<std::string, std::string> table_row(const std::filesystem::path& file, const std::string& key) {
   const auto lines = read_lines(file);
   if (lines.empty()) return {};
-  const auto names = comma_separated(lines.front().text);
+  const auto names = comma_separated(lines.begin()->text);
   for (const TextLine& line : lines) {
     const auto fields = comma_separated(line.text);
     if (fields.front() != key) continue;
@@ -83,8 +84,17 @@ HypersimSettings read_hypersim_settings(const std::filesystem::path& scene) {
     return parse_number(found->second, where + " " + column);
   };
   if (!row.empty()) {
-    settings.width = static_cast<int64_t>(number("settings_output_img_width"));
-    settings.height = static_cast<int64_t>(number("settings_output_img_height"));
+    const auto side = [&](const std::string& column) {
+      const double value = number(column);
+      if (!(value >= 2 && value <= kLargestSide)) {
+        fail({where + " " + column, "2 to " + std::to_string(kLargestSide) + " pixels", row.at(column),
+              "download the table again"});
+      }
+      return static_cast<int64_t>(value);
+    };
+    settings.width = side("settings_output_img_width");
+    settings.height = side("settings_output_img_height");
+    check_picture_size(settings.width, settings.height, where);
     settings.metres_per_asset_unit = number("settings_units_info_meters_scale");
     for (int i = 0; i < 9; ++i) {
       const std::string column = "M_cam_from_uv_" + std::to_string(i / 3) + std::to_string(i % 3);

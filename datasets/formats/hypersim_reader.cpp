@@ -5,6 +5,7 @@
 #include "datasets/formats/hdf5_file.h"
 #include "datasets/formats/hypersim_camera.h"
 #include "datasets/formats/scene_builder.h"
+#include "datasets/images/decoded_pixels.h"
 #include "datasets/images/image_file.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/error.h"
@@ -19,6 +20,8 @@
 namespace gld {
 namespace {
 
+constexpr int64_t kMostKeyframes = 1'000'000;
+
 void check_shape(const Hdf5Array& array, const std::vector<int64_t>& shape,
                  const std::filesystem::path& file) {
   if (array.shape == shape) return;
@@ -30,15 +33,17 @@ void check_shape(const Hdf5Array& array, const std::vector<int64_t>& shape,
 
 Image read_colour(const std::filesystem::path& file) {
   if (file.extension() != ".hdf5") return read_image(file);
-  const Hdf5Array array = read_hdf5(file, "dataset");
+  const Hdf5Array array = read_hdf5(file, "dataset", 3 * kMostPixels);
   if (array.shape.size() != 3) check_shape(array, {768, 1024, 3}, file);
   check_shape(array, {array.shape[0], array.shape[1], 3}, file);
+  check_picture_size(array.shape[1], array.shape[0], file.string());
   return tone_mapped(array.values, array.shape[1], array.shape[0]);
 }
 
 DepthMap read_distance(const std::filesystem::path& file) {
-  const Hdf5Array array = read_hdf5(file, "dataset");
+  const Hdf5Array array = read_hdf5(file, "dataset", kMostPixels);
   if (array.shape.size() != 2) check_shape(array, {768, 1024}, file);
+  check_picture_size(array.shape[1], array.shape[0], file.string());
   DepthMap distance;
   distance.height = array.shape[0];
   distance.width = array.shape[1];
@@ -85,16 +90,17 @@ Image tone_mapped(const std::vector<float>& linear_rgb, int64_t width, int64_t h
 
 std::map<int64_t, Eigen::Matrix4d> read_hypersim_trajectory(const std::filesystem::path& folder,
                                                             double metres_per_asset_unit) {
-  const Hdf5Array positions = read_hdf5(folder / "camera_keyframe_positions.hdf5", "dataset");
+  const Hdf5Array positions =
+      read_hdf5(folder / "camera_keyframe_positions.hdf5", "dataset", 3 * kMostKeyframes);
   const int64_t count = positions.shape.empty() ? 0 : positions.shape[0];
   check_shape(positions, {count, 3}, folder / "camera_keyframe_positions.hdf5");
   const auto orientation_file = folder / "camera_keyframe_orientations.hdf5";
-  const Hdf5Array orientations = read_hdf5(orientation_file, "dataset");
+  const Hdf5Array orientations = read_hdf5(orientation_file, "dataset", 9 * kMostKeyframes);
   check_shape(orientations, {count, 3, 3}, orientation_file);
   std::vector<float> frames;
   const auto index_file = folder / "camera_keyframe_frame_indices.hdf5";
   if (std::filesystem::is_regular_file(index_file)) {
-    const Hdf5Array indices = read_hdf5(index_file, "dataset");
+    const Hdf5Array indices = read_hdf5(index_file, "dataset", kMostKeyframes);
     check_shape(indices, {count}, index_file);
     frames = indices.values;
   }
@@ -106,9 +112,12 @@ std::map<int64_t, Eigen::Matrix4d> read_hypersim_trajectory(const std::filesyste
       pose(k, 3) = positions.values[static_cast<size_t>(3 * i + k)] * metres_per_asset_unit;
     pose.col(1) *= -1;
     pose.col(2) *= -1;
-    const int64_t frame =
-        frames.empty() ? i : static_cast<int64_t>(std::lround(frames[static_cast<size_t>(i)]));
-    poses[frame] = pose;
+    const float number = frames.empty() ? static_cast<float>(i) : frames[static_cast<size_t>(i)];
+    if (!(number >= 0 && number < 1e9F)) {
+      fail({index_file.string(), "numbers of frames, 0 or more", fmt::format("{} at place {}", number, i),
+            "copy or download it again"});
+    }
+    poses[frames.empty() ? i : std::lround(number)] = pose;
   }
   return poses;
 }

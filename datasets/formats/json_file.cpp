@@ -2,13 +2,15 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
+#include "gld/base/printable_text.h"
 
 #include <algorithm>
 
 namespace gld {
 namespace {
 
-constexpr uint64_t kLargestJson = uint64_t{1} << 30;
+constexpr uint64_t kLargestJson = uint64_t{1} << 27;
 
 const nlohmann::json& member(const nlohmann::json& object, const std::string& key, const std::string& where) {
   if (!object.is_object() || !object.contains(key)) {
@@ -19,27 +21,16 @@ const nlohmann::json& member(const nlohmann::json& object, const std::string& ke
 
 [[noreturn]] void fail_type(const std::string& where, const std::string& key, const char* expected,
                             const nlohmann::json& found) {
-  std::string text = found.dump();
-  if (text.size() > 40) text = text.substr(0, 37) + "...";
+  const bool whole = !found.is_structured();
+  std::string text = whole ? json_text(found) : found.is_array() ? "a list" : "an object";
+  if (text.size() > 40) text = printable_text(text, 37);
   fail({where, std::string(expected) + " as \"" + key + "\"", text, "correct the value"});
 }
 
 }  // namespace
 
 nlohmann::json read_json_file(const std::filesystem::path& file) {
-  const std::string text = read_file(file, kLargestJson);
-  try {
-    return nlohmann::json::parse(text);
-  } catch (const nlohmann::json::parse_error& error) {
-    const size_t end = std::min(error.byte, text.size());
-    const auto line = 1 + std::count(text.begin(), text.begin() + static_cast<std::ptrdiff_t>(end), '\n');
-    const size_t start = end > 8 ? end - 8 : 0;
-    const std::string near = text.substr(start, 16);
-    const bool not_finite = near.find("NaN") != std::string::npos || near.find("Inf") != std::string::npos;
-    fail({file.string() + ":" + std::to_string(line), "JSON",
-          not_finite ? "NaN or Infinity, which are no JSON" : "a syntax error",
-          not_finite ? "leave the frame out" : "correct the file"});
-  }
+  return parse_json(read_file(file, kLargestJson), file.string());
 }
 
 double json_number(const nlohmann::json& object, const std::string& key, const std::string& where) {

@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// Parses a JSON file; Error with the line when it is no JSON (NaN and Infinity are not).
+// Parses a JSON file of at most 128 MiB as parse_json does (gld/base/json_text.h).
 nlohmann::json read_json_file(const std::filesystem::path& file);
 
 // object[key] as a number, an integer or a text; Error naming where and key when it is missing or of another type.

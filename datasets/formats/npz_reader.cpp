@@ -45,7 +45,7 @@ std::filesystem::path frame_folder(const std::filesystem::path& path, const std:
 
 Eigen::MatrixXd matrix_of(const NpzFile& file, const std::string& key, Eigen::Index size,
                           const std::string& where) {
-  const NpyArray array = file.read(key);
+  const NpyArray array = file.read(key, static_cast<uint64_t>(size * size) * sizeof(double));
   if (array.shape != std::vector<int64_t>{size, size}) {
     std::string shape;
     for (int64_t extent : array.shape) shape += (shape.empty() ? "" : ", ") + std::to_string(extent);

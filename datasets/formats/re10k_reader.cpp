@@ -10,6 +10,7 @@
 #include <fstream>
 #include <map>
 #include <optional>
+#include <utility>
 
 namespace gld {
 namespace {
@@ -81,16 +82,16 @@ std::vector<std::filesystem::path> images_of_rows(const std::vector<Re10kRow>& r
 
 std::vector<Re10kRow> read_re10k_rows(const std::filesystem::path& file) {
   std::vector<Re10kRow> rows;
-  const auto lines = read_lines(file);
-  for (size_t i = 1; i < lines.size(); ++i) {
-    const auto fields = blank_separated(lines[i].text);
-    if (fields.empty()) continue;
+  bool first = true;  // the clip's address
+  for (const TextLine& line : read_lines(file)) {
+    const auto fields = blank_separated(line.text);
+    if (std::exchange(first, false) || fields.empty()) continue;
     if (fields.size() != kFields) {
-      fail({lines[i].where, std::to_string(kFields) + " fields", std::to_string(fields.size()),
+      fail({line.where, std::to_string(kFields) + " fields", std::to_string(fields.size()),
             "correct the file"});
     }
     Re10kRow row;
-    row.where = lines[i].where;
+    row.where = line.where;
     row.time = parse_integer(fields[0], row.where);
     const auto n = parse_numbers(fields, 1, kFields - 1, row.where);
     row.relative_intrinsics = {n[0], n[1], n[2], n[3]};

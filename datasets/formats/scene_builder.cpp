@@ -6,6 +6,7 @@
 #include "gld/base/error.h"
 
 #include <cmath>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -71,11 +72,16 @@ Scene SceneBuilder::finish() {
         std::to_string(scene_.missing_files + static_cast<int64_t>(scene_.frames.size())) +
         " listed files do not exist, the first is " + first_missing_ + ".");
   }
+  // The number of the next copy is kept for each name: ten thousand frames of one image are not compared with each other.
   std::set<std::string> names;
+  std::map<std::string, int64_t> next_copy;
   for (Frame& frame : scene_.frames) {
+    if (names.insert(frame.name).second) continue;
     const std::string base = frame.name;
-    for (int copy = 2; !names.insert(frame.name).second; ++copy)
-      frame.name = base + "_" + std::to_string(copy);
+    int64_t& copy = next_copy.emplace(base, 2).first->second;
+    do {
+      frame.name = base + "_" + std::to_string(copy++);
+    } while (!names.insert(frame.name).second);
   }
   return std::move(scene_);
 }

@@ -6,6 +6,7 @@
 #include "datasets/images/image_file.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/json_text.h"
 #include "gld/files/npy.h"
 
 #include <vector>
@@ -91,7 +92,7 @@ void write_nerfstudio_layout(const Scene& scene, const std::filesystem::path& fo
         pose_to_json(opencv_from_opengl_pose(frame.camera.world_from_camera).matrix());
     content["frames"].push_back(entry);
   }
-  write_file_atomically(folder / "transforms.json", content.dump(1) + "\n");
+  write_file_atomically(folder / "transforms.json", json_text(content, 1) + "\n");
 }
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #include "datasets/formats/scene_writer.h"
 
 #include "datasets/formats/scene_layouts.h"
+#include "gld/base/atomic_folder.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 
@@ -36,8 +37,12 @@ std::vector<std::string> scene_layout_names() {
 void write_scene(const Scene& scene, const std::string& layout, const std::filesystem::path& folder) {
   for (const Layout& known : layouts()) {
     if (layout != known.name) continue;
-    std::filesystem::create_directories(folder);
-    known.write(scene, folder);
+    const auto parent = std::filesystem::absolute(folder).lexically_normal().parent_path();
+    std::filesystem::create_directories(parent);
+    // Some layouts have no list of frames: half of one would be a shorter scene without any sign of it.
+    AtomicFolder whole(folder);
+    known.write(scene, whole.temporary());
+    whole.commit();
     return;
   }
   const std::string nearest = nearest_name(layout, scene_layout_names());

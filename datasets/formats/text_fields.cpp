@@ -3,31 +3,52 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
+#include <algorithm>
 #include <charconv>
-#include <sstream>
 
 namespace gld {
 
-std::vector<TextLine> read_lines(const std::filesystem::path& file) {
-  const std::string content = read_file(file);
-  if (content.find('\0') != std::string::npos) {
+TextLines read_lines(const std::filesystem::path& file) {
+  constexpr uint64_t kLargestText = uint64_t{1} << 30;
+  TextLines lines;
+  lines.file_ = file.string();
+  lines.content_ = read_file(file, kLargestText);
+  if (lines.content_.find('\0') != std::string::npos) {
     fail({file.string(), "a text file", "binary data", "check that it is the right file"});
-  }
-  std::vector<TextLine> lines;
-  std::istringstream stream(content);
-  std::string text;
-  while (std::getline(stream, text)) {
-    if (!text.empty() && text.back() == '\r') text.pop_back();
-    lines.push_back({text, file.string() + ":" + std::to_string(lines.size() + 1)});
   }
   return lines;
 }
 
-std::vector<std::string> blank_separated(const std::string& text) {
+TextLines::Iterator TextLines::begin() const {
+  Iterator first;
+  first.lines_ = this;
+  first.next();
+  return first;
+}
+
+void TextLines::Iterator::next() {
+  const std::string& content = lines_->content_;
+  at_ = end_;
+  if (at_ >= content.size()) {
+    at_ = std::string::npos;
+    return;
+  }
+  const size_t found = content.find('\n', at_);
+  const size_t stop = found == std::string::npos ? content.size() : found;
+  end_ = stop + 1;
+  const bool carriage_return = stop > at_ && content[stop - 1] == '\r';
+  line_.text.assign(content, at_, stop - at_ - (carriage_return ? 1 : 0));
+  line_.where = lines_->file_ + ":" + std::to_string(++number_);
+}
+
+std::vector<std::string> blank_separated(const std::string& text, size_t most) {
+  constexpr const char* kBlanks = " \t\v\f\r\n";
   std::vector<std::string> fields;
-  std::istringstream stream(text);
-  std::string field;
-  while (stream >> field) fields.push_back(field);
+  for (size_t start = text.find_first_not_of(kBlanks); start != std::string::npos && fields.size() < most;) {
+    const size_t end = std::min(text.find_first_of(kBlanks, start), text.size());
+    fields.push_back(text.substr(start, end - start));
+    start = text.find_first_not_of(kBlanks, end);
+  }
   return fields;
 }
 

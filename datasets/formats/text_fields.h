@@ -13,11 +13,46 @@ struct TextLine {
   std::string where;
 };
 
-// Lines without their ends; Error when the file cannot be read or is no text (holds a zero byte).
-std::vector<TextLine> read_lines(const std::filesystem::path& file);
+// The lines of a text file without their ends, made one at a time: a file of nothing but line ends would otherwise take
+// fifty times its size.
+class TextLines {
+ public:
+  class Iterator {
+   public:
+    using value_type = TextLine;
+    const TextLine& operator*() const { return line_; }
+    const TextLine* operator->() const { return &line_; }
+    Iterator& operator++() {
+      next();
+      return *this;
+    }
+    bool operator!=(const Iterator& other) const { return at_ != other.at_; }
 
-// Runs of characters between blanks.
-std::vector<std::string> blank_separated(const std::string& text);
+   private:
+    friend class TextLines;
+    void next();
+    const TextLines* lines_ = nullptr;
+    size_t at_ = std::string::npos;  // where line_ starts; npos behind the last one
+    size_t end_ = 0;                 // where the next one starts
+    int64_t number_ = 0;
+    TextLine line_;
+  };
+
+  Iterator begin() const;
+  Iterator end() const { return {}; }
+  bool empty() const { return content_.empty(); }
+
+ private:
+  friend TextLines read_lines(const std::filesystem::path& file);
+  std::string file_;
+  std::string content_;
+};
+
+// Error when the file cannot be read, is no text (holds a zero byte) or is larger than 1 GiB.
+TextLines read_lines(const std::filesystem::path& file);
+
+// Runs of characters between blanks, the first `most` of them.
+std::vector<std::string> blank_separated(const std::string& text, size_t most = 65536);
 
 // Fields between commas; a field in double quotes may contain commas.
 std::vector<std::string> comma_separated(const std::string& text);

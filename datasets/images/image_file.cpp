@@ -1,6 +1,8 @@
 #include "datasets/images/image_file.h"
 
+#include "datasets/images/decoded_pixels.h"
 #include "datasets/images/image_probe.h"
+#include "datasets/images/jpeg_file.h"
 #include "datasets/images/png_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
@@ -17,21 +19,16 @@
 namespace gld {
 namespace {
 
-[[noreturn]] void fail_damaged(const std::string& where) {
-  fail({where, "an image that can be decoded", "damaged data", "copy or download it again"});
-}
+constexpr uint64_t kLargestImageFile = uint64_t{1} << 30;
 
-// The file is decoded from memory so that what was probed is what is decoded.
-cv::Mat decode(const std::string& bytes, int flags, const std::string& where) {
-  const cv::Mat buffer(1, static_cast<int>(bytes.size()), CV_8UC1, const_cast<char*>(bytes.data()));
-  cv::Mat decoded;
-  try {
-    decoded = cv::imdecode(buffer, flags | cv::IMREAD_IGNORE_ORIENTATION);
-  } catch (const cv::Exception&) {
-    fail_damaged(where);
-  }
-  if (decoded.empty()) fail_damaged(where);
-  return decoded;
+// The file is decoded from memory so that what was probed is what is decoded. OpenCV's decoders print what is wrong with a
+// file and go on where they can; ours refuse it.
+cv::Mat decode(const std::string& bytes, const std::string& where) {
+  const bool jpeg = bytes.compare(0, 2, "\xFF\xD8") == 0;
+  DecodedPixels pixels = jpeg ? decode_jpeg(bytes, where) : decode_png(bytes, where);
+  const int type = CV_MAKETYPE(pixels.bits == 16 ? CV_16U : CV_8U, pixels.channels);
+  return cv::Mat(static_cast<int>(pixels.height), static_cast<int>(pixels.width), type, pixels.bytes.data())
+      .clone();
 }
 
 cv::Mat to_eight_bits(const cv::Mat& image, const std::string& where) {
@@ -97,10 +94,10 @@ cv::Mat bgr_view(const Image& image, const std::string& where) {
 }  // namespace
 
 Image read_image(const std::filesystem::path& file, ImageOrientation orientation) {
-  const std::string bytes = read_file(file);
+  const std::string bytes = read_file(file, kLargestImageFile);
   const std::string where = file.string();
   const ImageFileInfo info = probe_image_bytes(bytes, where);
-  cv::Mat pixels = to_eight_bits(decode(bytes, cv::IMREAD_UNCHANGED, where), where);
+  cv::Mat pixels = to_eight_bits(decode(bytes, where), where);
   cv::Mat rgb;
   switch (pixels.channels()) {
     case 1:
@@ -123,10 +120,10 @@ Image read_image(const std::filesystem::path& file, ImageOrientation orientation
 }
 
 DepthMap read_depth_png(const std::filesystem::path& file, double metres_per_unit) {
-  const std::string bytes = read_file(file);
+  const std::string bytes = read_file(file, kLargestImageFile);
   const std::string where = file.string();
   probe_image_bytes(bytes, where);
-  const cv::Mat pixels = decode(bytes, cv::IMREAD_UNCHANGED, where);
+  const cv::Mat pixels = decode(bytes, where);
   if (pixels.type() != CV_16UC1) {
     fail({where, "a 16-bit image with one channel", "another pixel type", "write depth as 16-bit grey PNG"});
   }

@@ -1,5 +1,6 @@
 #include "datasets/images/image_probe.h"
 
+#include "datasets/images/decoded_pixels.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
@@ -12,7 +13,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kLargestProbedSide = 65535;
+constexpr uint64_t kLargestProbedFile = uint64_t{1} << 30;
 // More than most headers have; otherwise the whole file is read.
 constexpr std::streamsize kHeaderBytes = 1 << 18;
 const std::string kExifStart("Exif\0\0", 6);
@@ -129,10 +130,7 @@ ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& 
     fail({where, "an image at least 2 pixels wide and high",
           std::to_string(info.width) + "x" + std::to_string(info.height), "leave it out"});
   }
-  if (info.width > kLargestProbedSide || info.height > kLargestProbedSide) {
-    fail({where, "an image at most " + std::to_string(kLargestProbedSide) + " pixels wide and high",
-          std::to_string(info.width) + "x" + std::to_string(info.height), "check the file"});
-  }
+  check_picture_size(info.width, info.height, where);
   return info;
 }
 
@@ -156,7 +154,7 @@ ImageFileInfo probe_image_file(const std::filesystem::path& file) {
       }
     }
   }
-  return probe(read_file(file), Extent::kHeader, file.string());
+  return probe(read_file(file, kLargestProbedFile), Extent::kHeader, file.string());
 }
 
 }  // namespace gld

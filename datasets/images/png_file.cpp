@@ -191,7 +191,60 @@ bool read(Reader& reader, Source& source, std::vector<png_byte>& row) {
   return true;
 }
 
+[[noreturn]] void fail_damaged_png(const std::string& where, const Source& source, const Reader& reader) {
+  const std::string found = std::string("damaged data (libpng: ") + reader.complaint.text.data() + ")";
+  fail({where, "an image that can be decoded", source.ended_early ? "one that ends early" : found,
+        "copy or download it again"});
+}
+
+// Whether the header was read and the form of the rows chosen; otherwise the reader's complaint says why not.
+bool start_pixels(Reader& reader, Source& source) {
+  if (reader.info == nullptr) return false;
+  if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
+  png_set_read_fn(reader.png, &source, take);
+  png_set_chunk_malloc_max(reader.png, source.bytes.size());
+  // A transparency that is left out for its checksum gives other pixels: no chunk may be damaged.
+  png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
+  png_read_info(reader.png, reader.info);
+  png_set_expand(reader.png);  // palettes, grey of few bits, transparency as a channel
+  const int colour = png_get_color_type(reader.png, reader.info);
+  const bool transparent =
+      (colour & PNG_COLOR_MASK_ALPHA) != 0 || png_get_valid(reader.png, reader.info, PNG_INFO_tRNS) != 0;
+  if ((colour & PNG_COLOR_MASK_COLOR) == 0 && transparent) png_set_gray_to_rgb(reader.png);
+  png_set_bgr(reader.png);
+  if (png_get_bit_depth(reader.png, reader.info) == 16) png_set_swap(reader.png);
+  png_set_interlace_handling(reader.png);
+  png_read_update_info(reader.png, reader.info);
+  return true;
+}
+
+bool read_pixels(Reader& reader, png_bytepp rows) {
+  if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
+  png_read_image(reader.png, rows);
+  png_read_end(reader.png, nullptr);
+  return true;
+}
+
 }  // namespace
+
+DecodedPixels decode_png(const std::string& bytes, const std::string& where) {
+  Source source{bytes};
+  Reader reader;
+  if (!start_pixels(reader, source)) fail_damaged_png(where, source, reader);
+  DecodedPixels pixels;
+  pixels.width = png_get_image_width(reader.png, reader.info);
+  pixels.height = png_get_image_height(reader.png, reader.info);
+  pixels.channels = png_get_channels(reader.png, reader.info);
+  pixels.bits = png_get_bit_depth(reader.png, reader.info);
+  check_picture_size(pixels.width, pixels.height, where);
+  const size_t stride = png_get_rowbytes(reader.png, reader.info);
+  pixels.bytes.resize(stride * static_cast<size_t>(pixels.height));
+  std::vector<png_bytep> rows;
+  for (int64_t y = 0; y < pixels.height; ++y)
+    rows.push_back(pixels.bytes.data() + static_cast<size_t>(y) * stride);
+  if (!read_pixels(reader, rows.data())) fail_damaged_png(where, source, reader);
+  return pixels;
+}
 
 std::string encode_png(const Image& image, const TextItems& texts) {
   return encode(raster_of(image.width, image.height, image.rgb, 3), texts);

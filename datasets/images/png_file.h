@@ -1,5 +1,6 @@
 #pragma once
 
+#include "datasets/images/decoded_pixels.h"
 #include "datasets/images/image.h"
 #include "gld/report/provenance.h"
 
@@ -25,5 +26,9 @@ std::string encode_png(const Grey16& image, const TextItems& texts);
 
 // All text chunks of a PNG file, in its order. Throws Error when it is no PNG, ends early, or is damaged anywhere.
 TextItems read_png_texts(const std::filesystem::path& file);
+
+// Decodes a whole PNG file in memory: palettes and grey of few bits become 8 bits, transparency becomes a fourth channel
+// (with grey repeated). Throws Error with libpng's words where a checksum is wrong anywhere, or anything is damaged.
+DecodedPixels decode_png(const std::string& bytes, const std::string& where);
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #include "datasets/scenes/frame_checks.h"
 
+#include "datasets/images/decoded_pixels.h"
 #include "gld/base/error.h"
 
 #include <cmath>
@@ -72,6 +73,14 @@ void check_frame_camera(const Camera& camera, const std::string& where) {
     fail({where, "an image at least 2 pixels wide and high",
           std::to_string(camera.width) + "x" + std::to_string(camera.height), "check the camera's size"});
   }
+  check_picture_size(camera.width, camera.height, where);
+  // Beyond these, single precision gives depths of 0 or infinity without a word.
+  constexpr double kFarthest = 1e12, kLongestFocal = 1e6;
+  const double far = camera.world_from_camera.translation().cwiseAbs().maxCoeff();
+  if (!(far <= kFarthest)) {
+    fail({where, "a camera within " + number(kFarthest) + " units of the origin", "one at " + number(far),
+          "check the unit of the poses"});
+  }
   const Eigen::Matrix3d& k = camera.intrinsics;
   if (!k.allFinite()) {
     fail({where, "finite intrinsics", "a value that is not a number or infinite", "leave the frame out"});
@@ -87,6 +96,10 @@ void check_frame_camera(const Camera& camera, const std::string& where) {
   }
   const double width = static_cast<double>(camera.width);
   const double height = static_cast<double>(camera.height);
+  if (k(0, 0) > kLongestFocal * width || k(1, 1) > kLongestFocal * height) {
+    fail({where, "focal lengths up to a million times the image's sides",
+          "fx " + number(k(0, 0)) + " and fy " + number(k(1, 1)), "check the intrinsics"});
+  }
   // A focal length under a twentieth of the width would be a field of view of 168 degrees.
   if (k(0, 0) < 0.05 * width && k(0, 2) <= 1.5 && k(1, 2) <= 1.5) {
     fail({where, "intrinsics in pixels",

@@ -16,7 +16,8 @@ void SyntheticOptions::visit(FieldVisitor& visitor) {
                {"rooms", "tidy ones (first), or also cluttered, glossy and dark ones and hand-held cameras"},
                rooms, {"first", "varied"});
   visit_seed(visitor, seed, "the generator (training and held-out scenes use different ones)");
-  visitor.integer({"first_scene", "number of the first scene"}, first_scene, {0});
+  visitor.integer({"first_scene", "number of the first scene"}, first_scene,
+                  {0, 1'000'000'000'000'000});  // no sum with scene_count overflows
   visitor.integer({"scene_count", "number of scenes"}, scene_count, {1, 1'000'000'000});
   visitor.integer({"frames", "frames on each scene's camera path"}, frames, {1, 100'000});
   visitor.integer({"width", "of the images, pixels"}, width, {8, 8192});

@@ -4,6 +4,7 @@
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/json_text.h"
 
 #include <algorithm>
 #include <charconv>
@@ -154,7 +155,11 @@ class Assigner : public FieldVisitor {
 
   void refuse_unknown() const {
     for (const auto& entry : map_) {
-      const auto name = entry.first.as<std::string>();
+      if (!entry.first.IsScalar()) {
+        fail({place(source_, entry.first, prefix_), "the name of an option", shown(entry.first),
+              "correct the text"});
+      }
+      const auto name = entry.first.Scalar();
       if (std::find(known_.begin(), known_.end(), name) != known_.end()) continue;
       const auto near = nearest_name(name, known_);
       fail({place(source_, entry.first, prefix_ + name), "a known option", "an unknown one",
@@ -237,9 +242,13 @@ void assign(OptionsGroup& options, const YAML::Node& root, const Source& source)
   if (!root.IsMap()) {
     fail({source.where, "a map of options", shown(root), "write one 'key: value' a line"});
   }
-  Assigner assigner(root, source, "");
-  options.visit(assigner);
-  assigner.refuse_unknown();
+  try {
+    Assigner assigner(root, source, "");
+    options.visit(assigner);
+    assigner.refuse_unknown();
+  } catch (const YAML::Exception& error) {
+    fail({source.where, "options", error.msg, "correct the text"});
+  }
 }
 
 // Writes YAML and JSON; both from one walk, since a JSON document is the structure YAML needs.
@@ -438,9 +447,13 @@ void refuse_duplicate_keys(const YAML::Node& node, const std::string& where) {
 
 YAML::Node parse_yaml(const std::string& text, const std::string& where) {
   try {
-    const YAML::Node node = YAML::Load(text);
-    refuse_duplicate_keys(node, where);
-    return node;
+    const auto documents = YAML::LoadAll(text);
+    if (documents.size() > 1) {
+      fail(
+          {where, "one YAML document", std::to_string(documents.size()), "remove what stands from '---' on"});
+    }
+    for (const YAML::Node& document : documents) refuse_duplicate_keys(document, where);
+    return documents.empty() ? YAML::Node() : documents.front();
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
     fail({where + line, "valid YAML", error.msg, "correct the text"});
@@ -479,7 +492,7 @@ void flatten(const YAML::Node& node, const std::string& prefix, std::map<std::st
 }  // namespace
 
 void load_yaml(OptionsGroup& options, const std::filesystem::path& file) {
-  constexpr uint64_t kLargestConfiguration = 16 << 20;
+  constexpr uint64_t kLargestConfiguration = 1 << 20;
   load_yaml_text(options, read_file(file, kLargestConfiguration), file.string());
 }
 
@@ -508,7 +521,7 @@ void apply_flag(OptionsGroup& options, const std::string& key, const std::string
 
 void load_json(OptionsGroup& options, const nlohmann::json& object, const std::string& where) {
   // JSON is a subset of YAML, so both share one reader and its messages.
-  assign(options, parse_yaml(object.dump(), where), {where, SourceKind::kSetting});
+  assign(options, parse_yaml(json_text(object), where), {where, SourceKind::kSetting});
 }
 
 std::string to_yaml(const OptionsGroup& options) { return to_yaml_without(options, {}); }

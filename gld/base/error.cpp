@@ -1,5 +1,7 @@
 #include "gld/base/error.h"
 
+#include "gld/base/printable_text.h"
+
 namespace gld {
 namespace {
 
@@ -13,7 +15,8 @@ std::string sentence(const ErrorParts& parts) {
     text += parts.remedy;
   }
   if (!text.empty() && text.back() != '.' && text.back() != '?') text += '.';
-  return text;
+  // Names and values of unknown origin are part of it; a newline or an escape of the terminal must not be.
+  return printable_text(text);
 }
 
 }  // namespace

@@ -255,6 +255,15 @@ NpyArray array_from(DType dtype, const std::vector<int64_t>& shape, const T* val
   return array;
 }
 
+void check_array_size(uint64_t bytes, uint64_t most_values, const std::string& where) {
+  if (bytes <= kPrefixSize + sizeof(uint32_t) + kLongestHeader ||
+      bytes - kPrefixSize - sizeof(uint32_t) - kLongestHeader <= most_values) {
+    return;
+  }
+  fail({where, "an array of at most " + std::to_string(most_values) + " bytes", std::to_string(bytes),
+        "check that it is the right file"});
+}
+
 std::string array_list(const std::vector<std::string>& names) {
   std::string text;
   for (const auto& name : names) text += (text.empty() ? "" : ", ") + printable_name(name);
@@ -357,8 +366,10 @@ NpyArray parse_npy(ByteView file, const std::string& where) {
   return array;
 }
 
-NpyArray read_npy(const std::filesystem::path& file) {
-  return parse_npy(MappedFile::open(file)->bytes(), file.string());
+NpyArray read_npy(const std::filesystem::path& file, uint64_t most_bytes) {
+  const auto mapping = MappedFile::open(file);
+  check_array_size(mapping->bytes().size, most_bytes, file.string());
+  return parse_npy(mapping->bytes(), file.string());
 }
 
 std::string npy_text(const NpyArray& array) {
@@ -409,13 +420,15 @@ bool NpzFile::has(const std::string& name) const {
   return std::find(names_.begin(), names_.end(), name) != names_.end();
 }
 
-NpyArray NpzFile::read(const std::string& name) const {
+NpyArray NpzFile::read(const std::string& name, uint64_t most_bytes) const {
   const auto* entry = archive_->find(name + kExtension);
   if (entry == nullptr) {
     fail({path_.string(), "an array named " + printable_name(name), array_list(names_), "check the file"});
   }
+  const std::string where = path_.string() + ": array " + printable_name(name);
+  check_array_size(entry->size, most_bytes, where);
   const auto bytes = archive_->read(*entry);
-  return parse_npy({bytes.data(), bytes.size()}, path_.string() + ": array " + printable_name(name));
+  return parse_npy({bytes.data(), bytes.size()}, where);
 }
 
 void write_npz(const std::filesystem::path& file, const std::map<std::string, NpyArray>& arrays) {

@@ -33,7 +33,8 @@ NpyArray npy_from_integers(const std::vector<int64_t>& shape, const int64_t* val
 // .npy, versions 1 to 3, both orders; dtypes of DType except bfloat16. Objects, strings, records and complex
 // numbers are refused. Throws Error naming `where` or the file.
 NpyArray parse_npy(ByteView file, const std::string& where);
-NpyArray read_npy(const std::filesystem::path& file);
+// most_bytes is what the caller's array can take at most: a larger one is refused before memory is taken for it.
+NpyArray read_npy(const std::filesystem::path& file, uint64_t most_bytes = uint64_t{1} << 36);
 std::string npy_text(const NpyArray& array);                               // the bytes of a version 1 file
 void write_npy(const std::filesystem::path& file, const NpyArray& array);  // atomic
 
@@ -45,7 +46,9 @@ class NpzFile {
   static NpzFile open(const std::filesystem::path& file);
   const std::vector<std::string>& names() const { return names_; }  // without ".npy", sorted
   bool has(const std::string& name) const;
-  NpyArray read(const std::string& name) const;  // Error naming the file, the array and the arrays that exist
+  // Error naming the file, the array and the arrays that exist. most_bytes as for read_npy: a few kilobytes of a file can
+  // hold gigabytes of zeros.
+  NpyArray read(const std::string& name, uint64_t most_bytes = uint64_t{1} << 36) const;
 
  private:
   NpzFile() = default;

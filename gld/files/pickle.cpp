@@ -12,6 +12,9 @@ namespace {
 
 constexpr size_t kMostObjects = 2'000'000;
 constexpr size_t kMostStackEntries = 1'000'000;
+// A copy of a list costs two bytes of the file and as much memory as the list: all lists share these budgets.
+constexpr size_t kMostListItems = 8'000'000;
+constexpr size_t kMostTensors = 200'000;
 
 // Opcodes of pickle protocols 2 to 5 that describe data (Python's pickletools documents them).
 enum Opcode : uint8_t {
@@ -146,7 +149,13 @@ class Unpickler {
     push_text(std::string(reinterpret_cast<const char*>(start), static_cast<size_t>(size)));
   }
 
+  void count_items(size_t count) {
+    if (count > kMostListItems - list_items_) broken("more than eight million items in lists");
+    list_items_ += count;
+  }
+
   void push_list(PickleKind kind, std::vector<PickleId> items) {
+    count_items(items.size());
     objects_.lists_.push_back(std::move(items));
     push(add_indexed(kind, objects_.lists_.size() - 1));
   }
@@ -188,12 +197,14 @@ class Unpickler {
 
   void append(const std::vector<PickleId>& items) {
     auto& list = container(top(), PickleKind::kList);
+    count_items(items.size());
     list.insert(list.end(), items.begin(), items.end());
   }
 
   void set_items(const std::vector<PickleId>& items) {
     if (items.size() % 2 != 0) broken("a key without a value");
     auto& dictionary = container(top(), PickleKind::kDictionary);
+    count_items(items.size());
     dictionary.insert(dictionary.end(), items.begin(), items.end());
   }
 
@@ -246,11 +257,13 @@ class Unpickler {
   }
 
   void push_storage() {
+    if (objects_.storages_.size() == kMostTensors) broken("more than 200 000 storages");
     objects_.storages_.push_back(pickle_storage(objects_, pop(), site()));
     push(add_indexed(PickleKind::kStorage, objects_.storages_.size() - 1));
   }
 
   void push_tensor(const std::vector<PickleId>& arguments) {
+    if (objects_.tensors_.size() == kMostTensors) broken("more than 200 000 tensors");
     objects_.tensors_.push_back(pickle_tensor(objects_, arguments, site()));
     push(add_indexed(PickleKind::kTensor, objects_.tensors_.size() - 1));
   }
@@ -260,7 +273,7 @@ class Unpickler {
     if (objects_.kind(function) != PickleKind::kGlobal)
       broken("a call of " + describe(objects_.kind(function)));
     if (objects_.kind(argument_id) != PickleKind::kList) broken("a call without arguments");
-    const auto arguments = objects_.items(argument_id);
+    const auto& arguments = objects_.items(argument_id);  // not copied: they may be a million
     switch (static_cast<PickleGlobal>(objects_.integer(function))) {
       case PickleGlobal::kRebuildTensor:
         return push_tensor(arguments);
@@ -280,7 +293,9 @@ class Unpickler {
   void push_ordered_dictionary(const std::vector<PickleId>& arguments) {
     std::vector<PickleId> items;
     if (!arguments.empty()) {
-      for (const PickleId pair : container(arguments[0], PickleKind::kList)) {
+      const auto& pairs = container(arguments[0], PickleKind::kList);
+      count_items(2 * pairs.size());  // before the copy is made
+      for (const PickleId pair : pairs) {
         const auto& key_and_value = container(pair, PickleKind::kList);
         if (key_and_value.size() != 2) broken("a dictionary item that is no pair");
         items.insert(items.end(), key_and_value.begin(), key_and_value.end());
@@ -474,6 +489,7 @@ class Unpickler {
   PickleObjects objects_;
   std::vector<PickleId> stack_;
   std::vector<size_t> marks_;
+  size_t list_items_ = 0;
   std::unordered_map<size_t, PickleId> memo_;
 };
 

@@ -98,6 +98,10 @@ PickleStorage pickle_storage(const PickleObjects& objects, PickleId reference, c
   PickleStorage storage;
   storage.dtype = kStorageTypes[objects.integer(items[1]) - kFirst].dtype;
   storage.key = text_of(objects, items[2], "a storage's key", site);
+  // Every tensor keeps a copy of its key; PyTorch's are numbers.
+  constexpr size_t kLongestKey = 200;
+  if (storage.key.size() > kLongestKey)
+    site.broken("a storage's key of " + std::to_string(storage.key.size()) + " bytes");
   storage.elements = count_of(objects, items[4], "number of elements", site);
   storage.view_elements = storage.elements;
   if (items.size() > 5 && objects.kind(items[5]) != PickleKind::kNone) {

@@ -59,6 +59,7 @@ class Flattener {
       case PickleKind::kReal:
         return add_scalar(name, objects_.real(id));
       case PickleKind::kText:
+        spend(objects_.text(id).size());
         return add_scalar(name, objects_.text(id));
       case PickleKind::kList: {
         const auto& items = objects_.items(id);
@@ -85,8 +86,16 @@ class Flattener {
           describe(objects_.kind(id)), "save only the state_dict() of the model"});
   }
 
-  static std::string joined(const std::string& name, const std::string& key) {
+  // Long keys repeated at every level of a shared structure would multiply; all names share one budget.
+  std::string joined(const std::string& name, const std::string& key) {
+    spend(name.size() + key.size());
     return name.empty() ? key : name + "." + key;
+  }
+
+  void spend(size_t bytes) {
+    text_bytes_ += bytes;
+    if (text_bytes_ > kLargestPickle)
+      fail_broken_archive(where_, "names and texts of more than 64 MiB together");
   }
 
   std::string key_of(PickleId id) const {
@@ -97,9 +106,6 @@ class Flattener {
   }
 
   void claim(const std::string& name) {
-    // Long keys repeated at every level of a shared structure would multiply; names share one budget.
-    name_bytes_ += name.size();
-    if (name_bytes_ > kLargestPickle) fail_broken_archive(where_, "names of more than 64 MiB together");
     if (!names_.insert(name).second) {
       fail({where_ + ": entry " + printable_name(name), "each name once", "the name twice",
             "save the file again with distinct names"});
@@ -116,7 +122,7 @@ class Flattener {
   Flattened flattened_;
   std::set<std::string> names_;
   size_t visited_ = 0;
-  size_t name_bytes_ = 0;
+  uint64_t text_bytes_ = 0;
 };
 
 // Turns the tensors of a pickle into entries; `bytes_of` gives the bytes of a storage.
@@ -187,9 +193,12 @@ ParsedWeights parse_torch_zip(ByteView file, const std::string& where) {
       fail({tensor_where, "a storage named data/" + printable_name(storage.key), "none",
             "download or save the file again"});
     }
-    if (entry->method == ZipMethod::kStored) return entry->packed;
     const auto known = unpacked.find(storage.key);
     if (known != unpacked.end()) return known->second;
+    if (entry->method == ZipMethod::kStored) {
+      archive->check(*entry);
+      return unpacked[storage.key] = entry->packed;
+    }
     unpacked_bytes += entry->size;
     if (unpacked_bytes / kLargestExpansion > file.size) {
       fail_broken_archive(where,

@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/mapped_file.h"
+#include "gld/base/printable_text.h"
 #include "gld/files/safetensors.h"
 #include "gld/files/torch_archive.h"
 
@@ -67,14 +68,7 @@ std::string shape_text(const std::vector<int64_t>& shape) {
   return "(" + text + ")";
 }
 
-std::string printable_name(const std::string& name) {
-  std::string text;
-  for (const char character : name.substr(0, kLongestPrintedName)) {
-    const auto code = static_cast<unsigned char>(character);
-    text += code < 32 || code == 127 ? '?' : character;
-  }
-  return name.size() > kLongestPrintedName ? text + "..." : text;
-}
+std::string printable_name(const std::string& name) { return printable_text(name, kLongestPrintedName); }
 
 std::shared_ptr<const WeightFile> WeightFile::open(const std::filesystem::path& file) {
   const auto mapping = MappedFile::open(file);
@@ -89,6 +83,7 @@ std::shared_ptr<const WeightFile> WeightFile::open(const std::filesystem::path& 
   } else if (bytes.size > kZipMagic.size() && std::equal(kZipMagic.begin(), kZipMagic.end(), bytes.data)) {
     weights->format_ = "PyTorch zip";
     parsed = parse_torch_zip(bytes, where);
+    mapping->drop_pages(bytes);  // read once for its checksums, not needed in memory yet
   } else if (bytes.size > 1 && bytes.data[0] == kPickleStart) {
     weights->format_ = "PyTorch legacy";
     parsed = parse_torch_legacy(bytes, where);

@@ -267,6 +267,11 @@ const ZipEntry* ZipArchive::find(const std::string& name) const {
   return found != entries_.end() && found->name == name ? &*found : nullptr;
 }
 
+void ZipArchive::check(const ZipEntry& entry) const {
+  if (checksum_of(entry.packed.data, entry.packed.size) == entry.checksum) return;
+  fail_broken_zip(where_ + ": entry " + printable_name(entry.name), "a wrong checksum");
+}
+
 std::vector<uint8_t> ZipArchive::read(const ZipEntry& entry) const {
   const std::string where = where_ + ": entry " + printable_name(entry.name);
   std::vector<uint8_t> bytes;

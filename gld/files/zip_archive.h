@@ -37,6 +37,9 @@ class ZipArchive {
   // decompressed.
   std::vector<uint8_t> read(const ZipEntry& entry) const;
 
+  // Compares the bytes of a stored entry with their CRC-32; Error where they differ. For who uses `packed` as it is.
+  void check(const ZipEntry& entry) const;
+
  private:
   ZipArchive() = default;
   std::string where_;

@@ -2,20 +2,38 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
+#include "gld/base/json_text.h"
+
+#include <filesystem>
 
 #include <nlohmann/json.hpp>
 
 namespace gld {
+namespace {
+
+// An output that is passed on must not say where its maker keeps things: of an absolute path the last name is left.
+void shorten_paths(nlohmann::json& values) {
+  for (auto& value : values) {
+    if (value.is_structured()) shorten_paths(value);
+    if (!value.is_string()) continue;
+    const std::filesystem::path path = value.get<std::string>();
+    if (!path.is_absolute()) continue;
+    value = (path.has_filename() ? path : path.parent_path()).filename().string();
+  }
+}
+
+}  // namespace
 
 std::string program_version() { return "gld " GLD_VERSION; }
 
 Provenance make_provenance(const std::string& command, const OptionsGroup& options) {
   nlohmann::json values = to_json(options);
   for (const std::string& name : options_beside_the_result()) values.erase(name);
+  shorten_paths(values);
   Provenance provenance;
   provenance.program = program_version();
   provenance.command = command;
-  provenance.options = values.dump();
+  provenance.options = json_text(values);
   return provenance;
 }
 

@@ -1,8 +1,12 @@
 #include "gld/report/run_folder.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/atomic_folder.h"
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/printable_text.h"
 
 #include <algorithm>
 #include <fstream>
@@ -48,8 +52,10 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
   if (!std::filesystem::is_directory(folder, error)) {
     fail({folder.string(), "a folder to write into", "a file", "choose another --out"});
   }
-  if (std::filesystem::is_empty(folder, error)) return;
   RunJournal::refuse_running(folder);
+  // A killed run leaves half-written files under temporary names, and one killed at once nothing else.
+  remove_abandoned_files(folder);
+  if (std::filesystem::is_empty(folder, error)) return;
   const std::string found = first_line(folder / kConfigurationFile);
   const auto journal = RunJournal::find(folder);
   // Killed before it wrote its configuration, a run has only begun.
@@ -92,7 +98,7 @@ std::filesystem::path RunFolder::subfolder(const std::string& name) const {
 }
 
 void RunFolder::write_report(const nlohmann::ordered_json& report) const {
-  write_file_atomically(folder_ / "report.json", report.dump(2) + "\n");
+  write_file_atomically(folder_ / "report.json", json_text(report, 2) + "\n");
 }
 
 void RunFolder::note(const std::string& what, const std::string& where) { notes_.emplace_back(what, where); }
@@ -102,7 +108,8 @@ std::string RunFolder::closing_box() const {
   size_t label = 0;
   for (const auto& [what, where] : notes_) label = std::max(label, what.size());
   for (const auto& [what, where] : notes_) {
-    lines.push_back(what + std::string(label - what.size() + 2, ' ') + (folder_ / where).string());
+    lines.push_back(what + std::string(label - what.size() + 2, ' ') +
+                    printable_text((folder_ / where).string()));
   }
   size_t width = 0;
   for (const auto& line : lines) width = std::max(width, line.size());

@@ -2,6 +2,7 @@
 
 #include "datasets/images/image.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/files/npy.h"
 
 #include <algorithm>

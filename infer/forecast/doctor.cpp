@@ -3,6 +3,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/machine/instruction_set.h"
 #include "gld/machine/stage_record.h"
 #include "gld/tensors/compute_threads.h"
@@ -205,7 +206,7 @@ std::string doctor_report(const DoctorOptions& options) {
       report["forecast"] = plan_json(made.plan);
       report["advice"] = made.advice;
     }
-    return report.dump(2) + "\n";
+    return json_text(report, 2) + "\n";
   }
   std::string text = machine_text(machine);
   for (const auto& complaint : wrong) text += "warning: " + complaint + "\n";

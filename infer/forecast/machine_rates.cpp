@@ -3,6 +3,7 @@
 #include "gld/attention/attention.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/base/user_cache.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/block_memory.h"
@@ -115,7 +116,7 @@ nlohmann::ordered_json kept_list(const std::filesystem::path& file) {
   std::error_code error;
   if (!std::filesystem::is_regular_file(file, error)) return nlohmann::ordered_json::array();
   try {
-    auto list = nlohmann::ordered_json::parse(read_file(file, kMostBytes)).at("rates");
+    auto list = parse_ordered_json(read_file(file, kMostBytes), file.string()).at("rates");
     if (list.is_array()) return list;
   } catch (const std::exception&) {
     // Unreadable or no JSON: a cache that counts for nothing.
@@ -213,7 +214,7 @@ void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, c
     fail({file.parent_path().string(), "to create the folder", "an error: " + error.message(),
           "check its permissions"});
   }
-  write_file_atomically(file, nlohmann::ordered_json{{"rates", list}}.dump(1) + "\n");
+  write_file_atomically(file, json_text(nlohmann::ordered_json{{"rates", list}}, 1) + "\n");
 }
 
 KnownSpeed known_machine_speed() {

@@ -3,6 +3,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 
 #include <algorithm>
 #include <cmath>
@@ -102,10 +103,18 @@ PlanErrors read_plan_errors(const std::filesystem::path& file) {
   if (!std::filesystem::is_regular_file(file)) {
     fail({file.string(), "the measured errors of sampling with this model", "no such file", remedy});
   }
+  const std::string text = read_file(file, kLimit);
+  nlohmann::json document;
   try {
-    return from_json(nlohmann::json::parse(read_file(file, kLimit)), file.string());
-  } catch (const nlohmann::json::exception& problem) {
-    fail({file.string(), "a table of gld bench sample-plan", problem.what(), remedy});
+    document = parse_json(text, file.string());
+  } catch (const Error& problem) {
+    fail({problem.parts().where, "a table of gld bench sample-plan", problem.parts().found, remedy});
+  }
+  try {
+    return from_json(document, file.string());
+  } catch (const nlohmann::json::exception&) {
+    fail({file.string(), "a table of gld bench sample-plan",
+          "a key that is missing or has a value of another kind", remedy});
   } catch (const std::invalid_argument& problem) {
     fail({file.string(), "a table of gld bench sample-plan", problem.what(), remedy});
   }

@@ -21,6 +21,23 @@ SamplingMethod default_solver_method(const std::string& name, int64_t evaluation
   return method;
 }
 
+// A file of times says how many evaluations a fixed-step solver takes, whatever the option evaluations says.
+SolverOptions with_evaluations_of_file(SolverOptions solver) {
+  if (solver.schedule.schedule != ScheduleKind::kFile || is_adaptive(solver.solver)) return solver;
+  const auto steps = static_cast<int64_t>(schedule_times(solver.schedule, 1).size()) - 1;
+  int64_t evaluations = 1;
+  while (steps_for_evaluations(solver.solver, evaluations) < steps) ++evaluations;
+  // One step is the least of any number of evaluations: two of them tell what a step costs.
+  if (steps == 1) {
+    while (steps_for_evaluations(solver.solver, evaluations) < 2) ++evaluations;
+    int64_t three = evaluations;
+    while (steps_for_evaluations(solver.solver, three) < 3) ++three;
+    evaluations -= three - evaluations;
+  }
+  solver.evaluations = evaluations;
+  return solver;
+}
+
 }  // namespace
 
 SamplingMethod::SamplingMethod() {
@@ -45,7 +62,7 @@ bool same_method(const SamplingMethod& a, const SamplingMethod& b) {
 }
 
 std::string method_text(const SamplingMethod& method) {
-  const auto& solver = method.solver;
+  const SolverOptions solver = with_evaluations_of_file(method.solver);
   std::string text = fmt::format("{} on {}, ", solver_names()[static_cast<size_t>(solver.solver)],
                                  schedule_names()[static_cast<size_t>(solver.schedule.schedule)]);
   text += is_adaptive(solver.solver) ? fmt::format("tolerance {:g}", solver.tolerance)
@@ -108,7 +125,7 @@ FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& 
                            const BundleOptions& bundle) {
   FlowSettings settings;
   for (const auto& part : bundle.generators) {
-    SolverOptions solver = method.solver;
+    SolverOptions solver = with_evaluations_of_file(method.solver);
     if (solver.schedule.shift == 0) solver.schedule.shift = part.time_shift.evaluation;
     settings.solvers.push_back(solver);
   }

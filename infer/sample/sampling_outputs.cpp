@@ -15,6 +15,7 @@
 #include "infer/export/ray_export.h"
 #include "infer/pipeline/predicted_cameras.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -85,6 +86,14 @@ void SamplingOutputs::write_depth(const PipelineResult& result) {
   for (int64_t i = 0; i < depth.size(0); ++i) {
     depths_.push_back(depth_map(depth[i]));
     for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
+  }
+  for (size_t i = 0; i < depths_.size(); ++i) {
+    const auto& values = depths_[i].metres;
+    if (std::any_of(values.begin(), values.end(), is_known_depth)) continue;
+    fail({"depth of " + view_name(first_geometry_view_ + static_cast<int64_t>(i), scene_.views.size()),
+          "positive, finite numbers",
+          fmt::format("none in the model's {} values times the scale {:g}", values.size(), scale),
+          "check the DPT head and the backbone with gld inspect, and the unit of the scene's poses"});
   }
   depth_unit_ = choose_depth_unit(depths_);
   if (!requested_.depth) return;

@@ -2,6 +2,8 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
+#include "gld/base/printable_text.h"
 #include "gld/tensors/weight_tensors.h"
 
 #include <cmath>
@@ -19,14 +21,7 @@ nlohmann::json read_description(const std::filesystem::path& file) {
   }
   std::stringstream text;
   text << stream.rdbuf();
-  try {
-    return nlohmann::json::parse(text.str());
-  } catch (const nlohmann::json::parse_error& error) {
-    fail({file.string(), "valid JSON", "a syntax error at byte " + std::to_string(error.byte),
-          "repair the file"});
-  } catch (const nlohmann::json::exception&) {
-    fail({file.string(), "valid JSON", "a value that cannot be represented", "repair the file"});
-  }
+  return parse_json(text.str(), file.string());
 }
 
 NamedTensors read_tensors(const std::filesystem::path& file) {
@@ -102,7 +97,8 @@ ReferenceCase read_reference_case(const std::filesystem::path& folder) {
   const auto require = [&](const char* key, const char* what, bool (*holds)(const nlohmann::json&)) {
     const bool present = description.is_object() && description.contains(key);
     if (!present || !holds(description.at(key))) {
-      fail({file.string() + ": " + key, what, present ? description.at(key).dump() : std::string("nothing"),
+      fail({file.string() + ": " + key, what,
+            present ? printable_text(json_text(description.at(key)), 60) : std::string("nothing"),
             "repair the case's description"});
     }
     return description.at(key);

@@ -4,6 +4,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/backbones/dinov2_backbone.h"
 #include "models/bundle/published_backbones.h"
@@ -449,7 +450,7 @@ ordered_json convert(const ConversionOptions& options) {
   for (const BundlePart& part : bundle_parts(bundle)) {
     if (!written.has(part)) report["missing"].push_back(bundle_part_name(part));
   }
-  write_file_atomically(std::filesystem::path(options.out) / kReportFile, report.dump(2) + "\n");
+  write_file_atomically(std::filesystem::path(options.out) / kReportFile, json_text(report, 2) + "\n");
   return report;
 }
 

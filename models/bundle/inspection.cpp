@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "models/bundle/bundle.h"
 
 #include <algorithm>
@@ -34,11 +35,7 @@ struct Totals {
 };
 
 // Text of a PyTorch file may be any bytes, JSON is UTF-8: what is not is replaced.
-std::string valid_text(const std::string& text) {
-  constexpr int kCompact = -1;
-  return ordered_json::parse(
-      ordered_json(text).dump(kCompact, ' ', /*ensure_ascii=*/false, ordered_json::error_handler_t::replace));
-}
+std::string valid_text(const std::string& text) { return ordered_json::parse(json_text(ordered_json(text))); }
 
 ordered_json scalar_json(const ScalarEntry& value) {
   if (const auto* text = std::get_if<std::string>(&value)) return valid_text(*text);
@@ -138,7 +135,7 @@ std::string file_text(const ordered_json& inspection) {
                         shape_text(tensor["shape"].get<std::vector<int64_t>>()));
   }
   for (const auto& [name, value] : inspection["values"].items()) {
-    text += fmt::format("  {} = {}\n", printable_name(name), printable_name(value.dump()));
+    text += fmt::format("  {} = {}\n", printable_name(name), printable_name(json_text(value)));
   }
   for (const auto& [name, value] : inspection["metadata"].items()) {
     text +=

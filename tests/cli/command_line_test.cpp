@@ -5,6 +5,7 @@
 
 #include <iostream>
 #include <stdexcept>
+#include <streambuf>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -151,6 +152,29 @@ TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {
   failure_ = [] { throw std::runtime_error("first line\nsecond line"); };
   EXPECT_EQ(run({"paint", "x"}), 1);
   EXPECT_EQ(error_text_, "error: first line\n");
+}
+
+// What /dev/full and a closed pipe do.
+struct RefusingBuffer : std::streambuf {
+  int overflow(int) override { return traits_type::eof(); }
+  int sync() override { return -1; }
+};
+
+TEST_F(CommandLine, OutputThatNobodyTookIsAFailure) {
+  command_.run = [](const std::vector<std::string>&) {
+    std::cout << "the result\n";
+    return 0;
+  };
+  RefusingBuffer refusing;
+  auto* const before = std::cout.rdbuf(&refusing);
+  testing::internal::CaptureStderr();
+  const int status = run_command_line({command_}, {"a.png"});
+  std::cout.rdbuf(before);
+  std::cout.clear();
+  EXPECT_EQ(status, 1);
+  EXPECT_EQ(testing::internal::GetCapturedStderr(),
+            "error: standard output: expected to take the result, found a write that failed; "
+            "check the disk or the program behind the pipe.\n");
 }
 
 TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {

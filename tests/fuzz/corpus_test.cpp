@@ -48,6 +48,18 @@ TEST(FuzzCorpus, Safetensors) { EXPECT_GE(replay("safetensors", test::read_as_sa
 
 TEST(FuzzCorpus, TorchArchive) { EXPECT_GE(replay("torch_archive", test::read_as_torch_archive), 4U); }
 
+TEST(FuzzCorpus, Hdf5) { EXPECT_GE(replay("hdf5", test::read_as_hdf5), 5U); }
+
+TEST(FuzzCorpus, Json) { EXPECT_GE(replay("json", test::read_as_json), 3U); }
+
+TEST(FuzzCorpus, Yaml) { EXPECT_GE(replay("yaml", test::read_as_yaml), 3U); }
+
+TEST(FuzzCorpus, Image) { EXPECT_GE(replay("image", test::read_as_image), 5U); }
+
+TEST(FuzzCorpus, Colmap) { EXPECT_GE(replay("colmap", test::read_as_colmap), 5U); }
+
+TEST(FuzzCorpus, Re10k) { EXPECT_GE(replay("re10k", test::read_as_re10k), 1U); }
+
 TEST(FuzzCorpus, Npy) { EXPECT_GE(replay("npy", test::read_as_npy), 4U); }
 
 }  // namespace

@@ -9,5 +9,12 @@ namespace gld::test {
 void read_as_safetensors(const uint8_t* data, size_t size);
 void read_as_torch_archive(const uint8_t* data, size_t size);  // zip or legacy, by the first byte
 void read_as_npy(const uint8_t* data, size_t size);            // npy or npz, by the first byte
+void read_as_hdf5(const uint8_t* data, size_t size);           // a dataset "dataset" of any rank
+void read_as_json(const uint8_t* data, size_t size);           // JSON, then cameras.json, then options
+void read_as_yaml(const uint8_t* data, size_t size);           // options of every kind
+void read_as_image(const uint8_t* data, size_t size);          // PNG or JPEG, with its EXIF metadata
+void read_as_colmap(const uint8_t* data,
+                    size_t size);  // by the first byte: cameras, images or points, binary or text
+void read_as_re10k(const uint8_t* data, size_t size);  // the rows of a camera file
 
 }  // namespace gld::test

@@ -1,9 +1,11 @@
 #include "train/loop/checkpoint.h"
 
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/tensors/weight_tensors.h"
 
 #include <algorithm>
+#include <charconv>
 #include <cstdio>
 #include <cstring>
 
@@ -12,25 +14,38 @@
 namespace gld {
 namespace {
 
-constexpr const char* kFormat = "gld training checkpoint 1";
+// Format 1 had a checksum over the tensors' bytes alone.
+constexpr const char* kFormat = "gld training checkpoint 2";
+constexpr const char* kFirstFormat = "gld training checkpoint 1";
+const std::string kChecksumKey = "checksum";
 
-// A 64-bit multiply-xor hash over the bytes of all tensors in name order. A file whose blocks never reached
-// the disk reads as zeros, which the file's length alone does not show.
+// A 64-bit multiply-xor hash. A file whose blocks never reached the disk reads as zeros, which the file's length alone
+// does not show; nor does it show a flipped bit or a number changed by hand.
 class Checksum {
  public:
-  void add(const torch::Tensor& tensor) {
-    const torch::Tensor bytes = tensor.detach().to(torch::kCPU).contiguous();
-    const auto* data = static_cast<const uint8_t*>(bytes.data_ptr());
-    size_t left = static_cast<size_t>(bytes.numel()) * bytes.element_size();
+  void add(const void* bytes, size_t left) {
+    const auto* data = static_cast<const uint8_t*>(bytes);
     while (left > 0) {
       uint64_t word = 0;
       const size_t take = std::min<size_t>(left, sizeof(word));
       std::memcpy(&word, data, take);
-      hash_ = (hash_ ^ word) * 0x9E3779B97F4A7C15ULL;
-      hash_ ^= hash_ >> 29U;
+      add(word);
       data += take;
       left -= take;
     }
+  }
+  void add(uint64_t word) {
+    hash_ = (hash_ ^ word) * 0x9E3779B97F4A7C15ULL;
+    hash_ ^= hash_ >> 29U;
+  }
+  // With its length, so that a character cannot move from one text to the next.
+  void add(const std::string& text) {
+    add(static_cast<uint64_t>(text.size()));
+    add(text.data(), text.size());
+  }
+  void add_bytes(const torch::Tensor& tensor) {
+    const torch::Tensor bytes = tensor.detach().to(torch::kCPU).contiguous();
+    add(bytes.data_ptr(), static_cast<size_t>(bytes.numel()) * bytes.element_size());
   }
   std::string text() const {
     char buffer[17];
@@ -42,46 +57,68 @@ class Checksum {
   uint64_t hash_ = 0xCBF29CE484222325ULL;
 };
 
-std::string checksum_of(const std::map<std::string, torch::Tensor>& tensors) {
+std::string checksum_of_bytes(const std::map<std::string, torch::Tensor>& tensors) {
   Checksum checksum;
-  for (const auto& item : tensors) checksum.add(item.second);
+  for (const auto& item : tensors) checksum.add_bytes(item.second);
+  return checksum.text();
+}
+
+std::string checksum_of(const std::map<std::string, torch::Tensor>& tensors,
+                        const std::map<std::string, std::string>& metadata) {
+  Checksum checksum;
+  for (const auto& [name, text] : metadata) {
+    if (name == kChecksumKey) continue;
+    checksum.add(name);
+    checksum.add(text);
+  }
+  for (const auto& [name, tensor] : tensors) {
+    checksum.add(name);
+    checksum.add(std::string(c10::toString(tensor.scalar_type())));
+    for (const int64_t size : tensor.sizes()) checksum.add(static_cast<uint64_t>(size));
+    checksum.add_bytes(tensor);
+  }
   return checksum.text();
 }
 
 }  // namespace
 
 void save_checkpoint(const std::filesystem::path& file, const Checkpoint& checkpoint) {
-  save_safetensors(file, checkpoint.tensors,
-                   {{"format", kFormat},
-                    {"step", std::to_string(checkpoint.step)},
-                    {"checksum", checksum_of(checkpoint.tensors)},
-                    {"state", checkpoint.metadata.dump()}});
+  std::map<std::string, std::string> metadata = {{"format", kFormat},
+                                                 {"step", std::to_string(checkpoint.step)},
+                                                 {"state", json_text(checkpoint.metadata)}};
+  metadata[kChecksumKey] = checksum_of(checkpoint.tensors, metadata);
+  save_safetensors(file, checkpoint.tensors, metadata);
 }
 
 Checkpoint load_checkpoint(const std::filesystem::path& file) {
   const auto weights = WeightFile::open(file);
   const auto& metadata = weights->metadata();
-  const auto format = metadata.find("format");
-  if (format == metadata.end() || format->second != kFormat) {
+  const auto text_of = [&](const std::string& key) {
+    const auto found = metadata.find(key);
+    return found == metadata.end() ? std::string() : found->second;
+  };
+  const std::string format = text_of("format");
+  if (format != kFormat && format != kFirstFormat) {
     fail({file.string(), "a training checkpoint", "a weight file of another kind",
           "name the checkpoints folder of a gld train run"});
   }
   Checkpoint checkpoint;
-  try {
-    checkpoint.step = std::stoll(metadata.at("step"));
-    checkpoint.metadata = nlohmann::json::parse(metadata.at("state"));
-  } catch (const std::exception&) {
-    fail({file.string(), "the run's state in the metadata", "text that cannot be read",
-          "use an older checkpoint"});
-  }
+  checkpoint.header_is_checked = format == kFormat;
   for (const TensorEntry& entry : weights->entries()) {
     checkpoint.tensors[entry.name] = read_tensor(*weights, entry);
   }
-  const auto checksum = metadata.find("checksum");
-  if (checksum == metadata.end() || checksum->second != checksum_of(checkpoint.tensors)) {
-    fail({file.string(), "tensors that match the checksum", "changed or missing data",
+  const std::string expected = checkpoint.header_is_checked ? checksum_of(checkpoint.tensors, metadata)
+                                                            : checksum_of_bytes(checkpoint.tensors);
+  if (text_of(kChecksumKey) != expected) {
+    fail({file.string(), "contents that match the checksum", "changed or missing data",
           "use an older checkpoint"});
   }
+  const std::string step = text_of("step");
+  const auto parsed = std::from_chars(step.data(), step.data() + step.size(), checkpoint.step);
+  if (parsed.ec != std::errc() || parsed.ptr != step.data() + step.size() || checkpoint.step < 0) {
+    fail({file.string(), "the run's step in the metadata", "'" + step + "'", "use an older checkpoint"});
+  }
+  checkpoint.metadata = parse_json(text_of("state"), file.string() + ", state");
   return checkpoint;
 }
 
@@ -130,16 +167,20 @@ std::filesystem::path CheckpointFolder::save_best(const Checkpoint& checkpoint) 
   return file;
 }
 
-std::optional<CheckpointFolder::Resumable> CheckpointFolder::newest() const {
+std::optional<CheckpointFolder::Resumable> CheckpointFolder::newest(const Check& check) const {
   const auto present = steps();
   if (present.empty()) return std::nullopt;
   Resumable result;
   for (auto step = present.rbegin(); step != present.rend(); ++step) {
+    bool sound = false;  // the file is what was written
     try {
       result.file = file_of(*step);
       result.checkpoint = load_checkpoint(result.file);
+      sound = result.checkpoint.header_is_checked;
+      if (check) check(result.checkpoint, result.file.string());
       return result;
     } catch (const Error& error) {
+      if (sound) throw;
       result.damaged.emplace_back(error.what());
     }
   }

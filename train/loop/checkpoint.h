@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -16,16 +17,19 @@ namespace gld {
 // The whole state of a training run at the end of a step: parameters, moving average, optimiser, random
 // numbers, data position and whatever the objective keeps.
 struct Checkpoint {
+  // Names, dtypes, shapes and metadata are under the checksum too; false in files written before they were.
+  bool header_is_checked = true;
   int64_t step = 0;                              // optimiser steps done
   nlohmann::json metadata;                       // numbers and names
   std::map<std::string, torch::Tensor> tensors;  // any device
 };
 
-// Writes one safetensors file under a temporary name and renames it. A checksum over all tensors is kept in
-// its metadata.
+// Writes one safetensors file under a temporary name and renames it. A checksum over all that it holds, names, dtypes,
+// shapes and metadata included, is kept in its metadata.
 void save_checkpoint(const std::filesystem::path& file, const Checkpoint& checkpoint);
 
-// Throws Error when the file is no checkpoint, is cut short, or its checksum does not match.
+// Throws Error when the file is no checkpoint, is cut short, or its checksum does not match. Files of format 1, whose
+// checksum is over the tensors' bytes alone, are read too.
 Checkpoint load_checkpoint(const std::filesystem::path& file);
 
 struct CheckpointFolderOptions {
@@ -47,9 +51,13 @@ class CheckpointFolder {
     std::filesystem::path file;
     std::vector<std::string> damaged;  // newer files that could not be read, one sentence each
   };
-  // The newest complete checkpoint; none when there is no checkpoint file at all. Throws Error when there are
-  // files and every one is damaged.
-  std::optional<Resumable> newest() const;
+  // Throws Error where a run cannot be continued with the checkpoint; where names its file.
+  using Check = std::function<void(const Checkpoint& checkpoint, const std::string& where)>;
+
+  // The newest complete checkpoint that passes check; none when there is no checkpoint file at all. A file whose header
+  // is under its checksum and that does not pass belongs to other options: the Error of check. Where the header may be
+  // damaged, it is passed over like any damaged file. Throws Error when there are files and every one is damaged.
+  std::optional<Resumable> newest(const Check& check = {}) const;
 
   // Steps that have a file, ascending.
   std::vector<int64_t> steps() const;

@@ -2,24 +2,40 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 
 #include <fstream>
+#include <optional>
 #include <set>
 #include <sstream>
 
 namespace gld {
+namespace {
+
+// A line with its step; nothing for half a line at the end, as a killed run leaves it, and for any damaged one: what is
+// drawn from the log is not worth a training run.
+std::optional<nlohmann::ordered_json> read_line(const std::string& line) {
+  try {
+    auto object = parse_ordered_json(line, "metrics");
+    const bool has_step = object.is_object() && object.contains("step") && object["step"].is_number_integer();
+    if (has_step && object["step"].get<int64_t>() >= 0) return object;
+  } catch (const Error&) {
+    // No JSON.
+  }
+  return std::nullopt;
+}
+
+}  // namespace
 
 MetricsLog::MetricsLog(std::filesystem::path file, int64_t last_step) : file_(std::move(file)) {
   std::string kept;
   if (std::filesystem::exists(file_)) {
     std::istringstream text(read_file(file_));
     for (std::string line; std::getline(text, line);) {
-      // A killed run may leave half a line at the end.
-      auto object = nlohmann::ordered_json::parse(line, nullptr, /*allow_exceptions=*/false);
-      if (object.is_discarded() || !object.is_object() || object.value("step", int64_t{0}) > last_step)
-        continue;
-      kept += object.dump() + "\n";
-      lines_.push_back(std::move(object));
+      auto object = read_line(line);
+      if (!object || object->at("step").get<int64_t>() > last_step) continue;
+      kept += json_text(*object) + "\n";
+      lines_.push_back(*std::move(object));
     }
   }
   write_file_atomically(file_, kept);

@@ -103,6 +103,7 @@ class Session {
   void log(const StepOutcome& outcome, double rate);
   void validate();
   Checkpoint snapshot() const;
+  void check_fits(const Checkpoint& checkpoint, const std::string& where) const;
   double elapsed() const {
     return earlier_seconds_ +
            std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
@@ -132,18 +133,53 @@ class Session {
   std::vector<std::string> messages_;
 };
 
+// Everything that restore() takes from it, so that nothing is half restored and nothing is converted without a word.
+void Session::check_fits(const Checkpoint& checkpoint, const std::string& where) const {
+  const auto& state = checkpoint.metadata;
+  const std::string remedy = "resume with the options that wrote the checkpoint";
+  const auto has_kind = state.is_object() && state.contains("kind") && state["kind"].is_string();
+  const std::string kind = has_kind ? state["kind"].get<std::string>() : "nameless";
+  if (kind != objective_.kind()) {
+    fail({where, "a checkpoint of a " + objective_.kind() + " run", "one of a " + kind + " run",
+          "name the folder of the run to resume"});
+  }
+  for (const char* name : {"batch_index", "skipped_steps", "skipped_in_a_row"}) {
+    const auto found = state.find(name);
+    if (found == state.end() || !found->is_number_integer() || found->get<int64_t>() < 0) {
+      fail({where, std::string("a count '") + name + "'", "none", remedy});
+    }
+  }
+  for (const char* name : {"loss", "seconds", "best"}) {
+    const auto found = state.find(name);
+    const bool may_be_null = std::string(name) == "best";  // before the first validation
+    if (found == state.end() || !(found->is_number() || (may_be_null && found->is_null()))) {
+      fail({where, std::string("a number '") + name + "'", "none", remedy});
+    }
+  }
+  for (const auto& [name, expected] : snapshot().tensors) {
+    const auto found = checkpoint.tensors.find(name);
+    const auto text = [](const torch::Tensor& tensor) {
+      return "shape " + c10::str(tensor.sizes()) + " in " + c10::toString(tensor.scalar_type());
+    };
+    if (found == checkpoint.tensors.end()) {
+      fail({where, "tensor '" + name + "' of " + text(expected), "none of that name", remedy});
+    }
+    if (found->second.sizes() != expected.sizes() || found->second.scalar_type() != expected.scalar_type()) {
+      fail({where, "tensor '" + name + "' of " + text(expected), text(found->second), remedy});
+    }
+  }
+}
+
 void Session::restore(TrainingStart start) {
   check_training_start(run_.folder, start);
-  const auto found = start == TrainingStart::kResume ? checkpoints_.newest() : std::nullopt;
+  const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
+    check_fits(checkpoint, where);
+  };
+  const auto found = start == TrainingStart::kResume ? checkpoints_.newest(check) : std::nullopt;
   if (found) {
     for (const std::string& damaged : found->damaged) messages_.push_back("passed over " + damaged);
     const Checkpoint& checkpoint = found->checkpoint;
     const std::string where = found->file.string();
-    const auto kind = checkpoint.metadata.value("kind", std::string());
-    if (kind != objective_.kind()) {
-      fail({where, "a checkpoint of a " + objective_.kind() + " run", "one of a " + kind + " run",
-            "name the folder of the run to resume"});
-    }
     std::map<std::string, torch::Tensor> optimiser_state;
     std::map<std::string, torch::Tensor> objective_state;
     const torch::NoGradGuard no_grad;
@@ -155,15 +191,8 @@ void Session::restore(TrainingStart start) {
     for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
       const NamedParameter& item = parameters_.parameters()[i];
       const auto take = [&](const std::string& prefix, const torch::Tensor& flat) {
-        const auto tensor = checkpoint.tensors.find(prefix + item.name);
         torch::Tensor target = parameters_.part(flat, i);
-        if (tensor == checkpoint.tensors.end() || tensor->second.sizes() != target.sizes()) {
-          fail({where, "tensor '" + prefix + item.name + "' of shape " + c10::str(target.sizes()),
-                tensor == checkpoint.tensors.end() ? "none of that name"
-                                                   : "shape " + c10::str(tensor->second.sizes()),
-                "resume with the options that wrote the checkpoint"});
-        }
-        target.copy_(tensor->second);
+        target.copy_(checkpoint.tensors.at(prefix + item.name));
       };
       take("model.", parameters_.values());
       if (average.defined()) take("ema.", average);

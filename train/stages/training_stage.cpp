@@ -1,6 +1,6 @@
 #include "train/stages/training_stage.h"
 
-#include "gld/base/atomic_file.h"
+#include "gld/base/atomic_folder.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
@@ -108,9 +108,7 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
   const auto target = ModelBundle::open(to);
   for (const BundlePart& part : bundle_parts(from.options())) {
     if (!from.has(part) || std::find(made.begin(), made.end(), part) != made.end()) continue;
-    AtomicFile copy(target.file(part));
-    std::filesystem::copy_file(from.file(part), copy.temporary());
-    copy.commit();
+    copy_file_atomically(from.file(part), target.file(part));
   }
 }
 

@@ -115,6 +115,21 @@ TEST(DataCheck, NamesNormalisedIntrinsics) {
               HasSubstr("for an image 200 pixels wide, which look divided by the image size"));
 }
 
+TEST(DataCheck, SaysWhereLinksLead) {
+  const TemporaryFolder folder, elsewhere;
+  write_scene(rendered_scene(0), "nerfstudio", folder.path() / "scene");
+  const auto images = folder.path() / "scene" / "images";
+  const auto first = std::filesystem::directory_iterator(images)->path();
+  std::filesystem::rename(first, elsewhere.path() / "picture.png");
+  std::filesystem::create_symlink(elsewhere.path() / "picture.png", first);
+  const DataCheck check = check_scene(SceneLocation{folder.path() / "scene", ""}, {});
+  EXPECT_THAT(check.notes,
+              testing::Contains(testing::AllOf(
+                  HasSubstr("1 of "), HasSubstr("are links to places outside the scene's folder, which are "
+                                                "followed: " +
+                                                first.string() + " is "))));
+}
+
 // The smallest EXIF segment that asks for a quarter turn.
 void ask_for_rotation(const std::filesystem::path& jpeg) {
   const std::string bytes = read_file(jpeg);

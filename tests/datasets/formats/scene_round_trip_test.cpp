@@ -139,6 +139,30 @@ TEST(RoundTrip, ColmapKeepsPoints) {
   }
 }
 
+// A layout without a list of frames would be a valid, shorter scene.
+TEST(SceneWriter, HalfASceneIsNoScene) {
+  const TemporaryFolder folder;
+  for (const std::string& layout : scene_layout_names()) {
+    SyntheticOptions options;
+    options.frames = 4;
+    options.width = 64;
+    options.height = 48;
+    options.field_of_view_low = options.field_of_view_high = 90;
+    Scene scene = make_synthetic_scene(options, 0);
+    int64_t left = 2;
+    for (Frame& frame : scene.frames) {
+      frame.load_image = [&left, load = frame.load_image] {
+        if (left-- == 0) throw std::runtime_error("killed");
+        return load();
+      };
+    }
+    const auto path = folder.path() / layout;
+    EXPECT_THROW(write_scene(scene, layout, path), std::runtime_error) << layout;
+    EXPECT_FALSE(std::filesystem::exists(path)) << layout;
+    EXPECT_TRUE(std::filesystem::is_empty(folder.path())) << layout;
+  }
+}
+
 TEST(SceneWriter, RefusesWhatALayoutCannotHold) {
   const TemporaryFolder folder;
   SyntheticOptions options;

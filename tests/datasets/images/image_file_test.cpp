@@ -2,13 +2,17 @@
 
 #include "datasets/images/image_probe.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+#include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
@@ -218,9 +222,101 @@ TEST(ImageFile, DamagedPixelDataIsRefused) {
   std::string bytes = read_file(file);
   for (size_t i = 60; i < bytes.size() - 30; i += 3) bytes[i] = static_cast<char>(bytes[i] ^ 0x5A);
   write_file_atomically(file, bytes);
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() +
-                ": expected an image that can be decoded, found damaged data; copy or download it again.");
+  EXPECT_THAT(
+      error_of([&] { read_image(file); }),
+      testing::MatchesRegex(".*: expected an image that can be decoded, found damaged data \\(libpng: .*\\); "
+                            "copy or download it again\\."));
+}
+
+// A picture with edges and noise, so that every block of a JPEG file has something to lose.
+Image textured(int64_t width, int64_t height) {
+  Image image(width, height);
+  uint32_t noise = 1;
+  for (size_t i = 0; i < image.rgb.size(); ++i) {
+    noise = noise * 1664525 + 1013904223;
+    image.rgb[i] = static_cast<uint8_t>((i / 96 * 53 + (noise >> 26)) % 256);
+  }
+  return image;
+}
+
+TEST(ImageFile, JpegHasTheBitsOfOpenCv) {
+  const auto corpus = test::source_root() / "tests" / "fuzz" / "corpus" / "image";
+  const TemporaryFolder folder;
+  write_jpeg(folder.path() / "textured.jpg", textured(67, 45), 75);
+  std::vector<std::filesystem::path> files = {folder.path() / "textured.jpg"};
+  for (const char* name : {"colour.jpg", "progressive.jpg", "grey_progressive.jpg", "cmyk.jpg"})
+    files.push_back(corpus / name);
+  for (const auto& file : files) {
+    const Image read = read_image(file);
+    cv::Mat expected = cv::imread(file.string(), cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+    ASSERT_EQ(expected.cols, read.width) << file;
+    ASSERT_EQ(expected.rows, read.height) << file;
+    for (int64_t y = 0; y < read.height; ++y) {
+      for (int64_t x = 0; x < read.width; ++x) {
+        const auto& bgr = expected.at<cv::Vec3b>(static_cast<int>(y), static_cast<int>(x));
+        for (int c = 0; c < 3; ++c)
+          ASSERT_EQ(read.pixel(x, y)[c], bgr[2 - c]) << file << " " << x << " " << y;
+      }
+    }
+  }
+}
+
+// JPEG files have no checksum, so that some damage cannot be seen; what libjpeg sees must not pass, and neither library may
+// print anything.
+TEST(ImageFile, DamageThatTheLibrariesSeeIsRefusedWithoutTheirChatter) {
+  const TemporaryFolder folder;
+  write_jpeg(folder.path() / "whole.jpg", textured(160, 120), 85);
+  write_png(folder.path() / "whole.png", textured(160, 120));
+  for (const char* extension : {".jpg", ".png"}) {
+    const std::string whole = read_file(folder.path() / (std::string("whole") + extension));
+    const auto file = folder.path() / (std::string("damaged") + extension);
+    int refused = 0;
+    constexpr int kFiles = 250;
+    testing::internal::CaptureStderr();
+    testing::internal::CaptureStdout();
+    for (int i = 0; i < kFiles; ++i) {
+      // Three bytes of the pixels' data become others.
+      std::string bytes = whole;
+      for (size_t k = 0; k < 3; ++k) {
+        const size_t at = 700 + (static_cast<size_t>(i) * 7919 + k * 3571) % (bytes.size() - 720);
+        bytes[at] = static_cast<char>(bytes[at] ^ static_cast<char>(1 + i % 127));
+      }
+      write_file_atomically(file, bytes);
+      try {
+        read_image(file);
+      } catch (const Error& error) {
+        EXPECT_THAT(error.what(), testing::StartsWith(file.string() + ": "));
+        ++refused;
+      }
+    }
+    EXPECT_EQ(testing::internal::GetCapturedStdout(), "");
+    EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
+    const bool png = std::string(extension) == ".png";
+    EXPECT_GE(refused, png ? kFiles : kFiles / 2) << extension;
+  }
+}
+
+TEST(ImageFile, APictureLargerThanAnyCamerasIsNotUnpacked) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "a.png";
+  write_png(file, gradient(8, 8));
+  std::string bytes = read_file(file);
+  for (const auto& [width, height] :
+       {std::pair<uint32_t, uint32_t>{24000, 24000}, {65536, 2}, {0x80000000U, 2}}) {
+    for (size_t i = 0; i < 4; ++i) {
+      bytes[16 + i] = static_cast<char>(width >> (24 - 8 * i));
+      bytes[20 + i] = static_cast<char>(height >> (24 - 8 * i));
+    }
+    const auto checksum =
+        static_cast<uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + 12, 17));
+    for (size_t i = 0; i < 4; ++i) bytes[29 + i] = static_cast<char>(checksum >> (24 - 8 * i));
+    write_file_atomically(file, bytes);
+    EXPECT_EQ(error_of([&] { read_image(file); }),
+              file.string() +
+                  ": expected a size of 1x1 to 268 million pixels, each side at most 65535, found " +
+                  std::to_string(width) + "x" + std::to_string(height) +
+                  "; check the file, or scale the picture down.");
+  }
 }
 
 TEST(ImageFile, DepthPngKeepsMillimetres) {

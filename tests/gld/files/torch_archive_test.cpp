@@ -8,6 +8,7 @@
 #include "tests/support/pickle_text.h"
 
 #include <cstring>
+#include <ctime>
 #include <string>
 #include <variant>
 
@@ -303,6 +304,63 @@ TEST(TorchArchive, RefusesLoopsAndMultiplication) {
                     "a"));
   EXPECT_EQ(refusal(laughs.stopped()),
             "w.pt: expected at most 200000 objects, found more; save only the state_dict() of the model.");
+}
+
+// Two bytes of a file each: copies of a list of 20 000 items.
+TEST(TorchArchive, CopiesShareOneBudgetOfMemory) {
+  PickleText dictionaries;
+  dictionaries.raw("(").raw("](");
+  for (int i = 0; i < 20'000; ++i) dictionaries.integer(1).integer(2).raw("\x86");
+  dictionaries.raw("eq\x01").raw("0");
+  for (int i = 0; i < 1000; ++i) dictionaries.global("collections", "OrderedDict").raw("h\x01\x85R");
+  EXPECT_THAT(
+      refusal(dictionaries.raw("t").stopped()),
+      testing::HasSubstr("w.pt: expected a whole pickle, found more than eight million items in lists"));
+
+  // A call copied its million arguments each time: 50 s.
+  PickleText calls;
+  calls.raw("(").storage("FloatStorage", "0", 1).integer(0).integers({1}).integers({1});
+  for (int i = 0; i < 200'000; ++i) calls.op('N');
+  calls.raw("tq\x01").raw("0").raw("(");
+  for (int i = 0; i < 20'000; ++i) calls.global("torch._utils", "_rebuild_tensor_v2").raw("h\x01R");
+  const std::clock_t start = std::clock();
+  const std::string file = torch_zip(calls.raw("t").stopped(), {{"0", float_bytes({1})}});
+  EXPECT_EQ(parse_torch_zip(view(file), "w.pt").entries.size(), 20'000U);
+  EXPECT_LT(std::clock() - start, 20 * CLOCKS_PER_SEC);
+}
+
+TEST(TorchArchive, LongNamesAndTextsShareOneBudget) {
+  const std::string huge =
+      "w.pt: expected a PyTorch file, found names and texts of more than 64 MiB together; "
+      "download or save the file again.";
+  PickleText texts;
+  texts.text(std::string(1'000'000, 'x')).raw("q\x01").raw("0").raw("(");
+  for (int i = 0; i < 1000; ++i) texts.raw("h\x01");
+  EXPECT_EQ(refusal(texts.raw("l").stopped()), huge);
+  // Lists have names too while they are walked, although they hold nothing.
+  PickleText keys;
+  keys.raw("}").text(std::string(1'000'000, 'x')).raw("](");
+  for (int i = 0; i < 1000; ++i) keys.op(']');
+  EXPECT_EQ(refusal(keys.raw("es").stopped()), huge);
+  PickleText storages;
+  storages.storage("FloatStorage", std::string(1000, 'k'), 1);
+  EXPECT_THAT(refusal(storages.stopped()), testing::HasSubstr("found a storage's key of 1000 bytes"));
+}
+
+// 22 of 60 such files gave other numbers without a word.
+TEST(TorchArchive, AnyFlippedBitOfAStoredTensorIsNoticed) {
+  const std::string file = torch_zip(checkpoint_pickle(), checkpoint_storages());
+  for (const auto& [key, bytes] : checkpoint_storages()) {
+    const size_t at = file.find(bytes);
+    ASSERT_NE(at, std::string::npos);
+    for (size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
+      std::string flipped = file;
+      flipped[at + bit / 8] = static_cast<char>(flipped[at + bit / 8] ^ 1 << bit % 8);
+      EXPECT_THAT(error_of([&] { parse_torch_zip(view(flipped), "w.pt"); }),
+                  testing::MatchesRegex("w\\.pt: entry .*data/" + key +
+                                        ": expected a whole zip file, found a wrong checksum; .*"));
+    }
+  }
 }
 
 TEST(TorchArchive, RefusesValuesWithoutANameOrMeaning) {

@@ -13,6 +13,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -36,6 +37,29 @@ TEST(RunFolder, WritesTheConfigurationFirstAndTheBoxLast) {
   run.note("all images", "images");
   EXPECT_THAT(run.closing_box(),
               testing::HasSubstr("| report      " + (path / "report.json").string() + " |"));
+}
+
+TEST(RunFolder, ARunThatWasKilledAtOnceLeavesAFolderThatCanBeUsed) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  std::filesystem::create_directories(path / "model");
+  std::filesystem::remove_all(path / "model");
+  // The name of this process, as after a restart in a container where numbers come again.
+  const std::string half = ".config.partial-" + std::to_string(getpid()) + "-0.yaml";
+  write_file_atomically(path / half, "# gld");
+  EXPECT_NO_THROW(RunFolder(path, "count", CountOptions(), EarlierRun::kRefuse));
+  EXPECT_FALSE(std::filesystem::exists(path / half));
+  EXPECT_TRUE(std::filesystem::exists(path / "config.yaml"));
+}
+
+TEST(RunFolder, AReportWithBytesThatAreNoUtf8IsWritten) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run\xFF\x1b[2J";
+  RunFolder run(path, "count", CountOptions(), EarlierRun::kRefuse);
+  run.write_report({{"scene", "\xFF"}});
+  run.note("report", "report.json");
+  EXPECT_EQ(nlohmann::json::parse(read_file(path / "report.json")).at("scene"), "\xEF\xBF\xBD");
+  EXPECT_THAT(run.closing_box(), testing::HasSubstr("run\\xff\\x1b[2J"));
 }
 
 struct CountAgainOptions : CountOptions {

@@ -52,6 +52,18 @@ TEST(Provenance, LeavesOutWhatDoesNotChangeTheResult) {
   EXPECT_EQ(find_text(provenance_items(without_model), "gld:seed"), "7");
 }
 
+TEST(Provenance, DoesNotSayWhereItsMakerKeepsThings) {
+  TwoOptions options;
+  for (const auto& [folder, shown] :
+       {std::pair<std::string, std::string>{"/home/someone/private/scene", "scene"},
+        {"/home/someone/scene/", "scene"},
+        {"photos/scene", "photos/scene"},
+        {"/home/someone/\xFF", "\xEF\xBF\xBD"}}) {
+    options.out = folder;
+    EXPECT_EQ(make_provenance("sample", options, {}).options, R"({"out":")" + shown + R"(","steps":16})");
+  }
+}
+
 TEST(ImageExport, KeepsPixelsAndProvenance) {
   test::TemporaryFolder folder;
   const auto file = folder.path() / "view_00.png";

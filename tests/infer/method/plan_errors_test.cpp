@@ -97,6 +97,33 @@ TEST(PlanErrors, AreReadAsTheyWereWritten) {
   }
 }
 
+TEST(SamplingMethod, AFileOfTimesSaysHowManyEvaluations) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "times.txt";
+  const auto write_times = [&](int count) {
+    std::string text;
+    for (int i = 0; i < count; ++i) text += std::to_string(1 - static_cast<double>(i) / (count - 1)) + "\n";
+    write_file_atomically(file, text);
+  };
+  SamplingMethod method;
+  method.solver.schedule.schedule = ScheduleKind::kFile;
+  method.solver.schedule.schedule_file = file.string();
+  const BundleOptions bundle;
+  for (const auto& [solver, stages] : {std::pair<SolverKind, int64_t>{SolverKind::kEuler, 1},
+                                       {SolverKind::kHeun, 2},
+                                       {SolverKind::kMidpoint, 2}}) {
+    method.solver.solver = solver;
+    for (const int count : {2, 3, 101}) {
+      write_times(count);
+      for (const auto& settings : flow_settings(method, {}, bundle).solvers) {
+        EXPECT_EQ(settings.evaluations, stages * (count - 1));
+      }
+    }
+    EXPECT_THAT(method_text(method),
+                testing::HasSubstr(std::to_string(100 * stages) + " evaluations a level"));
+  }
+}
+
 TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
   const BundleOptions plain;
   BundleOptions levels_alone;  // no cascade

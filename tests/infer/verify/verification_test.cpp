@@ -131,7 +131,7 @@ TEST_F(Verification, FaultsOfACaseAreOneSentence) {
       "DIR/case.json: expected a reference case's description, found no readable file; give a folder with "
       "case.json, inputs.safetensors and outputs.safetensors.");
   EXPECT_EQ(error(write_case("syntax", "{\"kind\": ", one, one)),
-            "DIR/case.json: expected valid JSON, found a syntax error at byte 10; repair the file.");
+            "DIR/case.json:1: expected JSON, found a syntax error; correct the file.");
   EXPECT_EQ(error(write_case("list", "[1]", one, one)),
             "DIR/case.json: kind: expected the name of a kind of case, found nothing; repair the case's "
             "description.");

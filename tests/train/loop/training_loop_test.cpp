@@ -1,6 +1,7 @@
 #include "train/loop/training_loop.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
 #include "gld/tensors/weight_tensors.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -8,9 +9,14 @@
 #include "train/loop/checkpoint.h"
 #include "train/loop/metrics_log.h"
 
+#include <algorithm>
 #include <chrono>
 #include <csignal>
+#include <cstdio>
+#include <cstring>
 #include <thread>
+#include <utility>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -203,13 +209,168 @@ TEST(Checkpoint, DetectsBytesThatNeverReachedTheDisk) {
   write_file_atomically(file, bytes);
   EXPECT_EQ(test::error_of([&] { load_checkpoint(file); }),
             file.string() +
-                ": expected tensors that match the checksum, found changed or missing data; "
+                ": expected contents that match the checksum, found changed or missing data; "
                 "use an older checkpoint.");
   save_safetensors(file, checkpoint.tensors);
   EXPECT_EQ(test::error_of([&] { load_checkpoint(file); }),
             file.string() +
                 ": expected a training checkpoint, found a weight file of another kind; "
                 "name the checkpoints folder of a gld train run.");
+}
+
+// The checksum of format 1: over the tensors' bytes in the order of their names, in words of 8 bytes.
+std::string first_checksum(const std::map<std::string, torch::Tensor>& tensors) {
+  uint64_t hash = 0xCBF29CE484222325ULL;
+  for (const auto& [name, tensor] : tensors) {
+    const auto contiguous = tensor.contiguous();
+    const auto* data = static_cast<const uint8_t*>(contiguous.data_ptr());
+    size_t left = static_cast<size_t>(contiguous.numel()) * contiguous.element_size();
+    while (left > 0) {
+      uint64_t word = 0;
+      const size_t take = std::min<size_t>(left, sizeof word);
+      std::memcpy(&word, data, take);
+      hash = (hash ^ word) * 0x9E3779B97F4A7C15ULL;
+      hash ^= hash >> 29U;
+      data += take;
+      left -= take;
+    }
+  }
+  char text[17];
+  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash));
+  return text;
+}
+
+// The newest checkpoint of a run as the program of before wrote it.
+void write_as_first_format(const std::filesystem::path& file, const Checkpoint& checkpoint) {
+  save_safetensors(file, checkpoint.tensors,
+                   {{"format", "gld training checkpoint 1"},
+                    {"step", std::to_string(checkpoint.step)},
+                    {"checksum", first_checksum(checkpoint.tensors)},
+                    {"state", checkpoint.metadata.dump()}});
+}
+
+std::filesystem::path step_file(const std::filesystem::path& folder, int64_t step) {
+  char name[40];
+  std::snprintf(name, sizeof name, "step_%09lld.safetensors", static_cast<long long>(step));
+  return folder / "checkpoints" / name;
+}
+
+TEST(Checkpoint, AnyChangedByteIsNoticed) {
+  const test::TemporaryFolder folder;
+  Checkpoint checkpoint;
+  checkpoint.step = 3;
+  checkpoint.metadata = {{"kind", "toy"}, {"batch_index", 7}, {"loss", 0.25}};
+  checkpoint.tensors["a.weight"] = torch::arange(6.0F).reshape({2, 3});
+  checkpoint.tensors["b"] = torch::ones({2}, torch::kInt64);
+  const auto file = folder.path() / "step.safetensors";
+  save_checkpoint(file, checkpoint);
+  EXPECT_TRUE(load_checkpoint(file).header_is_checked);
+  const std::string whole = read_file(file);
+  for (size_t at = 0; at < whole.size(); ++at) {
+    for (const int change : {1, 2, 32}) {
+      std::string bytes = whole;
+      bytes[at] = static_cast<char>(bytes[at] ^ change);
+      // Blanks between header and data mean nothing, and one more or less of them is the same file.
+      if (whole[at] == ' ' && (bytes[at] == '\t' || bytes[at] == '\n')) continue;
+      write_file_atomically(file, bytes);
+      EXPECT_THROW(load_checkpoint(file), Error) << "byte " << at << " " << whole[at];
+    }
+  }
+}
+
+TEST(TrainingLoop, ANumberChangedByHandTakesTheCheckpointBefore) {
+  for (const auto& [from, to] : {std::pair<std::string, std::string>{"batch_index", "batch_indey"},
+                                 {"\\\"batch_index\\\":48", "\\\"batch_index\\\":46"},
+                                 {"\"step\":\"24\"", "\"step\":\"23\""},
+                                 {"random.cpu", "random.cpv"},
+                                 {"\"F32\"", "\"I32\""}}) {
+    const test::TemporaryFolder folder;
+    test::ToyObjective objective;
+    train(test::toy_run(folder.path(), objective), short_run(), TrainingStart::kFresh);
+    const auto newest = step_file(folder.path(), 24);
+    std::string bytes = read_file(newest);
+    const size_t at = bytes.find(from);
+    ASSERT_NE(at, std::string::npos) << from;
+    write_file_atomically(newest, bytes.replace(at, from.size(), to));
+    test::ToyObjective second;
+    const auto summary = train(test::toy_run(folder.path(), second), short_run(), TrainingStart::kResume);
+    EXPECT_EQ(summary.steps_this_call, 4) << from;
+    ASSERT_EQ(summary.messages.size(), 1U) << from;
+    EXPECT_EQ(summary.messages[0].rfind("passed over " + newest.string(), 0), 0U);
+  }
+}
+
+TEST(TrainingLoop, CheckpointsOfTheFirstFormatResumeAndTheirDamageIsPassedOver) {
+  auto options = short_run();
+  options.steps = 20;
+  const test::TemporaryFolder folder;
+  test::ToyObjective objective;
+  train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh);
+  const auto expected = tensors_of_newest(folder.path());
+  const auto file = step_file(folder.path(), 15);
+  const Checkpoint before = load_checkpoint(file);
+  std::filesystem::remove(step_file(folder.path(), 20));
+  write_as_first_format(file, before);
+  {
+    test::ToyObjective second;
+    const auto summary = train(test::toy_run(folder.path(), second), options, TrainingStart::kResume);
+    EXPECT_EQ(summary.steps_this_call, 5);
+    EXPECT_TRUE(summary.messages.empty());
+    expect_same_bytes(expected, tensors_of_newest(folder.path()));
+  }
+  // The header of such a file is under no checksum.
+  std::vector<Checkpoint> damaged(5, before);
+  damaged[0].metadata.erase("batch_index");
+  damaged[1].metadata["skipped_steps"] = "none";
+  damaged[2].tensors["random.cpv"] = damaged[2].tensors.at("random.cpu");
+  damaged[2].tensors.erase("random.cpu");
+  damaged[3].tensors.at("random.cpu") = damaged[3].tensors.at("random.cpu").view(torch::kInt8);
+  damaged[4].metadata = nlohmann::json::array();
+  for (const Checkpoint& checkpoint : damaged) {
+    std::filesystem::remove(step_file(folder.path(), 20));
+    write_as_first_format(file, checkpoint);
+    test::ToyObjective second;
+    const auto summary = train(test::toy_run(folder.path(), second), options, TrainingStart::kResume);
+    EXPECT_EQ(summary.steps_this_call, 10);
+    ASSERT_EQ(summary.messages.size(), 1U);
+    EXPECT_EQ(summary.messages[0].rfind("passed over " + file.string(), 0), 0U);
+    expect_same_bytes(expected, tensors_of_newest(folder.path()));
+    std::filesystem::remove(step_file(folder.path(), 20));
+  }
+}
+
+TEST(TrainingLoop, OtherOptionsThanTheCheckpointsAreAnErrorNotDamage) {
+  const test::TemporaryFolder folder;
+  test::ToyObjective objective;
+  train(test::toy_run(folder.path(), objective), short_run(), TrainingStart::kFresh);
+  const auto newest = step_file(folder.path(), 24);
+  Checkpoint other = load_checkpoint(newest);
+  const std::string name = "ema." + other.tensors.begin()->first.substr(4);
+  ASSERT_EQ(other.tensors.count(name), 1U);
+  other.tensors.at(name) = torch::zeros({7, 7});
+  save_checkpoint(newest, other);
+  test::ToyObjective second;
+  const std::string error = test::error_of(
+      [&] { train(test::toy_run(folder.path(), second), short_run(), TrainingStart::kResume); });
+  EXPECT_EQ(error.rfind(newest.string() + ": expected tensor '" + name + "' of shape ", 0), 0U) << error;
+  EXPECT_NE(error.find("found shape [7, 7] in Float; resume with the options that wrote the checkpoint."),
+            std::string::npos)
+      << error;
+}
+
+TEST(MetricsLog, DamagedLinesAreLeftOut) {
+  const test::TemporaryFolder folder;
+  const auto file = folder.path() / "metrics.jsonl";
+  write_file_atomically(
+      file,
+      "{\"step\": 1, \"loss\": 2}\n"
+      "{\"step\": \"2\", \"loss\": 3}\n"
+      "{\"loss\": 3}\n[1]\n\xFF\n{\"step\": 3, \"loss\": 1e999}\n{\"step\": -4}\n{\"step\": 2.5}\n" +
+          std::string(100'000, '[') + "\n{\"step\": 5, \"loss\": 4}\n{\"step\": 6, \"lo");
+  const MetricsLog log(file, 5);
+  const std::vector<std::pair<double, double>> expected = {{1, 2}, {5, 4}};
+  EXPECT_EQ(log.series("loss"), expected);
+  EXPECT_EQ(read_file(file), "{\"step\":1,\"loss\":2}\n{\"step\":5,\"loss\":4}\n");
 }
 
 // Kills a run with SIGKILL after different times; whatever moment that is, the run continues and ends with the

@@ -1,0 +1,144 @@
+#include "datasets/images/jpeg_file.h"
+
+#include "gld/base/error.h"
+
+#include <array>
+#include <csetjmp>
+#include <cstddef>
+#include <cstdio>
+#include <cstring>
+#include <new>
+
+#include <jpeglib.h>
+// jpeglib.h does not include what jerror.h needs.
+#include <jerror.h>
+
+namespace gld {
+namespace {
+
+// A progressive file of few bytes may ask for thousands of passes over all pixels.
+constexpr int kMostScans = 200;
+
+// libjpeg leaves a function by longjmp(), which runs no destructors: read_header() and read_rows() own nothing.
+struct JpegErrors {
+  jpeg_error_mgr manager{};  // first, so that libjpeg's pointer to it is one to this
+  std::jmp_buf leave{};
+  std::array<char, JMSG_LENGTH_MAX> text{};
+};
+
+JpegErrors& errors_of(j_common_ptr info) { return *reinterpret_cast<JpegErrors*>(info->err); }
+
+[[noreturn]] void leave_jpeg(j_common_ptr info) {
+  info->err->format_message(info, errors_of(info).text.data());
+  std::longjmp(errors_of(info).leave, 1);
+}
+
+// Complaints about what lies beside the pixels. Every other one means that blocks were made up.
+bool is_harmless(int code) {
+  return code == JWRN_ADOBE_XFORM || code == JWRN_JFIF_MAJOR || code == JWRN_BOGUS_ICC;
+}
+
+void on_jpeg_message(j_common_ptr info, int level) {
+  if (level < 0 && !is_harmless(info->err->msg_code)) leave_jpeg(info);
+}
+
+void print_nothing(j_common_ptr) {}
+
+void stop_endless_scans(j_common_ptr info) {
+  if (!info->is_decompressor) return;
+  if (reinterpret_cast<j_decompress_ptr>(info)->input_scan_number <= kMostScans) return;
+  std::strncpy(errors_of(info).text.data(), "more than 200 scans", JMSG_LENGTH_MAX - 1);
+  std::longjmp(errors_of(info).leave, 1);
+}
+
+struct JpegReader {
+  JpegErrors errors;
+  jpeg_progress_mgr progress{};
+  jpeg_decompress_struct info{};
+
+  JpegReader() {
+    info.err = jpeg_std_error(&errors.manager);
+    errors.manager.error_exit = leave_jpeg;
+    errors.manager.emit_message = on_jpeg_message;
+    errors.manager.output_message = print_nothing;
+    progress.progress_monitor = stop_endless_scans;
+  }
+  ~JpegReader() { jpeg_destroy_decompress(&info); }
+  JpegReader(const JpegReader&) = delete;
+  JpegReader& operator=(const JpegReader&) = delete;
+};
+
+// Whether the header was read and the output chosen; otherwise the errors' text says why not.
+bool read_header(JpegReader& reader, const std::string& bytes) {
+  if (setjmp(reader.errors.leave) != 0) return false;
+  jpeg_create_decompress(&reader.info);
+  reader.info.progress = &reader.progress;
+  jpeg_mem_src(&reader.info, reinterpret_cast<const unsigned char*>(bytes.data()),
+               static_cast<unsigned long>(bytes.size()));
+  jpeg_read_header(&reader.info, TRUE);
+  if (reader.info.num_components == 4) {
+    reader.info.out_color_space = JCS_CMYK;
+  } else if (reader.info.num_components != 1) {
+    reader.info.out_color_space = JCS_EXT_BGR;
+  }
+  jpeg_calc_output_dimensions(&reader.info);
+  return true;
+}
+
+bool read_rows(JpegReader& reader, uint8_t* rows) {
+  if (setjmp(reader.errors.leave) != 0) return false;
+  jpeg_start_decompress(&reader.info);
+  const size_t stride =
+      static_cast<size_t>(reader.info.output_width) * static_cast<size_t>(reader.info.output_components);
+  while (reader.info.output_scanline < reader.info.output_height) {
+    JSAMPROW row = rows + reader.info.output_scanline * stride;
+    jpeg_read_scanlines(&reader.info, &row, 1);
+  }
+  // Reads up to the end marker: bytes that no block used are a complaint.
+  jpeg_finish_decompress(&reader.info);
+  return true;
+}
+
+// Ink, stored inverted, over white paper.
+void bgr_from_cmyk(DecodedPixels& pixels) {
+  const size_t count = pixels.bytes.size() / 4;
+  for (size_t i = 0; i < count; ++i) {
+    const uint8_t* ink = pixels.bytes.data() + 4 * i;
+    const int key = ink[3];
+    const int cyan = key - ((255 - ink[0]) * key >> 8), magenta = key - ((255 - ink[1]) * key >> 8),
+              yellow = key - ((255 - ink[2]) * key >> 8);
+    uint8_t* pixel = pixels.bytes.data() + 3 * i;  // never behind what is still to be read
+    pixel[0] = static_cast<uint8_t>(yellow);
+    pixel[1] = static_cast<uint8_t>(magenta);
+    pixel[2] = static_cast<uint8_t>(cyan);
+  }
+  pixels.bytes.resize(3 * count);
+  pixels.channels = 3;
+}
+
+[[noreturn]] void fail_jpeg(const JpegReader& reader, const std::string& where) {
+  fail({where, "an image that can be decoded",
+        std::string("damaged data (libjpeg: ") + reader.errors.text.data() + ")",
+        "copy or download it again"});
+}
+
+}  // namespace
+
+DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where) {
+  JpegReader reader;
+  if (!read_header(reader, bytes)) fail_jpeg(reader, where);
+  DecodedPixels pixels;
+  pixels.width = reader.info.output_width;
+  pixels.height = reader.info.output_height;
+  pixels.channels = reader.info.out_color_components;
+  check_picture_size(pixels.width, pixels.height, where);
+  if (pixels.channels != 1 && pixels.channels != 3 && pixels.channels != 4) {
+    fail({where, "1, 3 or 4 channels", std::to_string(pixels.channels), "convert it"});
+  }
+  pixels.bytes.resize(static_cast<size_t>(pixels.width * pixels.height * pixels.channels));
+  if (!read_rows(reader, pixels.bytes.data())) fail_jpeg(reader, where);
+  if (pixels.channels == 4) bgr_from_cmyk(pixels);
+  return pixels;
+}
+
+}  // namespace gld

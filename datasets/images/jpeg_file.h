@@ -1,0 +1,15 @@
+#pragma once
+
+#include "datasets/images/decoded_pixels.h"
+
+#include <string>
+
+namespace gld {
+
+// Decodes a whole JPEG file in memory as OpenCV does (the same bits), but takes nothing that libjpeg had to repair: the
+// library goes on after broken data with grey or shifted blocks and says so on the terminal only. Here its first complaint
+// ends up in the Error. What it cannot notice stays unnoticed, for JPEG files have no checksum. CMYK becomes blue, green,
+// red.
+DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where);
+
+}  // namespace gld

@@ -1,0 +1,44 @@
+#!/usr/bin/env bash
+# Builds the fuzzers of the readers with clang, AddressSanitizer and UBSan, and runs each for some seconds from its corpus:
+#   scripts/fuzz.sh                    # all, 10 seconds each, as CI does
+#   scripts/fuzz.sh 600 hdf5 image     # these two, 10 minutes each
+# A run that takes more than 1 GiB, or 10 seconds for one file, fails like a crash. What was found lies in build/fuzz/found;
+# put the smallest such file into tests/fuzz/corpus, which every build replays.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+seconds=${1:-10}
+[ $# -gt 0 ] && shift
+kinds=("$@")
+[ ${#kinds[@]} -gt 0 ] || kinds=(safetensors torch_archive npy hdf5 json yaml image colmap re10k)
+
+for compiler in "${CLANGXX:-}" clang++ clang++-14 clang++-15 clang++-16; do
+  if [ -n "$compiler" ] && command -v "$compiler" >/dev/null; then break; fi
+done
+cmake -S . -B build/fuzz -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_COMPILER="$compiler" \
+  -DGLD_FUZZ=ON -DGLD_SANITIZE=ON -DGLD_UNITY=OFF >/dev/null
+cmake --build build/fuzz --target "${kinds[@]/#/fuzz_}"
+
+export LSAN_OPTIONS=suppressions=$PWD/tests/leak_suppressions.txt:print_suppressions=0
+# libFuzzer's limit counts what AddressSanitizer keeps of freed memory as well: it is told to keep little.
+export ASAN_OPTIONS=quarantine_size_mb=16:detect_odr_violation=0
+found=$PWD/build/fuzz/found
+failed=()
+for kind in "${kinds[@]}"; do
+  mkdir -p "$found/$kind"
+  new=$(mktemp -d)
+  log=$found/$kind.log
+  if build/fuzz/tests/fuzz/fuzz_"$kind" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
+    -artifact_prefix="$found/$kind/" "$new" "tests/fuzz/corpus/$kind" >"$log" 2>&1; then
+    echo "fuzz: $kind: $(grep -o 'number_of_executed_units: .*' "$log"), peak $(grep -o 'peak_rss_mb: .*' "$log")"
+  else
+    echo "fuzz: $kind failed; the end of $log:" >&2
+    grep -E 'ERROR|SUMMARY|#[0-9]+ .*gld::|Test unit written' "$log" | head -20 >&2 || tail -20 "$log" >&2
+    failed+=("$kind")
+  fi
+  rm -rf "$new"
+done
+if [ ${#failed[@]} -gt 0 ]; then
+  echo "fuzz: ${failed[*]} failed." >&2
+  exit 1
+fi

@@ -1,6 +1,0 @@
-#include "tests/fuzz/readers.h"
-
-extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
-  gld::test::read_as_torch_archive(data, size);
-  return 0;
-}
