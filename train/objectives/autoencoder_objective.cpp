@@ -2,6 +2,7 @@
 
 #include "gld/metrics/metric_list.h"
 #include "models/weights/weight_loading.h"
+#include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
 #include <utility>

@@ -2,7 +2,9 @@
 // of the published checkpoint.
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
 #include "models/bundle/bundle.h"
+#include "models/bundle/published_backbones.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/data_folders.h"
 
@@ -21,10 +23,12 @@ namespace {
 
 using Shapes = std::map<std::string, std::vector<int64_t>>;
 
-Shapes manifest(const std::string& file) {
-  const auto all = nlohmann::json::parse(read_file(test::test_data() / "checkpoint_manifests.json"));
+Shapes manifest(const std::string& file, const std::string& of = "checkpoint_manifests.json") {
+  const auto all = nlohmann::json::parse(read_file(test::test_data() / of));
   return all.at(file).get<Shapes>();
 }
+
+Shapes backbone_manifest(const std::string& file) { return manifest(file, "backbone_manifests.json"); }
 
 void add(Shapes& shapes, const torch::nn::Module& module, const std::string& prefix) {
   for (const auto& [name, tensor] : named_tensors(module)) {
@@ -50,7 +54,7 @@ void expect_equal(const Shapes& module, const Shapes& published) {
   }
   for (const auto& entry : module)
     EXPECT_EQ(published.count(entry.first), 1U) << "not published: " << entry.first;
-  EXPECT_GT(published.size(), 300U);
+  EXPECT_GT(published.size(), 150U);
 }
 
 TEST(CheckpointManifest, Da3BackboneAndHead) {
@@ -88,16 +92,63 @@ TEST(CheckpointManifest, Da3Dits) {
 }
 
 TEST(CheckpointManifest, VggtDits) {
-  BundleOptions options;
-  for (auto& part : options.generators) {
-    part.dit.in_channels = 2048;
-    part.dit.num_special_tokens = 5;
-  }
+  const BundleOptions options = released_vggt_options();
   Shapes level1, released_cascade;
   add(level1, *at_full_size(BundlePart::of(level_model(1)), options), "");
   expect_equal(level1, manifest("gld_vggt_level1.pt:ema"));
   add(released_cascade, *at_full_size(BundlePart::of(cascade(1, 0)), options), "");
   expect_equal(released_cascade, manifest("gld_vggt_cascade.pt:ema"));
+}
+
+TEST(CheckpointManifest, VggtBackboneAndHeads) {
+  const auto options = released_vggt_options();
+  check_options(options, "VGGT");
+  Shapes module;
+  add(module, *at_full_size(BundlePart::backbone(), options),
+      options.backbone.architecture().published_prefix());
+  add(module, *at_full_size(BundlePart::dpt_head(), options), "");
+  expect_equal(module, backbone_manifest("vggt_1b"));
+}
+
+TEST(CheckpointManifest, BackbonesOfOneLevel) {
+  const auto backbone_of = [](const std::string& option) {
+    const auto options = published_backbone(option).options();
+    check_options(options, option);
+    Shapes shapes;
+    add(shapes, *at_full_size(BundlePart::backbone(), options), "");
+    return shapes;
+  };
+  expect_equal(backbone_of("dinov2"), backbone_manifest("dinov2_vitb14_reg4"));
+  expect_equal(backbone_of("autoencoder_kl"), backbone_manifest("autoencoder_kl_sd"));
+  Shapes halves;
+  for (const std::string half : {"encoder", "decoder"}) {
+    for (const auto& [name, shape] : backbone_manifest("taef2_" + half)) halves[half + "." + name] = shape;
+  }
+  expect_equal(backbone_of("tiny_autoencoder_encoder"), halves);
+}
+
+// Names as CompVis wrote them, and diffusers in its first versions.
+TEST(CheckpointManifest, OriginalNamesOfAutoencoders) {
+  for (const auto& [original, name] : std::map<std::string, std::string>{
+           {"encoder.down.0.block.1.norm1.weight", "encoder.down_blocks.0.resnets.1.norm1.weight"},
+           {"encoder.down.1.block.0.nin_shortcut.weight",
+            "encoder.down_blocks.1.resnets.0.conv_shortcut.weight"},
+           {"encoder.down.2.downsample.conv.bias", "encoder.down_blocks.2.downsamplers.0.conv.bias"},
+           {"encoder.mid.block_1.conv1.weight", "encoder.mid_block.resnets.0.conv1.weight"},
+           {"encoder.mid.attn_1.norm.weight", "encoder.mid_block.attentions.0.group_norm.weight"},
+           {"decoder.mid.attn_1.q.weight", "decoder.mid_block.attentions.0.to_q.weight"},
+           {"decoder.mid.attn_1.proj_out.bias", "decoder.mid_block.attentions.0.to_out.0.bias"},
+           {"decoder.up.3.block.2.conv2.bias", "decoder.up_blocks.0.resnets.2.conv2.bias"},
+           {"decoder.up.1.upsample.conv.weight", "decoder.up_blocks.2.upsamplers.0.conv.weight"},
+           {"decoder.norm_out.weight", "decoder.conv_norm_out.weight"},
+           {"decoder.conv_out.weight", "decoder.conv_out.weight"},
+           {"decoder.mid_block.attentions.0.query.weight", "decoder.mid_block.attentions.0.to_q.weight"},
+           {"encoder.mid_block.attentions.0.proj_attn.bias", "encoder.mid_block.attentions.0.to_out.0.bias"},
+           {"encoder.conv_norm_out.bias", "encoder.conv_norm_out.bias"},
+           {"quant_conv.weight", "quant_conv.weight"}}) {
+    EXPECT_EQ(diffusers_autoencoder_name(original, 4), name);
+    EXPECT_EQ(backbone_manifest("autoencoder_kl_sd").count(name), 1U) << name;
+  }
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/backbones/dinov2_backbone.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
@@ -158,6 +159,204 @@ TEST_F(Conversion, RealStatisticsConvert) {
   EXPECT_EQ(error_of([&] { convert(options); }),
             options.statistics_level1 +
                 ": expected 1536 channels, found 2048; check that the file belongs to this backbone.");
+}
+
+TEST_F(Conversion, VggtGivesBackboneAndHeads) {
+  BundleOptions small;
+  load_yaml(small, test::source_root() / "configs/ablations/latents/vggt/model.yaml");
+  write_random_bundle(path("vggt"), small, 5);
+  const auto vggt = ModelBundle::open(path("vggt"));
+  Tensors file = with_prefix(read_all(vggt.file(BundlePart::backbone())), "aggregator.");
+  file.merge(read_all(vggt.file(BundlePart::dpt_head())));
+  file["track_head.norm.weight"] = torch::zeros({2});
+  save_safetensors(path("vggt.safetensors"), file);
+  ConversionOptions options;
+  options.vggt = path("vggt.safetensors");
+  options.description = path("vggt") / "model.yaml";
+  options.out = path("out");
+  const auto report = convert(options);
+  EXPECT_EQ(report["ignored"][0]["names"], "track_head.*");
+  const auto written = ModelBundle::open(options.out);
+  for (const auto& part : {BundlePart::backbone(), BundlePart::dpt_head()}) {
+    const auto before = read_all(vggt.file(part)), after = read_all(written.file(part));
+    ASSERT_EQ(before.size(), after.size());
+    for (const auto& [name, tensor] : before) EXPECT_TRUE(after.at(name).equal(tensor)) << name;
+  }
+  // Another part into the same folder needs no description.
+  ConversionOptions more;
+  more.statistics_level0 = vggt.file(BundlePart::statistics(0));
+  more.out = options.out;
+  convert(more);
+  EXPECT_TRUE(ModelBundle::open(options.out).has(BundlePart::statistics(0)));
+
+  Tensors headless;
+  for (const auto& [name, tensor] : file) {
+    if (name.rfind("camera_head.", 0) != 0) headless[name] = tensor;
+  }
+  save_safetensors(path("headless.safetensors"), headless);
+  options.vggt = path("headless.safetensors");
+  EXPECT_EQ(
+      error_of([&] { convert(options); }),
+      options.vggt +
+          ": expected VGGT's camera_head, tensors camera_head.*, found none; get the whole file, or say "
+          "in --description what the model has (dpt_head.camera_head).");
+  ConversionOptions mistaken;
+  mistaken.da3 = path("vggt.safetensors");
+  mistaken.out = path("mistaken");
+  EXPECT_EQ(error_of([&] { convert(mistaken); }),
+            mistaken.da3 + ": expected weights of DA3, found weights of VGGT; give it as --vggt.");
+  EXPECT_FALSE(std::filesystem::exists(path("mistaken")));
+}
+
+TEST_F(Conversion, ReleasedVggtStatisticsConvert) {
+  save_bundle_options(path("out"), released_vggt_options());
+  ConversionOptions options;
+  options.statistics_level0 = test::test_data() / "stats/vggt/normalization_stats_level0.pt";
+  options.statistics_level1 = test::test_data() / "stats/vggt/normalization_stats_level1.pt";
+  options.special_statistics_level0 = test::test_data() / "stats/vggt/special_stats_level0.pt";
+  options.special_statistics_level1 = test::test_data() / "stats/vggt/special_stats_level1.pt";
+  options.out = path("out");
+  EXPECT_EQ(convert(options)["parts"].size(), 4U);
+  const auto statistics = ModelBundle::open(options.out).load_statistics(level_model(1));
+  EXPECT_EQ(statistics.special_tokens, 5);
+  EXPECT_EQ(statistics.patches.channels(), 2048);
+  EXPECT_EQ(statistics.special->channels(), 2048);
+}
+
+TEST_F(Conversion, DinoNeedsItsRegisters) {
+  Dinov2Options dinov2;
+  dinov2.sizes.embed_dim = 32;
+  dinov2.sizes.num_heads = 2;
+  dinov2.sizes.depth = 2;
+  dinov2.sizes.pos_embed_grid = 4;
+  auto small = single_level_options("small", dinov2);
+  for (auto& part : small.generators) {
+    part.dit.hidden_size = {32, 32};
+    part.dit.depth = {1, 1};
+    part.dit.num_heads = {2, 2};
+  }
+  write_random_bundle(path("dino"), small, 5);
+  Tensors file = read_all(ModelBundle::open(path("dino")).file(BundlePart::backbone()));
+  save_safetensors(path("dino.safetensors"), file);
+  ConversionOptions options;
+  options.dinov2 = path("dino.safetensors");
+  options.description = path("dino") / "model.yaml";
+  options.out = path("out");
+  EXPECT_EQ(convert(options)["parts"]["backbone"]["tensors"], file.size());
+  file.erase("register_tokens");
+  save_safetensors(path("without.safetensors"), file);
+  options.dinov2 = path("without.safetensors");
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.dinov2 +
+                ": expected DINOv2 with registers, a tensor register_tokens, found none; give a model with "
+                "registers, or say num_register_tokens: 0, antialias: false and interpolate_offset: 0.1 in "
+                "--description.");
+}
+
+// diffusers' names and the original ones, in which attention is a convolution, give the same.
+TEST_F(Conversion, AutoencodersUnderBothNames) {
+  BundleOptions small;
+  load_yaml(small, test::source_root() / "configs/ablations/latents/vae/model.yaml");
+  write_random_bundle(path("vae"), small, 5);
+  const Tensors file = read_all(ModelBundle::open(path("vae")).file(BundlePart::backbone()));
+  const auto replace = [](std::string text, const std::string& from, const std::string& to) {
+    const auto at = text.find(from);
+    return at == std::string::npos ? text : text.replace(at, from.size(), to);
+  };
+  Tensors original;
+  for (const auto& entry : file) {
+    std::string name = entry.first;
+    torch::Tensor tensor = entry.second;
+    if (name.find("attentions") != std::string::npos && tensor.dim() == 2)
+      tensor = tensor.view({tensor.size(0), tensor.size(1), 1, 1});
+    for (int stage = 0; stage < 4; ++stage) {
+      name =
+          replace(name, "up_blocks." + std::to_string(stage) + ".", "UP." + std::to_string(3 - stage) + ".");
+    }
+    for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{
+             {"UP", "up"},
+             {"down_blocks", "down"},
+             {"mid_block.resnets.0", "mid.block_1"},
+             {"mid_block.resnets.1", "mid.block_2"},
+             {"mid_block.attentions.0.group_norm", "mid.attn_1.norm"},
+             {"mid_block.attentions.0.to_out.0", "mid.attn_1.proj_out"},
+             {"mid_block.attentions.0.to_", "mid.attn_1."},
+             {"resnets", "block"},
+             {"conv_shortcut", "nin_shortcut"},
+             {"downsamplers.0", "downsample"},
+             {"upsamplers.0", "upsample"},
+             {"conv_norm_out", "norm_out"}}) {
+      name = replace(name, from, to);
+    }
+    original["first_stage_model." + name] = tensor.contiguous();
+  }
+  original["cond_stage_model.logit_scale"] = torch::zeros({1});
+  save_safetensors(path("diffusers.safetensors"), file);
+  save_safetensors(path("original.safetensors"), original);
+  for (const char* name : {"diffusers", "original"}) {
+    ConversionOptions options;
+    options.autoencoder_kl = path(std::string(name) + ".safetensors");
+    options.description = path("vae") / "model.yaml";
+    options.out = path(name);
+    convert(options);
+    const auto written = read_all(ModelBundle::open(options.out).file(BundlePart::backbone()));
+    ASSERT_EQ(written.size(), file.size()) << name;
+    for (const auto& [tensor_name, tensor] : file)
+      EXPECT_TRUE(written.at(tensor_name).equal(tensor)) << name << ' ' << tensor_name;
+  }
+}
+
+TEST_F(Conversion, TinyAutoencodersComeInTwoFiles) {
+  BundleOptions small;
+  load_yaml(small, test::source_root() / "configs/ablations/latents/taef2/model.yaml");
+  write_random_bundle(path("taef2"), small, 5);
+  const Tensors both = read_all(ModelBundle::open(path("taef2")).file(BundlePart::backbone()));
+  for (const std::string half : {"encoder", "decoder"}) {
+    Tensors file;
+    for (const auto& [name, tensor] : both) {
+      if (name.rfind(half + ".", 0) == 0) file[name.substr(half.size() + 1)] = tensor;
+    }
+    save_safetensors(path(half + ".safetensors"), file);
+  }
+  ConversionOptions options;
+  options.tiny_autoencoder_encoder = path("encoder.safetensors");
+  options.tiny_autoencoder_decoder = path("decoder.safetensors");
+  options.description = path("taef2") / "model.yaml";
+  options.out = path("out");
+  EXPECT_EQ(convert(options)["parts"]["backbone"]["tensors"], both.size());
+  const auto written = read_all(ModelBundle::open(options.out).file(BundlePart::backbone()));
+  for (const auto& [name, tensor] : both) EXPECT_TRUE(written.at(name).equal(tensor)) << name;
+  options.tiny_autoencoder_decoder = path("encoder.safetensors");
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.tiny_autoencoder_decoder +
+                ": expected weights of the decoder of a tiny autoencoder, found weights of the encoder of a "
+                "tiny autoencoder; give it as --tiny-autoencoder-encoder.");
+}
+
+// The release's dpt_decoder.pt replaces tensors of the head, and the others stay.
+TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
+  const Tensors head = part(BundlePart::dpt_head());
+  Tensors replaced;
+  for (const auto& [name, tensor] : head) {
+    if (name.rfind("scratch.output_conv2.", 0) == 0) replaced["decoder." + name] = tensor + 1;
+  }
+  replaced["pred.norm.bias"] = head.at("norm.bias") + 2;
+  write_file_atomically(path("dpt_decoder.pt"), checkpoint({{"model", replaced}}));
+  options_.dpt_decoder = path("dpt_decoder.pt");
+  const auto report = convert(options_);
+  EXPECT_EQ(report["parts"]["dpt_head"]["replaced"], replaced.size());
+  const auto written = read_all(ModelBundle::open(options_.out).file(BundlePart::dpt_head()));
+  ASSERT_EQ(written.size(), head.size());
+  for (const auto& [name, tensor] : head) {
+    const double added = name == "norm.bias" ? 2 : name.rfind("scratch.output_conv2.", 0) == 0 ? 1 : 0;
+    EXPECT_TRUE(written.at(name).equal(added == 0 ? tensor : tensor + added)) << name;
+  }
+  write_file_atomically(path("empty.pt"), checkpoint({{"model", {{"other", torch::zeros({1})}}}}));
+  options_.dpt_decoder = path("empty.pt");
+  EXPECT_EQ(error_of([&] { convert(options_); }),
+            options_.dpt_decoder +
+                ": expected tensors model.decoder.* or model.pred.*, found none; give the release's "
+                "dpt_decoder.pt.");
 }
 
 TEST_F(Conversion, IsStrict) {
