@@ -12,13 +12,16 @@ namespace gld {
 namespace {
 
 constexpr double kLargestResidual = 0.3;
-constexpr double kLargestFactor = 2;         // between the ends of the interval
-constexpr double kSmallestDeviation = 1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
+constexpr double kLargestFactor = 2;  // between the ends of the interval
+constexpr double kSmallestLogDeviation =
+    1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
 
 double log_width(const DepthScale& estimate) { return std::log(estimate.high / estimate.low); }
 
 // Of the logarithm of the scale.
-double deviation(const DepthScale& estimate) { return std::max(log_width(estimate) / 4, kSmallestDeviation); }
+double deviation(const DepthScale& estimate) {
+  return std::max(log_width(estimate) / 4, kSmallestLogDeviation);
+}
 
 bool overlap(const DepthScale& a, const DepthScale& b) { return a.low <= b.high && b.low <= a.high; }
 

@@ -23,8 +23,8 @@ constexpr float kNoiseVariance = 1e-4F;     // added, so that noise does not cor
 constexpr float kTemperature = 0.1F;        // of correlations
 constexpr float kUnseenCorrelation = 0.3F;  // what a candidate out of the other picture is worth
 constexpr float kLeastSeen = 0.3F;          // of the candidates, for a window to be asked
-constexpr int64_t kBlocksASide = 4;
-constexpr double kSmallestDeviation = 0.01;
+constexpr int64_t kBlocksASideOfView = 4;
+constexpr double kMatchingDeviation = 0.01;
 
 using Plane = std::vector<float>;  // of a reduced picture, row by row
 
@@ -289,8 +289,8 @@ void compare(const std::vector<ReducedView>& views, const ComparedPhotographs& c
             std::exp(((comparable ? correlations[k][pixel] : kUnseenCorrelation) - 1) / kTemperature);
       }
       if (static_cast<float>(seen) < kLeastSeen * static_cast<float>(count)) continue;
-      const auto block =
-          static_cast<size_t>(y * kBlocksASide / view.height * kBlocksASide + x * kBlocksASide / view.width);
+      const auto block = static_cast<size_t>(y * kBlocksASideOfView / view.height * kBlocksASideOfView +
+                                             x * kBlocksASideOfView / view.width);
       consensus.add(density, {compared.view, block});
     }
   }
@@ -383,7 +383,7 @@ std::optional<DepthScale> scale_from_photo_consistency(const std::vector<Picture
   ScaleConsensus consensus(
       ScaleCandidates::between(kNearestDepth * nearest / depth, focal * farthest / depth));
   for (const ComparedPhotographs& compared : comparisons) compare(small, compared, consensus);
-  return consensus.estimate(estimator, kSmallestDeviation);
+  return consensus.estimate(estimator, kMatchingDeviation);
 }
 
 }  // namespace gld

@@ -12,7 +12,7 @@ namespace {
 
 constexpr double kDepthDeviation = 0.12;  // of the logarithm of predicted depth, from point to point
 constexpr double kBelieved = 0.5;         // of an observation to be right
-constexpr double kNear = 0.2;             // logarithms this close are alike
+constexpr double kAlike = 0.2;            // logarithms this close are alike
 constexpr double kDecided = 0.6;  // share of an observation's density near its mode that makes it decided
 constexpr int64_t kFewestObservations = 20;
 constexpr size_t kFewestBlocks = 2;
@@ -20,7 +20,7 @@ constexpr double kViewsWithin =
     0.4;  // a view's own maximum is looked for this near to that of all, in logarithms
 constexpr int kResamplings = 200;
 
-double median(std::vector<double> values) {
+double median_of(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
@@ -120,7 +120,7 @@ void ScaleConsensus::add(const std::vector<float>& density, const ObservedPart& 
   const auto count = static_cast<std::ptrdiff_t>(density.size());
   const double sum = std::accumulate(density.begin(), density.end(), 0.0);
   const auto mode = std::max_element(density.begin(), density.end()) - density.begin();
-  const auto near = static_cast<std::ptrdiff_t>(std::lround(kNear / candidates_.log_step));
+  const auto near = static_cast<std::ptrdiff_t>(std::lround(kAlike / candidates_.log_step));
   const double near_mode = std::accumulate(density.begin() + std::max<std::ptrdiff_t>(0, mode - near),
                                            density.begin() + std::min(count, mode + near + 1), 0.0);
   if (near_mode > kDecided * sum) decided_.push_back(candidates_.log_scale(static_cast<double>(mode)));
@@ -206,7 +206,7 @@ std::optional<DepthScale> ScaleConsensus::estimate(const std::string& estimator,
   estimate.high = std::exp(log_scale + width);
   std::vector<double> residuals;
   for (const double value : decided_) residuals.push_back(std::abs(value - log_scale));
-  estimate.residual = residuals.empty() ? std::log(estimate.high / estimate.low) : median(residuals);
+  estimate.residual = residuals.empty() ? std::log(estimate.high / estimate.low) : median_of(residuals);
   return estimate;
 }
 

@@ -12,7 +12,7 @@ namespace {
 constexpr int64_t kBlocksASide = 4;
 constexpr int64_t kSamplesASide = 48;  // of measured depth
 constexpr size_t kMostPoints = 20000;
-constexpr double kSmallestDeviation = 0.01;
+constexpr double kKnownDepthDeviation = 0.01;
 
 struct Ratio {
   double value = 1;  // known depth over predicted depth
@@ -45,7 +45,7 @@ std::optional<DepthScale> agreed(std::vector<Ratio> ratios, const char* estimato
   const double lowest = sorted[hundredth] / 1.2, highest = sorted[sorted.size() - 1 - hundredth] * 1.2;
   ScaleConsensus consensus(ScaleCandidates::between(lowest, highest));
   for (const Ratio& ratio : ratios) consensus.add_ratio(ratio.value, ratio.part);
-  return consensus.estimate(estimator, kSmallestDeviation);
+  return consensus.estimate(estimator, kKnownDepthDeviation);
 }
 
 }  // namespace

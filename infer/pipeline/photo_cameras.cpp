@@ -19,7 +19,7 @@ constexpr double kLargestDirectionError = 5;  // degrees, as the median over a p
 constexpr double kLargestOriginError = 0.3;   // of the spread of the centres
 constexpr double kLargestCheck = 1.25;  // factor between depth as predicted and as the photographs match
 
-double median(std::vector<double> values) {
+double median_of(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
@@ -111,7 +111,7 @@ PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& 
   // Exactly, so that whoever reads the file sees what the world is.
   found.cameras.front().world_from_camera = Eigen::Isometry3d::Identity();
   found.spread = spread_of(found.cameras);
-  found.origin_error = median(origin_errors);
+  found.origin_error = median_of(origin_errors);
   found.median_depth = geometry.depth.median().item<double>();
   ScaleEvidence evidence;
   evidence.camera_poses = false;
