@@ -60,7 +60,7 @@ std::vector<TokenRange> block_runs(const Segment& segment, const AttentionForwar
   return runs;
 }
 
-struct Plan {
+struct AttentionPlan {
   int64_t head_dim;     // padded to 8: what is computed with
   int64_t head_words;   // of a row of keys or queries
   int64_t head_rows;    // channels of values
@@ -71,10 +71,10 @@ struct Plan {
   int64_t thread_floats;
 };
 
-Plan make_plan(const AttentionForward& arrays, const KeyBlocks& blocks, const MatrixUnitKernels& unit,
+AttentionPlan make_plan(const AttentionForward& arrays, const KeyBlocks& blocks, const MatrixUnitKernels& unit,
                int threads) {
   const AttentionShape& shape = arrays.shape;
-  Plan plan = {};
+  AttentionPlan plan = {};
   plan.head_dim = rounded_up(shape.head_dim, 8);
   plan.head_words = rounded_up(plan.head_dim / 2, kStepWords);
   plan.head_rows = rounded_up(plan.head_dim, unit.rows);
@@ -229,7 +229,7 @@ class UnitAttention {
   const MatrixUnitKernels& unit_;
   Encoder encoder_;
   KeyBlocks blocks_;
-  Plan plan_;
+  AttentionPlan plan_;
   int threads_;
 };
 
