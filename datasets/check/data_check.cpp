@@ -167,7 +167,8 @@ void look_for_links(const Scene& scene, DataCheck& check) {
   std::error_code error;
   // RealEstate10K's scene is a file, whose frames may lie beside its folder.
   const bool is_folder = std::filesystem::is_directory(scene.folder, error);
-  const auto folder = std::filesystem::absolute(is_folder ? scene.folder : scene.folder.parent_path());
+  const auto scene_path = std::filesystem::absolute(scene.folder);
+  const auto folder = is_folder ? scene_path : scene_path.parent_path();
   const auto real_folder = std::filesystem::canonical(folder, error);
   if (error) return;
   const auto is_below = [](const std::filesystem::path& file, const std::filesystem::path& base) {

@@ -141,8 +141,8 @@ TEST(Hypersim, RealTrajectoryAndDepth) {
   EXPECT_FALSE(scene.frames[0].has_image());
 
   // Planar depth is the distance along the ray times the cosine of its angle to the axis.
-  const Hdf5Array stored =
-      read_hdf5(path / "images" / "scene_cam_00_geometry_hdf5" / "frame.0000.depth_meters.hdf5", "dataset");
+  const Hdf5Array stored = read_hdf5(
+      path / "images" / "scene_cam_00_geometry_hdf5" / "frame.0000.depth_meters.hdf5", "dataset", 768 * 1024);
   ASSERT_EQ(stored.shape, (std::vector<int64_t>{768, 1024}));
   const DepthMap depth = scene.frames[0].depth();
   const Camera& camera = scene.frames[0].camera;

@@ -213,7 +213,7 @@ TEST(Safetensors, RefusesHostileHeaders) {
        "w.safetensors: __metadata__: expected only strings, found an object; "
        "write the file again with string metadata."},
       {"control characters in a name", "{\"x\\u0007\\n\":1}", "",
-       "w.safetensors: tensor x??: expected an object with dtype, shape and data_offsets, found a number" +
+       "w.safetensors: tensor x\\x07\\n: expected an object with dtype, shape and data_offsets, found a number" +
            again},
   };
   for (const auto& hostile : corpus) {
