@@ -223,6 +223,8 @@ def main():
     shared, data = Path(sys.argv[1]), Path(sys.argv[2])
     scenes = shared / "scenes"
     copy_tree(shared / "compact_cases", data / "reference_cases")
+    for kind in ("backbone_vggt", "dpt_head_vggt", "camera_head_vggt", "backbone_dinov2"):
+        copy_tree(shared / "compact_cases_later" / kind, data / "reference_cases" / kind)
     cut_clip(scenes / CLIP, data / "scenes" / CLIP)
     copy_tree(scenes / "re10k", data / "scenes" / "re10k")
     copy_tree(scenes / "hypersim_pieces", data / "scenes" / "hypersim_pieces")
