@@ -1,5 +1,6 @@
 #include "infer/export/ray_export.h"
 
+#include "datasets/images/image.h"
 #include "gld/base/error.h"
 #include "gld/files/npy.h"
 
