@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/cameras/prope.h"
+#include "gld/machine/matrix_unit.h"
 
 #include <cstdint>
 #include <optional>
@@ -21,6 +22,9 @@ struct AttentionInputs {
   const PropeTables* prope = nullptr;
   // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
   torch::Tensor view_mask;
+  // kFloat32, or kBFloat16 for the products of float32 tensors on the CPU while no gradients are recorded; softmax and
+  // sums are float32 then too. Elsewhere the tensors' own type counts.
+  ComputePrecision precision = ComputePrecision::kFloat32;
 };
 
 // What one block's attention multiplies with each other, for a loss on it (train/objectives/correspondence.h): queries and keys after

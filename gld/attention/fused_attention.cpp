@@ -173,7 +173,10 @@ torch::Tensor fused_attention(const AttentionInputs& inputs) {
     return FusedAttention::apply(query, key, value, &context);
   }
   const auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
-  attention_forward(context.arrays(query, key, value, output, {}), settings());
+  KernelSettings kernel = settings();
+  kernel.precision = inputs.precision;
+  kernel.unit = best_matrix_unit(inputs.precision);
+  attention_forward(context.arrays(query, key, value, output, {}), kernel);
   return output;
 }
 

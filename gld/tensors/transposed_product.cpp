@@ -8,18 +8,14 @@
 namespace gld {
 namespace {
 
-// Packing the weights is not worth its time beside fewer rows.
-constexpr int64_t kFewestRows = 48;
-constexpr int64_t kFewestInputs = 32;
-
 bool suits(const torch::Tensor& x) { return x.is_cpu() && x.scalar_type() == torch::kFloat32; }
 
 bool own_product_applies(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
   const bool gradients = torch::GradMode::is_enabled() && (x.requires_grad() || weight.requires_grad());
   return !gradients && suits(x) && suits(weight) &&
-         (!bias.defined() || (suits(bias) && bias.is_contiguous())) && x.size(0) >= kFewestRows &&
-         weight.size(1) >= kFewestInputs && weight.stride(1) == 1 && weight.stride(0) >= weight.size(1) &&
-         x.stride(1) == 1 && x.stride(0) >= x.size(1);
+         (!bias.defined() || (suits(bias) && bias.is_contiguous())) && x.size(0) >= kFewestProductRows &&
+         weight.size(1) >= kFewestProductInputs && weight.stride(1) == 1 &&
+         weight.stride(0) >= weight.size(1) && x.stride(1) == 1 && x.stride(0) >= x.size(1);
 }
 
 torch::Tensor own_product(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {

@@ -4,6 +4,10 @@
 
 namespace gld {
 
+// Products of fewer rows or inputs are LibTorch's: packing the weights is not worth its time beside them.
+constexpr int64_t kFewestProductRows = 48;
+constexpr int64_t kFewestProductInputs = 32;
+
 // x weight^T + bias: (..., inputs) with (outputs, inputs) and (outputs) -> (..., outputs); bias may be undefined. In
 // float32 on the CPU, while no gradients are recorded and there are rows enough, by gld/kernels/matrix_product.h; otherwise by
 // LibTorch.

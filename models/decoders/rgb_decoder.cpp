@@ -81,6 +81,7 @@ torch::Tensor RgbDecoderLayer::attend(const torch::Tensor& x) const {
   inputs.query = heads(*query_);
   inputs.key = heads(*key_);
   inputs.value = heads(*value_);
+  inputs.precision = attention_precision_;
   return projection_->forward(attention(inputs).view({views, tokens, x.size(2)}));
 }
 
@@ -103,7 +104,9 @@ RgbDecoder::RgbDecoder(const RgbDecoderOptions& options, const ParameterPlacemen
   norm_ = register_module("decoder_norm",
                           std::make_shared<LayerNorm>(channels, options_.layer_norm_eps, placement));
   prediction_ = register_module(
-      "decoder_pred", std::make_shared<Linear>(LinearSizes{channels, options_.patch_values()}, placement));
+      "decoder_pred",
+      std::make_shared<Linear>(LinearSizes{channels, options_.patch_values(), true, 1, LinearPacking::kNever},
+                               placement));
   class_token_ =
       register_parameter("trainable_cls_token", torch::empty({1, 1, channels}, placement.options()));
   const int64_t positions = 1 + options_.base_grid() * options_.base_grid();

@@ -75,6 +75,7 @@ std::vector<AttentionInputs> DitBlock::attention_inputs(const torch::Tensor& x,
     inputs.query = query_norm_->forward(inputs.query);
     inputs.key = key_norm_->forward(inputs.key);
   }
+  inputs.precision = attention_precision_;
   std::vector<AttentionInputs> result;
   for (int64_t pass = 0; pass < passes; ++pass) {
     result.push_back(inputs);
@@ -113,8 +114,9 @@ torch::Tensor DitBlock::forward(const torch::Tensor& x, const DitBlockContext& c
 
 DitFinalLayer::DitFinalLayer(const DitFinalLayerSizes& sizes, const ParameterPlacement& placement) {
   norm_ = register_module("norm_final", std::make_shared<RmsNorm>(sizes.channels, kEpsilon, placement));
-  linear_ = register_module("linear",
-                            std::make_shared<Linear>(LinearSizes{sizes.channels, sizes.outputs}, placement));
+  linear_ = register_module(
+      "linear", std::make_shared<Linear>(
+                    LinearSizes{sizes.channels, sizes.outputs, true, 1, LinearPacking::kNever}, placement));
   adaptive_norm_ =
       register_module("adaLN_modulation", std::make_shared<AdaptiveNorm>(sizes.channels, 2, placement));
 }

@@ -29,7 +29,8 @@ DitEmbedder::DitEmbedder(torch::nn::Module& model, const std::string& part, cons
   if (sizes.special_tokens > 0) {
     special_ = model.register_module(
         "special_" + name,
-        std::make_shared<Linear>(LinearSizes{2 * sizes.in_channels, sizes.width}, placement));
+        std::make_shared<Linear>(
+            LinearSizes{2 * sizes.in_channels, sizes.width, true, 1, LinearPacking::kNever}, placement));
     special_positions_ =
         model.register_parameter("special_pos_embed_" + part,
                                  torch::empty({1, sizes.special_tokens, sizes.width}, placement.options()));

@@ -1,7 +1,5 @@
 #include "models/layers/adaptive_norm.h"
 
-#include "gld/tensors/transposed_product.h"
-
 #include <algorithm>
 
 #include <torch/types.h>
@@ -36,8 +34,9 @@ torch::Tensor by_view_groups(const torch::Tensor& x,
 
 AdaptiveNorm::AdaptiveNorm(int64_t channels, int64_t parts, const ParameterPlacement& placement)
     : channels_(channels) {
-  linear_ =
-      register_module("1", std::make_shared<Linear>(LinearSizes{channels, parts * channels}, placement));
+  LinearSizes sizes{channels, parts * channels};
+  sizes.parts = parts;
+  linear_ = register_module("1", std::make_shared<Linear>(sizes, placement));
 }
 
 torch::Tensor AdaptiveNorm::rows(const torch::Tensor& activation) const {
@@ -53,9 +52,7 @@ std::vector<torch::Tensor> AdaptiveNorm::parts(const Modulation& modulation, con
     vectors = rows.narrow(1, first * channels_, count * channels_).unsqueeze(1);
   } else {
     const auto activation = modulation.activation.narrow(0, group.first, group.count);
-    const auto weight = linear_->weight.narrow(0, first * channels_, count * channels_);
-    const auto bias = linear_->bias.narrow(0, first * channels_, count * channels_);
-    vectors = times_transposed(activation, weight, bias);
+    vectors = linear_->forward_parts(activation, first, count);
   }
   return vectors.chunk(count, -1);
 }

@@ -4,6 +4,7 @@
 #include "gld/tensors/fused_ops.h"
 #include "gld/tensors/transposed_product.h"
 
+#include <limits>
 #include <string>
 
 #include <torch/autograd.h>
@@ -20,14 +21,36 @@ void require_channels(const torch::Tensor& x, int64_t channels, const std::strin
 
 }  // namespace
 
-Linear::Linear(const LinearSizes& sizes, const ParameterPlacement& placement) {
+Linear::Linear(const LinearSizes& sizes, const ParameterPlacement& placement)
+    : parts_(sizes.parts), packing_(sizes.packing) {
   weight = register_parameter("weight", torch::empty({sizes.outputs, sizes.inputs}, placement.options()));
   if (sizes.bias) bias = register_parameter("bias", torch::empty({sizes.outputs}, placement.options()));
 }
 
-torch::Tensor Linear::forward(const torch::Tensor& x) const {
+torch::Tensor Linear::forward(const torch::Tensor& x) const { return forward_parts(x, 0, parts_); }
+
+torch::Tensor Linear::forward_parts(const torch::Tensor& x, int64_t first, int64_t count) const {
   require_channels(x, weight.size(1), "linear layer");
-  return times_transposed(x, weight, bias);
+  if (packed_) {
+    if (torch::GradMode::is_enabled() && x.requires_grad()) {
+      fail({"linear layer", "no gradients through packed weights", "an input that wants them",
+            "train without use_precision"});
+    }
+    return packed_->times(x, bias, first, count);
+  }
+  if (first == 0 && count == parts_) return times_transposed(x, weight, bias);
+  const int64_t share = weight.size(0) / parts_;
+  return times_transposed(x, weight.narrow(0, first * share, count * share),
+                          bias.defined() ? bias.narrow(0, first * share, count * share) : bias);
+}
+
+void Linear::use_precision(const LayerPrecision& precision) {
+  if (packing_ == LinearPacking::kNever || !PackedLayer::applies(weight, precision.linear)) return;
+  const torch::NoGradGuard no_gradients;
+  packed_ = std::make_unique<const PackedLayer>(weight, parts_, precision.linear);
+  if (precision.originals == PackedOriginals::kKeep) return;
+  // The shape without the numbers; who reads them all the same finds NaN.
+  weight.set_data(torch::full({1}, std::numeric_limits<float>::quiet_NaN()).expand(weight.sizes()));
 }
 
 LayerNorm::LayerNorm(int64_t channels, double epsilon, const ParameterPlacement& placement)

@@ -1,5 +1,10 @@
 #pragma once
 
+#include "gld/tensors/packed_layer.h"
+#include "models/layers/layer_precision.h"
+
+#include <memory>
+
 #include <torch/nn/module.h>
 #include <torch/types.h>
 
@@ -14,20 +19,34 @@ struct ParameterPlacement {
   torch::TensorOptions options() const { return torch::TensorOptions().device(device).dtype(dtype); }
 };
 
+// Whether a linear layer's weights are packed when its model is given a precision. Layers whose weights others read, and
+// those that stay float32 (models/layers/layer_precision.h), never are.
+enum class LinearPacking { kOnce, kNever };
+
 struct LinearSizes {
   int64_t inputs = 0;
   int64_t outputs = 0;
   bool bias = true;
+  int64_t parts = 1;  // equal shares of the outputs that forward_parts gives apart
+  LinearPacking packing = LinearPacking::kOnce;
 };
 
 // y = x W^T + b; parameters "weight" (outputs, inputs) and "bias" (outputs).
-class Linear : public torch::nn::Module {
+class Linear : public torch::nn::Module, public PrecisionLayer {
  public:
   Linear(const LinearSizes& sizes, const ParameterPlacement& placement);
   torch::Tensor forward(const torch::Tensor& x) const;  // (..., inputs) -> (..., outputs)
+  // Parts first .. first + count - 1 of the outputs.
+  torch::Tensor forward_parts(const torch::Tensor& x, int64_t first, int64_t count) const;
+  void use_precision(const LayerPrecision& precision) override;
 
   torch::Tensor weight;
   torch::Tensor bias;  // undefined without bias
+
+ private:
+  int64_t parts_;
+  LinearPacking packing_;
+  std::unique_ptr<const PackedLayer> packed_;  // null before use_precision
 };
 
 // LayerNorm over the last dimension; parameters "weight" and "bias" (channels).

@@ -10,9 +10,11 @@ TimeEmbedding::TimeEmbedding(int64_t width, const ParameterPlacement& placement)
   frequencies =
       register_parameter("W", torch::empty({kFrequencies}, placement.options()), /*requires_grad=*/false);
   auto mlp = register_module("mlp", std::make_shared<torch::nn::Module>());
-  expansion_ =
-      mlp->register_module("0", std::make_shared<Linear>(LinearSizes{2 * kFrequencies, width}, placement));
-  projection_ = mlp->register_module("2", std::make_shared<Linear>(LinearSizes{width, width}, placement));
+  expansion_ = mlp->register_module(
+      "0", std::make_shared<Linear>(LinearSizes{2 * kFrequencies, width, true, 1, LinearPacking::kNever},
+                                    placement));
+  projection_ = mlp->register_module(
+      "2", std::make_shared<Linear>(LinearSizes{width, width, true, 1, LinearPacking::kNever}, placement));
 }
 
 torch::Tensor TimeEmbedding::forward(const std::vector<double>& times) const {

@@ -79,6 +79,7 @@ torch::Tensor VitBlock::attend(const torch::Tensor& x, AttentionScope scope, con
   inputs.query = query;
   inputs.key = key;
   inputs.value = value;
+  inputs.precision = attention_precision_;
   if (tap != nullptr) {
     tap->query = query;
     tap->key = key;

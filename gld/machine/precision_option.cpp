@@ -1,0 +1,36 @@
+#include "gld/machine/precision_option.h"
+
+#include "gld/base/error.h"
+
+namespace gld {
+
+void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice) {
+  auto names = compute_precision_names();
+  names.emplace_back("automatic");
+  visit_choice(
+      visitor,
+      {"precision",
+       "what models multiply in on the CPU; automatic: the fastest whose measured error is small enough"},
+      choice, names);
+}
+
+ComputePrecision precision_of(PrecisionChoice choice) {
+  if (choice == PrecisionChoice::kAutomatic) {
+    fail({"--precision", "a precision here", "'automatic'", "name one"});
+  }
+  return static_cast<ComputePrecision>(choice);
+}
+
+void check_precision_on(const std::string& device, ComputePrecision precision) {
+  if (device == "cpu" || precision == ComputePrecision::kFloat32) return;
+  fail({"--precision", "float32 on the device " + device, compute_precision_name(precision),
+        "use --device cpu, which has kernels for it"});
+}
+
+std::string precision_text(ComputePrecision precision) {
+  if (precision == ComputePrecision::kFloat32) return compute_precision_name(precision);
+  return compute_precision_name(precision) + " on " +
+         matrix_unit_name(best_matrix_unit(precision), precision);
+}
+
+}  // namespace gld

@@ -1,0 +1,24 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/machine/matrix_unit.h"
+
+#include <string>
+
+namespace gld {
+
+// --precision of the commands that run models: the values of ComputePrecision in their order, then automatic.
+enum class PrecisionChoice { kFloat32, kBFloat16, kBFloat16x3, kInt8, kAutomatic };
+
+void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice);
+
+// The precision that a choice other than kAutomatic names.
+ComputePrecision precision_of(PrecisionChoice choice);
+
+// Throws Error, one sentence, where the device ("cpu", "cuda:0") has no kernels of ours for it: only float32 runs on a GPU.
+void check_precision_on(const std::string& device, ComputePrecision precision);
+
+// "bfloat16 on AVX512-BF16"; "float32".
+std::string precision_text(ComputePrecision precision);
+
+}  // namespace gld

@@ -1,0 +1,42 @@
+#pragma once
+
+#include "gld/machine/matrix_unit.h"
+
+#include <torch/nn/module.h>
+
+namespace gld {
+
+// What becomes of a layer's weights when they have been packed: they stay, or only their names and shapes do (every
+// number NaN), which halves what a model takes in float32 and more in other precisions.
+enum class PackedOriginals { kKeep, kRelease };
+
+// What the layers of one model compute in.
+struct LayerPrecision {
+  ComputePrecision linear = ComputePrecision::kFloat32;
+  ComputePrecision attention = ComputePrecision::kFloat32;  // or kBFloat16
+  PackedOriginals originals = PackedOriginals::kKeep;
+};
+
+// Which parts of a model are asked what to compute in.
+enum class ModelKind { kGenerator, kBackboneOrDecoder };
+
+// The one place that says which layers run in which precision. Of the precision that was asked for:
+//   linear layers of blocks    that precision; of backbones and decoders bfloat16 in the place of int8: they are run once,
+//                              and what they make is everything that a flow sees
+//   attention                  bfloat16 for bfloat16 and int8 where the processor has a unit for it; else float32
+//   LinearPacking::kNever      float32: embeddings of patches, of special tokens and of the flow time, last layers
+//   all else                   float32: softmax, norms, residual stream, camera encoding, convolutions
+LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind);
+
+// A layer that can compute in another precision. Only while no gradients are recorded, for float32 tensors on the CPU.
+class PrecisionLayer {
+ public:
+  virtual ~PrecisionLayer() = default;
+  virtual void use_precision(const LayerPrecision& precision) = 0;
+};
+
+// All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once a
+// model: released weights cannot be packed again.
+void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
+
+}  // namespace gld

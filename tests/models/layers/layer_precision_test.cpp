@@ -1,0 +1,140 @@
+// Models whose layers compute in another precision, beside the same weights in float32 and in double.
+#include "models/layers/layer_precision.h"
+
+#include "models/dit/dit_field.h"
+#include "models/layers/layers.h"
+#include "tests/support/error_of.h"
+#include "tests/support/small_dit.h"
+
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::random_dit;
+using test::random_dit_scene;
+
+torch::Tensor guided(const DitDh& model, const test::DitTestScene& scene) {
+  const torch::NoGradGuard no_grad;
+  DitField field(model, model.prepare_scene(scene.inputs));
+  return field.guided(scene.noisy, 0.4, 1.5);
+}
+
+double relative_rms(const torch::Tensor& x, const torch::Tensor& exact) {
+  const auto reference = exact.to(torch::kFloat64);
+  return ((x.to(torch::kFloat64) - reference).norm() / reference.norm()).item<double>();
+}
+
+void pack(DitDh& model, ComputePrecision precision) {
+  LayerPrecision layers = layer_precision(precision, ModelKind::kGenerator);
+  layers.originals = PackedOriginals::kRelease;
+  use_precision(model, layers);
+}
+
+// 4 views of 20 tokens, more rows than LibTorch gets.
+const test::RandomCameras::SceneSizes kSizes{4, 2, 70, 56};
+
+TEST(LayerPrecision, PackedFloat32IsTheUnpackedModelBitForBit) {
+  for (const auto& options : {test::small_dit_options(), test::small_cascade_options()}) {
+    const auto model = random_dit(options);
+    const auto scene = random_dit_scene(options, kSizes);
+    const auto expected = guided(*model, scene);
+    pack(*model, ComputePrecision::kFloat32);
+    EXPECT_TRUE(torch::equal(guided(*model, scene), expected));
+  }
+}
+
+// The released widths and head sizes (768 with 48, 2048 with 128), one block a part, random weights. What a precision rounds
+// adds up over 20 products like a random walk: 2^-9 rms of an operand in bfloat16, a hundredth in int8.
+TEST(LayerPrecision, ErrorsAtFullWidthAgainstDouble) {
+  DitOptions options;
+  options.in_channels = 256;
+  options.depth = {1, 1};
+  const auto model = random_dit(options);
+  const auto scene = random_dit_scene(options, {3, 1, 70, 56});
+  const auto exact = guided(*test::in_double(*model), test::in_double(scene));
+  struct Expected {
+    ComputePrecision precision;
+    double most;
+  };
+  for (const auto& [precision, most] :
+       {Expected{ComputePrecision::kFloat32, 2e-6}, Expected{ComputePrecision::kBFloat16x3, 2e-4},
+        Expected{ComputePrecision::kBFloat16, 2e-2}, Expected{ComputePrecision::kInt8, 4e-2}}) {
+    const auto copy = random_dit(options);
+    pack(*copy, precision);
+    const double error = relative_rms(guided(*copy, scene), exact);
+    EXPECT_LE(error, most) << compute_precision_name(precision);
+    RecordProperty(compute_precision_name(precision), std::to_string(error));
+    std::cout << compute_precision_name(precision) << ": relative RMS error " << error << "\n";
+  }
+}
+
+TEST(LayerPrecision, FewRowsOfPackedFloat32AreLibTorchs) {
+  torch::manual_seed(3);
+  const auto layer = std::make_shared<Linear>(LinearSizes{96, 70}, ParameterPlacement{});
+  const torch::NoGradGuard no_grad;
+  layer->weight.normal_();
+  layer->bias.normal_();
+  const auto x = torch::randn({5, 96});
+  const auto expected = layer->forward(x);
+  LayerPrecision precision;
+  precision.originals = PackedOriginals::kRelease;
+  use_precision(*layer, precision);
+  EXPECT_TRUE(torch::equal(layer->forward(x), expected));
+}
+
+TEST(LayerPrecision, PartsAreSharesOfTheWhole) {
+  for (const auto asked :
+       {ComputePrecision::kFloat32, ComputePrecision::kBFloat16, ComputePrecision::kInt8}) {
+    torch::manual_seed(3);
+    LinearSizes sizes{64, 150};
+    sizes.parts = 3;
+    const auto layer = std::make_shared<Linear>(sizes, ParameterPlacement{});
+    const torch::NoGradGuard no_grad;
+    layer->weight.normal_();
+    layer->bias.normal_();
+    use_precision(*layer, layer_precision(asked, ModelKind::kGenerator));
+    const auto x = torch::randn({60, 64});
+    const auto whole = layer->forward(x);
+    EXPECT_TRUE(torch::equal(layer->forward_parts(x, 1, 2), whole.narrow(1, 50, 100)));
+  }
+}
+
+TEST(LayerPrecision, ReleasedWeightsAreShapesWithoutNumbers) {
+  const auto layer = std::make_shared<Linear>(LinearSizes{64, 70}, ParameterPlacement{});
+  {
+    const torch::NoGradGuard no_grad;
+    layer->weight.normal_();
+    layer->bias.zero_();
+  }
+  LayerPrecision precision;
+  precision.linear = ComputePrecision::kBFloat16;
+  precision.originals = PackedOriginals::kRelease;
+  use_precision(*layer, precision);
+  EXPECT_EQ(layer->weight.sizes(), (std::vector<int64_t>{70, 64}));
+  EXPECT_EQ(layer->weight.storage().nbytes(), 4U);
+  EXPECT_TRUE(layer->weight.isnan().all().item<bool>());
+  EXPECT_EQ(
+      test::error_of([&] {
+        layer->forward(torch::randn({2, 64}).requires_grad_(true));
+      }),
+      "linear layer: expected no gradients through packed weights, found an input that wants them; train without "
+      "use_precision.");
+}
+
+TEST(LayerPrecision, SaysWhichLayersRunInWhat) {
+  const auto generator = layer_precision(ComputePrecision::kInt8, ModelKind::kGenerator);
+  EXPECT_EQ(generator.linear, ComputePrecision::kInt8);
+  EXPECT_EQ(layer_precision(ComputePrecision::kInt8, ModelKind::kBackboneOrDecoder).linear,
+            ComputePrecision::kBFloat16);
+  EXPECT_EQ(layer_precision(ComputePrecision::kBFloat16, ModelKind::kGenerator).attention,
+            ComputePrecision::kBFloat16);
+  EXPECT_EQ(layer_precision(ComputePrecision::kBFloat16x3, ModelKind::kGenerator).attention,
+            ComputePrecision::kFloat32);
+}
+
+}  // namespace
+}  // namespace gld
