@@ -21,7 +21,7 @@ bool same_grid(const LatentGrid& a, const LatentGrid& b) {
 // What each method takes for this request, in seconds. A small model spends its time on more than operations, so that time
 // and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds are compared,
 // else those that this machine is expected to take.
-std::vector<double> seconds_of(const PlanErrors& table, const SampleOptions& options,
+std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions& options,
                                const ModelBundle& bundle, PlanRequest request) {
   const bool measured = same_grid(table.grid, request.grid) &&
                         std::all_of(table.methods.begin(), table.methods.end(),
@@ -74,7 +74,7 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
           fmt::format("{:g}", options.guidance.guidance_scale),
           "lower --guidance-scale, or measure with it: gld bench sample-plan --guidance-scale"});
   }
-  const size_t best = cheapest_within(table, options.tolerance, seconds_of(table, options, bundle, request));
+  const size_t best = cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request));
   ChosenMethod choice;
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];

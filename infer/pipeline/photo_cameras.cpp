@@ -69,17 +69,17 @@ std::vector<std::string> PhotoCameras::doubts() const {
 GeometryOutput geometry_of_photographs(const PipelineModels& models, const torch::Tensor& photographs,
                                        const torch::Device& device) {
   const torch::NoGradGuard no_gradients;
-  std::vector<torch::Tensor> levels;
+  GeometryInputs inputs;
   LatentGrid grid;
   {
     const auto backbone = models.backbone();
     const auto& architecture = backbone->architecture();
     grid = architecture.grid_of(photographs.size(0), photographs.size(2), photographs.size(3));
-    for (const auto& level : backbone->encode(photographs.to(device), architecture.levels() - 1)) {
-      levels.push_back(backbone->decodable(level).patches);
-    }
+    const auto levels = backbone->encode(photographs.to(device), architecture.levels() - 1);
+    for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
+    inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
   }
-  GeometryOutput geometry = models.dpt_head()->forward(levels, grid, GeometryMaps::kDepthAndRays);
+  GeometryOutput geometry = models.dpt_head()->forward(inputs, grid, GeometryMaps::kDepthAndRays);
   for (torch::Tensor* map :
        {&geometry.depth, &geometry.depth_confidence, &geometry.rays, &geometry.ray_confidence}) {
     *map = map->to(torch::kCPU);

@@ -1,5 +1,6 @@
 #include "train/stages/training_stage.h"
 
+#include "gld/base/atomic_file.h"
 #include "gld/base/atomic_folder.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
