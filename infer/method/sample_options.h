@@ -4,6 +4,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "gld/machine/precision_option.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/requested_outputs.h"
@@ -40,6 +41,7 @@ struct SampleOptions : OptionsGroup {
   ApproximateSavings approximate;
   PointCloudOptions points;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
+  PrecisionChoice precision = PrecisionChoice::kFloat32;
   std::string device = "cpu";
   int64_t threads = 0;
   std::string out;
@@ -52,7 +54,7 @@ struct SampleOptions : OptionsGroup {
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // What all options but tolerance say, for that model.
+  // What all options but tolerance say, for that model; float32 for an automatic precision.
   SamplingMethod method(const BundleOptions& bundle) const;
 };
 

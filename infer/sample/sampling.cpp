@@ -125,11 +125,11 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   PlannedSampling planned;
   planned.visibility = view_visibility(views);
   request.visible_share = planned.visibility.kept();
-  planned.choice = choose_method(options, prepared.bundle, request, model_hash);
+  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
+  planned.choice = choose_method(options, prepared.bundle, request, known.speed, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
   request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
-  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
   planned.speed_origin = known.origin;
   if (timing == PlanTiming::kMeasured) {
     measure_seconds(planned.plan, bundle, request, known.speed);
@@ -190,6 +190,7 @@ void sample(const SampleOptions& options) {
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
   provenance.seed = options.seed;
+  provenance.precision = precision_text(planned.choice.method.precision);
   SamplingOutputs outputs(run, scene, requested, options.points, provenance);
   FlowProgress progress;
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
@@ -200,7 +201,8 @@ void sample(const SampleOptions& options) {
     wait_for_hash();
     outputs.write_images(images);
   };
-  const PipelineResult result = run_pipeline(bundle_models(bundle, prepared.device), request, stages);
+  const PipelineResult result =
+      run_pipeline(bundle_models(bundle, prepared.device, planned.choice.method.precision), request, stages);
   wait_for_hash();
   stages.run("writing",
              [&] { outputs.write_rest(result, one_line_summary(options, result, bundle.options().name)); });
@@ -225,6 +227,7 @@ void sample(const SampleOptions& options) {
                      {"width", scene.size.width}, {"height", scene.size.height},
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
   report["threads"] = thread_count();
+  report["precision"] = precision_text(planned.choice.method.precision);
   report["stages"] = stages.to_json();
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, stages.records());
