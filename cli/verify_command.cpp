@@ -14,14 +14,23 @@ namespace {
 
 struct VerifyOptions : OptionsGroup {
   bool json = false;
-  void visit(FieldVisitor& visitor) override { visit_json(visitor, json); }
+  ComputePrecision precision = ComputePrecision::kFloat32;
+  void visit(FieldVisitor& visitor) override {
+    visit_json(visitor, json);
+    visit_choice(
+        visitor,
+        {"precision",
+         "what models multiply in: the deviation from the reference in it. bfloat16x3 passes at ten times the "
+         "case's tolerance, bfloat16 at 0.05 and int8 at 0.1 of the largest value"},
+        precision, compute_precision_names());
+  }
 };
 
 int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {
   const auto runners = all_reference_runners();
   std::vector<CaseVerification> results;
   for (const auto& folder : folders) {
-    results.push_back(verify_case(folder, runners));
+    results.push_back(verify_case(folder, runners, options.precision));
     if (!options.json) std::cout << case_text(results.back()) << std::flush;
   }
   std::cout << (options.json ? json_text(verification_json(results), 2) + "\n" : summary_text(results));

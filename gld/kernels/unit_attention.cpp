@@ -60,7 +60,7 @@ std::vector<TokenRange> block_runs(const Segment& segment, const AttentionForwar
   return runs;
 }
 
-struct AttentionPlan {
+struct UnitAttentionPlan {
   int64_t head_dim;     // padded to 8: what is computed with
   int64_t head_words;   // of a row of keys or queries
   int64_t head_rows;    // channels of values
@@ -71,10 +71,10 @@ struct AttentionPlan {
   int64_t thread_floats;
 };
 
-AttentionPlan make_plan(const AttentionForward& arrays, const KeyBlocks& blocks, const MatrixUnitKernels& unit,
-               int threads) {
+UnitAttentionPlan unit_attention_plan(const AttentionForward& arrays, const KeyBlocks& blocks,
+                                      const MatrixUnitKernels& unit, int threads) {
   const AttentionShape& shape = arrays.shape;
-  AttentionPlan plan = {};
+  UnitAttentionPlan plan = {};
   plan.head_dim = rounded_up(shape.head_dim, 8);
   plan.head_words = rounded_up(plan.head_dim / 2, kStepWords);
   plan.head_rows = rounded_up(plan.head_dim, unit.rows);
@@ -104,7 +104,7 @@ class UnitAttention {
         unit_(unit_of(settings)),
         encoder_(arrays, kernel_table(settings.instruction_set)),
         blocks_(key_blocks(arrays)),
-        plan_(make_plan(arrays, blocks_, unit_, settings.threads)),
+        plan_(unit_attention_plan(arrays, blocks_, unit_, settings.threads)),
         threads_(settings.threads) {}
 
   int64_t scratch_bytes() const {
@@ -229,7 +229,7 @@ class UnitAttention {
   const MatrixUnitKernels& unit_;
   Encoder encoder_;
   KeyBlocks blocks_;
-  AttentionPlan plan_;
+  UnitAttentionPlan plan_;
   int threads_;
 };
 

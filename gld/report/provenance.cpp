@@ -47,6 +47,7 @@ TextItems provenance_items(const Provenance& provenance) {
   add("gld:options", provenance.options);
   add("gld:model", provenance.model_hash);
   add("gld:seed", std::to_string(provenance.seed));
+  add("gld:precision", provenance.precision);
   return items;
 }
 

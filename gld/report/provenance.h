@@ -20,6 +20,7 @@ struct Provenance {
   std::string options;     // JSON on one line
   std::string model_hash;  // SHA-256 of the weights in hex; empty where no model took part
   int64_t seed = 0;
+  std::string precision;  // "bfloat16 on AVX512-BF16"; empty where no model took part
 };
 
 // "gld 0.1.0": this build.
@@ -29,7 +30,7 @@ std::string program_version();
 // depend on where it lies.
 Provenance make_provenance(const std::string& command, const OptionsGroup& options);
 
-// "Software", "gld:command", "gld:options", "gld:model", "gld:seed"; empty texts are left out.
+// "Software", "gld:command", "gld:options", "gld:model", "gld:seed", "gld:precision"; empty texts are left out.
 TextItems provenance_items(const Provenance& provenance);
 
 // The value of a name; empty when there is none.

@@ -6,6 +6,8 @@
 #include "gld/base/interrupt.h"
 #include "gld/cameras/cameras_in_a_row.h"
 #include "gld/kernels/multiply_add_peak.h"
+#include "gld/kernels/packed_product.h"
+#include "gld/machine/precision_option.h"
 #include "gld/machine/timing.h"
 #include "gld/report/benchmark_results.h"
 #include "gld/report/plot.h"
@@ -14,12 +16,14 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/product_peak.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/bench/benchmark_precisions.h"
 #include "infer/bench/composed_dit.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <memory>
 #include <string>
 #include <utility>
@@ -49,11 +53,23 @@ void fill_with_random_weights(torch::nn::Module& module) {
 
 // A model, a scene and everything that exact savings compute once.
 struct Setting {
-  std::shared_ptr<DitDh> model;
+  std::shared_ptr<DitDh> model;  // not packed
+  std::map<ComputePrecision, std::shared_ptr<DitDh>> packed;
   DitScene scene;
   DitTimeRow time;
   torch::Tensor noisy;
 };
+
+// A copy that computes in that precision.
+std::shared_ptr<DitDh> packed_copy(const DitDh& model, ComputePrecision precision) {
+  auto copy = std::make_shared<DitDh>(model.options(), ParameterPlacement{});
+  const auto from = model.named_parameters();
+  for (auto& parameter : copy->named_parameters()) parameter.value().copy_(from[parameter.key()]);
+  LayerPrecision layers = layer_precision(precision, ModelKind::kGenerator);
+  layers.originals = PackedOriginals::kRelease;
+  use_precision(*copy, layers);
+  return copy;
+}
 
 Setting make_setting(const ForwardBenchmarkOptions& options) {
   BundleOptions bundle;
@@ -65,6 +81,9 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
     const auto opened = ModelBundle::open(options.model);
     bundle = opened.options();
     setting.model = opened.load_generator(bundle.generators.front().generator);
+  }
+  for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
+    setting.packed[precision] = packed_copy(*setting.model, precision);
   }
   const ImageSize size = image_size_from_text(options.size, "--size");
   const LatentGrid grid = bundle.backbone.grid_of(options.views, size.height, size.width);
@@ -84,24 +103,22 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
 struct Evaluation {
   double encoder_seconds = 0;
   double decoder_seconds = 0;  // with the embedding of the noisy latent and the last layer
-  double peak = 0;             // multiply-adds, measured just before
+  double peak = 0;             // of the precision, measured just before
   torch::Tensor condition;
   torch::Tensor velocity;
 };
 
 template <class Model>
-Evaluation evaluate(const Setting& setting, const Model& model) {
+Evaluation evaluate(const Setting& setting, const DitDh& outside, const Model& model,
+                    ComputePrecision precision) {
   Evaluation result;
-  PeakMeasurement peak;
-  peak.settings.threads = thread_count();
-  result.peak = measure_multiply_add_peak(peak);
+  result.peak = measure_precision_peak(precision, thread_count());
   const DitPasses pass{{&setting.scene, &setting.time, DitBranch::kConditional}};
   DitNoisyTokens tokens;
-  result.decoder_seconds +=
-      seconds_of([&] { tokens = setting.model->embed_noisy(setting.scene, setting.noisy); });
+  result.decoder_seconds += seconds_of([&] { tokens = outside.embed_noisy(setting.scene, setting.noisy); });
   result.encoder_seconds = seconds_of([&] { result.condition = model.condition_encoder(pass, tokens); });
   result.decoder_seconds += seconds_of([&] {
-    result.velocity = setting.model->velocity_from_features(
+    result.velocity = outside.velocity_from_features(
         model.velocity_features(pass, tokens, result.condition), setting.noisy, kFlowTime);
   });
   return result;
@@ -115,6 +132,10 @@ struct ForwardTimes {
 
 double relative_difference(const torch::Tensor& x, const torch::Tensor& reference) {
   return ((x - reference).abs().max() / reference.abs().max()).item<double>();
+}
+
+double relative_rms(const torch::Tensor& x, const torch::Tensor& reference) {
+  return ((x - reference).norm() / reference.norm()).item<double>();
 }
 
 struct Part {
@@ -153,15 +174,17 @@ ForwardBenchmarkRow row_from(const Part& part, const ForwardTimes& samples, cons
   row.fraction_of_peak = spread_of(fractions).median;
   row.relative_difference =
       relative_difference(part.result(samples.evaluations.back()), part.result(reference.evaluations.back()));
+  row.relative_rms =
+      relative_rms(part.result(samples.evaluations.back()), part.result(reference.evaluations.back()));
   return row;
 }
 
 Table forward_overview(const std::vector<ForwardBenchmarkRow>& rows) {
   Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
-               "relative_difference"});
+               "relative_difference", "relative_rms"});
   for (const auto& row : rows) {
     table.add_row({row.part, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
-                   row.fraction_of_peak, row.relative_difference});
+                   row.fraction_of_peak, row.relative_difference, row.relative_rms});
   }
   return table;
 }
@@ -189,6 +212,7 @@ void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"views", "source and target views"}, views, {1, 1000});
   visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size, width x height in pixels"}, size);
+  visitor.texts({"precisions", "to measure beside float32: bfloat16, bfloat16x3, int8"}, precisions);
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
   visit_threads(visitor, threads);
 }
@@ -197,6 +221,7 @@ void ForwardBenchmarkOptions::check() const {
   if (sources > views) {
     fail({"--source-views", fmt::format("at most --views, {}", views), std::to_string(sources), "lower it"});
   }
+  benchmark_precisions(precisions);
   check_out(out, "runs/bench");
 }
 
@@ -204,23 +229,31 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
   const torch::NoGradGuard no_grad;
   const Setting setting = make_setting(options);
   const ComposedDit composed(*setting.model);
-  ForwardTimes ours = {"ours", {}}, plain = {"composed", {}};
-  Progress progress("bench forward", 2 * options.repeats);
+  ForwardTimes plain = {"composed", {}};
+  std::vector<std::pair<ComputePrecision, ForwardTimes>> ours;
+  for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
+    const bool first = precision == ComputePrecision::kFloat32;
+    ours.push_back({precision, {first ? "ours" : compute_precision_name(precision), {}}});
+  }
+  Progress progress("bench forward", options.repeats * static_cast<int64_t>(ours.size() + 1));
+  int64_t done = 0;
   const auto sample = [&](ForwardTimes& samples, Evaluation evaluation) {
     samples.evaluations.push_back(std::move(evaluation));
-    progress.update(static_cast<int64_t>(ours.evaluations.size() + plain.evaluations.size()),
-                    samples.variant);
+    progress.update(++done, samples.variant);
     stop_if_interrupted("nothing was written yet");
   };
   for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
     // Its blocks are kept for its next one, as between the evaluations of a flow.
-    sample(ours, evaluate(setting, *setting.model));
+    for (auto& [precision, times] : ours) {
+      const DitDh& model = *setting.packed.at(precision);
+      sample(times, evaluate(setting, model, model, precision));
+    }
     const LibraryTensorMemory library_memory;
-    sample(plain, evaluate(setting, composed));
+    sample(plain, evaluate(setting, *setting.model, composed, ComputePrecision::kFloat32));
   }
   std::vector<ForwardBenchmarkRow> rows;
   for (const Part& part : parts_of(setting)) {
-    rows.push_back(row_from(part, ours, plain));
+    for (const auto& [precision, times] : ours) rows.push_back(row_from(part, times, plain));
     rows.push_back(row_from(part, plain, plain));
   }
   progress.finish();
@@ -228,10 +261,11 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
 }
 
 Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
-  Table table({"part", "variant", "seconds", "tflop", "fraction_of_peak", "relative_difference"});
+  Table table(
+      {"part", "variant", "seconds", "tflop", "fraction_of_peak", "relative_difference", "relative_rms"});
   for (const auto& row : rows) {
-    table.add_row(
-        {row.part, row.variant, row.seconds, row.tflop, row.fraction_of_peak, row.relative_difference});
+    table.add_row({row.part, row.variant, row.seconds, row.tflop, row.fraction_of_peak,
+                   row.relative_difference, row.relative_rms});
   }
   return table;
 }
@@ -247,26 +281,42 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   // And again: the first parallel regions may find all threads on one core.
   sgemm = std::max(sgemm, measure_sgemm_peak());
   multiply_add = std::max(multiply_add, measure_multiply_add_peak(peak));
-  const double speedup = rows[5].seconds / rows[4].seconds;
+  const auto whole = [&](const std::string& variant) {
+    return std::find_if(rows.begin(), rows.end(),
+                        [&](const ForwardBenchmarkRow& row) {
+                          return row.part == "evaluation" && row.variant == variant;
+                        })
+        ->seconds;
+  };
+  const double speedup = whole("composed") / whole("ours");
+  std::string in_precisions;
+  nlohmann::ordered_json precisions_json = nlohmann::ordered_json::array();
+  for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
+    if (precision == ComputePrecision::kFloat32) continue;
+    const double ratio = whole("ours") / whole(compute_precision_name(precision));
+    in_precisions += fmt::format("In {} it is {:.2f} times as fast as ours in float32. ",
+                                 precision_text(precision), ratio);
+    precisions_json.push_back({{"precision", precision_text(precision)}, {"over_float32", ratio}});
+  }
   const std::string text = fmt::format(
       "# One evaluation of M1, {} views of {}\n"
       "\n"
       "With {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
       "reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own memory, in turns with ours; "
       "both start from a scene prepared once. "
-      "The parts add up to the evaluation, which is {:.2f} times as fast.\n"
+      "The parts add up to the evaluation, which is {:.2f} times as fast. {}\n"
       "\n"
       "{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
-      forward_overview(rows).markdown());
+      in_precisions, forward_overview(rows).markdown());
   BenchmarkResults results;
   results.text = text;
   results.files = {{"forward.csv", forward_benchmark_table(rows).csv()}, {"forward.md", text}};
   results.figures = {{"forward", forward_figure(rows)}};
-  results.report = {{"command", "bench forward"}, {"options", to_json(options)},
-                    {"threads", thread_count()},  {"multiply_add_peak", multiply_add},
-                    {"sgemm_peak", sgemm},        {"speedup", speedup},
-                    {"blas", blas_name()}};
+  results.report = {{"command", "bench forward"},    {"options", to_json(options)},
+                    {"threads", thread_count()},     {"multiply_add_peak", multiply_add},
+                    {"sgemm_peak", sgemm},           {"speedup", speedup},
+                    {"precisions", precisions_json}, {"blas", blas_name()}};
   results.notes = {{"parts", "forward.csv"}, {"table", "forward.md"}, {"plot", "forward.png"}};
   finish_benchmark(folder, results);
   return 0;

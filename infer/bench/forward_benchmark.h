@@ -17,6 +17,7 @@ struct ForwardBenchmarkOptions : OptionsGroup {
   int64_t views = 8;
   int64_t sources = 4;
   std::string size = "252x140";
+  std::vector<std::string> precisions;  // beside float32
   int64_t repeats = 3;
   int64_t threads = 0;  // all processors
 
@@ -26,13 +27,16 @@ struct ForwardBenchmarkOptions : OptionsGroup {
 
 struct ForwardBenchmarkRow {
   std::string part;     // "condition_encoder", "velocity_decoder" or "evaluation" (both, in one)
-  std::string variant;  // "ours" or "composed"
+  std::string variant;  // "ours", "composed", or a precision of --precision
   double seconds = 0;   // median
   double seconds_low = 0;
   double seconds_high = 0;
-  double tflop = 0;             // by the cost model
-  double fraction_of_peak = 0;  // median over repeats of (operations / seconds / peak measured just before)
+  double tflop = 0;  // by the cost model
+  // Median over repeats of (operations / seconds / peak measured just before): of multiply-adds, or of the unit that
+  // multiplies in a precision.
+  double fraction_of_peak = 0;
   double relative_difference = 0;  // max |difference| / max |value| from the composition's result
+  double relative_rms = 0;         // RMS of the difference over that of the composition's result
 };
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);

@@ -13,6 +13,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/bench/benchmark_precisions.h"
 #include "infer/bench/sample_plan_table.h"
 #include "infer/method/plan_errors.h"
 #include "infer/pipeline/bundle_models.h"
@@ -25,8 +26,10 @@
 #include <atomic>
 #include <exception>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -86,20 +89,25 @@ struct Run {
   int64_t peak_bytes = 0;
 };
 
+using ModelLoader = std::function<PipelineModels(ComputePrecision)>;
+
+// For one thread at a time.
 class Sampler {
  public:
-  Sampler(const BundleOptions& bundle, PipelineModels models, double guidance_scale)
-      : bundle_(bundle), models_(std::move(models)) {
+  Sampler(const BundleOptions& bundle, ModelLoader load, double guidance_scale)
+      : bundle_(bundle), load_(std::move(load)) {
     guidance_.guidance_scale = guidance_scale;
   }
 
-  Run run(const BenchScene& scene, const SamplingMethod& method) const {
+  Run run(const BenchScene& scene, const SamplingMethod& method) {
+    auto& models = models_[method.precision];
+    if (!models) models = load_(method.precision);
     PipelineRequest request = scene.request;
     request.flow = flow_settings(method, guidance_, bundle_);
     StageRecords stages;
     Run run;
-    run.result = run_pipeline(models_, request, stages);
-    run.seconds = flow_seconds(models_.levels, stages);
+    run.result = run_pipeline(*models, request, stages);
+    run.seconds = flow_seconds(models->levels, stages);
     for (const auto& stage : stages.records()) {
       if (stage.name == "view pairs") run.seconds += stage.seconds;
       run.peak_bytes = std::max(run.peak_bytes, stage.peak_bytes);
@@ -107,7 +115,7 @@ class Sampler {
     return run;
   }
 
-  PlanSample measure(const BenchScene& scene, const SamplingMethod& method, const Run& reference) const {
+  PlanSample measure(const BenchScene& scene, const SamplingMethod& method, const Run& reference) {
     const auto relative = [](const torch::Tensor& latent, const torch::Tensor& exact) {
       return ((latent - exact).norm() / exact.norm()).item<double>();
     };
@@ -122,6 +130,13 @@ class Sampler {
     const auto& exact = reference.result.latents;
     sample.level1_error = relative(latents.rbegin()->second, exact.rbegin()->second);
     sample.level0_error = relative(latents.begin()->second, exact.begin()->second);
+    if (method.precision != ComputePrecision::kFloat32) {
+      SamplingMethod in_float32 = method;
+      in_float32.precision = ComputePrecision::kFloat32;
+      const auto other = run(scene, in_float32).result.latents;
+      sample.precision_error = std::max(relative(latents.rbegin()->second, other.rbegin()->second),
+                                        relative(latents.begin()->second, other.begin()->second));
+    }
     sample.psnr = mean_psnr(scene.truth, made.result.images);
     sample.psnr_difference = sample.psnr - mean_psnr(scene.truth, reference.result.images);
     sample.psnr_to_reference = mean_psnr(reference.result.images, made.result.images);
@@ -131,7 +146,8 @@ class Sampler {
 
  private:
   BundleOptions bundle_;
-  PipelineModels models_;
+  ModelLoader load_;
+  std::map<ComputePrecision, std::optional<PipelineModels>> models_;  // those that were needed
   GuidanceOptions guidance_;
 };
 
@@ -173,14 +189,37 @@ PlanErrors errors_table(const std::vector<PlanRow>& rows, const ModelBundle& bun
     if (row.variant.method.approximate.view_pairs != ViewPairs::kAll) continue;
     std::vector<double> errors;
     for (const auto& sample : row.samples) errors.push_back(sample.error());
+    double of_precision = 0;
+    for (const auto& sample : row.samples) of_precision = std::max(of_precision, sample.precision_error);
     table.methods.push_back({row.variant.method, row.mean_error, row.largest_error,
-                             error_bound(errors) + reference_error, row.seconds});
+                             error_bound(errors) + reference_error, of_precision, row.seconds});
   }
   return table;
 }
 
+// What precisions other than float32 differ from it by, with the same method and noise.
+std::string precisions_text(const std::vector<PlanRow>& rows) {
+  Table table({"method", "precision_error_mean", "precision_error_largest", "limit"});
+  bool any = false;
+  for (const auto& row : rows) {
+    const ComputePrecision precision = row.variant.method.precision;
+    if (precision == ComputePrecision::kFloat32) continue;
+    double mean = 0, largest = 0;
+    for (const auto& sample : row.samples) {
+      mean += sample.precision_error / static_cast<double>(row.samples.size());
+      largest = std::max(largest, sample.precision_error);
+    }
+    table.add_row({row.variant.method.name, mean, largest, largest_automatic_error(precision)});
+    any = true;
+  }
+  return any ? "\nAgainst the same method in float32, relative RMS of the latents, and above what --precision automatic "
+               "leaves a precision out:\n\n" +
+                   table.markdown()
+             : "";
+}
+
 // The error of the reference itself, on the first scene: its distance from a solve with twice the evaluations.
-double reference_error(const Sampler& sampler, const BenchScene& scene, int64_t evaluations) {
+double reference_error(Sampler& sampler, const BenchScene& scene, int64_t evaluations) {
   const Run twice = sampler.run(scene, exact_method(2 * evaluations));
   return sampler.measure(scene, exact_method(evaluations), twice).error();
 }
@@ -203,6 +242,7 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.texts(
       {"families", "kinds of methods to measure beside fewer evaluations, as the plot names them; none: all"},
       families);
+  visitor.texts({"precisions", "to measure beside float32: bfloat16, bfloat16x3, int8"}, precisions);
   visitor.integer({"reference_evaluations", "evaluations a level of the solve that errors refer to"},
                   reference_evaluations, {8, 100000});
   visitor.integer({"repeats", "timed runs of each method, of which the shortest counts"}, repeats, {1, 100});
@@ -218,6 +258,7 @@ void SamplePlanBenchmarkOptions::visit(FieldVisitor& visitor) {
 
 void SamplePlanBenchmarkOptions::check() const {
   check_out(out, "runs/plan");
+  benchmark_precisions(precisions);
   if (counts.size() < 2) {
     fail({"--counts", "at least two numbers of evaluations, to compare at equal work",
           std::to_string(counts.size()), "write for example 8,16"});
@@ -242,7 +283,14 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   const int64_t scene_count = std::min(options.synthetic, dataset->size());
 
   std::vector<PlanRow> rows;
-  for (auto& variant : of_families(plan_variants(options.counts, bundle.options()), options.families)) {
+  auto variants = plan_variants(options.counts, bundle.options());
+  for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
+    if (precision == ComputePrecision::kFloat32) continue;
+    for (auto& variant : precision_variants(options.counts, bundle.options(), precision)) {
+      variants.push_back(std::move(variant));
+    }
+  }
+  for (auto& variant : of_families(std::move(variants), options.families)) {
     PlanRow row;
     row.variant = std::move(variant);
     row.samples.resize(static_cast<size_t>(scene_count));
@@ -260,15 +308,17 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   set_thread_count(std::max(1, threads / static_cast<int>(workers)));
   std::vector<std::unique_ptr<Sampler>> samplers;
   for (int64_t worker = 0; worker < workers; ++worker) {
-    samplers.push_back(std::make_unique<Sampler>(bundle.options(), kept_bundle_models(bundle, device),
-                                                 options.guidance_scale));
+    const auto load = [&](ComputePrecision precision) {
+      return kept_bundle_models(bundle, device, precision);
+    };
+    samplers.push_back(std::make_unique<Sampler>(bundle.options(), load, options.guidance_scale));
   }
   Progress progress("bench sample-plan", scene_count * static_cast<int64_t>(rows.size()));
   std::mutex mutex;
   int64_t done = 0;
   for_each_index(scene_count, workers, [&](int64_t worker, int64_t index) {
     const torch::NoGradGuard no_gradients;
-    const Sampler& sampler = *samplers[static_cast<size_t>(worker)];
+    Sampler& sampler = *samplers[static_cast<size_t>(worker)];
     const BenchScene scene = load_bench_scene(*dataset, index, options, bundle.options());
     const Run reference = sampler.run(scene, exact_method(options.reference_evaluations));
     for (auto& row : rows) {
@@ -285,7 +335,9 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   // Time and memory: one scene, one method after the other, with one stage's weights at a time as gld sample has them.
   const double of_reference = reference_error(*samplers.front(), first, options.reference_evaluations);
   samplers.clear();
-  const Sampler alone(bundle.options(), bundle_models(bundle, device), options.guidance_scale);
+  Sampler alone(
+      bundle.options(), [&](ComputePrecision precision) { return bundle_models(bundle, device, precision); },
+      options.guidance_scale);
   Progress timing("timing", options.repeats * static_cast<int64_t>(rows.size()));
   done = 0;
   for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {
@@ -317,7 +369,7 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
           "\n",
           bundle.options().name, scene_count, grid.views, grid.width, grid.height, options.guidance_scale,
           options.reference_evaluations, of_reference, bounds.exceeded, bounds.samples) +
-      plan_row_table(rows).markdown();
+      plan_row_table(rows).markdown() + precisions_text(rows);
   if (options.write_table) write_file_atomically(bundle.folder() / kPlanErrorsFile, table_text);
   BenchmarkResults results;
   results.text = text;

@@ -20,7 +20,8 @@ struct SamplePlanBenchmarkOptions : OptionsGroup {
   ViewSampling views;
   double guidance_scale = 1.5;
   std::vector<int64_t> counts{6, 8, 10, 12, 16, 20, 24};
-  std::vector<std::string> families;  // of PlanVariant beside "fewer evaluations"; empty for all
+  std::vector<std::string> families;    // of PlanVariant beside "fewer evaluations"; empty for all
+  std::vector<std::string> precisions;  // beside float32
   int64_t reference_evaluations = 64;
   int64_t repeats = 2;
   int64_t workers = 0;

@@ -86,6 +86,22 @@ std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const
   return variants;
 }
 
+std::vector<PlanVariant> precision_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle,
+                                            ComputePrecision precision) {
+  std::vector<SamplingMethod> methods;
+  for (const int64_t count : counts) methods.push_back(exact_method(count));
+  methods.push_back(quality_method(SamplingQuality::kBalanced, bundle));
+  methods.push_back(quality_method(SamplingQuality::kFast, bundle));
+  std::vector<PlanVariant> variants;
+  const std::string& family = compute_precision_name(precision);
+  for (auto& method : methods) {
+    method.precision = precision;
+    method.name += ", " + family;
+    variants.push_back({family, std::move(method)});
+  }
+  return variants;
+}
+
 std::vector<PlanVariant> of_families(std::vector<PlanVariant> variants,
                                      const std::vector<std::string>& families) {
   if (families.empty()) return variants;

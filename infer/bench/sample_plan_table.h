@@ -25,6 +25,10 @@ SamplingMethod exact_method(int64_t evaluations);
 // an interval or dropped, visible pairs; nodes at other counts; balanced and fast.
 std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle);
 
+// The default solver at each count, balanced and fast in that precision: one family, named like the precision.
+std::vector<PlanVariant> precision_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle,
+                                            ComputePrecision precision);
+
 // The variants of these families and all of "fewer evaluations"; all where families is empty. Throws Error for a family
 // that no variant is of.
 std::vector<PlanVariant> of_families(std::vector<PlanVariant> variants,
@@ -35,6 +39,7 @@ struct PlanSample {
   std::string scene;
   double level1_error = 0;  // RMS of the latent's difference from the reference, over the reference's RMS
   double level0_error = 0;
+  double precision_error = 0;    // the worse of both against the same method in float32; 0 in float32
   double psnr = 0;               // of the target views in dB
   double psnr_difference = 0;    // from the reference's psnr
   double psnr_to_reference = 0;  // of its images against the reference's

@@ -78,6 +78,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visit_seed(visitor, seed, "the first scene's noise, each next scene has the next one");
   lpips.visit(visitor);
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});
+  visit_choice(visitor, {"precision", "what models multiply in on the CPU"}, precision,
+               compute_precision_names());
   visit_device(visitor, device);
   visit_threads(visitor, threads);
 }
@@ -91,6 +93,7 @@ void EvaluationOptions::check() const {
           "leave at least one target"});
   }
   lpips.check();
+  check_precision_on(device, precision);
   check_out(out, "runs/eval");
 }
 
@@ -98,6 +101,7 @@ SamplingMethod EvaluationOptions::sampling_method(const BundleOptions& bundle) c
   SampleOptions sample;
   sample.solver = solver;
   sample.guidance = guidance;
+  sample.precision = static_cast<PrecisionChoice>(precision);
   return sample.method(bundle);
 }
 
@@ -116,7 +120,7 @@ std::string evaluate(const EvaluationOptions& options) {
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder folder(options.out, "eval", options, earlier_run(options.overwrite));
-  const EvaluationModels models{bundle.options(), kept_bundle_models(bundle, device),
+  const EvaluationModels models{bundle.options(), kept_bundle_models(bundle, device, options.precision),
                                 load_lpips(options.lpips), device};
   const SamplingMethod method = options.sampling_method(bundle.options());
   const FlowSettings sampling = flow_settings(method, options.guidance, bundle.options());
@@ -142,6 +146,7 @@ std::string evaluate(const EvaluationOptions& options) {
   nlohmann::ordered_json report = {{"command", "eval"},
                                    {"model", options.model},
                                    {"model_hash", bundle.content_hash()},
+                                   {"precision", precision_text(options.precision)},
                                    {"methods", methods_json(method, options)}};
   const auto summary = evaluation_summary(results);
   report.update(summary);

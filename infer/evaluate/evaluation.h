@@ -32,6 +32,7 @@ struct EvaluationOptions : OptionsGroup {
   int64_t seed = 0;  // of the first scene's noise; each next scene has the next seed
   LpipsFiles lpips;
   int64_t pictures = 6;
+  ComputePrecision precision = ComputePrecision::kFloat32;
   std::string device = "cpu";
   int64_t threads = 0;
 

@@ -42,6 +42,7 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
     const double range = parameter.dim() < 2 ? 0.5 : 1 / std::sqrt(static_cast<double>(parameter.size(1)));
     parameter.uniform_(-range, range);
   }
+  use_precision(model, layer_precision(request.flow.precision, ModelKind::kGenerator));
   const int64_t tokens = model.tokens_per_view(part);
   DitSceneInputs inputs;
   const int64_t side = probe.camera_patch_size;
@@ -69,8 +70,9 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   });
   const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
     whole.attention_flop *= request.attention_share();
-    seconds *=
-        computing_seconds(whole, speed) / computing_seconds(measured, speed) / static_cast<double>(runs);
+    const LayerPrecision precision = layer_precision(request.flow.precision, ModelKind::kGenerator);
+    seconds *= computing_seconds(whole, speed, precision) / computing_seconds(measured, speed, precision) /
+               static_cast<double>(runs);
   };
   scale(result.condition_encoder, encoded.size(), condition_encoder_cost(options, grid),
         condition_encoder_cost(probe, part));

@@ -5,6 +5,7 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/machine/instruction_set.h"
+#include "gld/machine/matrix_unit.h"
 #include "gld/machine/stage_record.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/torch_version.h"
@@ -143,6 +144,14 @@ nlohmann::ordered_json machine_json(const Machine& machine) {
           {"sgemm_gflops", machine.speed.matrix_product / 1e9},
           {"linear_gflops", machine.speed.linear / 1e9},
           {"attention_gflops", machine.speed.attention / 1e9},
+          {"matrix_units",
+           {{"bfloat16",
+             matrix_unit_name(best_matrix_unit(ComputePrecision::kBFloat16), ComputePrecision::kBFloat16)},
+            {"int8", matrix_unit_name(best_matrix_unit(ComputePrecision::kInt8), ComputePrecision::kInt8)}}},
+          {"bfloat16_linear_over_float32", machine.speed.bfloat16_linear},
+          {"bfloat16x3_linear_over_float32", machine.speed.bfloat16x3_linear},
+          {"int8_linear_over_float32", machine.speed.int8_linear},
+          {"bfloat16_attention_over_float32", machine.speed.bfloat16_attention},
           {"loading_gigabytes_per_second", machine.speed.loading / 1e9},
           {"small_model_factor", machine.speed.small_model},
           {"large_model_factor", machine.speed.large_model},
@@ -159,6 +168,9 @@ std::string machine_text(const Machine& machine) {
       "BLAS products    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "linear layers    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n"
+      "in bfloat16      {}: linear layers {:.2f} times as fast, attention {:.2f}\n"
+      "in bfloat16x3    linear layers {:.2f} times as fast\n"
+      "in int8          {}: linear layers {:.2f} times as fast\n"
       "loading weights  {:.1f} GB/s\n"
       "small models     {:.2f} of the time of their products, large ones {:.2f}\n"
       "                 {}\n",
@@ -166,8 +178,11 @@ std::string machine_text(const Machine& machine) {
       bytes_text(machine.available_memory), bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9,
       speed.matrix_product / 1e9, 100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
       100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
-      100 * speed.attention / speed.multiply_add_peak, speed.loading / 1e9, speed.small_model,
-      speed.large_model, machine.origin);
+      100 * speed.attention / speed.multiply_add_peak,
+      matrix_unit_name(best_matrix_unit(ComputePrecision::kBFloat16), ComputePrecision::kBFloat16),
+      speed.bfloat16_linear, speed.bfloat16_attention, speed.bfloat16x3_linear,
+      matrix_unit_name(best_matrix_unit(ComputePrecision::kInt8), ComputePrecision::kInt8), speed.int8_linear,
+      speed.loading / 1e9, speed.small_model, speed.large_model, machine.origin);
 }
 
 }  // namespace

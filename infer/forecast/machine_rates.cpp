@@ -9,6 +9,7 @@
 #include "gld/machine/block_memory.h"
 #include "gld/machine/timing.h"
 #include "gld/report/provenance.h"
+#include "gld/tensors/packed_layer.h"
 #include "gld/tensors/product_peak.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/transposed_product.h"
@@ -48,6 +49,14 @@ double linear_speed(int64_t rows, const Timing& timing) {
   return 2.0 * static_cast<double>(rows * kInputs * kOutputs) / timing([&] { times_transposed(x, weight); });
 }
 
+// The same packed, as models of that precision compute them; operations a second.
+double packed_speed(int64_t rows, ComputePrecision precision, const Timing& timing) {
+  constexpr int64_t kInputs = 768, kOutputs = 3072;
+  const auto x = at::randn({rows, kInputs}), weight = at::randn({kOutputs, kInputs});
+  const PackedLayer layer(weight, 1, precision);
+  return 2.0 * static_cast<double>(rows * kInputs * kOutputs) / timing([&] { layer.times(x, {}, 0, 1); });
+}
+
 double loading_speed(int64_t count) {
   const auto stored = at::zeros({count}, at::kHalf);
   release_kept_blocks();
@@ -55,9 +64,10 @@ double loading_speed(int64_t count) {
 }
 
 // At head size 64: between the 48 and 128 of the published models.
-double attention_speed(int64_t tokens, const Timing& timing) {
+double attention_speed(int64_t tokens, ComputePrecision precision, const Timing& timing) {
   constexpr int64_t kHeads = 4, kHeadDim = 64;
   AttentionInputs inputs;
+  inputs.precision = precision;
   inputs.query = at::randn({1, tokens, kHeads, kHeadDim});
   inputs.key = at::randn({1, tokens, kHeads, kHeadDim});
   inputs.value = at::randn({1, tokens, kHeads, kHeadDim});
@@ -74,6 +84,25 @@ DitOptions small_model() {
   return options;
 }
 const LatentGrid kSmallGrid{4, 8, 8}, kLargeGrid{1, 12, 15};
+
+// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement of.
+constexpr double kPlainUnit = 0.1;
+
+void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, MachineSpeed& speed) {
+  const auto has_unit = [](ComputePrecision precision) {
+    return best_matrix_unit(precision) != MatrixUnit::kPlain;
+  };
+  const auto linear = [&](ComputePrecision precision) {
+    return has_unit(precision) ? packed_speed(rows, precision, timing) / speed.linear : kPlainUnit;
+  };
+  speed.bfloat16_linear = linear(ComputePrecision::kBFloat16);
+  speed.bfloat16x3_linear = linear(ComputePrecision::kBFloat16x3);
+  speed.int8_linear = linear(ComputePrecision::kInt8);
+  speed.bfloat16_attention =
+      has_unit(ComputePrecision::kBFloat16)
+          ? attention_speed(tokens, ComputePrecision::kBFloat16, timing) / speed.attention
+          : kPlainUnit;
+}
 
 double model_factor(const DitOptions& options, const LatentGrid& grid, const MachineSpeed& speed) {
   PlanRequest request;
@@ -103,7 +132,11 @@ constexpr Entry kEntries[] = {{"multiply_add_peak", &MachineSpeed::multiply_add_
                               {"attention", &MachineSpeed::attention},
                               {"loading", &MachineSpeed::loading},
                               {"small_model", &MachineSpeed::small_model},
-                              {"large_model", &MachineSpeed::large_model}};
+                              {"large_model", &MachineSpeed::large_model},
+                              {"bfloat16_linear", &MachineSpeed::bfloat16_linear},
+                              {"bfloat16x3_linear", &MachineSpeed::bfloat16x3_linear},
+                              {"int8_linear", &MachineSpeed::int8_linear},
+                              {"bfloat16_attention", &MachineSpeed::bfloat16_attention}};
 
 nlohmann::ordered_json key_json(const RateKey& key) {
   return {
@@ -138,7 +171,8 @@ MachineSpeed measure_machine_speed() {
   speed.multiply_add_peak = measure_multiply_add_peak(measurement);
   speed.matrix_product = measure_sgemm_peak();
   speed.linear = linear_speed(1296, fastest_seconds_of);
-  speed.attention = attention_speed(1440, fastest_seconds_of);
+  speed.attention = attention_speed(1440, ComputePrecision::kFloat32, fastest_seconds_of);
+  measure_precisions(1296, 1440, fastest_seconds_of, speed);
   speed.loading = loading_speed(16'000'000);
   speed.small_model = model_factor(small_model(), kSmallGrid, speed);
   speed.large_model = model_factor(DitOptions(), kLargeGrid, speed);
@@ -149,7 +183,8 @@ MachineSpeed estimate_machine_speed() {
   const torch::NoGradGuard no_gradients;
   MachineSpeed speed;
   speed.linear = linear_speed(256, once_after_another);
-  speed.attention = attention_speed(512, once_after_another);
+  speed.attention = attention_speed(512, ComputePrecision::kFloat32, once_after_another);
+  measure_precisions(256, 512, once_after_another, speed);
   speed.loading = loading_speed(1'000'000);
   // Usual proportions; forecasts hardly depend on them.
   speed.matrix_product = speed.linear;
@@ -159,19 +194,37 @@ MachineSpeed estimate_machine_speed() {
   return speed;
 }
 
-double computing_seconds(const Cost& cost, const MachineSpeed& speed) {
-  return cost.linear_flop / speed.linear + cost.convolution_flop / speed.matrix_product +
-         cost.attention_flop / speed.attention;
+double MachineSpeed::linear_in(ComputePrecision precision) const {
+  switch (precision) {
+    case ComputePrecision::kBFloat16:
+      return linear * bfloat16_linear;
+    case ComputePrecision::kBFloat16x3:
+      return linear * bfloat16x3_linear;
+    case ComputePrecision::kInt8:
+      return linear * int8_linear;
+    default:
+      return linear;
+  }
 }
 
-double model_seconds(const Cost& cost, double passes, const MachineSpeed& speed) {
+double MachineSpeed::attention_in(ComputePrecision precision) const {
+  return precision == ComputePrecision::kBFloat16 ? attention * bfloat16_attention : attention;
+}
+
+double computing_seconds(const Cost& cost, const MachineSpeed& speed, const LayerPrecision& precision) {
+  return cost.linear_flop / speed.linear_in(precision.linear) + cost.convolution_flop / speed.matrix_product +
+         cost.attention_flop / speed.attention_in(precision.attention);
+}
+
+double model_seconds(const Cost& cost, double passes, const MachineSpeed& speed,
+                     const LayerPrecision& precision) {
   if (cost.flop() <= 0) return 0;
   const double small = dit_cost(small_model(), kSmallGrid).flop();
   const double large = 10 * small;  // from there on products decide
   const double along = std::log(cost.flop() / passes / small) / std::log(large / small);
   const double factor =
       speed.small_model + std::clamp(along, 0.0, 1.0) * (speed.large_model - speed.small_model);
-  return factor * computing_seconds(cost, speed);
+  return (factor - 1) * computing_seconds(cost, speed) + computing_seconds(cost, speed, precision);
 }
 
 RateKey present_rate_key() {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "models/cost/cost_model.h"
+#include "models/layers/layer_precision.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -20,6 +21,14 @@ struct MachineSpeed {
   // operations add, for a small model (160 and 288 wide, 256 tokens) and for blocks of the published sizes.
   double small_model = 1;
   double large_model = 1;
+  // How many times as fast as in float32 linear layers and attention are in other precisions, with the best unit.
+  double bfloat16_linear = 1;
+  double bfloat16x3_linear = 1;
+  double int8_linear = 1;
+  double bfloat16_attention = 1;
+
+  double linear_in(ComputePrecision precision) const;     // operations a second
+  double attention_in(ComputePrecision precision) const;  // of float32 and bfloat16
 };
 
 // Runs each kind of work for a while, with the present thread setting: some seconds. It waits until the scheduler has
@@ -30,10 +39,11 @@ MachineSpeed measure_machine_speed();
 MachineSpeed estimate_machine_speed();
 
 // What these operations take at these speeds, element-wise work left out.
-double computing_seconds(const Cost& cost, const MachineSpeed& speed);
+double computing_seconds(const Cost& cost, const MachineSpeed& speed, const LayerPrecision& precision = {});
 // The same with it: cost is that of `passes` equal passes through a model. The factor lies between small_model and
-// large_model, linear in the logarithm of a pass's operations.
-double model_seconds(const Cost& cost, double passes, const MachineSpeed& speed);
+// large_model, linear in the logarithm of a pass's operations. What it adds is the same in every precision.
+double model_seconds(const Cost& cost, double passes, const MachineSpeed& speed,
+                     const LayerPrecision& precision = {});
 
 // What a measurement holds for.
 struct RateKey {

@@ -18,27 +18,46 @@ bool same_grid(const LatentGrid& a, const LatentGrid& b) {
   return a.views == b.views && a.height == b.height && a.width == b.width;
 }
 
+// What this machine is expected to take, in seconds.
+double seconds_of_method(const SamplingMethod& method, const SampleOptions& options,
+                         const ModelBundle& bundle, PlanRequest request, const MachineSpeed& speed) {
+  request.flow = flow_settings(method, options.guidance, bundle.options());
+  SamplingPlan plan = plan_sampling(bundle.options(), request);
+  predict_seconds(plan, speed);
+  return plan.seconds();
+}
+
 // What each method takes for this request, in seconds. A small model spends its time on more than operations, so that time
 // and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds are compared,
 // else those that this machine is expected to take.
 std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions& options,
-                               const ModelBundle& bundle, PlanRequest request) {
+                                   const ModelBundle& bundle, const PlanRequest& request,
+                                   const MachineSpeed& speed) {
   const bool measured = same_grid(table.grid, request.grid) &&
                         std::all_of(table.methods.begin(), table.methods.end(),
                                     [](const MethodErrors& entry) { return entry.seconds > 0; });
   std::vector<double> seconds;
-  if (measured) {
-    for (const auto& entry : table.methods) seconds.push_back(entry.seconds);
-    return seconds;
-  }
-  const MachineSpeed speed = known_machine_speed().speed;
   for (const auto& entry : table.methods) {
-    request.flow = flow_settings(entry.method, options.guidance, bundle.options());
-    SamplingPlan plan = plan_sampling(bundle.options(), request);
-    predict_seconds(plan, speed);
-    seconds.push_back(plan.seconds());
+    seconds.push_back(measured ? entry.seconds
+                               : seconds_of_method(entry.method, options, bundle, request, speed));
   }
   return seconds;
+}
+
+bool has_unit(ComputePrecision precision) {
+  return precision == ComputePrecision::kFloat32 || best_matrix_unit(precision) != MatrixUnit::kPlain;
+}
+
+// Whether a measured method may be taken with these options.
+bool allowed(const MethodErrors& entry, const SampleOptions& options) {
+  const ComputePrecision precision = entry.method.precision;
+  if (options.device != "cpu") return precision == ComputePrecision::kFloat32;
+  const bool named =
+      std::find(options.named.begin(), options.named.end(), "precision") != options.named.end() ||
+      options.precision != PrecisionChoice::kFloat32;
+  if (named && options.precision != PrecisionChoice::kAutomatic)
+    return precision == precision_of(options.precision);
+  return has_unit(precision) && entry.of_precision <= largest_automatic_error(precision);
 }
 
 // Where the scene is unlike those that were measured.
@@ -60,8 +79,9 @@ std::vector<std::string> notes_on(const PlanErrors& table, const PlanRequest& re
 }
 
 ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& bundle,
-                              const PlanRequest& request, const std::string& model_hash) {
-  const PlanErrors table = read_plan_errors(table_of(bundle));
+                              const PlanRequest& request, const MachineSpeed& speed,
+                              const std::string& model_hash) {
+  PlanErrors table = read_plan_errors(table_of(bundle));
   if (table.model_hash != model_hash) {
     fail({table_of(bundle).string(), "errors measured with this bundle's weights", "those of other weights",
           "measure again: gld bench sample-plan --model " + bundle.folder().string() +
@@ -74,7 +94,11 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
           fmt::format("{:g}", options.guidance.guidance_scale),
           "lower --guidance-scale, or measure with it: gld bench sample-plan --guidance-scale"});
   }
-  const size_t best = cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request));
+  auto& methods = table.methods;
+  methods.erase(std::remove_if(methods.begin(), methods.end(),
+                               [&](const MethodErrors& entry) { return !allowed(entry, options); }),
+                methods.end());
+  const size_t best = cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request, speed));
   ChosenMethod choice;
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];
@@ -85,21 +109,51 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   return choice;
 }
 
+// The fastest precision whose error with this method was measured to be small enough.
+void choose_precision(const PlanErrors& table, const SampleOptions& options, const ModelBundle& bundle,
+                      const PlanRequest& request, const MachineSpeed& speed, SamplingMethod& method) {
+  double least = seconds_of_method(method, options, bundle, request, speed);
+  for (const auto& entry : table.methods) {
+    SamplingMethod in_float32 = entry.method;
+    in_float32.precision = ComputePrecision::kFloat32;
+    SamplingMethod asked = method;
+    asked.precision = ComputePrecision::kFloat32;
+    if (!same_method(in_float32, asked) || !allowed(entry, options)) continue;
+    const double seconds = seconds_of_method(entry.method, options, bundle, request, speed);
+    if (seconds >= least) continue;
+    least = seconds;
+    method.precision = entry.method.precision;
+  }
+}
+
 }  // namespace
 
 ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bundle,
-                           const PlanRequest& request, const std::function<std::string()>& model_hash) {
+                           const PlanRequest& request, const MachineSpeed& speed,
+                           const std::function<std::string()>& model_hash) {
   const bool measured = std::filesystem::is_regular_file(table_of(bundle));
   if (options.tolerance > 0) {
-    return within_tolerance(options, bundle, request, measured ? model_hash() : std::string());
+    return within_tolerance(options, bundle, request, speed, measured ? model_hash() : std::string());
   }
+  const bool automatic = options.precision == PrecisionChoice::kAutomatic;
   ChosenMethod choice;
   choice.method = options.method(bundle.options());
   choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
                   : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
                                                                  : "by the options";
+  if (automatic && !measured) {
+    choice.notes.emplace_back(
+        "No precision was measured with this model, so that --precision automatic is float32: gld bench sample-plan "
+        "measures.");
+  }
   if (!measured) return choice;
   const PlanErrors table = read_plan_errors(table_of(bundle));
+  if (automatic && table.model_hash == model_hash()) {
+    // Of the float32 method that was asked for, then in the precision that was found.
+    SamplingMethod found = choice.method;
+    choose_precision(table, options, bundle, request, speed, found);
+    choice.method.precision = found.precision;
+  }
   const auto errors = errors_of(table, choice.method);
   if (!errors || table.model_hash != model_hash()) return choice;
   choice.errors = errors;

@@ -138,6 +138,20 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
   return {};
 }
 
+// Nearly all weights are those of packed layers.
+int64_t packed_bytes(int64_t float32_bytes, ComputePrecision precision) {
+  switch (precision) {
+    case ComputePrecision::kBFloat16:
+      return float32_bytes / 2;
+    case ComputePrecision::kBFloat16x3:
+      return float32_bytes / 2 * 3;
+    case ComputePrecision::kInt8:
+      return float32_bytes / 4;
+    default:
+      return float32_bytes;
+  }
+}
+
 void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const StageNeeds needs = needs_of(stage, bundle);
   // Without operations nothing is loaded: view pairs by the cameras alone.
@@ -147,6 +161,8 @@ void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const Plan
   } else {
     stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(needs.part, bundle) : 0;
   }
+  stage.memory.loaded = stage.memory.weights;
+  stage.memory.weights = packed_bytes(stage.memory.weights, stage.precision.linear);
   stage.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);
   stage.peak_bytes = predicted_peak_bytes(stage.memory);
 }
@@ -259,6 +275,9 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   for (auto& listed : sampling_stages(bundle.level_set(), request.stage_request())) {
     PlannedStage stage;
     static_cast<SamplingStage&>(stage) = std::move(listed);
+    stage.precision = layer_precision(request.flow.precision, stage.kind == StageKind::kFlow
+                                                                  ? ModelKind::kGenerator
+                                                                  : ModelKind::kBackboneOrDecoder);
     if (!stage.runs) {
       stage.evaluations = 0;
     } else {
@@ -341,8 +360,8 @@ void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
     if (!stage.runs) continue;
     // A pass is one of both parts of a flow's model.
     const auto passes = static_cast<double>(stage.parts.condition_encoder + stage.parts.velocity_decoder) / 2;
-    stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed) +
-                    static_cast<double>(stage.memory.weights) / speed.loading;
+    stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed, stage.precision) +
+                    static_cast<double>(stage.memory.loaded) / speed.loading;
   }
 }
 
@@ -357,11 +376,11 @@ void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
       stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
                       static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
     } else {
-      stage.seconds = computing_seconds(stage.cost, speed);
+      stage.seconds = computing_seconds(stage.cost, speed, stage.precision);
       if (stage.seconds < kShort && stage.cost.flop() > 0)
         stage.seconds = measure_stage_seconds(stage, bundle, request);
     }
-    stage.seconds += static_cast<double>(stage.memory.weights) / speed.loading;
+    stage.seconds += static_cast<double>(stage.memory.loaded) / speed.loading;
   }
 }
 
@@ -407,6 +426,8 @@ nlohmann::ordered_json stage_json(const PlannedStage& stage) {
           {"condition_encoder_runs", stage.parts.condition_encoder},
           {"velocity_decoder_runs", stage.parts.velocity_decoder},
           {"tflop", stage.cost.flop() / 1e12},
+          {"linear_layers_in", compute_precision_name(stage.precision.linear)},
+          {"attention_in", compute_precision_name(stage.precision.attention)},
           {"predicted_seconds", stage.seconds},
           {"predicted_peak_bytes", stage.peak_bytes}};
 }

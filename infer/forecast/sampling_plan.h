@@ -55,6 +55,7 @@ struct PlannedStage : SamplingStage {
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
   PlannedRuns parts;               // how often a flow's parts run
   Cost cost;                       // operations of all passes together
+  LayerPrecision precision;        // of the modules it loads
   StageMemory memory;
   double seconds = 0;      // predicted; 0 without a measured speed
   int64_t peak_bytes = 0;  // predicted resident memory

@@ -14,8 +14,9 @@ int64_t predicted_peak_bytes(const StageMemory& memory) {
   // Packed panels of products and attention, buffers of BLAS: measured in large stages.
   constexpr int64_t kMostScratchBytes = 60'000'000;
   constexpr double kKeptShare = 0.5;  // of activations, measured
-  return kProgramBytes + std::min(kMostScratchBytes, memory.working) + memory.weights + memory.held +
-         memory.working + static_cast<int64_t>(kKeptShare * static_cast<double>(memory.working));
+  const int64_t computing = std::min(kMostScratchBytes, memory.working) + memory.weights + memory.working +
+                            static_cast<int64_t>(kKeptShare * static_cast<double>(memory.working));
+  return kProgramBytes + memory.held + std::max(computing, memory.loaded);
 }
 
 int64_t weight_bytes_of(const BundlePart& part, const BundleOptions& options) {

@@ -38,6 +38,8 @@ PlanErrors from_json(const nlohmann::json& document, const std::string& where) {
     method.largest = number_of(entry, "largest_error");
     method.bound = number_of(entry, "error_bound");
     if (entry.contains("seconds")) method.seconds = number_of(entry, "seconds");
+    // Tables of before there were precisions are of float32.
+    if (entry.contains("precision_error")) method.of_precision = number_of(entry, "precision_error");
     errors.methods.push_back(std::move(method));
   }
   return errors;
@@ -60,6 +62,17 @@ double student_quantile(double degrees_of_freedom, double probability) {
 }
 
 }  // namespace
+
+double largest_automatic_error(ComputePrecision precision) {
+  switch (precision) {
+    case ComputePrecision::kFloat32:
+      return 0;
+    case ComputePrecision::kInt8:
+      return 0.04;
+    default:
+      return 0.02;
+  }
+}
 
 double error_bound(const std::vector<double>& errors) {
   constexpr double kSafety = 1.25, kExceeded = 1e-3;
@@ -86,6 +99,7 @@ nlohmann::ordered_json plan_errors_json(const PlanErrors& errors) {
                        {"mean_error", entry.mean},
                        {"largest_error", entry.largest},
                        {"error_bound", entry.bound},
+                       {"precision_error", entry.of_precision},
                        {"seconds", entry.seconds}});
   }
   return {

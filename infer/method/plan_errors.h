@@ -20,8 +20,14 @@ struct MethodErrors {
   double mean = 0;     // over scenes
   double largest = 0;  // over scenes
   double bound = 0;    // what other scenes are expected to stay below (error_bound)
+  // The largest over scenes of the same measure against the same method in float32; 0 in float32.
+  double of_precision = 0;
   double seconds = 0;  // of the flows of one scene; 0 in a table of a program that did not note it
 };
+
+// What of_precision may be for --precision automatic to choose a precision: 0.02 for bfloat16 and bfloat16x3, 0.04 for
+// int8; nothing for float32.
+double largest_automatic_error(ComputePrecision precision);
 
 // An upper bound for a scene that was not measured, which one in a thousand exceeds: the predictive bound of a
 // log-normal distribution, mean of the logarithms + Student's quantile * sqrt(1 + 1/n) * their deviation, and at least a

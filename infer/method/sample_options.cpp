@@ -106,6 +106,7 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);
+  visit_precision(visitor, precision);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
   visitor.real({"memory_limit", "gigabytes that sampling may take; 0: what is free"}, memory_limit,
@@ -141,6 +142,11 @@ void SampleOptions::check() const {
   if (resume && overwrite) {
     fail({"--resume, --overwrite", "one of the two", "both",
           "--resume goes on with the run, --overwrite removes it"});
+  }
+  if (precision != PrecisionChoice::kAutomatic) check_precision_on(device, precision_of(precision));
+  if (quality == SamplingQuality::kExact && precision != PrecisionChoice::kFloat32) {
+    fail({"--quality exact", "--precision float32, which is part of it", "another one",
+          "choose --quality balanced or fast, or solver options"});
   }
 }
 
@@ -181,8 +187,15 @@ RequestedOutputs SampleOptions::requested() const {
 }
 
 SamplingMethod SampleOptions::method(const BundleOptions& bundle) const {
-  if (quality != SamplingQuality::kOptions) return quality_method(quality, bundle);
+  const ComputePrecision asked =
+      precision == PrecisionChoice::kAutomatic ? ComputePrecision::kFloat32 : precision_of(precision);
+  if (quality != SamplingQuality::kOptions) {
+    SamplingMethod method = quality_method(quality, bundle);
+    method.precision = asked;
+    return method;
+  }
   SamplingMethod method;
+  method.precision = asked;
   method.name = "as the options say";
   method.solver = solver;
   method.guidance_interval = guidance.guidance_interval;

@@ -4,6 +4,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "gld/machine/precision_option.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_placement.h"
@@ -45,6 +46,7 @@ struct SampleOptions : OptionsGroup {
   std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (geometry_placement.h)
   PointCloudOptions points;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
+  PrecisionChoice precision = PrecisionChoice::kFloat32;
   std::string device = "cpu";
   int64_t threads = 0;
   // Gigabytes that sampling may take; 0 for what is free.
@@ -63,7 +65,7 @@ struct SampleOptions : OptionsGroup {
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // What all options but tolerance say, for that model.
+  // What all options but tolerance say, for that model; float32 for an automatic precision.
   SamplingMethod method(const BundleOptions& bundle) const;
 };
 

@@ -1,6 +1,7 @@
 #include "infer/method/sampling_method.h"
 
 #include "gld/base/configuration.h"
+#include "gld/machine/precision_option.h"
 
 #include <algorithm>
 
@@ -53,6 +54,7 @@ void SamplingMethod::visit(FieldVisitor& visitor) {
       {"guidance_tolerance", "leave out the unconditional branch where guidance adds less than this"},
       guidance_tolerance, {0, 1});
   visitor.group({"approximate", "approximate savings"}, approximate);
+  visit_choice(visitor, {"precision", "what models multiply in"}, precision, compute_precision_names());
 }
 
 bool same_method(const SamplingMethod& a, const SamplingMethod& b) {
@@ -82,6 +84,7 @@ std::string method_text(const SamplingMethod& method) {
     text += fmt::format("; M1 encoder at every {} evaluations", savings.level1_encoder_every);
   }
   if (savings.view_pairs == ViewPairs::kVisible) text += "; attention between views that see common space";
+  if (method.precision != ComputePrecision::kFloat32) text += "; " + precision_text(method.precision);
   return text;
 }
 
@@ -133,6 +136,7 @@ FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& 
   settings.guidance.guidance_interval = method.guidance_interval;
   settings.guidance.guidance_tolerance = method.guidance_tolerance;
   settings.approximate = method.approximate;
+  settings.precision = method.precision;
   return settings;
 }
 

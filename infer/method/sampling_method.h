@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "gld/machine/matrix_unit.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "models/bundle/bundle_options.h"
 #include "models/dit/approximate_savings.h"
@@ -19,6 +20,7 @@ struct SamplingMethod : OptionsGroup {
   std::vector<double> guidance_interval{0, 1};  // flow times where guidance acts, both included
   double guidance_tolerance = 0;                // gld/flow/guidance.h
   ApproximateSavings approximate;
+  ComputePrecision precision = ComputePrecision::kFloat32;
 
   SamplingMethod();
   void visit(FieldVisitor& visitor) override;

@@ -7,17 +7,27 @@
 
 namespace gld {
 
-PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device) {
+PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device,
+                             ComputePrecision precision) {
+  const auto packed = [precision](auto module, ModelKind kind) {
+    LayerPrecision layers = layer_precision(precision, kind);
+    layers.originals = PackedOriginals::kRelease;
+    use_precision(*module, layers);
+    return module;
+  };
   const auto shared = std::make_shared<const ModelBundle>(bundle);
   ParameterPlacement placement;
   placement.device = device;
   PipelineModels models;
-  models.backbone = [=] { return shared->load_backbone(placement); };
+  models.backbone = [=] { return packed(shared->load_backbone(placement), ModelKind::kBackboneOrDecoder); };
   models.levels = bundle.options().level_set();
   models.generator = [=](size_t number) {
-    return shared->load_generator(shared->options().generators.at(number).generator, placement);
+    return packed(shared->load_generator(shared->options().generators.at(number).generator, placement),
+                  ModelKind::kGenerator);
   };
-  models.rgb_decoder = [=] { return shared->load_image_decoder(placement); };
+  models.rgb_decoder = [=] {
+    return packed(shared->load_image_decoder(placement), ModelKind::kBackboneOrDecoder);
+  };
   models.dpt_head = [=] { return shared->load_dpt_head(placement); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
@@ -37,8 +47,9 @@ void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const
   models.dpt_head = [=] { return shared->load_dpt_head(placement); };
 }
 
-PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device) {
-  PipelineModels models = bundle_models(bundle, device);
+PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device,
+                                  ComputePrecision precision) {
+  PipelineModels models = bundle_models(bundle, device, precision);
   const auto keep = [](auto load) {
     using Module = decltype(load());
     auto kept = std::make_shared<Module>();

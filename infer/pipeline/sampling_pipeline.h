@@ -47,6 +47,8 @@ struct FlowSettings {
   std::vector<SolverOptions> solvers;  // one a generator: each has its time shift
   GuidanceOptions guidance;
   ApproximateSavings approximate;
+  ComputePrecision precision =
+      ComputePrecision::kFloat32;  // what the models were loaded for (bundle_models.h)
 };
 
 struct PipelineRequest {

@@ -255,11 +255,11 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   PlannedSampling planned;
   planned.visibility = view_visibility(views);
   request.visible_share = planned.visibility.kept();
-  planned.choice = choose_method(options, prepared.bundle, request, model_hash);
+  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
+  planned.choice = choose_method(options, prepared.bundle, request, known.speed, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
   request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
-  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
   planned.speed_origin = known.origin;
   if (timing == PlanTiming::kMeasured) {
     measure_seconds(planned.plan, bundle, request, known.speed);
@@ -349,6 +349,7 @@ void sample(const SampleOptions& options) {
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
   provenance.seed = options.seed;
+  provenance.precision = precision_text(planned.choice.method.precision);
   const UnfinishedLatents kept(run.path());
   if (options.resume) request.kept_latents = kept.read(wait_for_hash());
   request.on_latent = [&](int64_t level, const torch::Tensor& latent) {
@@ -364,7 +365,7 @@ void sample(const SampleOptions& options) {
     wait_for_hash();
     outputs.write_images(images);
   };
-  PipelineModels models = bundle_models(bundle, prepared.device);
+  PipelineModels models = bundle_models(bundle, prepared.device, planned.choice.method.precision);
   if (prepared.geometry_model) take_geometry_from(models, *prepared.geometry_model, prepared.device);
   const PipelineResult result = run_pipeline(models, request, stages);
   wait_for_hash();
@@ -400,6 +401,7 @@ void sample(const SampleOptions& options) {
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
   if (prepared.photos) report["photo_cameras"] = photo_scene_json(*prepared.photos);
   report["threads"] = thread_count();
+  report["precision"] = precision_text(planned.choice.method.precision);
   report["stages"] = stages.to_json();
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, stages.records());

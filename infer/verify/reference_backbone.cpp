@@ -67,6 +67,7 @@ NamedTensors run_backbone_case(const ReferenceCase& reference) {
   WeightSelection selection;
   selection.prefix = options.architecture().published_prefix();
   load_strict(*backbone, reference.weight_file(), selection);
+  reference.apply_precision(*backbone, ModelKind::kBackboneOrDecoder);
 
   const auto images = reference.input("images", {-1, 3, -1, -1});
   NamedTensors outputs;

@@ -83,6 +83,10 @@ bool ReferenceCase::expects_prefix(const std::string& prefix) const {
   return next != expected.end() && next->first.compare(0, prefix.size(), prefix) == 0;
 }
 
+void ReferenceCase::apply_precision(torch::nn::Module& module, ModelKind kind) const {
+  if (precision != ComputePrecision::kFloat32) use_precision(module, layer_precision(precision, kind));
+}
+
 ReferenceCase read_reference_case(const std::filesystem::path& folder) {
   if (!std::filesystem::is_directory(folder)) {
     fail({folder.string(), "a folder with a reference case",

@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "gld/files/weight_file.h"
+#include "models/layers/layer_precision.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -32,7 +33,8 @@ struct ReferenceCase {
   std::string note;
   NamedTensors inputs;
   NamedTensors expected;
-  std::shared_ptr<const WeightFile> weights;  // null when the case has none
+  std::shared_ptr<const WeightFile> weights;                // null when the case has none
+  ComputePrecision precision = ComputePrecision::kFloat32;  // of the modules that runners build
 
   std::string name() const { return folder.filename().string(); }
   // For the where of a message about case.json's configuration.
@@ -51,6 +53,8 @@ struct ReferenceCase {
   // only what is compared.
   bool expects(const std::string& output_name) const { return expected.count(output_name) > 0; }
   bool expects_prefix(const std::string& prefix) const;
+  // Lets a loaded module compute in the case's precision; in float32 it stays as it was.
+  void apply_precision(torch::nn::Module& module, ModelKind kind) const;
 };
 
 // Reads a case; one sentence for each way in which the folder can be wrong.

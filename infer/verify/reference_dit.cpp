@@ -149,6 +149,7 @@ std::shared_ptr<DitDh> reference_dit(const ReferenceCase& reference, const DitOp
   WeightSelection selection;
   selection.prefix = prefix;
   load_strict(*model, reference.weight_file(), selection);
+  reference.apply_precision(*model, ModelKind::kGenerator);
   return model;
 }
 

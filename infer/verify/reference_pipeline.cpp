@@ -47,6 +47,7 @@ std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const std::string
   WeightSelection selection;
   selection.prefix = prefix;
   load_strict(*module, reference.weight_file(), selection);
+  reference.apply_precision(*module, ModelKind::kBackboneOrDecoder);
   return module;
 }
 

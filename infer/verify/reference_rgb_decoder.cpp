@@ -27,6 +27,7 @@ NamedTensors run_rgb_decoder_case(const ReferenceCase& reference) {
   WeightSelection selection;
   selection.prefix = RgbDecoder::kPrefix;
   load_strict(decoder, reference.weight_file(), selection);
+  reference.apply_precision(decoder, ModelKind::kBackboneOrDecoder);
 
   LatentGrid grid;
   grid.height = options.height / options.patch_size;

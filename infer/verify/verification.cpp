@@ -114,13 +114,29 @@ bool CaseVerification::passed() const {
          std::all_of(tensors.begin(), tensors.end(), [](const TensorComparison& row) { return row.passed; });
 }
 
-CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners) {
+double tolerance_in(ComputePrecision precision, double relative_tolerance) {
+  switch (precision) {
+    case ComputePrecision::kBFloat16:
+      return std::max(relative_tolerance, 0.05);
+    case ComputePrecision::kBFloat16x3:
+      return 10 * relative_tolerance;
+    case ComputePrecision::kInt8:
+      return std::max(relative_tolerance, 0.1);
+    default:
+      return relative_tolerance;
+  }
+}
+
+CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
+                             ComputePrecision precision) {
   CaseVerification result;
   result.folder = folder;
   torch::NoGradGuard no_grad;
   const auto start = std::chrono::steady_clock::now();
   try {
-    const auto reference = read_reference_case(folder);
+    auto reference = read_reference_case(folder);
+    reference.precision = precision;
+    reference.relative_tolerance = tolerance_in(precision, reference.relative_tolerance);
     result.folder = reference.folder;
     result.kind = reference.kind;
     const auto runner = runners.find(reference.kind);

@@ -45,9 +45,15 @@ struct CaseVerification {
   bool passed() const;
 };
 
+// What a case's tolerance is in a precision: itself in float32, ten times that in bfloat16x3; in bfloat16 and int8 0.05 and
+// 0.1 of the largest value at least, beyond which something else than rounding is wrong. What they deviate by is in the
+// comparisons.
+double tolerance_in(ComputePrecision precision, double relative_tolerance);
+
 // Reads, runs and compares one case. Never throws for a fault of the case: it becomes the error of the
 // result. Runs without autograd; a runner that needs gradients switches it on for itself.
-CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners);
+CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
+                             ComputePrecision precision = ComputePrecision::kFloat32);
 
 // One line for the case and one a tensor; then one line for all.
 std::string case_text(const CaseVerification& result);

@@ -19,7 +19,9 @@ void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
   for (const auto& parameter : model.parameters()) {
     if (!parameter.is_cpu()) return;
   }
-  for (const auto& module : model.modules()) {
+  if (auto* layer = dynamic_cast<PrecisionLayer*>(&model)) layer->use_precision(precision);
+  // Without itself, which LibTorch only gives where it is held by a shared pointer.
+  for (const auto& module : model.modules(/*include_self=*/false)) {
     if (auto* layer = dynamic_cast<PrecisionLayer*>(module.get())) layer->use_precision(precision);
   }
   // What the originals took is of no size that sampling asks for.

@@ -85,7 +85,7 @@ TEST(ForwardBenchmark, OursEqualsTheComposition) {
   options.out = (folder.path() / "run").string();
   EXPECT_EQ(run_forward_benchmark(options), 0);
   EXPECT_EQ(first_line(folder.path() / "run" / "forward.csv"),
-            "part,variant,seconds,tflop,fraction_of_peak,relative_difference");
+            "part,variant,seconds,tflop,fraction_of_peak,relative_difference,relative_rms");
   EXPECT_GT(std::filesystem::file_size(folder.path() / "run" / "forward.png"), 100U);
 }
 

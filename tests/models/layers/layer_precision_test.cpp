@@ -86,6 +86,16 @@ TEST(LayerPrecision, FewRowsOfPackedFloat32AreLibTorchs) {
   EXPECT_TRUE(torch::equal(layer->forward(x), expected));
 }
 
+TEST(LayerPrecision, ReachesTheLayersOfAModelOnTheStack) {
+  Linear layer(LinearSizes{64, 70}, ParameterPlacement{});
+  const torch::NoGradGuard no_grad;
+  layer.weight.normal_();
+  LayerPrecision precision;
+  precision.originals = PackedOriginals::kRelease;
+  use_precision(layer, precision);
+  EXPECT_TRUE(layer.weight.isnan().all().item<bool>());
+}
+
 TEST(LayerPrecision, PartsAreSharesOfTheWhole) {
   for (const auto asked :
        {ComputePrecision::kFloat32, ComputePrecision::kBFloat16, ComputePrecision::kInt8}) {
