@@ -287,7 +287,12 @@ std::string safetensors_header(const std::vector<TensorEntry>& entries,
         {"dtype", code}, {"shape", entry.shape}, {"data_offsets", {offset, offset + bytes}}};
     offset += bytes;
   }
-  std::string text = header.dump();
+  std::string text;
+  try {
+    text = header.dump();
+  } catch (const nlohmann::ordered_json::type_error&) {
+    fail({"safetensors file", "names and metadata in UTF-8", "other bytes", "rename the tensors"});
+  }
   // The format allows trailing spaces in the header; they align the data.
   const size_t unaligned = (kLengthBytes + text.size()) % kSafetensorsAlignment;
   if (unaligned != 0) text.append(kSafetensorsAlignment - unaligned, ' ');

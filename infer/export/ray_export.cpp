@@ -22,7 +22,7 @@ bool all_finite(const float* values, int count) {
 NpyArray provenance_array(const Provenance& provenance) {
   nlohmann::ordered_json object;
   for (const auto& [name, text] : provenance_items(provenance)) object[name] = text;
-  const std::string text = object.dump();
+  const std::string text = json_text(object);
   NpyArray array;
   array.dtype = DType::kUInt8;
   array.shape = {static_cast<int64_t>(text.size())};
@@ -31,7 +31,7 @@ NpyArray provenance_array(const Provenance& provenance) {
 }
 
 TextItems items_of(const NpyArray& array, const std::string& where) {
-  const auto object = nlohmann::ordered_json::parse(array.bytes.begin(), array.bytes.end(), nullptr, false);
+  const auto object = parse_ordered_json(std::string(array.bytes.begin(), array.bytes.end()), where);
   TextItems items;
   if (!object.is_object()) {
     fail({where, "a JSON object as provenance", "something else", "write it again"});
