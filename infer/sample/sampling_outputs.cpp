@@ -122,6 +122,11 @@ void SamplingOutputs::write_rays(const PipelineResult& result) {
     warnings_.push_back(
         fmt::format("{} predicted rays were not finite; they are zero in the files.", not_finite));
   }
+  if (result.geometry.points.defined()) {
+    save_safetensors(
+        folder / "point_maps.safetensors",
+        {{"points", result.geometry.points.cpu()}, {"confidence", result.geometry.point_confidence.cpu()}});
+  }
   if (placement_.predicted.empty()) {
     warnings_.push_back("rays/predicted_cameras.json is left out.");
   } else {

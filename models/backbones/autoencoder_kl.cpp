@@ -32,9 +32,12 @@ std::shared_ptr<torch::nn::Module> child(torch::nn::Module& parent, const std::s
   return parent.register_module(name, std::make_shared<torch::nn::Module>());
 }
 
-class GroupNorm : public torch::nn::Module {
+}  // namespace
+
+// Parts of AutoencoderKlHalf, which the header names: the types of its members may not be in an anonymous namespace.
+class KlGroupNorm : public torch::nn::Module {
  public:
-  GroupNorm(int64_t channels, int64_t groups, const ParameterPlacement& placement) : groups_(groups) {
+  KlGroupNorm(int64_t channels, int64_t groups, const ParameterPlacement& placement) : groups_(groups) {
     weight_ = register_parameter("weight", torch::empty({channels}, placement.options()));
     bias_ = register_parameter("bias", torch::empty({channels}, placement.options()));
   }
@@ -48,13 +51,13 @@ class GroupNorm : public torch::nn::Module {
 };
 
 // shortcut(x) + conv2(silu(norm2(conv1(silu(norm1(x)))))).
-class ResidualBlock : public torch::nn::Module {
+class KlResidualBlock : public torch::nn::Module {
  public:
-  ResidualBlock(int64_t inputs, int64_t outputs, int64_t groups, const ParameterPlacement& placement) {
-    norm1_ = register_module("norm1", std::make_shared<GroupNorm>(inputs, groups, placement));
+  KlResidualBlock(int64_t inputs, int64_t outputs, int64_t groups, const ParameterPlacement& placement) {
+    norm1_ = register_module("norm1", std::make_shared<KlGroupNorm>(inputs, groups, placement));
     conv1_ = register_module("conv1",
                              std::make_shared<Convolution>(convolution_sizes(inputs, outputs, 3), placement));
-    norm2_ = register_module("norm2", std::make_shared<GroupNorm>(outputs, groups, placement));
+    norm2_ = register_module("norm2", std::make_shared<KlGroupNorm>(outputs, groups, placement));
     conv2_ = register_module(
         "conv2", std::make_shared<Convolution>(convolution_sizes(outputs, outputs, 3), placement));
     if (inputs == outputs) return;
@@ -68,15 +71,15 @@ class ResidualBlock : public torch::nn::Module {
   }
 
  private:
-  std::shared_ptr<GroupNorm> norm1_, norm2_;
+  std::shared_ptr<KlGroupNorm> norm1_, norm2_;
   std::shared_ptr<Convolution> conv1_, conv2_, shortcut_;
 };
 
 // Attention of one head over the pixels of a map, added to it.
-class PixelAttention : public torch::nn::Module {
+class KlPixelAttention : public torch::nn::Module {
  public:
-  PixelAttention(int64_t channels, int64_t groups, const ParameterPlacement& placement) {
-    norm_ = register_module("group_norm", std::make_shared<GroupNorm>(channels, groups, placement));
+  KlPixelAttention(int64_t channels, int64_t groups, const ParameterPlacement& placement) {
+    norm_ = register_module("group_norm", std::make_shared<KlGroupNorm>(channels, groups, placement));
     const auto linear = [&](torch::nn::Module& parent, const char* name) {
       return parent.register_module(name,
                                     std::make_shared<Linear>(LinearSizes{channels, channels}, placement));
@@ -97,26 +100,28 @@ class PixelAttention : public torch::nn::Module {
   }
 
  private:
-  std::shared_ptr<GroupNorm> norm_;
+  std::shared_ptr<KlGroupNorm> norm_;
   std::shared_ptr<Linear> query_, key_, value_, projection_;
 };
 
-enum class Half { kEncoder, kDecoder };
+enum class KlHalf { kEncoder, kDecoder };
+
+namespace {
 
 // The channels of the stages of a half, as they run.
-std::vector<int64_t> stage_channels(const AutoencoderKlOptions& options, Half half) {
+std::vector<int64_t> stage_channels(const AutoencoderKlOptions& options, KlHalf half) {
   auto channels = options.block_out_channels;
-  if (half == Half::kDecoder) std::reverse(channels.begin(), channels.end());
+  if (half == KlHalf::kDecoder) std::reverse(channels.begin(), channels.end());
   return channels;
 }
 
 // A decoder's stages have a layer more.
-int64_t stage_layers(const AutoencoderKlOptions& options, Half half) {
-  return options.layers_per_block + (half == Half::kDecoder ? 1 : 0);
+int64_t stage_layers(const AutoencoderKlOptions& options, KlHalf half) {
+  return options.layers_per_block + (half == KlHalf::kDecoder ? 1 : 0);
 }
 
-Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, Half half) {
-  const bool encodes = half == Half::kEncoder;
+Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHalf half) {
+  const bool encodes = half == KlHalf::kEncoder;
   const auto channels = stage_channels(options, half);
   const auto latent_pixels =
       static_cast<double>(grid.views * grid.tokens_per_view() * options.latent_patch * options.latent_patch);
@@ -166,9 +171,9 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, Half
 // Encoder or decoder, up to the moments and from the latents.
 class AutoencoderKlHalf : public torch::nn::Module {
  public:
-  AutoencoderKlHalf(const AutoencoderKlOptions& options, Half half, const ParameterPlacement& placement)
+  AutoencoderKlHalf(const AutoencoderKlOptions& options, KlHalf half, const ParameterPlacement& placement)
       : half_(half) {
-    const bool encodes = half == Half::kEncoder;
+    const bool encodes = half == KlHalf::kEncoder;
     const auto channels = stage_channels(options, half);
     const int64_t groups = options.norm_groups;
     const auto convolution = [&](torch::nn::Module& parent, const char* name, ConvolutionSizes sizes) {
@@ -184,7 +189,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
       Stage made;
       for (int64_t layer = 0; layer < stage_layers(options, half); ++layer) {
         made.layers.push_back(layers->register_module(
-            std::to_string(layer), std::make_shared<ResidualBlock>(width, channels[i], groups, placement)));
+            std::to_string(layer), std::make_shared<KlResidualBlock>(width, channels[i], groups, placement)));
         width = channels[i];
       }
       if (i + 1 < channels.size()) {
@@ -201,48 +206,49 @@ class AutoencoderKlHalf : public torch::nn::Module {
     const int64_t inner = options.block_out_channels.back();
     const auto middle = child(*this, "mid_block");
     const auto attentions = child(*middle, "attentions"), layers = child(*middle, "resnets");
-    attention_ = attentions->register_module("0", std::make_shared<PixelAttention>(inner, groups, placement));
+    attention_ =
+        attentions->register_module("0", std::make_shared<KlPixelAttention>(inner, groups, placement));
     for (const char* name : {"0", "1"}) {
       middle_.push_back(
-          layers->register_module(name, std::make_shared<ResidualBlock>(inner, inner, groups, placement)));
+          layers->register_module(name, std::make_shared<KlResidualBlock>(inner, inner, groups, placement)));
     }
-    norm_ = register_module("conv_norm_out", std::make_shared<GroupNorm>(width, groups, placement));
+    norm_ = register_module("conv_norm_out", std::make_shared<KlGroupNorm>(width, groups, placement));
     output_ = convolution(*this, "conv_out",
                           convolution_sizes(width, encodes ? 2 * options.latent_channels : 3, 3));
   }
 
   torch::Tensor forward(const torch::Tensor& input) const {
     auto x = input_->forward(input);
-    if (half_ == Half::kDecoder) x = middle(x);
+    if (half_ == KlHalf::kDecoder) x = middle(x);
     for (const auto& stage : stages_) {
       for (const auto& layer : stage.layers) x = layer->forward(x);
       if (!stage.resize) continue;
-      if (half_ == Half::kEncoder) {
+      if (half_ == KlHalf::kEncoder) {
         // A row and a column of zeros at the far sides only.
         x = stage.resize->forward(torch::constant_pad_nd(x, {0, 1, 0, 1}));
       } else {
         x = stage.resize->forward(torch::upsample_nearest2d(x, {2 * x.size(2), 2 * x.size(3)}));
       }
     }
-    if (half_ == Half::kEncoder) x = middle(x);
+    if (half_ == KlHalf::kEncoder) x = middle(x);
     return output_->forward(torch::silu(norm_->forward(x)));
   }
 
  private:
   struct Stage {
-    std::vector<std::shared_ptr<ResidualBlock>> layers;
+    std::vector<std::shared_ptr<KlResidualBlock>> layers;
     std::shared_ptr<Convolution> resize;  // null of the last stage
   };
   torch::Tensor middle(const torch::Tensor& x) const {
     return middle_[1]->forward(attention_->forward(middle_[0]->forward(x)));
   }
 
-  Half half_;
+  KlHalf half_;
   std::shared_ptr<Convolution> input_, output_;
   std::vector<Stage> stages_;
-  std::shared_ptr<PixelAttention> attention_;
-  std::vector<std::shared_ptr<ResidualBlock>> middle_;
-  std::shared_ptr<GroupNorm> norm_;
+  std::shared_ptr<KlPixelAttention> attention_;
+  std::vector<std::shared_ptr<KlResidualBlock>> middle_;
+  std::shared_ptr<KlGroupNorm> norm_;
 };
 
 void AutoencoderKlOptions::visit(FieldVisitor& visitor) {
@@ -282,19 +288,19 @@ std::shared_ptr<Backbone> AutoencoderKlOptions::make(const ParameterPlacement& p
 }
 
 Cost AutoencoderKlOptions::encoding_cost(const LatentGrid& grid, int64_t /*last_level*/) const {
-  return half_cost(*this, grid, Half::kEncoder);
+  return half_cost(*this, grid, KlHalf::kEncoder);
 }
 
 Cost AutoencoderKlOptions::decoding_cost(const LatentGrid& grid) const {
-  return half_cost(*this, grid, Half::kDecoder);
+  return half_cost(*this, grid, KlHalf::kDecoder);
 }
 
 AutoencoderKl::AutoencoderKl(const AutoencoderKlOptions& options, const ParameterPlacement& placement)
     : options_((options.check(), options)) {
   encoder_ =
-      register_module("encoder", std::make_shared<AutoencoderKlHalf>(options_, Half::kEncoder, placement));
+      register_module("encoder", std::make_shared<AutoencoderKlHalf>(options_, KlHalf::kEncoder, placement));
   decoder_ =
-      register_module("decoder", std::make_shared<AutoencoderKlHalf>(options_, Half::kDecoder, placement));
+      register_module("decoder", std::make_shared<AutoencoderKlHalf>(options_, KlHalf::kDecoder, placement));
   const int64_t channels = options_.latent_channels;
   quant_ = register_module("quant_conv", std::make_shared<Convolution>(
                                              convolution_sizes(2 * channels, 2 * channels, 1), placement));

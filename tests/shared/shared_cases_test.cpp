@@ -29,6 +29,14 @@ INSTANTIATE_TEST_SUITE_P(Goldens, SharedCases,
                                          "dpt_head_da3", "lpips_squeeze", "metrics_image_depth", "pipeline",
                                          "rgb_decoder", "sample_level1", "train_diffusion"));
 
+TEST(SharedCasesOfOtherLatents, EveryTensorIsWithinItsTolerance) {
+  for (const char* name : {"backbone_vggt", "backbone_dinov2", "dpt_head_vggt"}) {
+    const auto result = verify_case(test::shared_data() / "goldens_later" / name, all_reference_runners());
+    EXPECT_TRUE(result.passed()) << case_text(result);
+    EXPECT_FALSE(result.tensors.empty()) << name;
+  }
+}
+
 // Unrounded, where the case of the tree has multiples of 1/256.
 TEST(SharedWeights, InitialPositionsOfTheDecoderAreThePublishedOnes) {
   const auto published =

@@ -275,7 +275,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     if (validation.rows.size() < 4) {
       PictureRow row;
       row.name = scene.name;
-      const auto true_depth = scene.depth.to(torch::kCPU);
+      const auto true_depth = head_ ? scene.depth.to(torch::kCPU) : torch::Tensor();
       for (int64_t view = 0; view < std::min<int64_t>(scene.views.size(), 2); ++view) {
         row.pictures.emplace_back("image", scene.images[view].to(torch::kCPU));
         if (result.shallow_image.defined()) {

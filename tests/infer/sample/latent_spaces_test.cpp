@@ -52,7 +52,9 @@ class LatentSpaces : public testing::TestWithParam<std::string> {
     options.data = test::small_data();
     options.data.synthetic.width = options.data.synthetic.height = 112;
     options.loop = test::two_steps();
+    options.data.validation_scenes = 1;
     options.loop.micro_batches = 1;
+    options.loop.validate_every = 2;
     return options;
   }
   std::filesystem::path path(const std::string& name) const { return folder_.path() / name; }
@@ -129,6 +131,8 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   for (const char* file : {"images/view_02.png", "depth/view_03.pfm", "rays/view_02.npz", "points.ply"}) {
     EXPECT_TRUE(std::filesystem::exists(path("sample") / file)) << file;
   }
+
+  EXPECT_EQ(std::filesystem::exists(path("sample/rays/point_maps.safetensors")), GetParam() == "vggt");
 
   EvaluationOptions evaluation;
   evaluation.model = asked.model;

@@ -297,7 +297,7 @@ TEST_F(Conversion, AutoencodersUnderBothNames) {
     ConversionOptions options;
     options.autoencoder_kl = path(std::string(name) + ".safetensors");
     options.description = path("vae") / "model.yaml";
-    options.out = path(name);
+    options.out = path(std::string("from_") + name);
     convert(options);
     const auto written = read_all(ModelBundle::open(options.out).file(BundlePart::backbone()));
     ASSERT_EQ(written.size(), file.size()) << name;
