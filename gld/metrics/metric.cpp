@@ -16,7 +16,9 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "the scene has no true depth",
                                                 "no depth was predicted",
                                                 "the scale of the predicted depth is unknown",
-                                                "no rays were predicted"};
+                                                "there is no cloud, or no true surface to compare it with",
+                                                "no rays were predicted",
+                                                "no cameras were estimated from the pictures"};
   return phrases.at(static_cast<size_t>(need));
 }
 

@@ -1,5 +1,6 @@
 #include "gld/metrics/pose_metrics.h"
 
+#include "gld/base/error.h"
 #include "gld/cameras/pose_from_rays.h"
 #include "gld/metrics/metric_list.h"
 #include "tests/support/error_of.h"

@@ -167,10 +167,10 @@ TEST(GeometryPlacement, PhotographsTellTheScaleWhereRaysDoNot) {
     const RayMap map = rays_of_camera(given.back(), 32, 24);
     rays.push_back(torch::tensor(map.values).view({24, 32, 6}));
   }
-  torch::manual_seed(1);
   geometry.depth = torch::stack(depths);
   geometry.rays = torch::stack(rays);
-  geometry.rays.narrow(3, 3, 3).copy_(1e-4 * torch::randn({3, 1, 1, 3}).expand({3, 24, 32, 3}));
+  const auto origins = torch::tensor({0.F, 0.F, 0.F, 1.F, 3.F, -2.F, -1.F, -2.F, 3.F}).view({3, 1, 1, 3});
+  geometry.rays.narrow(3, 3, 3).copy_(1e-4 * origins.expand({3, 24, 32, 3}));
   geometry.ray_confidence = torch::full({3, 24, 32}, 2.0F);
   geometry.depth_confidence = torch::full_like(geometry.depth, 2.0F);
 
