@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/run_journal.h"
 
 #include <atomic>
 #include <cerrno>
@@ -55,6 +56,10 @@ void AtomicFolder::commit() {
   if (std::filesystem::exists(std::filesystem::symlink_status(target_, error))) {
     std::filesystem::rename(target_, holder_ / "before", error);
     require(error, target_, "to replace the folder");
+  }
+  // The run that writes it knows the files by their final names; before they are there, as for single files.
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(temporary_)) {
+    if (!entry.is_directory()) note_written(target_ / entry.path().lexically_relative(temporary_));
   }
   std::filesystem::rename(temporary_, target_, error);
   require(error, target_, "to rename the finished folder");
