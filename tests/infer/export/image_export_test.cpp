@@ -52,15 +52,20 @@ TEST(Provenance, LeavesOutWhatDoesNotChangeTheResult) {
   EXPECT_EQ(find_text(provenance_items(without_model), "gld:seed"), "7");
 }
 
+struct SceneOptions : OptionsGroup {
+  std::string scene;
+  void visit(FieldVisitor& visitor) override { visitor.text({"scene", "a folder"}, scene); }
+};
+
 TEST(Provenance, DoesNotSayWhereItsMakerKeepsThings) {
-  TwoOptions options;
+  SceneOptions options;
   for (const auto& [folder, shown] :
        {std::pair<std::string, std::string>{"/home/someone/private/scene", "scene"},
         {"/home/someone/scene/", "scene"},
         {"photos/scene", "photos/scene"},
         {"/home/someone/\xFF", "\xEF\xBF\xBD"}}) {
-    options.out = folder;
-    EXPECT_EQ(make_provenance("sample", options, {}).options, R"({"out":")" + shown + R"(","steps":16})");
+    options.scene = folder;
+    EXPECT_EQ(make_provenance("sample", options).options, R"({"scene":")" + shown + R"("})");
   }
 }
 
