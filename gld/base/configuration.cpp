@@ -3,8 +3,8 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
-#include "gld/base/option_differences.h"
 #include "gld/base/json_text.h"
+#include "gld/base/option_differences.h"
 
 #include <algorithm>
 #include <charconv>
@@ -430,9 +430,17 @@ size_t edit_distance(const std::string& a, const std::string& b) {
 }
 
 // yaml-cpp takes a key that is there twice, and gives the first value.
-void refuse_duplicate_keys(const YAML::Node& node, const std::string& where) {
+// Aliases make a graph of a document, with circles too: options are no deeper than this, nor more.
+constexpr int kDeepestYaml = 64;
+constexpr int64_t kMostYamlNodes = 1'000'000;
+
+void refuse_duplicate_keys(const YAML::Node& node, const std::string& where, int depth, int64_t& nodes) {
+  if (depth > kDeepestYaml || ++nodes > kMostYamlNodes) {
+    fail({where, "YAML of at most " + std::to_string(kDeepestYaml) + " levels and a million values",
+          depth > kDeepestYaml ? "deeper levels" : "more values", "remove aliases that repeat each other"});
+  }
   if (node.IsSequence()) {
-    for (const auto& item : node) refuse_duplicate_keys(item, where);
+    for (const auto& item : node) refuse_duplicate_keys(item, where, depth + 1, nodes);
   }
   if (!node.IsMap()) return;
   std::set<std::string> known;
@@ -441,7 +449,7 @@ void refuse_duplicate_keys(const YAML::Node& node, const std::string& where) {
       fail({where + ":" + std::to_string(entry.first.Mark().line + 1), "every key once",
             quoted(entry.first.Scalar()) + " a second time", "remove one of the two"});
     }
-    refuse_duplicate_keys(entry.second, where);
+    refuse_duplicate_keys(entry.second, where, depth + 1, nodes);
   }
 }
 
@@ -452,7 +460,8 @@ YAML::Node parse_yaml(const std::string& text, const std::string& where) {
       fail(
           {where, "one YAML document", std::to_string(documents.size()), "remove what stands from '---' on"});
     }
-    for (const YAML::Node& document : documents) refuse_duplicate_keys(document, where);
+    int64_t nodes = 0;
+    for (const YAML::Node& document : documents) refuse_duplicate_keys(document, where, 0, nodes);
     return documents.empty() ? YAML::Node() : documents.front();
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
@@ -564,11 +573,16 @@ std::vector<OptionDescription> describe_options(const OptionsGroup& options) {
 }
 
 std::string nearest_name(const std::string& name, const std::vector<std::string>& candidates) {
+  // The dashes of flags are no letters.
+  const auto letters = [](const std::string& flag) {
+    return flag.substr(std::min(flag.find_first_not_of('-'), flag.size()));
+  };
+  const std::string asked = letters(name);
   std::string best;
   // Half of the letters: a suggestion that shares less with the name misleads.
-  size_t best_distance = std::max<size_t>(1, name.size() / 2) + 1;
+  size_t best_distance = std::max<size_t>(1, asked.size() / 2) + 1;
   for (const auto& candidate : candidates) {
-    const size_t distance = edit_distance(name, candidate);
+    const size_t distance = edit_distance(asked, letters(candidate));
     if (distance < best_distance) {
       best_distance = distance;
       best = candidate;

@@ -248,6 +248,10 @@ ParsedWeights parse_safetensors(ByteView file, const std::string& where) {
           std::to_string(length) + " bytes", "download or write the file again"});
   }
   const uint8_t* header = file.data + kLengthBytes;
+  // A zero byte ends the text for the JSON reader, whatever follows.
+  if (std::memchr(header, 0, static_cast<size_t>(length)) != nullptr) {
+    fail({where, "a header of JSON text", "a zero byte in it", "download or write the file again"});
+  }
   HeaderReader reader(where);
   json::sax_parse(header, header + length, &reader);
 

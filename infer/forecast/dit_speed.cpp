@@ -42,7 +42,9 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
     const double range = parameter.dim() < 2 ? 0.5 : 1 / std::sqrt(static_cast<double>(parameter.size(1)));
     parameter.uniform_(-range, range);
   }
-  use_precision(model, layer_precision(request.flow.precision, ModelKind::kGenerator));
+  LayerPrecision layers = layer_precision(request.flow.precision, ModelKind::kGenerator);
+  layers.originals = PackedOriginals::kRelease;  // as when sampling
+  use_precision(model, layers);
   const int64_t tokens = model.tokens_per_view(part);
   DitSceneInputs inputs;
   const int64_t side = probe.camera_patch_size;

@@ -314,7 +314,13 @@ void sample(const SampleOptions& options) {
   PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   SamplingScene& scene = prepared.scene;
-  const auto parts = needed_parts(bundle.options(), stage_request(prepared, options));
+  auto parts = needed_parts(bundle.options(), stage_request(prepared, options));
+  if (prepared.geometry_model) {
+    // Its backbone and head look at the generated images; this bundle's head is not asked.
+    const auto head = std::find(parts.begin(), parts.end(), BundlePart::dpt_head());
+    if (head != parts.end()) parts.erase(head);
+    bundle_has_all(*prepared.geometry_model, {BundlePart::backbone(), BundlePart::dpt_head()});
+  }
   bundle_has_all(bundle, parts);
   refuse_too_large(prepared, options);
   for (auto& note : mixed_parts(bundle, parts, options.allow_mixed))

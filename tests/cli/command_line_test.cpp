@@ -168,7 +168,7 @@ TEST_F(CommandLine, OutputThatNobodyTookIsAFailure) {
   RefusingBuffer refusing;
   auto* const before = std::cout.rdbuf(&refusing);
   testing::internal::CaptureStderr();
-  const int status = run_command_line({command_}, {"a.png"});
+  const int status = run_command_line({command_}, {"paint", "a.png"});
   std::cout.rdbuf(before);
   std::cout.clear();
   EXPECT_EQ(status, 1);

@@ -81,7 +81,7 @@ TEST_F(DamagedNpzScene, NotANumberInAPose) {
   const Scene scene = open_scene(folder_.path(), reading);
   EXPECT_EQ(scene.frames.size(), 2U);
   EXPECT_EQ(scene.broken_frames, 1);
-  ASSERT_EQ(scene.warnings.size(), 1U);
+  ASSERT_EQ(scene.warnings.size(), 2U);  // and that a number is missing between the others
   EXPECT_EQ(scene.warnings[0].substr(0, camera_file(1).size()), camera_file(1));
 }
 

@@ -93,7 +93,7 @@ TEST(ForwardBenchmark, RefusesMoreSourcesThanViews) {
   ForwardBenchmarkOptions options;
   options.views = 3;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
-            "--sources: expected at most --views, 3, found 4; lower it.");
+            "--source-views: expected at most --views, 3, found 4; lower it.");
 }
 
 TEST(Timing, TheMedianIsTheMiddle) {

@@ -154,6 +154,8 @@ TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
 SampleOptions asked_for() {
   SampleOptions options;
   options.scene = "scene";
+  options.views.sources = {0, 3};
+  options.views.targets = {1};
   options.out = "run";
   return options;
 }

@@ -203,6 +203,7 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
       "--scene, --photos: expected one of the two, found both; leave out --photos where the scene has cameras.");
   asked.scene.clear();
   asked.photos = {(folder_->path() / "model").string()};
+  asked.out = options("no_photographs").out;
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--photos: expected photographs, or folders of them, found '" + asked.photos[0] +
                 "', which has none; check the name.");
@@ -386,6 +387,7 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
   }
   EXPECT_TRUE(std::filesystem::is_regular_file(std::filesystem::path(asked.out) / "config.yaml"));
   std::signal(SIGALRM, SIG_DFL);
+  install_interrupt_handler(StopDeadline::kSafePoint);  // nothing is asked of the tests that follow
 }
 
 TEST_F(Sampling, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
@@ -441,13 +443,13 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
 
 TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
   auto asked = options("too_large");
-  asked.memory_limit = 0.23;
+  asked.memory_limit = 0.4;
   asked.views.targets.clear();
   asked.views.path.path = "orbit";
   asked.views.path.frames = 400;
   EXPECT_THAT(
       test::error_of([&] { sample(asked); }),
-      testing::ContainsRegex("This takes .* of memory by the forecast and 230 MB may be taken; what would "
+      testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what would "
                              "fit: [0-9]+ views of this size"));
   EXPECT_FALSE(std::filesystem::exists(asked.out));
   EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));

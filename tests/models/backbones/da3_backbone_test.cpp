@@ -240,7 +240,7 @@ TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
   start.grid = {2, 2, 2};
   EXPECT_EQ(test::error_of([&] { backbone->propagate(start); }),
             "propagation: expected tokens of shape [2, 5, 96], found [2, 4, 96]; "
-            "put the class token in front of the patches of the same token grid.");
+            "put the leading tokens in front of the patches of the same token grid.");
 
   auto options = small_options();
   options.num_heads = 5;

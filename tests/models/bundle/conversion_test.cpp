@@ -143,6 +143,13 @@ TEST_F(Conversion, AddsPartsToAnExistingBundle) {
   second.da3.clear();
   second.rgb_decoder.clear();
   second.statistics_level0.clear();
+  // A part that is there is not taken away without a word.
+  EXPECT_EQ(
+      error_of([&] { convert(second); }),
+      (path("out") / "statistics_level1.safetensors").string() +
+          ": expected no such part in the bundle yet, found one that is there; choose another --out, or add "
+          "--overwrite to replace it.");
+  second.statistics_level1.clear();
   EXPECT_EQ(convert(second)["missing"].size(), 0U);
   EXPECT_EQ(ModelBundle::open(options_.out).content_hash(), ModelBundle::open(original()).content_hash());
 }
@@ -156,6 +163,7 @@ TEST_F(Conversion, RealStatisticsConvert) {
   EXPECT_EQ(report["ignored"][0]["names"], "std");
   EXPECT_EQ(ModelBundle::open(options.out).options().rgb_decoder.num_layers, 28);
   options.statistics_level1 = test::test_data() / "stats/vggt/normalization_stats_level1.pt";
+  options.overwrite = true;
   EXPECT_EQ(error_of([&] { convert(options); }),
             options.statistics_level1 +
                 ": expected 1536 channels, found 2048; check that the file belongs to this backbone.");
@@ -353,6 +361,7 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
   }
   write_file_atomically(path("empty.pt"), checkpoint({{"model", {{"other", torch::zeros({1})}}}}));
   options_.dpt_decoder = path("empty.pt");
+  options_.overwrite = true;
   EXPECT_EQ(error_of([&] { convert(options_); }),
             options_.dpt_decoder +
                 ": expected tensors model.decoder.* or model.pred.*, found none; give the release's "
@@ -364,6 +373,7 @@ TEST_F(Conversion, IsStrict) {
     write_file_atomically(path("level1.pt"), checkpoint({{"ema", level1}}));
     auto only = options_;
     only.da3.clear();
+    only.overwrite = true;
     return error_of([&] { convert(only); });
   };
   const std::string where = path("level1.pt").string();
@@ -402,6 +412,7 @@ TEST_F(Conversion, IsStrict) {
                 "choose --precision bf16 or fp32.");
   write_file_atomically(path("level1.pt"), checkpoint({{"ema", part(BundlePart::of(level_model(1)))},
                                                        {"extra", {{"w", torch::zeros({1})}}}}));
+  options_.overwrite = true;
   EXPECT_EQ(
       error_of([&] { convert(options_); }),
       where +

@@ -138,7 +138,6 @@ TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
   options.loop.learning_rate.schedule = LearningRateSchedule::kLinear;
   options.loop.learning_rate.decay_start_step = options.loop.steps;
   options.loop.steps += 1;
-  options.objective.start = ModelStart::kBundle;
   train_level(options, {});
 }
 
