@@ -118,8 +118,8 @@ Evaluation evaluate(const Setting& setting, const DitDh& outside, const Model& m
   result.decoder_seconds += seconds_of([&] { tokens = outside.embed_noisy(setting.scene, setting.noisy); });
   result.encoder_seconds = seconds_of([&] { result.condition = model.condition_encoder(pass, tokens); });
   result.decoder_seconds += seconds_of([&] {
-    result.velocity = outside.velocity_from_features(
-        model.velocity_features(pass, tokens, result.condition), setting.noisy, kFlowTime);
+    result.velocity = outside.velocity_from_features(model.velocity_features(pass, tokens, result.condition),
+                                                     setting.noisy, kFlowTime);
   });
   return result;
 }

@@ -98,7 +98,8 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   methods.erase(std::remove_if(methods.begin(), methods.end(),
                                [&](const MethodErrors& entry) { return !allowed(entry, options); }),
                 methods.end());
-  const size_t best = cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request, speed));
+  const size_t best =
+      cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request, speed));
   ChosenMethod choice;
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];

@@ -169,7 +169,12 @@ PreparedSampling prepare(const SampleOptions& options) {
     selection.path.path = found.frames.size() > 1 ? "spline" : "orbit";
   }
   SamplingScene views = sampling_views(found, selection, size);
-  PreparedSampling prepared{device, bundle, std::move(photos), found, std::move(selection), std::move(views),
+  PreparedSampling prepared{device,
+                            bundle,
+                            std::move(photos),
+                            found,
+                            std::move(selection),
+                            std::move(views),
                             std::move(geometry_model)};
   const auto notes = unlike_training(prepared.scene, bundle.options());
   prepared.scene.warnings.insert(prepared.scene.warnings.end(), notes.begin(), notes.end());
