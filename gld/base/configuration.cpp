@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <cstring>
 #include <map>
 #include <optional>
 #include <set>
@@ -453,16 +454,34 @@ void refuse_duplicate_keys(const YAML::Node& node, const std::string& where, int
   }
 }
 
+// A line that begins with "---" begins a document wherever it stands (YAML 1.2, 9.1.2). Looked for in the text, because
+// YAML::LoadAll does not end on some damaged ones, such as ",1[ 2]: 3".
+int64_t documents_in(const std::string& text) {
+  int64_t documents = 0;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    const size_t first = line.find_first_not_of(" \t\r");
+    const bool marker =
+        line.rfind("---", 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
+    if (marker) {
+      ++documents;
+    } else if (documents == 0 && first != std::string::npos && line[first] != '#' && line[0] != '%') {
+      documents = 1;
+    }
+  }
+  return documents;
+}
+
 YAML::Node parse_yaml(const std::string& text, const std::string& where) {
   try {
-    const auto documents = YAML::LoadAll(text);
-    if (documents.size() > 1) {
-      fail(
-          {where, "one YAML document", std::to_string(documents.size()), "remove what stands from '---' on"});
+    const int64_t documents = documents_in(text);
+    if (documents > 1) {
+      fail({where, "one YAML document", std::to_string(documents), "remove what stands from '---' on"});
     }
+    const YAML::Node document = YAML::Load(text);
     int64_t nodes = 0;
-    for (const YAML::Node& document : documents) refuse_duplicate_keys(document, where, 0, nodes);
-    return documents.empty() ? YAML::Node() : documents.front();
+    refuse_duplicate_keys(document, where, 0, nodes);
+    return document;
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
     fail({where + line, "valid YAML", error.msg, "correct the text"});
