@@ -5,6 +5,7 @@
 #include "gld/base/flag_values.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/yaml_text.h"
 
 #include <algorithm>
 #include <charconv>
@@ -412,82 +413,6 @@ class RangeChecker : public LeafVisitor {
 // Visiting never changes what these visitors only read; visit() is one function for reading and writing.
 OptionsGroup& visitable(const OptionsGroup& options) { return const_cast<OptionsGroup&>(options); }
 
-// Letters to change, leave out, put in or swap with their neighbour (Damerau's, restricted).
-size_t edit_distance(const std::string& a, const std::string& b) {
-  std::vector<size_t> before(b.size() + 1), above(b.size() + 1), row(b.size() + 1);
-  for (size_t j = 0; j <= b.size(); ++j) above[j] = j;
-  for (size_t i = 1; i <= a.size(); ++i) {
-    row[0] = i;
-    for (size_t j = 1; j <= b.size(); ++j) {
-      row[j] = std::min({above[j] + 1, row[j - 1] + 1, above[j - 1] + (a[i - 1] == b[j - 1] ? 0 : 1)});
-      if (i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1]) {
-        row[j] = std::min(row[j], before[j - 2] + 1);
-      }
-    }
-    before.swap(above);
-    above.swap(row);
-  }
-  return above[b.size()];
-}
-
-// yaml-cpp takes a key that is there twice, and gives the first value.
-// Aliases make a graph of a document, with circles too: options are no deeper than this, nor more.
-constexpr int kDeepestYaml = 64;
-constexpr int64_t kMostYamlNodes = 1'000'000;
-
-void refuse_duplicate_keys(const YAML::Node& node, const std::string& where, int depth, int64_t& nodes) {
-  if (depth > kDeepestYaml || ++nodes > kMostYamlNodes) {
-    fail({where, "YAML of at most " + std::to_string(kDeepestYaml) + " levels and a million values",
-          depth > kDeepestYaml ? "deeper levels" : "more values", "remove aliases that repeat each other"});
-  }
-  if (node.IsSequence()) {
-    for (const auto& item : node) refuse_duplicate_keys(item, where, depth + 1, nodes);
-  }
-  if (!node.IsMap()) return;
-  std::set<std::string> known;
-  for (const auto& entry : node) {
-    if (entry.first.IsScalar() && !known.insert(entry.first.Scalar()).second) {
-      fail({where + ":" + std::to_string(entry.first.Mark().line + 1), "every key once",
-            quoted(entry.first.Scalar()) + " a second time", "remove one of the two"});
-    }
-    refuse_duplicate_keys(entry.second, where, depth + 1, nodes);
-  }
-}
-
-// A line that begins with "---" begins a document wherever it stands (YAML 1.2, 9.1.2). Looked for in the text, because
-// YAML::LoadAll does not end on some damaged ones, such as ",1[ 2]: 3".
-int64_t documents_in(const std::string& text) {
-  int64_t documents = 0;
-  std::istringstream lines(text);
-  for (std::string line; std::getline(lines, line);) {
-    const size_t first = line.find_first_not_of(" \t\r");
-    const bool marker =
-        line.rfind("---", 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
-    if (marker) {
-      ++documents;
-    } else if (documents == 0 && first != std::string::npos && line[first] != '#' && line[0] != '%') {
-      documents = 1;
-    }
-  }
-  return documents;
-}
-
-YAML::Node parse_yaml(const std::string& text, const std::string& where) {
-  try {
-    const int64_t documents = documents_in(text);
-    if (documents > 1) {
-      fail({where, "one YAML document", std::to_string(documents), "remove what stands from '---' on"});
-    }
-    const YAML::Node document = YAML::Load(text);
-    int64_t nodes = 0;
-    refuse_duplicate_keys(document, where, 0, nodes);
-    return document;
-  } catch (const YAML::Exception& error) {
-    const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
-    fail({where + line, "valid YAML", error.msg, "correct the text"});
-  }
-}
-
 // {a: {b: node}} of the key "a.b".
 YAML::Node nested(const std::string& key, YAML::Node node) {
   std::stringstream parts(key);
@@ -589,25 +514,6 @@ std::vector<OptionDescription> describe_options(const OptionsGroup& options) {
   Describer describer;
   visitable(options).visit(describer);
   return describer.descriptions;
-}
-
-std::string nearest_name(const std::string& name, const std::vector<std::string>& candidates) {
-  // The dashes of flags are no letters.
-  const auto letters = [](const std::string& flag) {
-    return flag.substr(std::min(flag.find_first_not_of('-'), flag.size()));
-  };
-  const std::string asked = letters(name);
-  std::string best;
-  // Half of the letters: a suggestion that shares less with the name misleads.
-  size_t best_distance = std::max<size_t>(1, asked.size() / 2) + 1;
-  for (const auto& candidate : candidates) {
-    const size_t distance = edit_distance(asked, letters(candidate));
-    if (distance < best_distance) {
-      best_distance = distance;
-      best = candidate;
-    }
-  }
-  return best;
 }
 
 }  // namespace gld

@@ -1,0 +1,73 @@
+#include "gld/base/yaml_text.h"
+
+#include "gld/base/error.h"
+
+#include <cstdint>
+#include <cstring>
+#include <set>
+#include <sstream>
+#include <string>
+
+namespace gld {
+namespace {
+
+// yaml-cpp takes a key that is there twice, and gives the first value. Aliases make a graph of a document, with circles too: options are no deeper than this, nor more.
+constexpr int kDeepestYaml = 64;
+constexpr int64_t kMostYamlNodes = 1'000'000;
+
+void refuse_duplicate_keys(const YAML::Node& node, const std::string& where, int depth, int64_t& nodes) {
+  if (depth > kDeepestYaml || ++nodes > kMostYamlNodes) {
+    fail({where, "YAML of at most " + std::to_string(kDeepestYaml) + " levels and a million values",
+          depth > kDeepestYaml ? "deeper levels" : "more values", "remove aliases that repeat each other"});
+  }
+  if (node.IsSequence()) {
+    for (const auto& item : node) refuse_duplicate_keys(item, where, depth + 1, nodes);
+  }
+  if (!node.IsMap()) return;
+  std::set<std::string> known;
+  for (const auto& entry : node) {
+    if (entry.first.IsScalar() && !known.insert(entry.first.Scalar()).second) {
+      fail({where + ":" + std::to_string(entry.first.Mark().line + 1), "every key once",
+            "'" + entry.first.Scalar() + "' a second time", "remove one of the two"});
+    }
+    refuse_duplicate_keys(entry.second, where, depth + 1, nodes);
+  }
+}
+
+// A line that begins with "---" begins a document wherever it stands (YAML 1.2, 9.1.2). Looked for in the text, because
+// YAML::LoadAll does not end on some damaged ones, such as ",1[ 2]: 3".
+int64_t documents_in(const std::string& text) {
+  int64_t documents = 0;
+  std::istringstream lines(text);
+  for (std::string line; std::getline(lines, line);) {
+    const size_t first = line.find_first_not_of(" \t\r");
+    const bool marker =
+        line.rfind("---", 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
+    if (marker) {
+      ++documents;
+    } else if (documents == 0 && first != std::string::npos && line[first] != '#' && line[0] != '%') {
+      documents = 1;
+    }
+  }
+  return documents;
+}
+
+}  // namespace
+
+YAML::Node parse_yaml(const std::string& text, const std::string& where) {
+  try {
+    const int64_t documents = documents_in(text);
+    if (documents > 1) {
+      fail({where, "one YAML document", std::to_string(documents), "remove what stands from '---' on"});
+    }
+    const YAML::Node document = YAML::Load(text);
+    int64_t nodes = 0;
+    refuse_duplicate_keys(document, where, 0, nodes);
+    return document;
+  } catch (const YAML::Exception& error) {
+    const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
+    fail({where + line, "valid YAML", error.msg, "correct the text"});
+  }
+}
+
+}  // namespace gld
