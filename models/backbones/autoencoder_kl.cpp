@@ -344,21 +344,8 @@ std::vector<torch::Tensor> AutoencoderKl::encode(const torch::Tensor& images, in
   return {torch::cat(views)};
 }
 
-std::vector<DecodableLevel> AutoencoderKl::propagate(const PropagationStart& start) const {
-  require_level(start.level);
-  require_propagation_tokens(start);
-  return {decodable(start.tokens)};
-}
-
-torch::Tensor AutoencoderKl::decode(const torch::Tensor& patches, const LatentGrid& grid) const {
-  require_propagation_tokens({0, patches, grid});
-  const auto latents = latents_of_tokens(patches, grid, options_.latent_patch) / options_.scaling_factor +
-                       options_.shift_factor;
-  std::vector<torch::Tensor> views;
-  for (int64_t view = 0; view < latents.size(0); ++view) {
-    views.push_back(images_of(latents.narrow(0, view, 1)));
-  }
-  return torch::cat(views);
+torch::Tensor AutoencoderKl::decoded_view(const torch::Tensor& latents) const {
+  return images_of(latents / options_.scaling_factor + options_.shift_factor);
 }
 
 Autoencoding AutoencoderKl::autoencode(const torch::Tensor& images, const torch::Generator& generator) const {

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "models/backbones/backbone.h"
+#include "models/backbones/autoencoder.h"
 #include "models/layers/convolution.h"
 
 #include <cstdint>
@@ -15,7 +15,7 @@ namespace gld {
 enum class Posterior { kMean, kSample };
 
 // Defaults are Stable Diffusion 1.x and 2.x. SDXL: scaling_factor 0.13025.
-struct AutoencoderKlOptions : BackboneArchitecture {
+struct AutoencoderKlOptions : AutoencoderArchitecture {
   int64_t latent_channels = 4;
   std::vector<int64_t> block_out_channels = {128, 256, 512, 512};  // each but the last halves the sides
   int64_t layers_per_block = 2;
@@ -36,15 +36,8 @@ struct AutoencoderKlOptions : BackboneArchitecture {
   // Image pixels of a latent pixel along each side, 8 by default.
   int64_t reduction() const { return int64_t{1} << (block_out_channels.size() - 1); }
   int64_t patch_side() const override { return reduction() * latent_patch; }
-  int64_t levels() const override { return 1; }
   int64_t level_channels() const override { return latent_channels * latent_patch * latent_patch; }
-  int64_t leading_tokens() const override { return 0; }
-  bool propagates() const override { return false; }
-  int64_t blocks() const override { return 0; }
-  bool attends_over_views(int64_t /*block*/) const override { return false; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
-  Cost propagation_cost(const LatentGrid& /*grid*/, int64_t /*level*/) const override { return {}; }
-  bool decodes_images() const override { return true; }
   Cost decoding_cost(const LatentGrid& grid) const override;
 };
 
@@ -53,7 +46,7 @@ class AutoencoderKlHalf;
 // The convolutional autoencoder of latent diffusion (Rombach et al. 2022) under the names of diffusers' AutoencoderKL. Its one
 // level is the latent of scaling_factor, in tokens of latent_patch x latent_patch latent pixels; views are worked on one
 // by one, so that memory is that of one. A sample of the posterior depends on posterior_seed and the image alone.
-class AutoencoderKl : public Backbone {
+class AutoencoderKl : public Autoencoder {
  public:
   AutoencoderKl(const AutoencoderKlOptions& options, const ParameterPlacement& placement);
 
@@ -61,9 +54,6 @@ class AutoencoderKl : public Backbone {
   using Backbone::encode;
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                     std::vector<AttentionTap>* taps) const override;
-  std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
-  torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override { return patches; }
-  torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const override;
   Autoencoding autoencode(const torch::Tensor& images, const torch::Generator& generator) const override;
   void initialise(const torch::Generator& generator) override;
 
@@ -72,6 +62,10 @@ class AutoencoderKl : public Backbone {
   torch::Tensor moments(const torch::Tensor& images) const;
   // Latents before scaling -> images, RGB in about [0, 1].
   torch::Tensor images_of(const torch::Tensor& latents) const;
+
+ protected:
+  int64_t latent_patch() const override { return options_.latent_patch; }
+  torch::Tensor decoded_view(const torch::Tensor& latents) const override;
 
  private:
   AutoencoderKlOptions options_;

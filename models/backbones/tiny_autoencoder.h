@@ -1,6 +1,6 @@
 #pragma once
 
-#include "models/backbones/backbone.h"
+#include "models/backbones/autoencoder.h"
 #include "models/layers/convolution.h"
 
 #include <cstdint>
@@ -14,7 +14,7 @@
 namespace gld {
 
 // Defaults are TAEF2, the tiny autoencoder of FLUX.2's latents. TAESD and TAESDXL: latent_channels 4, middle_norm false.
-struct TinyAutoencoderOptions : BackboneArchitecture {
+struct TinyAutoencoderOptions : AutoencoderArchitecture {
   int64_t latent_channels = 32;
   int64_t width = 64;        // channels of every map between image and latent
   bool middle_norm = true;   // blocks at the latent's size start with group norms over the map
@@ -28,21 +28,14 @@ struct TinyAutoencoderOptions : BackboneArchitecture {
   std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const override;
   std::string published_prefix() const override { return ""; }
   int64_t patch_side() const override { return 8 * latent_patch; }
-  int64_t levels() const override { return 1; }
   int64_t level_channels() const override { return latent_channels * latent_patch * latent_patch; }
-  int64_t leading_tokens() const override { return 0; }
-  bool propagates() const override { return false; }
-  int64_t blocks() const override { return 0; }
-  bool attends_over_views(int64_t /*block*/) const override { return false; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
-  Cost propagation_cost(const LatentGrid& /*grid*/, int64_t /*level*/) const override { return {}; }
-  bool decodes_images() const override { return true; }
   Cost decoding_cost(const LatentGrid& grid) const override;
 };
 
 // The tiny autoencoders of O. B. Bohan (taesd.py of the published code), encoder. and decoder. in front of the published
 // names. Images and latents are taken as they are, without scaling; the decoder bounds latents by 3 tanh(z / 3).
-class TinyAutoencoder : public Backbone {
+class TinyAutoencoder : public Autoencoder {
  public:
   TinyAutoencoder(const TinyAutoencoderOptions& options, const ParameterPlacement& placement);
 
@@ -50,15 +43,16 @@ class TinyAutoencoder : public Backbone {
   using Backbone::encode;
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                     std::vector<AttentionTap>* taps) const override;
-  std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
-  torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override { return patches; }
-  torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const override;
   Autoencoding autoencode(const torch::Tensor& images, const torch::Generator& generator) const override;
   void initialise(const torch::Generator& generator) override;
 
   torch::Tensor latents_of(
       const torch::Tensor& images) const;  // (views, latent_channels, height / 8, width / 8)
   torch::Tensor images_of(const torch::Tensor& latents) const;  // RGB in about [0, 1], not clamped
+
+ protected:
+  int64_t latent_patch() const override { return options_.latent_patch; }
+  torch::Tensor decoded_view(const torch::Tensor& latents) const override;
 
  private:
   using Step = std::function<torch::Tensor(const torch::Tensor&)>;
