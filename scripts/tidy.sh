@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs clang-tidy (.clang-tidy's checks) and fails on a finding. Usage:
-#   scripts/tidy.sh                   every source
+#   scripts/tidy.sh                   every source, up to 8 of a room at a time: a fifth of the time of one by one
 #   scripts/tidy.sh FILE...           these sources
 #   scripts/tidy.sh --since COMMIT    sources whose content differs from every file of that commit, include lines and
 #                                     comments aside; of a changed header the source of its name, or one that includes it
@@ -9,6 +9,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 build=build/tidy
 minutes=100000
+unity=OFF
 
 # The hashes of files' contents without include lines, comments and white space: HASH FILE a line.
 content_hashes() {
@@ -57,23 +58,28 @@ if [ "${1:-}" = --since ]; then
 elif [ $# -gt 0 ]; then
   files=("$@")
 else
-  mapfile -t files < <(sources_of | grep '\.cpp$')
+  files=()
+  unity=ON
 fi
-if [ ${#files[@]} -eq 0 ]; then
+if [ "$unity" = OFF ] && [ ${#files[@]} -eq 0 ]; then
   echo "tidy: no source has changed."
   exit 0
 fi
 
 # A configuration of its own: clang cannot read g++'s precompiled header, and a unity build has no commands for single
 # sources. Nothing is built in it.
-cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DGLD_UNITY=OFF -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON >/dev/null
+cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DGLD_UNITY=$unity -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON >/dev/null
 
 # Sources that this build leaves out (the fuzzers) have no command.
 known=$(sed -nE 's/^ *"file": "(.*)",?$/\1/p' "$build/compile_commands.json")
 checked=()
-for file in "${files[@]}"; do
-  if grep -qxF "$PWD/$file" <<<"$known"; then checked+=("$file"); else echo "tidy: $file is in no target of this build"; fi
-done
+if [ "$unity" = ON ]; then
+  mapfile -t checked <<<"${known//"$PWD/"/}"
+else
+  for file in "${files[@]}"; do
+    if grep -qxF "$PWD/$file" <<<"$known"; then checked+=("$file"); else echo "tidy: $file is in no target of this build"; fi
+  done
+fi
 
 results=$(mktemp -d)
 trap 'rm -rf "$results"' EXIT
@@ -81,7 +87,10 @@ export build results
 tidy_one() {
   local name=${1//\//_}
   if [ "$(date +%s)" -ge "$stop_at" ]; then echo "$1" >"$results/$name.left"; return; fi
-  if ! clang-tidy -p "$build" --quiet "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
+  # clang 14 comes without omp.h, which Eigen includes when OpenMP is on. The filter is .clang-tidy's and the sources that
+  # a unity file includes.
+  if ! clang-tidy -p "$build" --quiet --extra-arg=-DEIGEN_DONT_PARALLELIZE \
+    --header-filter='(gld|models|datasets|train|infer|cli|tests)/.*\.(h|cpp)$' "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
     echo "$1" >"$results/$name.failed"
     cat "$results/$name.log"
     grep -E '(error|fatal)' "$results/$name.stderr" || true

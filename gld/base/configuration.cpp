@@ -351,11 +351,13 @@ class Describer : public LeafVisitor {
   }
   void integers(const Field& field, std::vector<int64_t>& value, const IntegerRange& range) override {
     std::vector<std::string> items;
+    items.reserve(value.size());
     for (auto item : value) items.push_back(std::to_string(item));
     add(field, "list of integer", joined(items, ","), range_text(range));
   }
   void reals(const Field& field, std::vector<double>& value, const RealRange& range) override {
     std::vector<std::string> items;
+    items.reserve(value.size());
     for (auto item : value) items.push_back(real_text(item));
     add(field, "list of real", joined(items, ","), range_text(range));
   }
