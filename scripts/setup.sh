@@ -10,7 +10,7 @@ packages=(
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libexif-dev libssl-dev
 )
 if [ "${1:-}" = --development ]; then
-  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev)
+  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
 fi
 
 missing=()

@@ -114,7 +114,11 @@ RunJournal::RunJournal(const std::filesystem::path& folder) : folder_(folder) {
 }
 
 RunJournal::~RunJournal() {
-  write_header(/*running=*/false);
+  try {
+    write_header(/*running=*/false);
+  } catch (const std::exception&) {
+    // Out of memory: the journal goes on naming this process, which a later one finds gone by the lock.
+  }
   ::close(file_);  // releases the lock
 }
 

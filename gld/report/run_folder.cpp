@@ -89,7 +89,7 @@ RunFolder::RunFolder(const std::filesystem::path& folder, const std::string& com
 }
 
 std::filesystem::path RunFolder::subfolder(const std::string& name) const {
-  const auto path = folder_ / name;
+  auto path = folder_ / name;
   std::error_code error;
   std::filesystem::create_directories(path, error);
   if (error)

@@ -245,10 +245,14 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
   auto maps = models.dpt_head()->forward(inputs, architecture.grid_of(images.size(0), size[0], size[1]),
                                          request.geometry_maps);
+  const auto resized = [&](const torch::Tensor& channels_first) {
+    return torch::upsample_bilinear2d(channels_first, {height, width}, /*align_corners=*/false);
+  };
   const auto finish = [&](torch::Tensor& map, bool of_pixels) {
     if (!map.defined()) return;
     if (of_pixels && (map.size(1) != height || map.size(2) != width)) {
-      map = torch::upsample_bilinear2d(map.unsqueeze(1), {height, width}, /*align_corners=*/false).squeeze(1);
+      map = map.dim() == 3 ? resized(map.unsqueeze(1)).squeeze(1)
+                           : resized(map.permute({0, 3, 1, 2})).permute({0, 2, 3, 1}).contiguous();
     }
     if (request.geometry_views == DecodedViews::kTargets) map = map.slice(0, request.views.num_sources);
   };
@@ -256,7 +260,8 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   finish(maps.depth_confidence, true);
   finish(maps.rays, false);
   finish(maps.ray_confidence, false);
-  maps.points = maps.point_confidence = torch::Tensor();
+  finish(maps.points, true);
+  finish(maps.point_confidence, true);
   return maps;
 }
 
