@@ -3,6 +3,7 @@
 #include "gld/machine/stage_record.h"
 #include "models/dit/approximate_savings.h"
 #include "models/latent_spaces/level_set.h"
+#include "models/layers/layer_precision.h"
 
 #include <cstddef>
 #include <cstdint>
@@ -13,6 +14,9 @@ namespace gld {
 
 // Which views are decoded.
 enum class DecodedViews { kNone, kTargets, kAll };
+
+// What the layers of a kind of stage are asked to compute in.
+ModelKind model_kind_of(StageKind kind);
 
 // What decides which stages a sampling run has.
 struct StageRequest {

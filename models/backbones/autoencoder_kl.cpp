@@ -7,7 +7,6 @@
 #include "models/layers/initialisation.h"
 
 #include <algorithm>
-#include <cstring>
 #include <string>
 
 #include <torch/autograd.h>
@@ -164,6 +163,17 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHa
                options.block_out_channels[std::min<size_t>(1, options.block_out_channels.size() - 1)]));
   cost.working_bytes = bytes_of_floats(full_size * (5 * widest + 9 * static_cast<double>(grid.views)));
   return cost;
+}
+
+// Of the picture's 8-bit pixels: the image takes part in the seed of its noise, so that views differ and none depends on
+// the others, and what was computed does not, so that every device and precision draws the same.
+uint64_t picture_bits(const torch::Tensor& image) {
+  const auto pixels =
+      (image.detach().to(torch::kCPU, torch::kFloat64) * 255).round().clamp(0, 255).to(torch::kUInt8);
+  const auto bytes = pixels.contiguous();
+  Sha256 hash;
+  hash.update(ByteView{bytes.data_ptr<uint8_t>(), static_cast<size_t>(bytes.numel())});
+  return std::stoull(hash.hex_digest().substr(0, 16), nullptr, 16);
 }
 
 }  // namespace
@@ -330,12 +340,8 @@ std::vector<torch::Tensor> AutoencoderKl::encode(const torch::Tensor& images, in
     const auto parts = moments(images.narrow(0, view, 1)).chunk(2, 1);
     auto latent = parts[0];
     if (options_.posterior == Posterior::kSample) {
-      // The image's own numbers take part in the seed, so that views differ and none depends on the others.
-      const double sum = latent.detach().to(torch::kFloat64).sum().item<double>();
-      uint64_t bits = 0;
-      std::memcpy(&bits, &sum, sizeof(bits));
-      const auto noise = views_noise(static_cast<uint64_t>(options_.posterior_seed) ^ bits, "posterior", 1,
-                                     latent.sizes().slice(1).vec());
+      const uint64_t seed = static_cast<uint64_t>(options_.posterior_seed) ^ picture_bits(images[view]);
+      const auto noise = views_noise(seed, "posterior", 1, latent.sizes().slice(1).vec());
       latent = latent + torch::exp(parts[1] / 2) * noise.to(latent.device(), latent.scalar_type());
     }
     views.push_back(

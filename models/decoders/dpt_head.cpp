@@ -9,7 +9,7 @@ namespace gld {
 namespace {
 
 constexpr int64_t kDepthChannels = 2;  // depth, confidence
-constexpr int64_t kRayChannels = 7;    // direction, moment, confidence
+constexpr int64_t kRayChannels = 7;    // direction, origin, confidence
 
 }  // namespace
 
