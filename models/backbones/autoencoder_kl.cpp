@@ -18,15 +18,6 @@ constexpr double kNormEpsilon = 1e-6;
 // Between which the logarithm of a posterior's variance is held.
 constexpr double kLeastLogVariance = -30, kLargestLogVariance = 20;
 
-ConvolutionSizes convolution_sizes(int64_t inputs, int64_t outputs, int64_t kernel) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = inputs;
-  sizes.out_channels = outputs;
-  sizes.kernel = kernel;
-  sizes.padding = kernel / 2;
-  return sizes;
-}
-
 std::shared_ptr<torch::nn::Module> child(torch::nn::Module& parent, const std::string& name) {
   return parent.register_module(name, std::make_shared<torch::nn::Module>());
 }
@@ -54,14 +45,14 @@ class KlResidualBlock : public torch::nn::Module {
  public:
   KlResidualBlock(int64_t inputs, int64_t outputs, int64_t groups, const ParameterPlacement& placement) {
     norm1_ = register_module("norm1", std::make_shared<KlGroupNorm>(inputs, groups, placement));
-    conv1_ = register_module("conv1",
-                             std::make_shared<Convolution>(convolution_sizes(inputs, outputs, 3), placement));
+    conv1_ = register_module(
+        "conv1", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 3), placement));
     norm2_ = register_module("norm2", std::make_shared<KlGroupNorm>(outputs, groups, placement));
     conv2_ = register_module(
-        "conv2", std::make_shared<Convolution>(convolution_sizes(outputs, outputs, 3), placement));
+        "conv2", std::make_shared<Convolution>(same_size_convolution(outputs, outputs, 3), placement));
     if (inputs == outputs) return;
     shortcut_ = register_module(
-        "conv_shortcut", std::make_shared<Convolution>(convolution_sizes(inputs, outputs, 1), placement));
+        "conv_shortcut", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 1), placement));
   }
   torch::Tensor forward(const torch::Tensor& x) const {
     const auto hidden = conv1_->forward(torch::silu(norm1_->forward(x)));
@@ -190,7 +181,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
       return parent.register_module(name, std::make_shared<Convolution>(sizes, placement));
     };
     input_ = convolution(*this, "conv_in",
-                         convolution_sizes(encodes ? 3 : options.latent_channels, channels.front(), 3));
+                         same_size_convolution(encodes ? 3 : options.latent_channels, channels.front(), 3));
     const auto stages = child(*this, encodes ? "down_blocks" : "up_blocks");
     int64_t width = channels.front();
     for (size_t i = 0; i < channels.size(); ++i) {
@@ -203,7 +194,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
         width = channels[i];
       }
       if (i + 1 < channels.size()) {
-        auto sizes = convolution_sizes(width, width, 3);
+        auto sizes = same_size_convolution(width, width, 3);
         if (encodes) {
           sizes.stride = 2;
           sizes.padding = 0;
@@ -224,7 +215,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
     }
     norm_ = register_module("conv_norm_out", std::make_shared<KlGroupNorm>(width, groups, placement));
     output_ = convolution(*this, "conv_out",
-                          convolution_sizes(width, encodes ? 2 * options.latent_channels : 3, 3));
+                          same_size_convolution(width, encodes ? 2 * options.latent_channels : 3, 3));
   }
 
   torch::Tensor forward(const torch::Tensor& input) const {
@@ -312,10 +303,12 @@ AutoencoderKl::AutoencoderKl(const AutoencoderKlOptions& options, const Paramete
   decoder_ =
       register_module("decoder", std::make_shared<AutoencoderKlHalf>(options_, KlHalf::kDecoder, placement));
   const int64_t channels = options_.latent_channels;
-  quant_ = register_module("quant_conv", std::make_shared<Convolution>(
-                                             convolution_sizes(2 * channels, 2 * channels, 1), placement));
-  post_quant_ = register_module(
-      "post_quant_conv", std::make_shared<Convolution>(convolution_sizes(channels, channels, 1), placement));
+  quant_ = register_module(
+      "quant_conv",
+      std::make_shared<Convolution>(same_size_convolution(2 * channels, 2 * channels, 1), placement));
+  post_quant_ =
+      register_module("post_quant_conv",
+                      std::make_shared<Convolution>(same_size_convolution(channels, channels, 1), placement));
 }
 
 torch::Tensor AutoencoderKl::moments(const torch::Tensor& images) const {
