@@ -6,6 +6,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/machine/precision_option.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/report/benchmark_results.h"
 #include "gld/report/progress.h"

@@ -15,9 +15,6 @@ namespace gld {
 // Which views are decoded.
 enum class DecodedViews { kNone, kTargets, kAll };
 
-// What the layers of a kind of stage are asked to compute in.
-ModelKind model_kind_of(StageKind kind);
-
 // What decides which stages a sampling run has.
 struct StageRequest {
   int64_t views = 2;
@@ -35,6 +32,9 @@ struct StageRequest {
 };
 
 enum class StageKind { kSourceEncoding, kViewPairs, kFlow, kPropagation, kRgbDecoding, kGeometry };
+
+// Of what its models are, where they are asked what to compute in.
+ModelKind model_kind_of(StageKind kind);
 
 // A stage of sampling: what the planner prices, the forecast sizes, the pipeline runs and reports print.
 struct SamplingStage {

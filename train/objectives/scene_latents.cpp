@@ -1,5 +1,7 @@
 #include "train/objectives/scene_latents.h"
 
+#include "datasets/images/image.h"
+
 #include <utility>
 
 namespace gld {
