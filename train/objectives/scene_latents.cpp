@@ -1,7 +1,5 @@
 #include "train/objectives/scene_latents.h"
 
-#include "datasets/images/image.h"
-
 #include <utility>
 
 namespace gld {
@@ -32,7 +30,7 @@ std::string key_of(const TrainingScene& scene) {
   for (const Camera& camera : scene.views.cameras) {
     append(Eigen::Matrix4d(camera.world_from_camera.matrix()));
     append(camera.intrinsics);
-    key += size_text(camera.width, camera.height);
+    key += std::to_string(camera.width) + 'x' + std::to_string(camera.height);
   }
   return key;
 }
