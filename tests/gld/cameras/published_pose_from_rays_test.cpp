@@ -129,7 +129,7 @@ TEST(RayGrid, IsTheMapsRaysWithoutThoseThatAreNotFinite) {
   const auto found = cameras_from_rays_da3({grid}, {kWidth, kHeight});
   EXPECT_LT(rotation_error(found[0], camera), 1e-4);  // float rays
   EXPECT_THAT(test::error_of([&] { ray_grid(map, ConfidenceMap(3, 3)); }),
-              testing::HasSubstr("3x3 for 36x20"));
+              testing::HasSubstr("3x3 for 288x160"));
 }
 
 TEST(PublishedPoses, RefuseRaysThatNoCameraFits) {
