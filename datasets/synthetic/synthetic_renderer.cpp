@@ -1,6 +1,7 @@
 #include "datasets/synthetic/synthetic_renderer.h"
 
 #include "datasets/scenes/frame_checks.h"
+#include "datasets/synthetic/ray_tracer.h"
 
 #include <algorithm>
 #include <array>
@@ -65,7 +66,7 @@ const Decal* decal_at(const SyntheticWorld& world, const Hit& hit, int& index) {
 
 class Shader {
  public:
-  explicit Shader(const SyntheticWorld& world) : world_(world), disc_(disc_points()) {}
+  explicit Shader(const RayTracer& tracer) : tracer_(tracer), world_(tracer.world()), disc_(disc_points()) {}
 
   // Which smooth patch a hit lies on; decals count.
   int patch(const Hit& hit) const {
@@ -134,7 +135,7 @@ class Shader {
       if (static_cast<int>(i) == hit.solid) continue;
       const Vector3d offset = world_.solids[i].centre - hit.point;
       const double distance2 = offset.squaredNorm();
-      const double radius = world_.solids[i].bounding_radius();
+      const double radius = tracer_.solids()[i].radius;
       const double facing = hit.normal.dot(offset);
       if (facing <= 0 || distance2 > 9 * radius * radius) continue;
       const double covered = facing / std::sqrt(distance2) * std::min(radius * radius / distance2, 1.0);
@@ -156,32 +157,20 @@ class Shader {
   double visible_part(const Lamp& lamp, const Hit& hit, const Vector3d& towards) const {
     const Vector3d start = hit.point + kOffset * hit.normal;
     const Vector3d segment = lamp.centre - start;
-    const double length2 = segment.squaredNorm();
-    std::array<const Solid*, 32> blockers{};
-    size_t count = 0;
-    for (size_t i = 0; i < world_.solids.size() && count < blockers.size(); ++i) {
-      if (static_cast<int>(i) == hit.solid) continue;
-      const Solid& solid = world_.solids[i];
-      const Vector3d offset = solid.centre - start;
-      const double along = std::clamp(offset.dot(segment) / length2, 0.0, 1.0);
-      const double reach = solid.bounding_radius() + lamp.radius * along;
-      if ((offset - along * segment).squaredNorm() < reach * reach) blockers[count++] = &solid;
-    }
-    if (count == 0) return 1;
+    ShadowRays shadows(tracer_, start, hit.solid, segment, lamp.radius);
+    if (shadows.empty()) return 1;
     const Vector3d side =
         (std::abs(towards.z()) < 0.9 ? Vector3d::UnitZ() : Vector3d::UnitX()).cross(towards).normalized();
     const Vector3d up = towards.cross(side);
     int open = 0;
     for (const Vector2d& point : disc_) {
-      const Ray shadow{start, segment + lamp.radius * (point.x() * side + point.y() * up)};
-      const bool blocked =
-          std::any_of(blockers.begin(), blockers.begin() + static_cast<std::ptrdiff_t>(count),
-                      [&](const Solid* solid) { return meets_solid(*solid, shadow); });
+      const bool blocked = shadows.blocked(segment + lamp.radius * (point.x() * side + point.y() * up));
       open += blocked ? 0 : 1;
     }
     return static_cast<double>(open) / kLampPoints;
   }
 
+  const RayTracer& tracer_;
   const SyntheticWorld& world_;
   std::array<Vector2d, kLampPoints> disc_;
 };
@@ -210,7 +199,8 @@ void store(const Vector3d& light, uint8_t* pixel) {
 Image render_image(const SyntheticWorld& world, const Camera& camera) {
   check_frame_camera(camera, "synthetic camera");
   const PixelRays rays(camera);
-  const Shader shader(world);
+  const RayTracer tracer(world);
+  const Shader shader(tracer);
   const int64_t width = camera.width;
   const int64_t height = camera.height;
   std::vector<Hit> hits(static_cast<size_t>(width * height));
@@ -218,7 +208,7 @@ Image render_image(const SyntheticWorld& world, const Camera& camera) {
   for (int64_t y = 0; y < height; ++y) {
     for (int64_t x = 0; x < width; ++x) {
       const auto i = static_cast<size_t>(y * width + x);
-      hits[i] = first_hit(world, rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5));
+      hits[i] = tracer.first_hit(rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5));
       patches[i] = shader.patch(hits[i]);
     }
   }
@@ -243,7 +233,7 @@ Image render_image(const SyntheticWorld& world, const Camera& camera) {
           const double dx = (sub % kSubPixels + 0.5) / kSubPixels;
           const double dy = (static_cast<double>(sub / kSubPixels) + 0.5) / kSubPixels;
           const Ray ray = rays.at(static_cast<double>(x) + dx, static_cast<double>(y) + dy);
-          light += shader.colour(first_hit(world, ray), ray, rays.pixel_size() / kSubPixels).cwiseMin(1.2);
+          light += shader.colour(tracer.first_hit(ray), ray, rays.pixel_size() / kSubPixels).cwiseMin(1.2);
         }
         light /= kSubPixels * kSubPixels;
       }
@@ -256,11 +246,12 @@ Image render_image(const SyntheticWorld& world, const Camera& camera) {
 DepthMap render_depth(const SyntheticWorld& world, const Camera& camera) {
   check_frame_camera(camera, "synthetic camera");
   const PixelRays rays(camera);
+  const RayTracer tracer(world);
   DepthMap depth(camera.width, camera.height);
   for (int64_t y = 0; y < camera.height; ++y) {
     for (int64_t x = 0; x < camera.width; ++x) {
       const Ray ray = rays.at(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5);
-      depth.at(x, y) = static_cast<float>(first_hit(world, ray).distance);
+      depth.at(x, y) = static_cast<float>(tracer.first_hit(ray).distance);
     }
   }
   return depth;

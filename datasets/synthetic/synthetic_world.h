@@ -74,11 +74,8 @@ struct Hit {
   double v = 0;
 };
 
-// The nearest surface; a ray that starts in the room always meets one.
-Hit first_hit(const SyntheticWorld& world, const Ray& ray);
-
-// Whether a solid lies between the ray's origin and origin + direction.
-bool meets_solid(const Solid& solid, const Ray& segment);
+// A vector turned about the vertical axis by the angle of that cosine and sine.
+Eigen::Vector3d turned_by(const Eigen::Vector3d& v, double cosine, double sine);
 
 // The distance from a point to the nearest solid or face of the room; negative inside a solid or outside the room.
 double clearance(const SyntheticWorld& world, const Eigen::Vector3d& point);

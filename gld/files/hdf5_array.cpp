@@ -3,14 +3,13 @@
 #include "gld/base/error.h"
 #include "gld/base/printable_text.h"
 #include "gld/files/dtype.h"
+#include "gld/files/hdf5_elements.h"
+#include "gld/files/hdf5_filters.h"
 
 #include <algorithm>
 #include <cstring>
 #include <limits>
 #include <optional>
-#include <type_traits>
-
-#include <zlib.h>
 
 namespace gld {
 namespace {
@@ -20,8 +19,7 @@ constexpr size_t kMostHeaderBlocks = 64;
 constexpr size_t kMostMessages = 4096;
 constexpr size_t kMostTreeNodes = 1 << 20;
 constexpr size_t kMostFilters = 8;
-constexpr size_t kMostDimensions = 32;      // H5S_MAX_RANK
-constexpr uint64_t kLargestDeflate = 1032;  // deflate cannot shrink data more
+constexpr size_t kMostDimensions = 32;  // H5S_MAX_RANK
 
 enum MessageType : uint16_t {
   kDataspaceMessage = 0x01,
@@ -33,16 +31,10 @@ enum MessageType : uint16_t {
   kSymbolTableMessage = 0x11,
 };
 
-enum FilterKind : uint16_t { kDeflateFilter = 1, kShuffleFilter = 2, kFletcherFilter = 3 };
-
 struct Message {
   uint16_t type = 0;
   uint8_t flags = 0;
   ByteView data;
-};
-
-struct Filter {
-  uint16_t kind = 0;
 };
 
 enum class Placement { kCompact, kContiguous, kChunked };
@@ -53,12 +45,6 @@ struct Layout {
   uint64_t address = 0;         // of the data or of the tree of chunks
   uint64_t size = 0;            // of contiguous data
   std::vector<uint64_t> chunk;  // elements of a chunk along every dimension
-};
-
-struct Elements {
-  DType dtype = DType::kFloat32;
-  bool swapped = false;  // big-endian
-  uint64_t size() const { return static_cast<uint64_t>(byte_size(dtype)); }
 };
 
 class Hdf5Parser {
@@ -252,7 +238,7 @@ class Hdf5Parser {
     if (layout.placement == Placement::kChunked) {
       const Message* filters = find(all, kFilterMessage);
       if (filters != nullptr) required(all, kFilterMessage);
-      read_chunks(layout, filters == nullptr ? std::vector<Filter>() : filters_of(filters->data), extents,
+      read_chunks(layout, filters == nullptr ? std::vector<Hdf5Filter>() : filters_of(filters->data), extents,
                   count);
       return;
     }
@@ -266,16 +252,16 @@ class Hdf5Parser {
       data = at(layout.address, bytes);
     }
     array_.values.resize(static_cast<size_t>(count));
-    convert(data, array_.values.data(), count);
+    floats_from(elements_, data, count, array_.values.data());
   }
 
-  Elements elements_of(ByteView type) const {
+  Hdf5Elements elements_of(ByteView type) const {
     const auto first = number<uint8_t>(type, 0);
     const int version = first >> 4, kind = first & 15;
     const uint8_t bits0 = number<uint8_t>(type, 1), bits1 = number<uint8_t>(type, 2);
     const auto size = number<uint32_t>(type, 4);
     if (version < 1 || version > 3) damaged();
-    Elements elements;
+    Hdf5Elements elements;
     elements.swapped = (bits0 & 1) != 0;
     if (kind == 0) {
       if (number<uint16_t>(type, 8) != 0 || number<uint16_t>(type, 10) != 8 * size)
@@ -365,18 +351,15 @@ class Hdf5Parser {
     }
   }
 
-  std::vector<Filter> filters_of(ByteView bytes) const {
+  std::vector<Hdf5Filter> filters_of(ByteView bytes) const {
     const auto version = number<uint8_t>(bytes, 0);
     const size_t count = number<uint8_t>(bytes, 1);
     if (version < 1 || version > 2 || count > kMostFilters) damaged();
     size_t position = version == 1 ? 8 : 2;
-    std::vector<Filter> filters;
+    std::vector<Hdf5Filter> filters;
     for (size_t i = 0; i < count; ++i) {
-      Filter filter;
-      filter.kind = number<uint16_t>(bytes, position);
-      if (filter.kind != kDeflateFilter && filter.kind != kShuffleFilter && filter.kind != kFletcherFilter) {
-        refuse("filter number " + std::to_string(filter.kind));
-      }
+      const auto filter = number<uint16_t>(bytes, position);
+      if (!is_known_hdf5_filter(filter)) refuse("filter number " + std::to_string(filter));
       position += 2;
       size_t name = 0;
       if (version == 1) {
@@ -386,12 +369,12 @@ class Hdf5Parser {
       const size_t values = number<uint16_t>(bytes, position + 2);
       position += 4 + name + 4 * values;
       if (version == 1 && values % 2 == 1) position += 4;
-      filters.push_back(filter);
+      filters.push_back(static_cast<Hdf5Filter>(filter));
     }
     return filters;
   }
 
-  void read_chunks(const Layout& layout, const std::vector<Filter>& filters,
+  void read_chunks(const Layout& layout, const std::vector<Hdf5Filter>& filters,
                    const std::vector<uint64_t>& extents, uint64_t count) {
     const size_t rank = extents.size();
     uint64_t chunk_elements = 1, chunks = 1;
@@ -432,97 +415,18 @@ class Hdf5Parser {
       if (seen[static_cast<size_t>(index)]) damaged_data();
       seen[static_cast<size_t>(index)] = true;
       --left;
-      unpack({at(address, size), size}, mask, filters, chunk_elements * elements_.size(), unpacked);
+      if (!undo_hdf5_filters({at(address, size), size}, mask, filters, elements_.size(),
+                             chunk_elements * elements_.size(), unpacked)) {
+        damaged_data();
+      }
       place(unpacked, first, layout.chunk, extents);
     });
     if (left != 0) damaged_data();
   }
 
   // More elements than all bytes of the file could give: refused before memory is taken.
-  void check_expansion(const std::vector<Filter>& filters, uint64_t count) const {
-    const bool deflated = std::any_of(filters.begin(), filters.end(),
-                                      [](const Filter& filter) { return filter.kind == kDeflateFilter; });
-    const uint64_t ratio = deflated ? kLargestDeflate : 1;
-    if (count * elements_.size() / ratio > file_.size) damaged_data();
-  }
-
-  // Undoes the filters, last one first.
-  void unpack(ByteView stored, uint32_t mask, const std::vector<Filter>& filters, uint64_t expected,
-              std::vector<uint8_t>& bytes) const {
-    bytes.clear();
-    bool first = true;  // bytes are still those of the file
-    ByteView current = stored;
-    std::vector<uint8_t> other;
-    const auto take = [&] {
-      bytes.swap(other);
-      current = {bytes.data(), bytes.size()};
-      first = false;
-    };
-    for (size_t i = filters.size(); i-- > 0;) {
-      if ((mask >> i & 1) != 0) continue;
-      switch (filters[i].kind) {
-        case kDeflateFilter:
-          inflate_into(current, expected, other);
-          take();
-          break;
-        case kShuffleFilter:
-          unshuffle_into(current, other);
-          take();
-          break;
-        default:
-          if (current.size < 4 ||
-              fletcher32(current.data, current.size - 4) != load<uint32_t>(current.data + current.size - 4)) {
-            damaged_data();
-          }
-          current.size -= 4;
-          break;
-      }
-    }
-    if (current.size != expected) damaged_data();
-    if (first) {
-      bytes.assign(current.data, current.data + current.size);
-    } else {
-      bytes.resize(current.size);
-    }
-  }
-
-  // A checksum may follow the data inside (fletcher32 before deflate).
-  void inflate_into(ByteView packed, uint64_t expected, std::vector<uint8_t>& bytes) const {
-    const uint64_t most = expected + 4;
-    if (most / kLargestDeflate > packed.size) damaged_data();
-    bytes.resize(static_cast<size_t>(most));
-    auto size = static_cast<uLongf>(most);
-    if (uncompress(bytes.data(), &size, packed.data, static_cast<uLong>(packed.size)) != Z_OK) damaged_data();
-    bytes.resize(size);
-  }
-
-  void unshuffle_into(ByteView shuffled, std::vector<uint8_t>& bytes) const {
-    const size_t size = elements_.size(), count = shuffled.size / size;
-    bytes.assign(shuffled.data, shuffled.data + shuffled.size);  // what is left over stays in place
-    for (size_t byte = 0; byte < size; ++byte) {
-      for (size_t i = 0; i < count; ++i) bytes[i * size + byte] = shuffled.data[byte * count + i];
-    }
-  }
-
-  static uint32_t fletcher32(const uint8_t* data, size_t size) {
-    uint32_t sum = 0, sum_of_sums = 0;
-    const auto fold = [](uint32_t value) { return (value & 0xffff) + (value >> 16); };
-    constexpr size_t kBlock = 360;  // words that cannot overflow 32 bits
-    for (size_t words = size / 2; words > 0;) {
-      for (size_t i = std::min(words, kBlock), end = words - i; words > end; --words, data += 2) {
-        sum += static_cast<uint32_t>(data[0] << 8 | data[1]);
-        sum_of_sums += sum;
-      }
-      sum = fold(sum);
-      sum_of_sums = fold(sum_of_sums);
-    }
-    if (size % 2 != 0) {
-      sum += static_cast<uint32_t>(data[0]) << 8;
-      sum_of_sums += sum;
-      sum = fold(sum);
-      sum_of_sums = fold(sum_of_sums);
-    }
-    return fold(sum_of_sums) << 16 | fold(sum);
+  void check_expansion(const std::vector<Hdf5Filter>& filters, uint64_t count) const {
+    if (count * elements_.size() / largest_expansion(filters) > file_.size) damaged_data();
   }
 
   // Copies the part of a chunk that lies inside the array.
@@ -537,7 +441,8 @@ class Hdf5Parser {
         from = from * chunk_sides[i] + index[i];
         to = to * extents[i] + first[i] + index[i];
       }
-      convert(chunk.data() + from * elements_.size(), array_.values.data() + to, inside[rank - 1]);
+      floats_from(elements_, chunk.data() + from * elements_.size(), inside[rank - 1],
+                  array_.values.data() + to);
       size_t axis = rank - 1;
       while (axis-- > 0) {
         if (++index[axis] < inside[axis]) break;
@@ -547,63 +452,11 @@ class Hdf5Parser {
     }
   }
 
-  void convert(const uint8_t* from, float* to, uint64_t count) const {
-    switch (elements_.dtype) {
-      case DType::kFloat64:
-        return convert_as<double>(from, to, count);
-      case DType::kFloat32:
-        return convert_as<float>(from, to, count);
-      case DType::kInt64:
-        return convert_as<int64_t>(from, to, count);
-      case DType::kInt32:
-        return convert_as<int32_t>(from, to, count);
-      case DType::kInt16:
-        return convert_as<int16_t>(from, to, count);
-      case DType::kInt8:
-        return convert_as<int8_t>(from, to, count);
-      case DType::kUInt64:
-        return convert_as<uint64_t>(from, to, count);
-      case DType::kUInt32:
-        return convert_as<uint32_t>(from, to, count);
-      case DType::kUInt16:
-        return convert_as<uint16_t>(from, to, count);
-      case DType::kUInt8:
-        return convert_as<uint8_t>(from, to, count);
-      default:
-        break;
-    }
-    for (uint64_t i = 0; i < count; ++i) to[i] = float_from_half(element<uint16_t>(from + 2 * i));
-  }
-
-  template <class T>
-  void convert_as(const uint8_t* from, float* to, uint64_t count) const {
-    for (uint64_t i = 0; i < count; ++i) to[i] = to_float(element<T>(from + sizeof(T) * i));
-  }
-
-  template <class T>
-  T element(const uint8_t* from) const {
-    if (!elements_.swapped || sizeof(T) == 1) return load<T>(from);
-    uint8_t bytes[sizeof(T)];
-    std::reverse_copy(from, from + sizeof(T), bytes);
-    return load<T>(bytes);
-  }
-
-  // A double beyond the floats is infinite, which a plain cast would leave undefined.
-  template <class T>
-  static float to_float(T value) {
-    if constexpr (std::is_same_v<T, double>) {
-      constexpr double kLargest = std::numeric_limits<float>::max();
-      if (value > kLargest) return std::numeric_limits<float>::infinity();
-      if (value < -kLargest) return -std::numeric_limits<float>::infinity();
-    }
-    return static_cast<float>(value);
-  }
-
   ByteView file_;
   std::string dataset_;
   uint64_t most_;
   std::string where_;
-  Elements elements_;
+  Hdf5Elements elements_;
   Hdf5Array array_;
   size_t nodes_seen_ = 0;
 };
