@@ -16,6 +16,7 @@ NamedTensors run_dit_case(const ReferenceCase& reference);          // kind "dit
 NamedTensors run_sample_case(const ReferenceCase& reference);       // kind "sample"
 NamedTensors run_pipeline_case(const ReferenceCase& reference);     // kind "pipeline"
 NamedTensors run_metrics_case(const ReferenceCase& reference);      // kind "metrics_image_depth"
+NamedTensors run_trajectory_case(const ReferenceCase& reference);   // kind "metrics_trajectory"
 
 // Every kind that infer/ can compute, by name.
 ReferenceRunners standard_reference_runners();

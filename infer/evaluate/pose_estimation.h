@@ -1,0 +1,34 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/decoders/geometry_head.h"
+
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// How cameras are found in what a geometry head says of views.
+enum class PoseEstimator {
+  kNone,
+  kOurs,  // gld/cameras/pose_from_rays.h, with the given principal points
+  kDa3,   // gld/cameras/published_pose_from_rays.h
+  kGld,
+  kVggt,  // VGGT's camera head, whose cameras are the heads' rays
+};
+const std::vector<std::string>& pose_estimator_names();  // "none", "ours", "da3", "gld", "vggt"
+
+// One camera a view of geometry.rays, in their frame and unit. given: the scene's, for sizes and (ours) principal points.
+// Throws Error where no camera fits a view, and for kNone.
+std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOutput& geometry,
+                                      const std::vector<Camera>& given);
+
+// What a model's geometry head says of pictures of any size, (views, 3, height, width) in [0, 1]: seen at the nearest size in
+// whole patches, depth brought back to theirs.
+GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
+                                    const torch::Device& device);
+
+}  // namespace gld
