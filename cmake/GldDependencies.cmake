@@ -24,6 +24,7 @@ gld_require(ZLIB zlib1g-dev)
 gld_require(OpenSSL libssl-dev 1.1.1 COMPONENTS Crypto)
 gld_require(PNG libpng-dev 1.6)
 gld_require(JPEG libjpeg-dev)
+gld_require(TIFF libtiff-dev 4.5)
 
 # The same for libraries that only pkg-config knows; the target is PkgConfig::NAME.
 macro(gld_require_module name title debian_package)
@@ -37,6 +38,7 @@ endmacro()
 gld_require_module(CAIRO cairo libcairo2-dev cairo cairo-svg cairo-png)
 gld_require_module(PANGO Pango libpango1.0-dev pangocairo>=1.44)
 gld_require_module(EXIF libexif libexif-dev libexif)
+gld_require_module(WEBP libwebp libwebp-dev libwebp libwebpdemux)
 gld_require_module(HDF5 HDF5 libhdf5-dev hdf5)
 gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d)
 

@@ -7,7 +7,8 @@ packages=(
   g++ cmake ninja-build pkg-config
   libtorch-dev libopenblas0-pthread libopencv-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
-  libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libexif-dev libssl-dev
+  libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
+  libssl-dev
 )
 if [ "${1:-}" = --development ]; then
   packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)

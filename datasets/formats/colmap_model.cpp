@@ -90,8 +90,8 @@ void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& 
 }
 
 ColmapLocation find_colmap_model(const std::filesystem::path& scene) {
-  for (const auto& folder :
-       {scene, scene / "sparse" / "0", scene / "sparse", scene / "colmap" / "sparse" / "0"}) {
+  for (const auto& folder : {scene, scene / "sparse" / "0", scene / "sparse",
+                             scene / "colmap" / "sparse" / "0", scene / "sparse_txt"}) {
     if (std::filesystem::is_regular_file(folder / "cameras.bin")) return {folder, ColmapForm::kBinary};
     if (std::filesystem::is_regular_file(folder / "cameras.txt") &&
         std::filesystem::is_regular_file(folder / "images.txt")) {

@@ -19,6 +19,20 @@ std::filesystem::path find_colmap_image(const std::filesystem::path& folder, con
   return find_image(file.parent_path(), file.stem().string());
 }
 
+// The scene around a model whose own folder was given, such as SCENE/sparse/0: the nearest folder with images, or the path
+// itself where there is none.
+std::filesystem::path scene_around(const std::filesystem::path& path, const std::string& image_folder) {
+  auto folder = std::filesystem::absolute(path).lexically_normal();
+  if (!folder.has_filename()) folder = folder.parent_path();
+  constexpr int kDeepestModel = 3;  // SCENE/colmap/sparse/0
+  for (int depth = 0; depth <= kDeepestModel; ++depth, folder = folder.parent_path()) {
+    const bool found = image_folder.empty() ? !find_image_folder(folder, "").empty()
+                                            : std::filesystem::is_directory(folder / image_folder);
+    if (found) return depth == 0 ? path : folder;
+  }
+  return path;
+}
+
 }  // namespace
 
 FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
@@ -51,12 +65,13 @@ Scene ColmapReader::read(const std::filesystem::path& path, const SceneReading& 
     fail({path.string(), marker(), "none", "check the folder or choose another format"});
   }
   const ColmapModel model = read_colmap_model(location.folder, location.form);
-  const auto images = find_image_folder(path, reading.image_folder);
+  const auto scene = location.folder == path ? scene_around(path, reading.image_folder) : path;
+  const auto images = find_image_folder(scene, reading.image_folder);
   if (images.empty()) {
-    fail({path.string(), "a folder of images beside the model (images or images_N)", "none",
-          "put the images there or name their folder with image_folder"});
+    fail({scene.string(), "a folder of images beside the model (images or images_N)", "none",
+          "put the images there, or name a folder inside the scene with --image-folder"});
   }
-  SceneBuilder builder(name(), path, reading);
+  SceneBuilder builder(name(), scene, reading);
   FrameMaker maker;
   for (const ColmapImage& image : model.images) {
     const std::string where = location.folder.string() + " " + image.name;
@@ -70,6 +85,7 @@ Scene ColmapReader::read(const std::filesystem::path& path, const SceneReading& 
     });
   }
   builder.scene().points_in_world = model.points_in_world;
+  builder.warn(maker.crop_note());
   return builder.finish();
 }
 

@@ -98,6 +98,7 @@ Scene Eth3dReader::read(const std::filesystem::path& path, const SceneReading& r
   }
   builder.scene().metric = true;
   builder.scene().points_in_world = model.points_in_world;
+  builder.warn(maker.crop_note());
   return builder.finish();
 }
 

@@ -1,5 +1,6 @@
 #include "datasets/formats/file_listing.h"
 
+#include "datasets/images/image_format.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
@@ -14,6 +15,12 @@ bool is_digit(char c) { return std::isdigit(static_cast<unsigned char>(c)) != 0;
 std::string lower(std::string text) {
   std::transform(text.begin(), text.end(), text.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return text;
+}
+
+std::string upper(std::string text) {
+  std::transform(text.begin(), text.end(), text.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
   return text;
 }
 
@@ -66,7 +73,8 @@ std::string folder_name(const std::filesystem::path& folder) {
 
 bool is_image_name(const std::filesystem::path& file) {
   const std::string extension = lower(file.extension().string());
-  return extension == ".png" || extension == ".jpg" || extension == ".jpeg";
+  const auto& extensions = image_extensions();
+  return std::find(extensions.begin(), extensions.end(), extension) != extensions.end();
 }
 
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& folder) {
@@ -87,10 +95,12 @@ std::vector<std::filesystem::path> list_folders(const std::filesystem::path& fol
 }
 
 std::filesystem::path find_image(const std::filesystem::path& folder, const std::string& stem) {
-  for (const char* extension : {".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG"}) {
-    std::filesystem::path file = folder / (stem + extension);
-    std::error_code error;
-    if (std::filesystem::is_regular_file(file, error)) return file;
+  for (const auto& change : {lower, upper}) {
+    for (const std::string& extension : image_extensions()) {
+      std::filesystem::path file = folder / (stem + change(extension));
+      std::error_code error;
+      if (std::filesystem::is_regular_file(file, error)) return file;
+    }
   }
   return {};
 }
@@ -99,7 +109,7 @@ std::filesystem::path find_image_folder(const std::filesystem::path& scene, cons
   if (!asked_for.empty()) {
     std::filesystem::path folder = inside(scene, asked_for, "--image-folder");
     if (!std::filesystem::is_directory(folder)) {
-      fail({folder.string(), "a folder of images", "nothing", "choose another image_folder"});
+      fail({folder.string(), "a folder of images", "nothing", "choose another --image-folder"});
     }
     return folder;
   }

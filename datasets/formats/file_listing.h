@@ -9,7 +9,7 @@ namespace gld {
 // "frame_2" before "frame_10": runs of digits compare as numbers.
 bool natural_less(const std::string& a, const std::string& b);
 
-// PNG and JPEG files directly in folder, in natural order; empty when there is no such folder.
+// Image files (datasets/images/image_format.h) directly in folder, in natural order; empty when there is no such folder.
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& folder);
 
 // Files with that extension (".txt") directly in folder, in natural order.
@@ -24,7 +24,7 @@ std::string folder_name(const std::filesystem::path& folder);
 
 bool is_image_name(const std::filesystem::path& file);
 
-// folder/stem.png, .jpg, .jpeg or their capital forms, whichever exists; empty when none does.
+// folder/stem with an ending of an image file, in small letters or capitals, whichever exists; empty when none does.
 std::filesystem::path find_image(const std::filesystem::path& folder, const std::string& stem);
 
 // The folder of images to use: the one asked for (Error when it is not there), else "images", else the images_N with

@@ -75,9 +75,21 @@ Frame FrameMaker::make(const FrameRecord& record) {
   std::shared_ptr<const Undistorter> undistorter;
   if (!record.lens.ideal()) {
     const LensCamera source{fitted.width, fitted.height, frame.camera.intrinsics, record.lens};
-    auto& shared = undistorters_[undistorter_key(source)];
-    if (!shared) shared = make_undistorter(frame.camera, source);
-    undistorter = shared;
+    auto& shared = undistortions_[undistorter_key(source)];
+    if (!shared.undistorter) {
+      shared.ideal = cropped_to_source(frame.camera, source);
+      shared.undistorter = make_undistorter(shared.ideal, source);
+    }
+    undistorter = shared.undistorter;
+    frame.camera.width = shared.ideal.width;
+    frame.camera.height = shared.ideal.height;
+    frame.camera.intrinsics = shared.ideal.intrinsics;
+    if (frame.camera.width != fitted.width || frame.camera.height != fitted.height) {
+      if (cropped_frames_++ == 0) {
+        first_crop_ = size_text(fitted.width, fitted.height) + " to " +
+                      size_text(frame.camera.width, frame.camera.height);
+      }
+    }
   }
 
   const auto file = record.image_file;
@@ -108,6 +120,13 @@ Frame FrameMaker::make(const FrameRecord& record) {
     frame.load_validity = [undistorter] { return undistorter->validity(); };
   }
   return frame;
+}
+
+std::string FrameMaker::crop_note() const {
+  if (cropped_frames_ == 0) return "";
+  return "Pictures without their lens distortion have borders that the lens did not see: cropped away in " +
+         std::to_string(cropped_frames_) + " of them, the first from " + first_crop_ +
+         "; the intrinsics follow.";
 }
 
 }  // namespace gld

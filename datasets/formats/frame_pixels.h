@@ -28,11 +28,21 @@ struct FrameRecord {
 // undistortion table between frames of one camera.
 class FrameMaker {
  public:
-  // Depth and masks are brought to the image's size (nearest) where a format stores them in another one.
+  // Depth and masks are brought to the image's size (nearest) where a format stores them in another one. A picture whose
+  // distortion is undone is cropped to what the lens saw: it has no borders without pixels.
   Frame make(const FrameRecord& record);
 
+  // What was cropped, a sentence for the scene's warnings; empty where nothing was.
+  std::string crop_note() const;
+
  private:
-  std::map<std::string, std::shared_ptr<const Undistorter>> undistorters_;
+  struct Undistortion {
+    Camera ideal;  // at the origin
+    std::shared_ptr<const Undistorter> undistorter;
+  };
+  std::map<std::string, Undistortion> undistortions_;
+  int64_t cropped_frames_ = 0;
+  std::string first_crop_;
 };
 
 }  // namespace gld

@@ -245,6 +245,7 @@ Scene NerfstudioReader::read(const std::filesystem::path& path, const SceneReadi
   std::sort(scene.frames.begin(), scene.frames.end(), [](const Frame& a, const Frame& b) {
     return natural_less(a.image_file.string(), b.image_file.string());
   });
+  builder.warn(maker.crop_note());
   return builder.finish();
 }
 

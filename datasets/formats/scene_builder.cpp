@@ -44,7 +44,9 @@ void SceneBuilder::add_missing(const std::filesystem::path& file) {
   ++scene_.missing_files;
 }
 
-void SceneBuilder::warn(const std::string& sentence) { scene_.warnings.push_back(sentence); }
+void SceneBuilder::warn(const std::string& sentence) {
+  if (!sentence.empty()) scene_.warnings.push_back(sentence);
+}
 
 Scene SceneBuilder::finish() {
   if (scene_.frames.empty()) {

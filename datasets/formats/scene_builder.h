@@ -20,7 +20,7 @@ class SceneBuilder {
   // camera is checked here.
   void add(const std::string& where, const std::function<std::optional<Frame>()>& make);
   void add_missing(const std::filesystem::path& file);
-  void warn(const std::string& sentence);
+  void warn(const std::string& sentence);  // nothing for an empty one
   Scene& scene() { return scene_; }
 
   // Error when no frame is left, with the first reason. Frame names are made unique.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -22,5 +23,10 @@ constexpr int64_t kLargestSide = 65535;
 
 // Error unless 1 <= sides <= kLargestSide and there are at most kMostPixels; where names the file.
 void check_picture_size(int64_t width, int64_t height, const std::string& where);
+
+// The same for files whose few bytes may stand for any number of equal pixels: beyond 2^24 pixels a file must have a byte for
+// 4096 of them, of which photographs have a thousand times as many.
+void check_compressed_picture_size(int64_t width, int64_t height, size_t file_bytes,
+                                   const std::string& where);
 
 }  // namespace gld

@@ -1,9 +1,13 @@
 #include "datasets/images/image_file.h"
 
+#include "datasets/images/bmp_file.h"
 #include "datasets/images/decoded_pixels.h"
+#include "datasets/images/image_format.h"
 #include "datasets/images/image_probe.h"
 #include "datasets/images/jpeg_file.h"
 #include "datasets/images/png_file.h"
+#include "datasets/images/tiff_file.h"
+#include "datasets/images/webp_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
@@ -23,12 +27,26 @@ constexpr uint64_t kLargestImageFile = uint64_t{1} << 30;
 
 // The file is decoded from memory so that what was probed is what is decoded. OpenCV's decoders print what is wrong with a
 // file and go on where they can; ours refuse it.
-cv::Mat decode(const std::string& bytes, const std::string& where) {
-  const bool jpeg = bytes.compare(0, 2, "\xFF\xD8") == 0;
-  DecodedPixels pixels = jpeg ? decode_jpeg(bytes, where) : decode_png(bytes, where);
+DecodedPixels decode(const std::string& bytes, const std::string& where) {
+  switch (image_format(bytes).value_or(ImageFormat::kPng)) {
+    case ImageFormat::kJpeg:
+      return decode_jpeg(bytes, where);
+    case ImageFormat::kWebp:
+      return decode_webp(bytes, where);
+    case ImageFormat::kTiff:
+      return decode_tiff(bytes, where);
+    case ImageFormat::kBmp:
+      return decode_bmp(bytes, where);
+    case ImageFormat::kPng:
+      break;
+  }
+  return decode_png(bytes, where);
+}
+
+// Over the bytes of pixels, which must live as long.
+cv::Mat matrix_of(DecodedPixels& pixels) {
   const int type = CV_MAKETYPE(pixels.bits == 16 ? CV_16U : CV_8U, pixels.channels);
-  return cv::Mat(static_cast<int>(pixels.height), static_cast<int>(pixels.width), type, pixels.bytes.data())
-      .clone();
+  return {static_cast<int>(pixels.height), static_cast<int>(pixels.width), type, pixels.bytes.data()};
 }
 
 cv::Mat to_eight_bits(const cv::Mat& image, const std::string& where) {
@@ -97,7 +115,8 @@ Image read_image(const std::filesystem::path& file, ImageOrientation orientation
   const std::string bytes = read_file(file, kLargestImageFile);
   const std::string where = file.string();
   const ImageFileInfo info = probe_image_bytes(bytes, where);
-  cv::Mat pixels = to_eight_bits(decode(bytes, where), where);
+  DecodedPixels decoded = decode(bytes, where);
+  cv::Mat pixels = to_eight_bits(matrix_of(decoded), where);
   cv::Mat rgb;
   switch (pixels.channels()) {
     case 1:
@@ -123,7 +142,8 @@ DepthMap read_depth_png(const std::filesystem::path& file, double metres_per_uni
   const std::string bytes = read_file(file, kLargestImageFile);
   const std::string where = file.string();
   probe_image_bytes(bytes, where);
-  const cv::Mat pixels = decode(bytes, where);
+  DecodedPixels decoded = decode(bytes, where);
+  const cv::Mat pixels = matrix_of(decoded);
   if (pixels.type() != CV_16UC1) {
     fail({where, "a 16-bit image with one channel", "another pixel type", "write depth as 16-bit grey PNG"});
   }

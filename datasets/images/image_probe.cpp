@@ -1,12 +1,18 @@
 #include "datasets/images/image_probe.h"
 
+#include "datasets/images/bmp_file.h"
 #include "datasets/images/decoded_pixels.h"
+#include "datasets/images/image_format.h"
+#include "datasets/images/tiff_file.h"
+#include "datasets/images/webp_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/mapped_file.h"
 
 #include <algorithm>
 #include <fstream>
 #include <memory>
+#include <string_view>
 
 #include <libexif/exif-data.h>
 
@@ -27,7 +33,7 @@ enum class Extent { kHeader, kWhole };
 
 class Bytes {
  public:
-  Bytes(const std::string& bytes, const std::string& where) : bytes_(bytes), where_(where) {}
+  Bytes(std::string_view bytes, const std::string& where) : bytes_(bytes), where_(where) {}
   size_t size() const { return bytes_.size(); }
   uint8_t at(size_t offset) const {
     if (offset >= bytes_.size()) fail_truncated(where_);
@@ -37,7 +43,7 @@ class Bytes {
   uint32_t big32(size_t offset) const { return big16(offset) << 16 | big16(offset + 2); }
 
  private:
-  const std::string& bytes_;
+  std::string_view bytes_;
   const std::string& where_;
 };
 
@@ -57,8 +63,7 @@ int exif_orientation(const std::string& metadata) {
   return value >= 1 && value <= 8 ? value : 1;
 }
 
-ImageFileInfo probe_png(const Bytes& bytes, const std::string& text, Extent extent,
-                        const std::string& where) {
+ImageFileInfo probe_png(const Bytes& bytes, std::string_view text, Extent extent, const std::string& where) {
   ImageFileInfo info;
   info.width = bytes.big32(16);
   info.height = bytes.big32(20);
@@ -70,7 +75,7 @@ ImageFileInfo probe_png(const Bytes& bytes, const std::string& text, Extent exte
     if (type == 0x49444154 && extent == Extent::kHeader) return info;  // IDAT
     if (next > bytes.size()) fail_truncated(where);
     if (type == 0x65584966) {  // eXIf
-      info.orientation = exif_orientation(kExifStart + text.substr(offset + 8, length));
+      info.orientation = exif_orientation(kExifStart + std::string(text.substr(offset + 8, length)));
     }
     if (type == 0x49454E44) return info;  // IEND
     offset = next;
@@ -83,14 +88,13 @@ bool is_frame_header(uint8_t marker) {
 }
 
 // An end-of-image marker cannot occur inside compressed data, where 0xFF is always followed by 0.
-bool has_end_marker(const std::string& bytes, size_t scan) {
+bool has_end_marker(std::string_view bytes, size_t scan) {
   const char marker[] = {'\xFF', '\xD9'};
   return std::search(bytes.begin() + static_cast<std::ptrdiff_t>(scan), bytes.end(), marker, marker + 2) !=
          bytes.end();
 }
 
-ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent extent,
-                         const std::string& where) {
+ImageFileInfo probe_jpeg(const Bytes& bytes, std::string_view text, Extent extent, const std::string& where) {
   ImageFileInfo info;
   size_t offset = 2;
   while (true) {
@@ -106,7 +110,7 @@ ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent ext
       info.width = bytes.big16(offset + 5);
     }
     if (marker == 0xE1 && text.compare(offset + 2, kExifStart.size(), kExifStart) == 0) {
-      info.orientation = exif_orientation(text.substr(offset + 2, length - 2));
+      info.orientation = exif_orientation(std::string(text.substr(offset + 2, length - 2)));
     }
     if (marker == 0xDA) {
       if (extent == Extent::kWhole && !has_end_marker(text, offset)) fail_truncated(where);
@@ -116,16 +120,45 @@ ImageFileInfo probe_jpeg(const Bytes& bytes, const std::string& text, Extent ext
   }
 }
 
-ImageFileInfo probe(const std::string& bytes, Extent extent, const std::string& where) {
-  const Bytes reader(bytes, where);
-  ImageFileInfo info;
-  if (bytes.compare(0, 8, "\x89PNG\r\n\x1A\n") == 0) {
-    info = probe_png(reader, bytes, extent, where);
-  } else if (bytes.compare(0, 2, "\xFF\xD8") == 0) {
-    info = probe_jpeg(reader, bytes, extent, where);
-  } else {
-    fail({where, "a PNG or JPEG image", bytes.empty() ? "an empty file" : "something else", "convert it"});
+ImageFileInfo probe_webp(std::string_view bytes, Extent extent, const std::string& where) {
+  const WebpHeader header = read_webp_header(bytes, where);
+  if (extent == Extent::kWhole && !header.whole) fail_truncated(where);
+  return {header.width, header.height, header.exif.empty() ? 1 : exif_orientation(header.exif)};
+}
+
+ImageFileInfo probe_tiff(std::string_view bytes, const std::string& where) {
+  const TiffHeader header = read_tiff_header(bytes, where);
+  return {header.width, header.height, header.orientation};
+}
+
+ImageFileInfo probe_bmp(std::string_view bytes, const std::string& where) {
+  const BmpHeader header = read_bmp_header(bytes, where);
+  return {header.width, header.height, 1};
+}
+
+ImageFileInfo probe_format(std::string_view bytes, Extent extent, const std::string& where) {
+  const auto format = image_format(bytes);
+  if (!format) {
+    fail({where, "a " + image_format_names() + " image", bytes.empty() ? "an empty file" : "something else",
+          "convert it"});
   }
+  switch (*format) {
+    case ImageFormat::kJpeg:
+      return probe_jpeg(Bytes(bytes, where), bytes, extent, where);
+    case ImageFormat::kWebp:
+      return probe_webp(bytes, extent, where);
+    case ImageFormat::kTiff:
+      return probe_tiff(bytes, where);
+    case ImageFormat::kBmp:
+      return probe_bmp(bytes, where);
+    case ImageFormat::kPng:
+      break;
+  }
+  return probe_png(Bytes(bytes, where), bytes, extent, where);
+}
+
+ImageFileInfo probe(std::string_view bytes, Extent extent, const std::string& where) {
+  const ImageFileInfo info = probe_format(bytes, extent, where);
   if (info.width < 2 || info.height < 2) {
     fail({where, "an image at least 2 pixels wide and high",
           std::to_string(info.width) + "x" + std::to_string(info.height), "leave it out"});
@@ -150,9 +183,14 @@ ImageFileInfo probe_image_file(const std::filesystem::path& file) {
       try {
         return probe(start, Extent::kHeader, file.string());
       } catch (const Error&) {
-        // Either wrong or a longer header: the whole file tells.
+        // Either wrong, or a longer header, or one that stands behind the pixels: the whole file tells.
       }
     }
+  }
+  if (!error && size > static_cast<uintmax_t>(kHeaderBytes) && size <= kLargestProbedFile) {
+    const auto mapped = MappedFile::open(file);
+    const ByteView bytes = mapped->bytes();
+    return probe({reinterpret_cast<const char*>(bytes.data), bytes.size}, Extent::kHeader, file.string());
   }
   return probe(read_file(file, kLargestProbedFile), Extent::kHeader, file.string());
 }

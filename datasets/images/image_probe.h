@@ -6,7 +6,7 @@
 
 namespace gld {
 
-// What the header of a PNG or JPEG file says, without decoding it.
+// What the header of an image file (datasets/images/image_format.h) says, without decoding it.
 struct ImageFileInfo {
   int64_t width = 0;    // as stored
   int64_t height = 0;   // as stored
@@ -17,7 +17,7 @@ struct ImageFileInfo {
 };
 
 // Reads no more than the header, so that opening a scene of many large photographs is quick. Throws Error when the file
-// is missing, is no PNG or JPEG, ends within the header, or is one pixel wide or high.
+// is missing, is no image, ends within the header, or is one pixel wide or high.
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
 // The same for a whole file in memory, and an Error when it ends early anywhere; where names it in errors.

@@ -26,7 +26,7 @@ class Undistorter {
   };
   Undistorter(const Size& ideal, const Size& source, PixelMapping mapping);
 
-  Image image(const Image& source) const;                   // bilinear; outside the source black
+  Image image(const Image& source) const;                   // bilinear; black where the source has no pixel
   DepthMap depth(const DepthMap& source) const;             // nearest; outside the source 0
   ValidityMask validity() const;                            // 1 where the source picture has a pixel
   ValidityMask validity(const ValidityMask& source) const;  // and where that pixel is valid
@@ -53,5 +53,10 @@ struct LensCamera {
   LensDistortion lens;
 };
 std::shared_ptr<const Undistorter> make_undistorter(const Camera& ideal, const LensCamera& source);
+
+// The part of the ideal camera's picture, a rectangle as large as possible, that the source has pixels for everywhere: the same
+// camera with a smaller picture, its principal point moved with the corner. Found from samples along lines, to a pixel or two.
+// Error where not even 2x2 pixels are left.
+Camera cropped_to_source(const Camera& ideal, const LensCamera& source);
 
 }  // namespace gld

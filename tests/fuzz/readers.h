@@ -12,7 +12,7 @@ void read_as_npy(const uint8_t* data, size_t size);            // npy or npz, by
 void read_as_hdf5(const uint8_t* data, size_t size);           // a dataset "dataset" of any rank
 void read_as_json(const uint8_t* data, size_t size);           // JSON, then cameras.json, then options
 void read_as_yaml(const uint8_t* data, size_t size);           // options of every kind
-void read_as_image(const uint8_t* data, size_t size);          // PNG or JPEG, with its EXIF metadata
+void read_as_image(const uint8_t* data, size_t size);          // of every format, with its EXIF metadata
 void read_as_colmap(const uint8_t* data,
                     size_t size);  // by the first byte: cameras, images or points, binary or text
 void read_as_re10k(const uint8_t* data, size_t size);  // the rows of a camera file

@@ -72,7 +72,7 @@ TEST_F(SmallColmap, DownscaledImagesScaleTheIntrinsics) {
   reading.image_folder = "images_8";
   EXPECT_EQ(error_of([&] { open_scene(folder_.path(), reading); }),
             (folder_.path() / "images_8").string() +
-                ": expected a folder of images, found nothing; choose another image_folder.");
+                ": expected a folder of images, found nothing; choose another --image-folder.");
 }
 
 TEST_F(SmallColmap, ImagesThatDoNotExistAreCounted) {
@@ -84,7 +84,28 @@ TEST_F(SmallColmap, ImagesThatDoNotExistAreCounted) {
   std::filesystem::remove_all(folder_.path() / "images");
   EXPECT_EQ(error(), folder_.path().string() +
                          ": expected a folder of images beside the model (images or images_N), found none; "
-                         "put the images there or name their folder with image_folder.");
+                         "put the images there, or name a folder inside the scene with --image-folder.");
+}
+
+// A text copy of the model beside the images, or the model's own folder.
+TEST_F(SmallColmap, ModelsAreFoundInSparseTxtAndByTheirOwnFolder) {
+  write_scene(scene_, "colmap-text", folder_.path());
+  const auto text = folder_.path() / "sparse_txt";
+  std::filesystem::rename(folder_.path() / "sparse" / "0", text);
+  EXPECT_EQ(open_scene(folder_.path()).frames.size(), 3U);
+  const Scene by_model = open_scene(text);
+  EXPECT_EQ(by_model.frames.size(), 3U);
+  EXPECT_EQ(by_model.folder, folder_.path());
+  SceneReading reading;
+  reading.image_folder = "images";
+  EXPECT_EQ(open_scene(text.string() + "/", reading).frames.size(), 3U);
+  std::filesystem::rename(folder_.path() / "images", folder_.path() / "photos");
+  EXPECT_EQ(error_of([&] { open_scene(text); }),
+            text.string() +
+                ": expected a folder of images beside the model (images or images_N), found none; "
+                "put the images there, or name a folder inside the scene with --image-folder.");
+  reading.image_folder = "photos";
+  EXPECT_EQ(open_scene(text, reading).frames.size(), 3U);
 }
 
 TEST_F(SmallColmap, ImagesOfAnotherShapeAreRefused) {

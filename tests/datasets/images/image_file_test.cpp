@@ -188,11 +188,13 @@ TEST(ImageFile, RefusesWhatIsNoPicture) {
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected a file, found nothing; check the path.");
   write_file_atomically(file, "hello");
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() + ": expected a PNG or JPEG image, found something else; convert it.");
+  EXPECT_EQ(
+      error_of([&] { read_image(file); }),
+      file.string() + ": expected a PNG, JPEG, WebP, TIFF or BMP image, found something else; convert it.");
   write_file_atomically(file, "");
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() + ": expected a PNG or JPEG image, found an empty file; convert it.");
+  EXPECT_EQ(
+      error_of([&] { read_image(file); }),
+      file.string() + ": expected a PNG, JPEG, WebP, TIFF or BMP image, found an empty file; convert it.");
   write_png(file, Image(1, 5));
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected an image at least 2 pixels wide and high, found 1x5; leave it out.");
