@@ -123,11 +123,12 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   asked.outputs = {"image", "depth", "rays", "points"};
   asked.points.lifting = PointLifting::kPointMaps;
   if (GetParam() != "vggt") {
-    EXPECT_EQ(test::error_of([&] { sample(asked); }),
-              fmt::format("--points.lifting: expected cameras or rays of a model whose head predicts no points, "
-                          "found point_maps of {}; choose another, or --geometry-model DIR with a head that does "
-                          "(VGGT's).",
-                          ModelBundle::open(geometry ? asked.model : asked.geometry_model).options().name));
+    EXPECT_EQ(
+        test::error_of([&] { sample(asked); }),
+        fmt::format("--points.lifting: expected cameras or rays of a model whose head predicts no points, "
+                    "found point_maps of {}; choose another, or --geometry-model DIR with a head that does "
+                    "(VGGT's).",
+                    ModelBundle::open(geometry ? asked.model : asked.geometry_model).options().name));
     asked.points.lifting = PointLifting::kCameras;
   }
   testing::internal::CaptureStdout();
