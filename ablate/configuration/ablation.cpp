@@ -321,6 +321,7 @@ void StageDescription::visit(FieldVisitor& visitor) {
   visitor.text({"resume", "stage whose training this one goes on with"}, resume);
   visitor.text({"results", "CSV file of its run folder with a row a scene"}, results);
   visitor.integer({"repeat", "runs of it, each with its own ${number} in its options"}, repeat, {1, 100'000});
+  visitor.text({"seed", "option that seeds change; none: loop.seed of trainings, else seed"}, seed);
   visitor.boolean({"shared", "one run for all seeds"}, shared);
   visitor.boolean({"alone", "nothing else runs beside it: it is timed"}, alone);
 }

@@ -61,6 +61,7 @@ struct StageDescription : OptionsGroup {
   std::string results =
       "eval.csv";       // file of its run folder whose rows count, where it is a variant's result
   int64_t repeat = 1;   // runs of it, each with a ${number} of its own in its options, 000000 the first
+  std::string seed;     // option that seeds change; empty: loop.seed, else seed
   bool shared = false;  // by all seeds: its own seed stays as the configuration says
   bool alone = false;   // nothing else runs beside it
   std::vector<OptionSetting> settings;

@@ -192,7 +192,7 @@ class Planner {
     for (const OptionSetting& setting : ablation_.settings_of(run.variant, stage)) {
       apply_setting(*options, setting.key, setting.value, setting.where);
     }
-    const std::string seed = seed_field(*options);
+    const std::string seed = stage.seed.empty() ? seed_field(*options) : stage.seed;
     if (!stage.shared && !seed.empty()) {
       set(*options, seed, std::to_string(integer_field(*options, seed) + kSeedStride * run.seed), run, stage);
     }

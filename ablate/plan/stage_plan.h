@@ -56,7 +56,7 @@ AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& comm
 // Whether text looks like StageTask::key.
 bool is_stage_key(const std::string& text);
 
-// How far seeds of stages lie apart: noise of neighbouring scenes has neighbouring seeds.
-constexpr int64_t kSeedStride = 1'000'000;
+// How far seeds of stages lie apart: evaluations give each next scene the next seed, and each next sample the next million.
+constexpr int64_t kSeedStride = 1'000'000'000;
 
 }  // namespace gld

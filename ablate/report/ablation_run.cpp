@@ -40,7 +40,7 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
                    options.overwrite ? EarlierRun::kOverwrite : EarlierRun::kContinue);
   if (options.overwrite) remove_stages(own_cache);
   write_file_atomically(folder.path() / "ablation.yaml", ablation.text);
-  std::cerr << plan_text(plan, cache, options.jobs_to_use());
+  if (!options.json) std::cout << plan_text(plan, cache, options.jobs_to_use()) << std::flush;
   // The running stages write checkpoints before they stop.
   install_interrupt_handler(StopDeadline::kSafePoint);
   const RunningOptions running{commands.program, options.jobs_to_use(), options.threads};

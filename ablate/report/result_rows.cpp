@@ -82,6 +82,14 @@ size_t column_number(const ResultRows& rows, const std::string& name) {
   return static_cast<size_t>(found - rows.columns.begin());
 }
 
+// Of a report "scene.name". Files of means over scenes have none: they are one scene.
+std::optional<size_t> scene_column_of(const ResultRows& rows) {
+  for (const char* name : {"scene.name", "scene"}) {
+    if (has_column(rows, name)) return column_number(rows, name);
+  }
+  return std::nullopt;
+}
+
 double number_in(const std::string& cell, const std::string& where) {
   if (cell == "inf") return std::numeric_limits<double>::infinity();
   if (cell == "-inf") return -std::numeric_limits<double>::infinity();
@@ -141,7 +149,7 @@ ResultRows read_result_rows(const std::filesystem::path& file) {
 std::map<std::string, std::map<std::string, double>> numbers_by_scene(
     const ResultRows& rows, const std::string& column, const std::map<std::string, std::string>& where) {
   const size_t value_column = column_number(rows, column);
-  const size_t scene_column = column_number(rows, has_column(rows, "scene.name") ? "scene.name" : "scene");
+  const std::optional<size_t> scene_column = scene_column_of(rows);
   const auto target = std::find(rows.columns.begin(), rows.columns.end(), "target");
   std::vector<std::pair<size_t, std::string>> conditions;
   for (const auto& [name, text] : where) conditions.emplace_back(column_number(rows, name), text);
@@ -161,7 +169,7 @@ std::map<std::string, std::map<std::string, double>> numbers_by_scene(
     if (row[value_column].empty()) continue;
     const std::string view =
         target == rows.columns.end() ? "" : row[static_cast<size_t>(target - rows.columns.begin())];
-    Sum& sum = sums[row[scene_column]][view];
+    Sum& sum = sums[scene_column ? row[*scene_column] : "all"][view];
     sum.sum += number_in(row[value_column],
                          rows.file.string() + ":" + std::to_string(number + 2) + ", column '" + column + "'");
     ++sum.count;

@@ -20,7 +20,8 @@ struct ResultRows {
 ResultRows read_result_rows(const std::filesystem::path& file);
 
 // A column's numbers by scene and, where there is a column "target", by target view: of the rows that have these texts in
-// these columns. Empty cells are left out: the quantity is absent. Several rows of one scene and view are averaged.
+// these columns. Empty cells are left out: the quantity is absent. Several rows of one scene and view are averaged; files
+// without a column of scenes are of one, "all".
 // Throws Error where a column does not exist, naming the nearest, a cell is no number, or no row is left.
 std::map<std::string, std::map<std::string, double>> numbers_by_scene(
     const ResultRows& rows, const std::string& column, const std::map<std::string, std::string>& where);

@@ -1,10 +1,21 @@
 #include "ablate/statistics/verdict.h"
 
+#include <algorithm>
 #include <array>
 
 #include <fmt/format.h>
 
 namespace gld {
+
+namespace {
+
+// Whether what was measured does not depend on the seed at all.
+bool all_equal(const NumbersBySeed& numbers) {
+  return std::all_of(numbers.begin(), numbers.end(),
+                     [&](const auto& seed) { return seed.second == numbers.begin()->second; });
+}
+
+}  // namespace
 
 std::string verdict_name(Verdict verdict) {
   static const std::array<std::string, 3> names{"reproduced", "opposite", "undecided"};
@@ -29,6 +40,8 @@ Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options) {
                                 result.scenes == 1 ? "" : "s", kFewestVerdictScenes);
   } else if (result.seeds < kFewestVerdictSeeds) {
     result.reason = "one seed, a verdict needs " + std::to_string(kFewestVerdictSeeds);
+  } else if (all_equal(gain)) {
+    result.reason = "all seeds gave the same numbers, which counts as one seed";
   } else if (!(result.interval.low > 0) && !(result.interval.high < 0)) {
     result.reason = "the interval contains 0";
   } else if (result.interval.low > 0 && result.seeds_in_favour == result.seeds) {

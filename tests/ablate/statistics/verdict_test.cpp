@@ -1,5 +1,8 @@
 #include "ablate/statistics/verdict.h"
 
+#include <string>
+#include <vector>
+
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -34,6 +37,8 @@ TEST(Verdict, IsUndecidedForOneReasonThatItSays) {
   EXPECT_EQ(few.reason, "63 scenes, a verdict needs 64");
   EXPECT_EQ(compare(around({0.5}, 64)).reason, "one seed, a verdict needs 2");
   EXPECT_EQ(compare(around({0.001, -0.001}, 64)).reason, "the interval contains 0");
+  EXPECT_EQ(compare(around({0.5, 0.5}, 64)).reason,
+            "all seeds gave the same numbers, which counts as one seed");
   EXPECT_EQ(compare({}).reason, "0 scenes, a verdict needs 64");
 }
 
