@@ -43,14 +43,6 @@ gld_require_module(HDF5 HDF5 libhdf5-dev hdf5)
 gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d)
 
 if(NOT GLD_SANITIZE)
-  find_package(Torch QUIET)
-  if(NOT Torch_FOUND)
-    message(FATAL_ERROR "LibTorch was not found. Run scripts/setup.sh (Debian's libtorch-dev), or unpack any "
-                        "LibTorch 1.13 to 2.x and pass -DCMAKE_PREFIX_PATH=/path/to/libtorch.")
-  endif()
-  if(Torch_VERSION AND Torch_VERSION VERSION_LESS 1.13)
-    message(FATAL_ERROR "LibTorch ${Torch_VERSION} was found, 1.13 or newer is needed: "
-                        "pass -DCMAKE_PREFIX_PATH=/path/to/libtorch of a newer one.")
-  endif()
+  include(GldLibTorch)
   gld_require(CLI11 libcli11-dev)
 endif()

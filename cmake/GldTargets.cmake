@@ -24,7 +24,7 @@ function(gld_torch_headers)
   add_library(gld_torch_headers STATIC ${PROJECT_SOURCE_DIR}/gld/tensors/torch_precompiled.cpp)
   gld_target_defaults(gld_torch_headers)
   target_link_libraries(gld_torch_headers PUBLIC
-    ${TORCH_LIBRARIES} OpenMP::OpenMP_CXX Threads::Threads Eigen3::Eigen fmt::fmt nlohmann_json::nlohmann_json)
+    ${TORCH_LIBRARIES} OpenMP::OpenMP_CXX Threads::Threads Eigen3::Eigen fmt::fmt ${GLD_TORCH_FMT} nlohmann_json::nlohmann_json)
   target_precompile_headers(gld_torch_headers PRIVATE ${PROJECT_SOURCE_DIR}/gld/tensors/torch_precompiled.h)
 endfunction()
 

@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
 # Configures the release preset and builds the given targets, or everything: build/release/cli/gld. Safe to run again.
+#   --libtorch DIR    with that LibTorch (an unpacked one, or the folder torch of PyTorch's package) instead of Debian's:
+#                     build/libtorch-VERSION/cli/gld
 set -euo pipefail
 cd "$(dirname "$0")/.."
-cmake --preset release >/dev/null
-if [ $# -eq 0 ]; then
-  cmake --build --preset release
+. scripts/build_folder.sh
+cmake --preset release -B "$build_folder" "${configuration[@]}" >/dev/null
+if [ ${#rest[@]} -eq 0 ]; then
+  cmake --build "$build_folder"
 else
-  cmake --build --preset release --target "$@"
+  cmake --build "$build_folder" --target "${rest[@]}"
 fi

@@ -1,17 +1,50 @@
 #!/usr/bin/env bash
-# Installs what building and running needs, with apt, on Debian 12; with --development also what checks the sources. Does
-# nothing when nothing is missing.
+# Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
+#   --development             also what checks the sources
+#   --packaging               also what scripts/package.sh needs
+#   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
+#                             build/; what it is and how large is said first, and where it lies at the end
 set -euo pipefail
+cd "$(dirname "$0")/.."
+
+development=
+packaging=
+libtorch_version=
+while [ $# -gt 0 ]; do
+  case $1 in
+    --development) development=yes ;;
+    --packaging) packaging=yes ;;
+    --libtorch-version)
+      libtorch_version=${2:-}
+      if ! [[ $libtorch_version =~ ^[0-9]+\.[0-9]+(\.[0-9]+)?$ ]]; then
+        echo "setup: --libtorch-version: expected a version, found '$libtorch_version'; write for example 2.13." >&2
+        exit 2
+      fi
+      shift
+      ;;
+    *)
+      echo "setup: expected --development, --packaging or --libtorch-version VERSION, found '$1'." >&2
+      exit 2
+      ;;
+  esac
+  shift
+done
 
 packages=(
   g++ cmake ninja-build pkg-config
-  libtorch-dev libopenblas0-pthread libopencv-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
+  libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
   libssl-dev
 )
-if [ "${1:-}" = --development ]; then
+if [ -n "$development" ]; then
   packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
+fi
+if [ -n "$libtorch_version" ]; then
+  packages+=(python3-venv)
+fi
+if [ -n "$packaging" ]; then
+  packages+=(dpkg-dev file patchelf xz-utils)
 fi
 
 missing=()
@@ -22,19 +55,46 @@ done
 
 if [ ${#missing[@]} -eq 0 ]; then
   echo "setup: everything is installed already."
-  exit 0
-fi
-
-run_as_root=()
-if [ "$(id -u)" -ne 0 ]; then
-  if ! command -v sudo >/dev/null; then
-    echo "setup: these packages are missing and neither root nor sudo is at hand: ${missing[*]}" >&2
-    exit 1
+else
+  run_as_root=()
+  if [ "$(id -u)" -ne 0 ]; then
+    if ! command -v sudo >/dev/null; then
+      echo "setup: these packages are missing and neither root nor sudo is at hand: ${missing[*]}" >&2
+      exit 1
+    fi
+    run_as_root=(sudo)
   fi
-  run_as_root=(sudo)
+  echo "setup: installing ${missing[*]}"
+  "${run_as_root[@]}" apt-get update -qq
+  "${run_as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}"
+  echo "setup: done."
 fi
 
-echo "setup: installing ${missing[*]}"
-"${run_as_root[@]}" apt-get update -qq
-"${run_as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}"
-echo "setup: done."
+[ -n "$libtorch_version" ] || exit 0
+
+environment=$PWD/build/venv-libtorch-$libtorch_version
+[ -x "$environment/bin/pip" ] || python3 -m venv "$environment"
+wanted="torch==$libtorch_version"
+[[ $libtorch_version == *.*.* ]] || wanted+=".*"
+if ! "$environment/bin/python" -c 'import importlib.util, sys; sys.exit(importlib.util.find_spec("torch") is None)'; then
+  report=$(mktemp)
+  trap 'rm -f "$report"' EXIT
+  "$environment/bin/pip" install --quiet --dry-run --report "$report" "$wanted"
+  kind=$("$environment/bin/python" - "$report" <<'PYTHON'
+import json, sys
+packages = [item["metadata"] for item in json.load(open(sys.argv[1]))["install"]]
+torch = next(item for item in packages if item["name"] == "torch")
+device = sum(item["name"].lower().startswith(("nvidia", "cuda", "triton")) for item in packages)
+print(f"cuda torch {torch['version']} with CUDA and {device} packages for it, about 3 GB to fetch and 6 GB on the disk"
+      if device else f"cpu torch {torch['version']} for the processor alone, about 0.2 GB to fetch and 0.8 GB on the disk")
+PYTHON
+)
+  echo "setup: pip gives ${kind#* }, into $environment"
+  # What torch needs in Python is of no use here; what it needs of CUDA is.
+  only=()
+  [ "${kind%% *}" = cuda ] || only=(--no-deps)
+  "$environment/bin/pip" install --quiet "${only[@]}" "$wanted"
+fi
+libtorch=$("$environment/bin/python" -c 'import importlib.util; print(importlib.util.find_spec("torch").submodule_search_locations[0])')
+echo "setup: LibTorch lies in $libtorch; build with scripts/build.sh --libtorch DIR, test with scripts/test.sh --libtorch DIR:"
+echo "$libtorch"

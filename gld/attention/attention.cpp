@@ -53,7 +53,7 @@ torch::Tensor library_attention(const AttentionInputs& inputs) {
     value = encode_key_value(*inputs.prope, value);
   }
   const auto output =
-      scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
+      gld::scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
           .transpose(1, 2)
           .contiguous();
   return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);

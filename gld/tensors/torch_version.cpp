@@ -2,35 +2,18 @@
 
 #include "gld/base/error.h"
 #include "gld/machine/block_memory.h"
-
-#include <cstring>
+#include "gld/tensors/process_libraries.h"
 
 #include <ATen/Parallel.h>
+#include <ATen/Version.h>
 #include <ATen/autocast_mode.h>
 #include <c10/core/CPUAllocator.h>
 #include <torch/version.h>
 
 #include <dlfcn.h>
-#include <link.h>
 
 namespace gld {
 namespace {
-
-int collect_blas(dl_phdr_info* info, size_t /*size*/, void* data) {
-  auto* found = static_cast<std::string*>(data);
-  const std::string path = info->dlpi_name == nullptr ? "" : info->dlpi_name;
-  struct Pattern {
-    const char* fragment;
-    const char* name;
-  };
-  // libblas.so.3 is whatever Debian's alternatives point at, so the more specific names come first.
-  for (const Pattern& pattern :
-       {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
-        Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
-    if (found->empty() && path.find(pattern.fragment) != std::string::npos) *found = pattern.name;
-  }
-  return 0;
-}
 
 // Since 2.4 autocast takes the kind of device; before, each kind had functions of its own.
 #if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 4)
@@ -86,9 +69,22 @@ std::string torch_version() {
 }
 
 std::string blas_name() {
-  std::string found;
-  dl_iterate_phdr(collect_blas, &found);
-  return found.empty() ? "unknown" : found;
+  // PyTorch's packages hold MKL inside LibTorch, and another BLAS may be in the process for other libraries.
+  if (at::show_config().find("BLAS_INFO=mkl") != std::string::npos) return "mkl";
+  struct Pattern {
+    const char* fragment;
+    const char* name;
+  };
+  // libblas.so.3 is whatever Debian's alternatives point at, so the more specific names come first.
+  const auto libraries = loaded_libraries();
+  for (const Pattern& pattern :
+       {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
+        Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
+    for (const std::string& path : libraries) {
+      if (path.find(pattern.fragment) != std::string::npos) return pattern.name;
+    }
+  }
+  return "unknown";
 }
 
 void set_thread_count(int threads) {

@@ -8,6 +8,7 @@
 #include "gld/machine/matrix_unit.h"
 #include "gld/machine/stage_record.h"
 #include "gld/tensors/compute_threads.h"
+#include "gld/tensors/process_libraries.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
@@ -17,6 +18,7 @@
 #include <vector>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 namespace gld {
@@ -25,6 +27,8 @@ namespace {
 struct Machine {
   std::string torch;
   std::string blas;
+  std::vector<std::string> openmp;           // paths of the runtimes
+  std::vector<std::string> process_engines;  // of this build
   std::string instruction_set;
   int cores = 1;
   int threads = 1;
@@ -38,6 +42,7 @@ Machine examine_machine(const DoctorOptions& options) {
   Machine machine;
   machine.torch = torch_version();
   machine.blas = blas_name();
+  machine.openmp = openmp_runtimes();
   machine.instruction_set = instruction_set_name(best_instruction_set());
   machine.cores = static_cast<int>(threads_to_use(0));
   machine.threads = thread_count();
@@ -64,6 +69,12 @@ std::vector<std::string> complaints(const Machine& machine) {
         "BLAS products reach {:.0f} % of the multiply-add peak; a good BLAS reaches 75 % or more: install "
         "libopenblas0-pthread, or stop what else is running.",
         100 * machine.speed.matrix_product / machine.speed.multiply_add_peak));
+  }
+  if (machine.openmp.size() > 1) {
+    list.push_back(fmt::format(
+        "{} OpenMP runtimes are in the process, each with threads of its own that take the cores from the other: "
+        "configure the build anew, which links the one that LibTorch brings.",
+        machine.openmp.size()));
   }
   if (machine.threads > machine.cores) {
     list.push_back(
@@ -135,6 +146,8 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
 nlohmann::ordered_json machine_json(const Machine& machine) {
   return {{"libtorch", machine.torch},
           {"blas", machine.blas},
+          {"openmp", machine.openmp},
+          {"process_engines", machine.process_engines},
           {"vectors", machine.instruction_set},
           {"cores", machine.cores},
           {"threads", machine.threads},
@@ -162,6 +175,8 @@ std::string machine_text(const Machine& machine) {
   const MachineSpeed& speed = machine.speed;
   return fmt::format(
       "LibTorch         {} with {} as BLAS\n"
+      "OpenMP           {}\n"
+      "processes        {}\n"
       "processor        {} cores, {} threads in use, {} vectors\n"
       "memory           {} of {} free\n"
       "multiply-adds    {:.0f} GFLOP/s (the peak)\n"
@@ -174,9 +189,13 @@ std::string machine_text(const Machine& machine) {
       "loading weights  {:.1f} GB/s\n"
       "small models     {:.2f} of the time of their products, large ones {:.2f}\n"
       "                 {}\n",
-      machine.torch, machine.blas, machine.cores, machine.threads, machine.instruction_set,
-      bytes_text(machine.available_memory), bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9,
-      speed.matrix_product / 1e9, 100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
+      machine.torch, machine.blas, fmt::join(machine.openmp, ", "),
+      machine.process_engines.empty()
+          ? "one alone trains: this build has no engine for several"
+          : fmt::format("several train together, by {}", fmt::join(machine.process_engines, ", ")),
+      machine.cores, machine.threads, machine.instruction_set, bytes_text(machine.available_memory),
+      bytes_text(machine.total_memory), speed.multiply_add_peak / 1e9, speed.matrix_product / 1e9,
+      100 * speed.matrix_product / speed.multiply_add_peak, speed.linear / 1e9,
       100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
       100 * speed.attention / speed.multiply_add_peak,
       matrix_unit_name(best_matrix_unit(ComputePrecision::kBFloat16), ComputePrecision::kBFloat16),
@@ -210,9 +229,10 @@ void DoctorOptions::check() const {
   }
 }
 
-std::string doctor_report(const DoctorOptions& options) {
+std::string doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
   use_threads(options.threads);
-  const Machine machine = examine_machine(options);
+  Machine machine = examine_machine(options);
+  machine.process_engines = process_engines;
   const auto wrong = complaints(machine);
   if (options.json) {
     nlohmann::ordered_json report{{"machine", machine_json(machine)}, {"complaints", wrong}};

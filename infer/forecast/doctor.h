@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 namespace gld {
 
@@ -28,6 +29,7 @@ struct DoctorOptions : OptionsGroup {
 // gld doctor: what LibTorch, BLAS, processor and memory this program found, how fast they are, what is wrong with
 // them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The machine's rates are
 // measured where none are kept, and with measure always; they are kept for other commands (infer/forecast/machine_rates.h).
-std::string doctor_report(const DoctorOptions& options);
+// process_engines: what several processes of this build train by.
+std::string doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines = {});
 
 }  // namespace gld

@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/tensors/torch_version.h"
 
 #include <algorithm>
 #include <chrono>
@@ -12,6 +13,7 @@
 #include <torch/autograd.h>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
@@ -182,11 +184,15 @@ std::string case_text(const CaseVerification& result) {
 std::string summary_text(const std::vector<CaseVerification>& cases) {
   const auto passed =
       std::count_if(cases.begin(), cases.end(), [](const auto& result) { return result.passed(); });
-  return fmt::format("{} of {} cases pass\n", passed, cases.size());
+  return fmt::format("{} of {} cases pass, on LibTorch {} with {} as BLAS\n", passed, cases.size(),
+                     torch_version(), blas_name());
 }
 
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases) {
-  nlohmann::json result = {{"passed", true}, {"cases", nlohmann::json::array()}};
+  nlohmann::json result = {{"passed", true},
+                           {"libtorch", torch_version()},
+                           {"blas", blas_name()},
+                           {"cases", nlohmann::json::array()}};
   for (const auto& item : cases) {
     nlohmann::json tensors = nlohmann::json::array();
     for (const auto& row : item.tensors) {

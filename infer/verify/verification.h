@@ -55,10 +55,10 @@ double tolerance_in(ComputePrecision precision, double relative_tolerance);
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
                              ComputePrecision precision = ComputePrecision::kFloat32);
 
-// One line for the case and one a tensor; then one line for all.
+// One line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
 std::string case_text(const CaseVerification& result);
 std::string summary_text(const std::vector<CaseVerification>& cases);
-// {"passed", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]}; numbers that are
+// {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]}; numbers that are
 // not finite are null.
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases);
 

@@ -1,5 +1,6 @@
 #include "cli/verify_command.h"
 
+#include "gld/tensors/torch_version.h"
 #include "tests/support/data_folders.h"
 
 #include <gtest/gtest.h>
@@ -30,7 +31,7 @@ std::string reference_case(const std::string& name) {
 TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
   const auto good = run_verify({reference_case("metrics_image_depth"), reference_case("rgb_decoder")});
   EXPECT_EQ(good.status, 0);
-  EXPECT_NE(good.output.find("2 of 2 cases pass\n"), std::string::npos) << good.output;
+  EXPECT_NE(good.output.find("2 of 2 cases pass, on LibTorch "), std::string::npos) << good.output;
   EXPECT_NE(good.output.find("  pass  psnr "), std::string::npos) << good.output;
 
   // A folder that is no case fails with its sentence and does not stop the next.
@@ -42,7 +43,7 @@ TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
                 "holds case.json."),
             std::string::npos)
       << mixed.output;
-  EXPECT_NE(mixed.output.find("1 of 2 cases pass\n"), std::string::npos) << mixed.output;
+  EXPECT_NE(mixed.output.find("1 of 2 cases pass, on LibTorch "), std::string::npos) << mixed.output;
 }
 
 TEST(VerifyCommand, PrintsOneJsonObject) {
@@ -50,6 +51,8 @@ TEST(VerifyCommand, PrintsOneJsonObject) {
   EXPECT_EQ(outcome.status, 0);
   const auto report = nlohmann::json::parse(outcome.output);
   EXPECT_TRUE(report.at("passed").get<bool>());
+  EXPECT_EQ(report.at("libtorch"), torch_version());
+  EXPECT_EQ(report.at("blas"), blas_name());
   const auto& tensors = report.at("cases").at(0).at("tensors");
   ASSERT_EQ(tensors.size(), 5u);
   EXPECT_EQ(tensors[0].at("name"), "abs_rel");

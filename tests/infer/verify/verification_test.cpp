@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -103,7 +104,8 @@ TEST_F(Verification, PassesOnlyWhenEveryExpectedTensorDoes) {
   EXPECT_FALSE(missing.passed());
   EXPECT_EQ(missing.tensors[0].problem, "missing: this kind of case computes no tensor of that name");
 
-  EXPECT_EQ(summary_text({good, wrong, missing}), "1 of 3 cases pass\n");
+  EXPECT_EQ(summary_text({good, wrong, missing}),
+            "1 of 3 cases pass, on LibTorch " + torch_version() + " with " + blas_name() + " as BLAS\n");
   EXPECT_NE(case_text(wrong).find("FAIL  b"), std::string::npos);
   const auto json = verification_json({good, missing});
   EXPECT_FALSE(json.at("passed").get<bool>());

@@ -1,0 +1,24 @@
+# Sourced by scripts that take --libtorch DIR, from the repository's root: sets build_folder, configuration (for cmake),
+# libtorch and version where it was given, and rest, the other arguments.
+
+build_folder=build/release
+libtorch=
+configuration=()
+rest=()
+while [ $# -gt 0 ]; do
+  if [ "$1" != --libtorch ]; then
+    rest+=("$1")
+    shift
+    continue
+  fi
+  version_file=${2:-}/share/cmake/Torch/TorchConfigVersion.cmake
+  if [ ! -f "$version_file" ]; then
+    echo "$0: --libtorch: expected a folder with share/cmake/Torch, found '${2:-}'; scripts/setup.sh --libtorch-version 2.13 makes one." >&2
+    exit 2
+  fi
+  version=$(sed -n 's/^set(PACKAGE_VERSION "\(.*\)").*/\1/p' "$version_file")
+  libtorch=$2
+  build_folder=build/libtorch-$version
+  configuration=(-DCMAKE_PREFIX_PATH="$(realpath "$2")")
+  shift 2
+done
