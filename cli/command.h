@@ -40,6 +40,8 @@ struct Command {
   // --config FILE.yaml, --set key=value and --quiet as well. A flag's value is its text, YAML is only what stands in the
   // file and right of --set's "=".
   std::shared_ptr<OptionsGroup> options;
+  // Reads what --config names where that is more than a file of options; empty: it is one.
+  std::function<void(const std::string& file)> read_config;
   // Called before options are checked, with the keys ("group.field") that flags and --set name; may be empty.
   std::function<void(const std::vector<std::string>& keys)> on_named;
   // Called after options are read and checked. Returns the exit status.

@@ -194,8 +194,15 @@ void require_argument_count(const Command& command, size_t count) {
   fail({"gld " + command.name, expected, std::to_string(count), "see gld " + command.name + " --help"});
 }
 
-void apply(const Collected& collected, OptionsGroup& options) {
-  if (!collected.config_file.empty()) load_yaml(options, collected.config_file);
+void apply(const Collected& collected, const Command& command) {
+  OptionsGroup& options = *command.options;
+  if (!collected.config_file.empty()) {
+    if (command.read_config) {
+      command.read_config(collected.config_file);
+    } else {
+      load_yaml(options, collected.config_file);
+    }
+  }
   for (const auto& setting : collected.settings) apply_setting(options, setting);
   for (const auto& flag : collected.flags) {
     apply_flag(options, flag.key, flag.value, flag.flag);
@@ -262,7 +269,7 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   refuse_unknown(command, app, left_over);
   require_argument_count(command, left_over.size());
   if (command.options) {
-    apply(collected, *command.options);
+    apply(collected, command);
     if (command.on_named) command.on_named(named_keys(collected));
     check_options(*command.options, "gld " + command.name);
   }

@@ -1,5 +1,6 @@
 #include "cli/commands.h"
 
+#include "cli/ablate_command.h"
 #include "cli/check_data_command.h"
 #include "cli/convert_command.h"
 #include "cli/doctor_command.h"
@@ -21,7 +22,7 @@ std::vector<Command> all_commands() {
   std::vector<Command> commands = {make_sample_command(),     make_plan_command(),    make_doctor_command(),
                                    make_convert_command(),    make_inspect_command(), make_verify_command(),
                                    make_check_data_command(), make_synth_command(),   make_train_command(),
-                                   make_stats_command(),      make_eval_command()};
+                                   make_stats_command(),      make_eval_command(),    make_ablate_command()};
 #ifdef GLD_BENCHMARKS
   commands.push_back(make_bench_command());
 #endif

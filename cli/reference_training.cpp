@@ -22,7 +22,9 @@ struct TrainingCaseOptions : DitCaseOptions {
 
 }  // namespace
 
-NamedTensors run_train_diffusion_case(const ReferenceCase& reference) {
+NamedTensors run_train_diffusion_case(const ReferenceCase& given) {
+  ReferenceCase reference = given;
+  reference.precision = ComputePrecision::kFloat32;  // training has no other on the CPU
   TrainingCaseOptions options;
   reference.read_config(options);
   const auto model = reference_dit(reference, options.model);

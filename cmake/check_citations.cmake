@@ -7,7 +7,7 @@ endif()
 
 set(problems "")
 set(citations 0)
-foreach(folder gld models datasets train infer cli tests configs docs .)
+foreach(folder gld models datasets train infer ablate cli tests configs docs .)
   set(files "")
   if(folder STREQUAL ".")
     file(GLOB files RELATIVE ${ROOT} ${ROOT}/*.md)

@@ -9,7 +9,7 @@ include(${CMAKE_CURRENT_LIST_DIR}/RoomTable.cmake)
 gld_read_room_table(${ROOT}/docs/ARCHITECTURE.md)
 
 set(problems "")
-foreach(folder gld models datasets train infer cli)
+foreach(folder gld models datasets train infer ablate cli)
   file(GLOB_RECURSE sources RELATIVE ${ROOT} ${ROOT}/${folder}/*.h ${ROOT}/${folder}/*.cpp)
   foreach(source IN LISTS sources)
     get_filename_component(room ${source} DIRECTORY)

@@ -11,7 +11,7 @@ packages=(
   libssl-dev
 )
 if [ "${1:-}" = --development ]; then
-  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev)
+  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
 fi
 
 missing=()

@@ -36,8 +36,8 @@ std::string frame_lines(const std::vector<CheckedFrame>& frames) {
       text += fmt::format("  {:<14} ... {} frames more ...\n", "", left_out);
       i += left_out;
     }
-    text += fmt::format("  {:<14} {} {} {}x{}\n", i == 0 ? "frame" : "", i, frames[i].name, frames[i].width,
-                        frames[i].height);
+    text += fmt::format("  {:<14} {} {} {}x{}\n", i == 0 ? "frame" : "", i, printable_text(frames[i].name),
+                        frames[i].width, frames[i].height);
   }
   return text;
 }

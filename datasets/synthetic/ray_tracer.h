@@ -54,7 +54,8 @@ class ShadowRays {
     double offset2;
     Eigen::Vector3d local_start;  // the start in the solid's axes
   };
-  std::array<Blocker, 32> blockers_;  // the first count_ are set: most points have none, and there are many points
+  std::array<Blocker, 32>
+      blockers_;  // the first count_ are set: most points have none, and there are many points
   size_t count_ = 0;
 };
 

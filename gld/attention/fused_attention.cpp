@@ -123,7 +123,7 @@ class FusedAttention : public torch::autograd::Function<FusedAttention> {
  public:
   static torch::Tensor forward(torch::autograd::AutogradContext* graph, const torch::Tensor& query,
                                const torch::Tensor& key, const torch::Tensor& value, Context* context) {
-    const auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
+    auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
     const auto log_sum_exp = torch::empty({query.size(0), query.size(2), query.size(1)}, query.options());
     attention_forward(context->arrays(query, key, value, output, log_sum_exp), settings());
     auto saved = std::vector<torch::Tensor>{query, key, value, output, log_sum_exp};
@@ -172,7 +172,7 @@ torch::Tensor fused_attention(const AttentionInputs& inputs) {
       (query.requires_grad() || key.requires_grad() || value.requires_grad())) {
     return FusedAttention::apply(query, key, value, &context);
   }
-  const auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
+  auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
   KernelSettings kernel = settings();
   kernel.precision = inputs.precision;
   kernel.unit = best_matrix_unit(inputs.precision);

@@ -41,6 +41,11 @@ AtomicFolder::AtomicFolder(std::filesystem::path target) : target_(std::move(tar
     fail({target_.string(), "an existing folder to write into", "no folder " + target_.parent_path().string(),
           "create it or choose another output"});
   }
+  if (std::filesystem::exists(std::filesystem::symlink_status(target_, error)) &&
+      !(std::filesystem::is_directory(target_, error) && std::filesystem::is_empty(target_, error))) {
+    fail({target_.string(), "a new or empty folder", "one with other files",
+          "move them or choose another output"});
+  }
   std::filesystem::create_directories(temporary_, error);
   require(error, target_, "to create a folder");
 }
@@ -51,17 +56,12 @@ AtomicFolder::~AtomicFolder() {
 }
 
 void AtomicFolder::commit() {
-  std::error_code error;
-  // A folder cannot be renamed onto one with files: the old one moves aside first and goes with the holder.
-  if (std::filesystem::exists(std::filesystem::symlink_status(target_, error))) {
-    std::filesystem::rename(target_, holder_ / "before", error);
-    require(error, target_, "to replace the folder");
-  }
   // The run that writes it knows the files by their final names; before they are there, as for single files.
   for (const auto& entry : std::filesystem::recursive_directory_iterator(temporary_)) {
     if (!entry.is_directory()) note_written(target_ / entry.path().lexically_relative(temporary_));
   }
-  std::filesystem::rename(temporary_, target_, error);
+  std::error_code error;
+  std::filesystem::rename(temporary_, target_, error);  // onto an empty folder too
   require(error, target_, "to rename the finished folder");
 }
 
@@ -95,7 +95,10 @@ void remove_abandoned_files(const std::filesystem::path& folder) {
   for (Iterator item(folder, std::filesystem::directory_options::skip_permission_denied, error), end;
        !error && item != end; item.increment(error)) {
     const long process = process_of_temporary_name(item->path().filename().string());
-    if (process == 0) continue;
+    if (process == 0) {
+      if (RunJournal::find(item->path())) item.disable_recursion_pending();
+      continue;
+    }
     item.disable_recursion_pending();
     if (process == ::getpid() || !runs(process)) abandoned.push_back(item->path());
   }

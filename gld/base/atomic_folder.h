@@ -5,11 +5,11 @@
 
 namespace gld {
 
-// A folder that appears whole or not at all: filled below a hidden folder beside its place and renamed. What was there
-// under its name before goes when it is committed. Without commit() nothing is left.
+// A folder that appears whole or not at all: filled below a hidden folder beside its place and renamed. Nothing is replaced
+// but an empty folder. Without commit() nothing is left.
 class AtomicFolder {
  public:
-  // The parent must exist; throws Error otherwise.
+  // The parent must exist, and under the target's name nothing or an empty folder; throws Error otherwise.
   explicit AtomicFolder(std::filesystem::path target);
   ~AtomicFolder();
   AtomicFolder(const AtomicFolder&) = delete;
@@ -30,7 +30,7 @@ void copy_file_atomically(const std::filesystem::path& from, const std::filesyst
 
 // Removes what AtomicFile and AtomicFolder of killed processes left in a folder and below it: temporary names with the
 // number of a process that runs no more, or of this one (numbers are used again). Only for folders that no other thread
-// writes to. Links are not followed; what cannot be removed stays.
+// writes to. Links are not followed, nor folders of other runs below; what cannot be removed stays.
 void remove_abandoned_files(const std::filesystem::path& folder);
 
 // The number of the process in a temporary name ("12" in ".model.partial-12-0.safetensors"); 0 when it is another name.

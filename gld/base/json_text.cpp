@@ -43,6 +43,16 @@ void check_size(const std::string& text, const std::string& where) {
   }
 }
 
+// Whether the word that an error ended in is one that some programs write for numbers that JSON does not have.
+bool names_no_number(const std::string& text, size_t error_end) {
+  const auto is_letter = [&](size_t i) { return std::isalpha(static_cast<unsigned char>(text[i])) != 0; };
+  size_t begin = std::min(error_end, text.size()), end = begin;
+  while (begin > 0 && is_letter(begin - 1)) --begin;
+  while (end < text.size() && is_letter(end)) ++end;
+  const std::string word = text.substr(begin, end - begin);
+  return word == "NaN" || word == "nan" || word == "Infinity" || word == "inf";
+}
+
 template <class Json>
 Json parse_as(const std::string& text, const std::string& where) {
   check_size(text, where);
@@ -50,14 +60,13 @@ Json parse_as(const std::string& text, const std::string& where) {
     return Json::parse(text);
   } catch (const typename Json::parse_error& error) {
     const size_t end = std::min(error.byte, text.size());
-    const std::string near = text.substr(end > 8 ? end - 8 : 0, 16);
-    const bool not_finite = near.find("NaN") != std::string::npos || near.find("Inf") != std::string::npos;
+    const bool not_finite = names_no_number(text, end);
     const bool not_utf8 = std::string(error.what()).find("UTF-8") != std::string::npos;
     fail_at(text, end, where, "JSON",
             not_finite ? "NaN or Infinity, which are no JSON"
             : not_utf8 ? "text that is no UTF-8"
                        : "a syntax error",
-            not_finite ? "leave the frame out" : "correct the file");
+            not_finite ? "write null or leave the value out" : "correct the file");
   } catch (const typename Json::out_of_range&) {
     fail({where, "numbers up to 1.8e308", "a larger one", "correct the value"});
   }

@@ -56,6 +56,29 @@ bool lock(int file) {
   return errno != EWOULDBLOCK;
 }
 
+// A name as a line of the journal: a JSON string, or the list of its bytes where they are no UTF-8, of which JSON knows
+// nothing else.
+std::string line_of(const std::string& name) {
+  try {
+    return nlohmann::json(name).dump();
+  } catch (const nlohmann::json::type_error&) {
+    return nlohmann::json(std::vector<uint8_t>(name.begin(), name.end())).dump();
+  }
+}
+
+// Nothing for a damaged line.
+std::optional<std::string> noted_name(const std::string& line) {
+  const auto value = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
+  if (value.is_string()) return value.get<std::string>();
+  if (!value.is_array() || value.empty()) return std::nullopt;
+  std::string name;
+  for (const auto& byte : value) {
+    if (!byte.is_number_unsigned() || byte.get<uint64_t>() > 255) return std::nullopt;
+    name += static_cast<char>(byte.get<uint8_t>());
+  }
+  return name;
+}
+
 [[noreturn]] void fail_running(const std::filesystem::path& folder) {
   const auto header = read_header(folder / kJournalName);
   std::string writer = "one that another process is writing";
@@ -78,11 +101,11 @@ std::optional<RunJournal::Found> RunJournal::find(const std::filesystem::path& f
   stream.seekg(kHeaderLength);
   std::set<std::string> known;
   for (std::string line; std::getline(stream, line);) {
-    const auto name = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
-    if (!name.is_string() || !known.insert(name.get<std::string>()).second) continue;
+    const std::optional<std::string> name = noted_name(line);
+    if (!name || !known.insert(*name).second) continue;
     std::error_code error;
-    if (std::filesystem::exists(std::filesystem::symlink_status(folder / name.get<std::string>(), error))) {
-      found.written.push_back(name.get<std::string>());
+    if (std::filesystem::exists(std::filesystem::symlink_status(folder / *name, error))) {
+      found.written.push_back(*name);
     }
   }
   return found;
@@ -114,7 +137,11 @@ RunJournal::RunJournal(const std::filesystem::path& folder) : folder_(folder) {
 }
 
 RunJournal::~RunJournal() {
-  write_header(/*running=*/false);
+  try {
+    write_header(/*running=*/false);
+  } catch (const std::exception&) {
+    // Out of memory: the journal goes on naming this process, which a later one finds gone by the lock.
+  }
   ::close(file_);  // releases the lock
 }
 
@@ -168,11 +195,14 @@ void note_written(const std::filesystem::path& file) {
       header.value("host", nlohmann::json()) != host_name()) {
     return;  // an earlier run's folder, into which this process puts something of its own
   }
-  const std::string line = nlohmann::json(target.lexically_relative(folder).string())
-                               .dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) +
-                           "\n";
+  const std::string line = line_of(target.lexically_relative(folder).string()) + "\n";
   const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_APPEND | O_CLOEXEC);
   if (journal < 0) return;
+  // The header of a killed run may name a process of the same number; only one that runs holds the lock.
+  if (::flock(journal, LOCK_EX | LOCK_NB) == 0) {
+    ::close(journal);
+    return;
+  }
   const auto written = ::write(journal, line.data(), line.size());  // one call: lines of threads do not mix
   ::close(journal);
   if (written != static_cast<ssize_t>(line.size())) {

@@ -34,19 +34,28 @@ void refuse_duplicate_keys(const YAML::Node& node, const std::string& where, int
   }
 }
 
-// A line that begins with "---" begins a document wherever it stands (YAML 1.2, 9.1.2). Looked for in the text, because
-// YAML::LoadAll does not end on some damaged ones, such as ",1[ 2]: 3".
+bool is_marker(const std::string& line, const char* marker) {
+  return line.rfind(marker, 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
+}
+
+// A line that begins with "---" begins a document wherever it stands, "..." ends one, and what stands behind begins another
+// (YAML 1.2, 9.1.2). Looked for in the text, because YAML::LoadAll does not end on some damaged ones, such as
+// ",1[ 2]: 3".
 int64_t documents_in(const std::string& text) {
   int64_t documents = 0;
-  std::istringstream lines(text);
+  bool open = false;
+  constexpr const char* kByteOrderMark = "\xef\xbb\xbf";
+  std::istringstream lines(text.rfind(kByteOrderMark, 0) == 0 ? text.substr(3) : text);
   for (std::string line; std::getline(lines, line);) {
     const size_t first = line.find_first_not_of(" \t\r");
-    const bool marker =
-        line.rfind("---", 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
-    if (marker) {
+    if (is_marker(line, "---")) {
       ++documents;
-    } else if (documents == 0 && first != std::string::npos && line[first] != '#' && line[0] != '%') {
-      documents = 1;
+      open = true;
+    } else if (is_marker(line, "...")) {
+      open = false;
+    } else if (!open && first != std::string::npos && line[first] != '#' && line[0] != '%') {
+      ++documents;
+      open = true;
     }
   }
   return documents;
@@ -58,7 +67,7 @@ YAML::Node parse_yaml(const std::string& text, const std::string& where) {
   try {
     const int64_t documents = documents_in(text);
     if (documents > 1) {
-      fail({where, "one YAML document", std::to_string(documents), "remove what stands from '---' on"});
+      fail({where, "one YAML document", std::to_string(documents), "keep one of them"});
     }
     const YAML::Node document = YAML::Load(text);
     int64_t nodes = 0;

@@ -369,6 +369,7 @@ std::optional<DepthScale> scale_from_photo_consistency(const std::vector<Picture
   const auto comparisons = comparisons_of(cameras, photographed);
   if (comparisons.empty()) return std::nullopt;
   std::vector<ReducedView> small;
+  small.reserve(views.size());
   for (const PicturedView& view : views) small.push_back(reduced(view));
   const double depth = median_depth(small);
   if (!(depth > 0)) return std::nullopt;

@@ -174,6 +174,7 @@ std::optional<DepthScale> ScaleConsensus::estimate(const std::string& estimator,
   // Where to look, and how often other blocks would have said to look elsewhere.
   const double middle = peak(sum_of(all));
   std::vector<double> off;
+  off.reserve(kResamplings);
   for (int i = 0; i < kResamplings; ++i) {
     off.push_back(candidates_.log_step * std::abs(peak(resampled_sum(all)) - middle));
   }

@@ -35,9 +35,10 @@ ObservedPart part_of(size_t view, double right, double down) {
   return {view, static_cast<size_t>(cell(down) * kBlocksASide + cell(right))};
 }
 
-std::optional<DepthScale> agreed(std::vector<Ratio> ratios, const char* estimator) {
+std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, const char* estimator) {
   if (ratios.empty()) return std::nullopt;
   std::vector<double> sorted;
+  sorted.reserve(ratios.size());
   for (const Ratio& ratio : ratios) sorted.push_back(ratio.value);
   std::sort(sorted.begin(), sorted.end());
   const size_t hundredth = sorted.size() / 100;

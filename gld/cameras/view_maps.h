@@ -36,4 +36,18 @@ struct RayMap {
   const float* ray(int64_t x, int64_t y) const { return values.data() + 6 * (y * width + x); }
 };
 
+// Where each pixel of a view lies, in the frame of the rays, row by row, (height, width, 3).
+struct PointMap {
+  int64_t width = 0;
+  int64_t height = 0;
+  std::vector<float> values;
+
+  PointMap() = default;
+  PointMap(int64_t map_width, int64_t map_height)
+      : width(map_width), height(map_height), values(static_cast<size_t>(map_width * map_height * 3)) {}
+  bool empty() const { return values.empty(); }
+  float* point(int64_t x, int64_t y) { return values.data() + 3 * (y * width + x); }
+  const float* point(int64_t x, int64_t y) const { return values.data() + 3 * (y * width + x); }
+};
+
 }  // namespace gld

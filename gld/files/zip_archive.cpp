@@ -305,7 +305,9 @@ std::string zip_text(const std::map<std::string, std::string>& entries, ZipMetho
     put<uint16_t>(common, static_cast<uint16_t>(name.size()));
     put<uint16_t>(common, 0);  // extra field
     put<uint32_t>(text, kLocalSignature);
-    text += common + name + packed;
+    text += common;
+    text += name;
+    text += packed;
     put<uint32_t>(directory, kDirectorySignature);
     put<uint16_t>(directory, kVersionNeeded);
     directory += common;

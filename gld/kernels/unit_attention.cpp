@@ -116,6 +116,7 @@ class UnitAttention {
     const auto query_segments = segments(arrays_, SegmentSide::queries);
     const auto query_tiles = tiles(query_segments, plan_.tile_queries);
     std::vector<std::vector<TokenRange>> runs;
+    runs.reserve(query_segments.size());
     for (const Segment& segment : query_segments) runs.push_back(block_runs(segment, arrays_, blocks_));
     const auto num_tiles = static_cast<int64_t>(query_tiles.size());
     const AlignedFloats packed(plan_.heads_at_once * plan_.head_packed);

@@ -68,6 +68,10 @@ std::vector<MatrixUnit> available_matrix_units(ComputePrecision precision) {
 
 MatrixUnit best_matrix_unit(ComputePrecision precision) { return available_matrix_units(precision).back(); }
 
+bool has_matrix_unit(ComputePrecision precision) {
+  return precision == ComputePrecision::kFloat32 || best_matrix_unit(precision) != MatrixUnit::kPlain;
+}
+
 std::string matrix_unit_name(MatrixUnit unit) {
   switch (unit) {
     case MatrixUnit::kAmx:

@@ -28,6 +28,8 @@ enum class MatrixUnit { kPlain, kAvx512, kAmx };
 // kernels of its own (instruction_set.h), kPlain alone.
 std::vector<MatrixUnit> available_matrix_units(ComputePrecision precision);
 MatrixUnit best_matrix_unit(ComputePrecision precision);
+// Whether the precision is worth choosing for its speed here: float32, or one that a unit other than kPlain computes.
+bool has_matrix_unit(ComputePrecision precision);
 
 // "plain", "AVX512" or "AMX".
 std::string matrix_unit_name(MatrixUnit unit);

@@ -43,7 +43,36 @@ ValidPairs pairs_to_align(const torch::Tensor& truth, const torch::Tensor& predi
 enum class DepthScaling {
   kNone,    // the model's depth in the scene's unit, as gld sample writes it: nothing of the truth goes in
   kMedian,  // one factor a scene, the median of truth / prediction over its target views
+  // One factor a view, which also hides what views disagree about:
+  kMedianPerView,
+  kLeastSquaresPerView,
+  kCameras,  // one factor a scene, of the similarity between predicted and true cameras; no true depth goes in
 };
+
+// A factor for each view, (views, 1, 1) or of one element; NaN for a view without a pixel to align.
+torch::Tensor depth_factors(const MetricInputs& inputs, const torch::Tensor& truth,
+                            const torch::Tensor& depth, DepthScaling scaling) {
+  switch (scaling) {
+    case DepthScaling::kNone:
+      return torch::full({1}, *inputs.depth_scale, torch::kFloat64);
+    case DepthScaling::kCameras:
+      return torch::full({1}, *inputs.camera_scale, torch::kFloat64);
+    case DepthScaling::kMedian:
+      return torch::full({1}, median_depth_scale(truth, depth), torch::kFloat64);
+    case DepthScaling::kMedianPerView:
+    case DepthScaling::kLeastSquaresPerView:
+      break;
+  }
+  auto factors =
+      torch::full({truth.size(0), 1, 1}, std::numeric_limits<double>::quiet_NaN(), torch::kFloat64);
+  for (int64_t view = 0; view < truth.size(0); ++view) {
+    const auto one_truth = truth.narrow(0, view, 1), one_depth = depth.narrow(0, view, 1);
+    if (!(valid_mask(one_truth) & valid_mask(one_depth)).any().item<bool>()) continue;
+    factors[view] = scaling == DepthScaling::kMedianPerView ? median_depth_scale(one_truth, one_depth)
+                                                            : least_squares_depth_scale(one_truth, one_depth);
+  }
+  return factors;
+}
 
 template <torch::Tensor DepthErrors::*error>
 MetricValue depth_value(const MetricInputs& inputs, DepthScaling scaling) {
@@ -52,27 +81,39 @@ MetricValue depth_value(const MetricInputs& inputs, DepthScaling scaling) {
   const std::string no_pixel = "no pixel of a target view has a true depth";
   if (!valid_mask(truth).any().item<bool>()) return absent_metric(no_pixel);
   if (!depth.isfinite().all().item<bool>()) return absent_metric("the predicted depth is not finite");
-  double scale = 1;
-  if (scaling == DepthScaling::kNone) {
-    scale = *inputs.depth_scale;
-  } else {
-    if (!(valid_mask(truth) & valid_mask(depth)).any().item<bool>()) {
-      return absent_metric("no predicted depth is positive where the true one is known");
-    }
-    scale = median_depth_scale(truth, depth);
+  const bool from_truth = scaling != DepthScaling::kNone && scaling != DepthScaling::kCameras;
+  if (from_truth && !(valid_mask(truth) & valid_mask(depth)).any().item<bool>()) {
+    return absent_metric("no predicted depth is positive where the true one is known");
   }
-  return metric_of_views(depth_errors(truth, depth * scale).*error, no_pixel);
+  return metric_of_views(depth_errors(truth, depth * depth_factors(inputs, truth, depth, scaling)).*error,
+                         no_pixel);
 }
 
 template <torch::Tensor DepthErrors::*error>
 Metric depth_metric(const std::string& name, const std::string& unit, Better better, DepthScaling scaling) {
   Metric metric{name, unit, better, {MetricNeed::kTrueDepth, MetricNeed::kDepth}, nullptr};
   if (scaling == DepthScaling::kNone) metric.needs.push_back(MetricNeed::kDepthScale);
+  if (scaling == DepthScaling::kCameras) metric.needs.push_back(MetricNeed::kCameraScale);
   metric.compute = [scaling](const MetricInputs& inputs) { return depth_value<error>(inputs, scaling); };
   return metric;
 }
 
+// Against what the same model says of the true pictures, whose unit is the same: nothing is aligned (GLD's Table 2).
+template <torch::Tensor DepthErrors::*error>
+Metric pseudo_depth_metric(const std::string& name, const std::string& unit, Better better) {
+  return {name, unit, better, {MetricNeed::kPseudoDepth, MetricNeed::kDepth}, [](const MetricInputs& inputs) {
+            const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
+            if (!depth.isfinite().all().item<bool>()) {
+              return absent_metric("the predicted depth is not finite");
+            }
+            return metric_of_views(depth_errors(inputs.pseudo_depth.to(torch::kCPU), depth).*error,
+                                   "the depth of the true pictures is nowhere positive");
+          }};
+}
+
 const std::string kSceneUnit = "scene units";
+const std::string kModelUnit = "model units";
+const std::string kRatio;
 
 }  // namespace
 
@@ -84,6 +125,8 @@ DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& predic
   errors.sq_rel = errors.abs_rel.clone();
   errors.rmse = errors.abs_rel.clone();
   errors.delta1 = errors.abs_rel.clone();
+  errors.delta2 = errors.abs_rel.clone();
+  errors.delta3 = errors.abs_rel.clone();
   errors.valid_pixels = torch::zeros({views}, torch::kInt64);
   for (int64_t view = 0; view < views; ++view) {
     const auto mask = valid_mask(truth[view]);
@@ -96,7 +139,13 @@ DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& predic
     errors.sq_rel[view] = (difference.square() / t).mean();
     errors.rmse[view] = difference.square().mean().sqrt();
     const auto positive = p.clamp_min(kSmallestPrediction);
-    errors.delta1[view] = (torch::maximum(positive / t, t / positive) < kDelta1).to(torch::kFloat64).mean();
+    const auto ratio = torch::maximum(positive / t, t / positive);
+    const auto share_below = [&](double limit) { return (ratio < limit).to(torch::kFloat64).mean(); };
+    // A scale that is not known makes the errors unknown, and the deltas with them.
+    if (p.isnan().any().item<bool>()) continue;
+    errors.delta1[view] = share_below(kDelta1);
+    errors.delta2[view] = share_below(kDelta1 * kDelta1);
+    errors.delta3[view] = share_below(kDelta1 * kDelta1 * kDelta1);
   }
   return errors;
 }
@@ -114,44 +163,42 @@ double least_squares_depth_scale(const torch::Tensor& truth, const torch::Tensor
   return ((p * pairs.truth).sum() / p.square().sum() / unit).item<double>();
 }
 
-Metric depth_abs_rel_unscaled_metric() {
-  return depth_metric<&DepthErrors::abs_rel>("depth_abs_rel_unscaled", "", Better::kLower,
-                                             DepthScaling::kNone);
-}
+// The six errors under one way to scale.
+#define GLD_DEPTH_METRICS(SUFFIX, SCALING)                                                                   \
+  Metric depth_abs_rel_##SUFFIX##_metric() {                                                                 \
+    return depth_metric<&DepthErrors::abs_rel>("depth_abs_rel_" #SUFFIX, kRatio, Better::kLower, SCALING);   \
+  }                                                                                                          \
+  Metric depth_sq_rel_##SUFFIX##_metric() {                                                                  \
+    return depth_metric<&DepthErrors::sq_rel>("depth_sq_rel_" #SUFFIX, kSceneUnit, Better::kLower, SCALING); \
+  }                                                                                                          \
+  Metric depth_rmse_##SUFFIX##_metric() {                                                                    \
+    return depth_metric<&DepthErrors::rmse>("depth_rmse_" #SUFFIX, kSceneUnit, Better::kLower, SCALING);     \
+  }                                                                                                          \
+  Metric depth_delta1_##SUFFIX##_metric() {                                                                  \
+    return depth_metric<&DepthErrors::delta1>("depth_delta1_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
+  }                                                                                                          \
+  Metric depth_delta2_##SUFFIX##_metric() {                                                                  \
+    return depth_metric<&DepthErrors::delta2>("depth_delta2_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
+  }                                                                                                          \
+  Metric depth_delta3_##SUFFIX##_metric() {                                                                  \
+    return depth_metric<&DepthErrors::delta3>("depth_delta3_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
+  }
 
-Metric depth_sq_rel_unscaled_metric() {
-  return depth_metric<&DepthErrors::sq_rel>("depth_sq_rel_unscaled", kSceneUnit, Better::kLower,
-                                            DepthScaling::kNone);
-}
+GLD_DEPTH_METRICS(unscaled, DepthScaling::kNone)
+GLD_DEPTH_METRICS(median_scaled, DepthScaling::kMedian)
+GLD_DEPTH_METRICS(median_scaled_per_view, DepthScaling::kMedianPerView)
+GLD_DEPTH_METRICS(least_squares_scaled_per_view, DepthScaling::kLeastSquaresPerView)
+GLD_DEPTH_METRICS(camera_scaled, DepthScaling::kCameras)
+#undef GLD_DEPTH_METRICS
 
-Metric depth_rmse_unscaled_metric() {
-  return depth_metric<&DepthErrors::rmse>("depth_rmse_unscaled", kSceneUnit, Better::kLower,
-                                          DepthScaling::kNone);
+Metric pseudo_depth_abs_rel_metric() {
+  return pseudo_depth_metric<&DepthErrors::abs_rel>("pseudo_depth_abs_rel", kRatio, Better::kLower);
 }
-
-Metric depth_delta1_unscaled_metric() {
-  return depth_metric<&DepthErrors::delta1>("depth_delta1_unscaled", "", Better::kHigher,
-                                            DepthScaling::kNone);
+Metric pseudo_depth_rmse_metric() {
+  return pseudo_depth_metric<&DepthErrors::rmse>("pseudo_depth_rmse", kModelUnit, Better::kLower);
 }
-
-Metric depth_abs_rel_median_scaled_metric() {
-  return depth_metric<&DepthErrors::abs_rel>("depth_abs_rel_median_scaled", "", Better::kLower,
-                                             DepthScaling::kMedian);
-}
-
-Metric depth_sq_rel_median_scaled_metric() {
-  return depth_metric<&DepthErrors::sq_rel>("depth_sq_rel_median_scaled", kSceneUnit, Better::kLower,
-                                            DepthScaling::kMedian);
-}
-
-Metric depth_rmse_median_scaled_metric() {
-  return depth_metric<&DepthErrors::rmse>("depth_rmse_median_scaled", kSceneUnit, Better::kLower,
-                                          DepthScaling::kMedian);
-}
-
-Metric depth_delta1_median_scaled_metric() {
-  return depth_metric<&DepthErrors::delta1>("depth_delta1_median_scaled", "", Better::kHigher,
-                                            DepthScaling::kMedian);
+Metric pseudo_depth_delta1_metric() {
+  return pseudo_depth_metric<&DepthErrors::delta1>("pseudo_depth_delta1", kRatio, Better::kHigher);
 }
 
 }  // namespace gld

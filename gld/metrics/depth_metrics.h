@@ -11,10 +11,12 @@ struct DepthErrors {
   torch::Tensor sq_rel;        // mean (prediction - truth)^2 / truth, in that unit
   torch::Tensor rmse;          // root mean squared difference, in that unit
   torch::Tensor delta1;        // share of pixels with max(prediction / truth, truth / prediction) < 1.25
+  torch::Tensor delta2;        // < 1.25^2
+  torch::Tensor delta3;        // < 1.25^3
   torch::Tensor valid_pixels;  // how many were compared, int64
 };
 
-// For delta1 predictions are clamped to at least 0.001, so that a zero counts as wrong and divides nothing.
+// For the deltas predictions are clamped to at least 0.001, so that a zero counts as wrong and divides nothing.
 DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& prediction);
 
 // One factor for all views of a scene that brings predictions to the truth's unit; predictions are known

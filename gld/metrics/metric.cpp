@@ -18,7 +18,14 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "the scale of the predicted depth is unknown",
                                                 "there is no cloud, or no true surface to compare it with",
                                                 "no rays were predicted",
-                                                "no cameras were estimated from the pictures"};
+                                                "no cameras were estimated from the pictures",
+                                                "no cameras were estimated from the sample",
+                                                "the scale of the estimated cameras is unknown",
+                                                "there is no depth of the true pictures to compare with",
+                                                "no depth and cameras of all views were predicted",
+                                                "there are no features of the views",
+                                                "a view of the scene has no true depth",
+                                                "there are no levels of the true pictures"};
   return phrases.at(static_cast<size_t>(need));
 }
 
@@ -45,6 +52,20 @@ bool MetricInputs::has(MetricNeed need) const {
       return cloud.defined() && true_surface.defined();
     case MetricNeed::kPhotoCameras:
       return !photo_cameras.empty();
+    case MetricNeed::kEstimatedCameras:
+      return !estimated_cameras.empty();
+    case MetricNeed::kCameraScale:
+      return camera_scale.has_value();
+    case MetricNeed::kPseudoDepth:
+      return pseudo_depth.defined();
+    case MetricNeed::kViewGeometry:
+      return view_images.defined() && view_depth.defined() && !estimated_cameras.empty();
+    case MetricNeed::kViewFeatures:
+      return view_features.defined();
+    case MetricNeed::kAllTrueDepth:
+      return all_true_depth.defined();
+    case MetricNeed::kTrueLevels:
+      return !true_levels.empty();
     case MetricNeed::kRays:
       return rays.defined() && !predicted_cameras.empty();
   }

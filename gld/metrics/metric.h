@@ -21,10 +21,17 @@ enum class MetricNeed {
   kPerceptualDistance,  // a network that measures how alike two images look
   kTrueDepth,
   kDepth,
-  kDepthScale,    // what brings the predicted depth into the scene's unit
-  kCloud,         // the point cloud in the scene, and the true surface
-  kRays,          // predicted rays of all views, and the cameras that fit them
-  kPhotoCameras,  // the cameras that were estimated from the true pictures of all views
+  kDepthScale,        // what brings the predicted depth into the scene's unit
+  kCloud,             // the point cloud in the scene, and the true surface
+  kRays,              // predicted rays of all views, and the cameras that fit them
+  kPhotoCameras,      // the cameras that were estimated from the true pictures of all views
+  kEstimatedCameras,  // the cameras that an estimator of the user's choice finds in the sample
+  kCameraScale,       // the scale of a similarity that brings estimated cameras to the scene's
+  kPseudoDepth,       // depth that the model's own head reads off the true pictures
+  kViewGeometry,      // pictures, depth and cameras of all views, all predicted
+  kViewFeatures,      // features of all views' pictures, each alone
+  kAllTrueDepth,      // true depth of all views
+  kTrueLevels,        // a backbone's levels of the true pictures of all views
 };
 
 // A scene's truth beside what was predicted. A quantity that is not known stays as it is here; `missing` says why.
@@ -40,8 +47,18 @@ struct MetricInputs {
   torch::Tensor true_surface;         // (points, 3) in the scene, as dense as the true depth maps
   Views views;                        // the scene's cameras, sources first
   torch::Tensor rays;  // (views, rows, columns, 6): direction, then origin, in the model's frame
-  std::vector<Camera> predicted_cameras;      // the cameras that fit the rays best, one a view
-  std::vector<Camera> photo_cameras;          // estimated from the pictures alone, one a view
+  std::vector<Camera> predicted_cameras;  // the cameras that fit the rays best, one a view
+  std::vector<Camera> photo_cameras;      // estimated from the pictures alone, one a view
+  // Of the sample, sources first, one a view; in a frame and unit of their own.
+  std::vector<Camera> estimated_cameras;
+  std::optional<double> camera_scale;  // scene units in one of the estimated cameras'
+  torch::Tensor pseudo_depth;          // (targets, height, width) in the model's own unit, 0 where unknown
+  torch::Tensor
+      view_images;  // (views, 3, height, width): the sources' pictures and the targets' predicted ones
+  torch::Tensor view_depth;                // (views, height, width) in the unit of estimated_cameras
+  torch::Tensor view_features;             // (views, channels, rows, columns) of view_images
+  torch::Tensor all_true_depth;            // (views, height, width) in the scene's unit, 0 where unknown
+  std::vector<torch::Tensor> true_levels;  // by level, (views, channels, rows, columns) of the true pictures
   std::map<MetricNeed, std::string> missing;  // one phrase each
 
   bool has(MetricNeed need) const;

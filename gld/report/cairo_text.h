@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-using cairo_t = struct _cairo;
+using cairo_t = struct _cairo;  // NOLINT(bugprone-reserved-identifier): the name is cairo's
 
 namespace gld {
 

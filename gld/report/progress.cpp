@@ -1,6 +1,7 @@
 #include "gld/report/progress.h"
 
 #include <atomic>
+#include <cmath>
 #include <cstdio>
 
 #include <fmt/format.h>
@@ -23,7 +24,7 @@ void show_progress(bool shown) { progress_is_shown = shown; }
 
 std::string duration_text(double seconds) {
   if (seconds < 10) return fmt::format("{:.1f} s", seconds);
-  const auto whole = static_cast<int64_t>(seconds + 0.5);
+  const auto whole = static_cast<int64_t>(std::llround(seconds));
   if (whole < 60) return fmt::format("{} s", whole);
   if (whole < 3600) return fmt::format("{} min {:02} s", whole / 60, whole % 60);
   return fmt::format("{} h {:02} min", whole / 3600, whole % 3600 / 60);

@@ -27,6 +27,15 @@ std::string first_line(const std::filesystem::path& file) {
   return line;
 }
 
+// A killed run leaves half-written files under temporary names, and one killed at once nothing else.
+bool holds_nothing(const std::filesystem::path& folder) {
+  std::error_code error;
+  for (const auto& item : std::filesystem::directory_iterator(folder, error)) {
+    if (process_of_temporary_name(item.path().filename().string()) == 0) return false;
+  }
+  return !error;
+}
+
 std::filesystem::path made_folder(const std::filesystem::path& folder, const std::string& command,
                                   EarlierRun earlier) {
   check_run_folder(folder, command, earlier);
@@ -53,9 +62,7 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
     fail({folder.string(), "a folder to write into", "a file", "choose another --out"});
   }
   RunJournal::refuse_running(folder);
-  // A killed run leaves half-written files under temporary names, and one killed at once nothing else.
-  remove_abandoned_files(folder);
-  if (std::filesystem::is_empty(folder, error)) return;
+  if (holds_nothing(folder)) return;
   const std::string found = first_line(folder / kConfigurationFile);
   const auto journal = RunJournal::find(folder);
   // Killed before it wrote its configuration, a run has only begun.
@@ -83,13 +90,14 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
 RunFolder::RunFolder(const std::filesystem::path& folder, const std::string& command,
                      const OptionsGroup& options, EarlierRun earlier)
     : folder_(made_folder(folder, command, earlier)), journal_(folder_) {
+  remove_abandoned_files(folder_);
   if (earlier == EarlierRun::kOverwrite) journal_.remove_written();
   write_file_atomically(folder_ / kConfigurationFile, configuration_header(command) + "\n" +
                                                           to_yaml_without(options, {"overwrite", "resume"}));
 }
 
 std::filesystem::path RunFolder::subfolder(const std::string& name) const {
-  const auto path = folder_ / name;
+  auto path = folder_ / name;
   std::error_code error;
   std::filesystem::create_directories(path, error);
   if (error)
@@ -108,7 +116,7 @@ std::string RunFolder::closing_box() const {
   size_t label = 0;
   for (const auto& [what, where] : notes_) label = std::max(label, what.size());
   for (const auto& [what, where] : notes_) {
-    lines.push_back(what + std::string(label - what.size() + 2, ' ') +
+    lines.push_back(printable_text(what) + std::string(label - what.size() + 2, ' ') +
                     printable_text((folder_ / where).string()));
   }
   size_t width = 0;

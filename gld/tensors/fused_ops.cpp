@@ -96,7 +96,7 @@ torch::Tensor rms_norm(const RmsNormInputs& inputs) {
     task.shift = inputs.shift.data_ptr<float>();
   }
   const auto weight = inputs.weight.defined() ? inputs.weight.contiguous() : torch::Tensor();
-  const auto y = torch::empty_like(x);
+  auto y = torch::empty_like(x);
   task.channels = task.x_stride = channels;
   task.epsilon = inputs.epsilon;
   task.weight = weight.defined() ? weight.data_ptr<float>() : nullptr;
@@ -121,7 +121,7 @@ torch::Tensor silu_gate(const torch::Tensor& x) {
   }
   auto shape = x.sizes().vec();
   shape.back() = width;
-  const auto y = torch::empty(shape, x.options());
+  auto y = torch::empty(shape, x.options());
   const float* from = x.data_ptr<float>();
   float* to = y.data_ptr<float>();
   for_rows(y.numel() / width, width, [&](int64_t begin, int64_t end) {
@@ -147,7 +147,7 @@ torch::Tensor gated_sum(const torch::Tensor& x, const torch::Tensor& gate, const
   if (!gate_rows) return composed();
   const auto first = x.contiguous();
   const auto second = update.contiguous();
-  const auto y = torch::empty_like(first);
+  auto y = torch::empty_like(first);
   const int64_t channels = x.size(-1);
   const float* x_data = first.data_ptr<float>();
   const float* update_data = second.data_ptr<float>();

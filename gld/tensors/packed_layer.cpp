@@ -56,7 +56,7 @@ torch::Tensor PackedLayer::times(const torch::Tensor& x, const torch::Tensor& bi
 
 torch::Tensor PackedLayer::unpacked(int64_t first, int64_t count) const {
   const int64_t inputs = parts_.front().inputs();
-  const auto weight = torch::empty({count * outputs_a_part_, inputs});
+  auto weight = torch::empty({count * outputs_a_part_, inputs});
   for (int64_t part = 0; part < count; ++part) {
     parts_[static_cast<size_t>(first + part)].unpack(weight.data_ptr<float>() +
                                                      part * outputs_a_part_ * inputs);

@@ -19,7 +19,7 @@ bool own_product_applies(const torch::Tensor& x, const torch::Tensor& weight, co
 }
 
 torch::Tensor own_product(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
-  const auto y = torch::empty({x.size(0), weight.size(0)}, x.options());
+  auto y = torch::empty({x.size(0), weight.size(0)}, x.options());
   LinearProduct product;
   product.rows = x.size(0);
   product.inputs = x.size(1);

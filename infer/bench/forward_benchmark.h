@@ -27,20 +27,20 @@ struct ForwardBenchmarkOptions : OptionsGroup {
 
 struct ForwardBenchmarkRow {
   std::string part;     // "condition_encoder", "velocity_decoder" or "evaluation" (both, in one)
-  std::string variant;  // "ours", "composed", or a precision of --precision
+  std::string variant;  // "ours", "composed", or a precision of --precisions
   double seconds = 0;   // median
   double seconds_low = 0;
   double seconds_high = 0;
   double tflop = 0;  // by the cost model
-  // Median over repeats of (operations / seconds / peak measured just before): of multiply-adds, or of the unit that
-  // multiplies in a precision.
+  // Median over repeats of operations / seconds / peak of float32 multiply-adds measured just before. Above 1 where a faster
+  // unit multiplies: rows of all precisions are fractions of the same.
   double fraction_of_peak = 0;
   double relative_difference = 0;  // max |difference| / max |value| from the composition's result
   double relative_rms = 0;         // RMS of the difference over that of the composition's result
 };
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);
-// Columns part, variant, seconds, tflop, fraction_of_peak, relative_difference.
+// Columns part, variant, seconds, tflop, fraction_of_peak, relative_difference, relative_rms.
 Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows);
 
 // Writes forward.csv, forward.md, forward.svg, forward.png and report.json into options.out. Returns the exit status.

@@ -61,7 +61,8 @@ struct PlanRow {
   // Of M1 and the cascade, of one scene alone on all threads; the shortest of the repeats.
   double seconds = 0;
   int64_t peak_bytes = 0;  // the largest of the repeats
-  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself.
+  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself, or in another
+  // precision, which saves time and not work.
   double error_of_fewer_evaluations = 0;
 };
 

@@ -8,16 +8,23 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/option_differences.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
+#include "infer/evaluate/attention_correspondence.h"
 #include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
+#include "infer/evaluate/scene_record.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/part_lineage.h"
 
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
 #include <iostream>
+#include <optional>
 #include <vector>
 
 #include <fmt/format.h>
@@ -52,6 +59,92 @@ Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   return make_picture_sheet(sections, text);
 }
 
+// Only a run of the same options would go on as the one that was interrupted.
+void refuse_to_resume_others(const EvaluationOptions& options) {
+  const auto file = std::filesystem::path(options.out) / "config.yaml";
+  if (!std::filesystem::is_regular_file(file)) return;
+  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
+    const auto& free = options_beside_the_result();
+    if (std::find(free.begin(), free.end(), difference.key) != free.end()) continue;
+    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
+          difference.now, "leave it as it was, or begin again with --overwrite"});
+  }
+}
+
+// What a run keeps of a scene that is done.
+struct KeptScene {
+  std::vector<SceneEvaluation> by_count;  // one a number of sources
+  std::vector<AttentionCorrespondence> attention;
+};
+
+// The scenes that are done, a file each, and their contact sheets.
+class SceneRecords {
+ public:
+  explicit SceneRecords(std::filesystem::path folder) : folder_(std::move(folder)) {}
+
+  std::filesystem::path sheet(int64_t index) const { return folder_ / fmt::format("{:06}.png", index); }
+
+  // Nothing where the scene is still to be measured. Throws Error for a file that is no record.
+  std::optional<KeptScene> find(int64_t index) const {
+    const auto file = record(index);
+    if (!std::filesystem::is_regular_file(file)) return std::nullopt;
+    try {
+      const auto kept = nlohmann::json::parse(read_file(file));
+      KeptScene scene;
+      for (const auto& entry : kept.at("by_sources")) {
+        scene.by_count.push_back(scene_from_record(entry, file.string()));
+      }
+      scene.attention = attention_from_record(kept.at("attention"));
+      return scene;
+    } catch (const nlohmann::json::exception& error) {
+      fail({file.string(), "a scene that gld eval has measured", error.what(),
+            "remove the file: the scene is measured again"});
+    }
+  }
+
+  void write(int64_t index, const KeptScene& scene) const {
+    nlohmann::ordered_json kept{{"by_sources", nlohmann::ordered_json::array()},
+                                {"attention", attention_record(scene.attention)}};
+    for (const SceneEvaluation& entry : scene.by_count) kept["by_sources"].push_back(scene_record(entry));
+    write_file_atomically(record(index), kept.dump(1) + "\n");
+  }
+
+ private:
+  std::filesystem::path record(int64_t index) const { return folder_ / fmt::format("{:06}.json", index); }
+
+  std::filesystem::path folder_;
+};
+
+// The scenes with the largest, the middle and the least PSNR of the sample; fewer than 3 scenes have no such.
+std::vector<std::pair<std::string, size_t>> chosen_scenes(const std::vector<SceneEvaluation>& scenes) {
+  std::vector<size_t> order;
+  for (size_t i = 0; i < scenes.size(); ++i) {
+    if (!std::isnan(scenes[i].number("sample_psnr").value)) order.push_back(i);
+  }
+  if (order.size() < 3) return {};
+  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) {
+    return scenes[a].number("sample_psnr").value > scenes[b].number("sample_psnr").value;
+  });
+  return {{"best", order.front()}, {"median", order[order.size() / 2]}, {"worst", order.back()}};
+}
+
+void copy_file_atomically(const std::filesystem::path& from, const std::filesystem::path& to) {
+  if (std::filesystem::is_regular_file(from)) write_file_atomically(to, read_file(from));
+}
+
+nlohmann::ordered_json protocol_json(const EvaluationOptions& options) {
+  nlohmann::ordered_json protocol{
+      {"samples", options.samples},
+      {"poses", pose_estimator_names().at(static_cast<size_t>(options.poses))},
+      {"poses_from", options.pose_model.empty() ? "the model's own geometry head" : options.pose_model},
+      {"lpips", options.lpips.lpips_backbone.empty() ? nlohmann::ordered_json()
+                                                     : nlohmann::ordered_json(options.lpips.lpips_backbone)},
+      {"true_depth", "measured"},
+      {"pseudo_depth", "of the model's own head on the true pictures"}};
+  if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
+  return protocol;
+}
+
 nlohmann::ordered_json methods_json(const SamplingMethod& sampling, const EvaluationOptions& options) {
   return {
       {"sample", {{"method", method_text(sampling)}, {"guidance_scale", options.guidance.guidance_scale}}},
@@ -66,6 +159,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder"}, model);
   visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
   visit_out(visitor, out, overwrite);
+  visitor.boolean({"resume", "go on with an interrupted run of the same options, with the next scene"},
+                  resume);
   visit_json(visitor, json);
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
@@ -73,9 +168,30 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visit_scenes(visitor, scenes, "generated ones");
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
+  visitor.integers({"source_counts",
+                    "numbers of sources to evaluate each scene with, targets the same; empty: "
+                    "once, as views says"},
+                   source_counts, {1, 1000});
+  visitor.integers({"source_frames", "frames that are sources in every scene; empty: views chooses"},
+                   source_frames, {0, 1'000'000});
+  visitor.integers({"target_frames", "frames that are targets in every scene"}, target_frames,
+                   {0, 1'000'000});
+  visitor.integer({"samples", "samples of each scene; numbers are means over them"}, samples, {1, 10'000});
   visitor.group({"solver", "solver of both flows, for the samples"}, solver);
   visitor.group({"guidance", "guidance of both flows, for the samples"}, guidance);
-  visit_seed(visitor, seed, "the first scene's noise, each next scene has the next one");
+  visit_seed(visitor, seed,
+             "the first scene's noise, each next scene has the next one, each next sample the next million");
+  visit_choice(
+      visitor,
+      {"poses", "what finds the cameras of samples: our fit to rays, DA3's or GLD's, VGGT's camera head"},
+      poses, pose_estimator_names());
+  visitor.text(
+      {"pose_model",
+       "bundle whose geometry head looks at the generated pictures for poses; empty: the model's own"},
+      pose_model);
+  visitor.reals(
+      {"attention_times", "flow times at which the DiTs' queries and keys are matched; empty: not at all"},
+      attention_times, {0.0, 1.0});
   lpips.visit(visitor);
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});
   visit_choice(visitor, {"precision", "what models multiply in on the CPU"}, precision,
@@ -88,9 +204,10 @@ void EvaluationOptions::check() const {
   if (scenes.empty() && synthetic == 0) {
     fail({"gld eval", "scenes", "none", "give --scenes DIR or --synthetic N"});
   }
-  if (views.most_sources >= views.views) {
-    fail({"views.most_sources", "fewer sources than views", std::to_string(views.most_sources),
-          "leave at least one target"});
+  check_evaluated_views(evaluated_views());
+  if (resume && overwrite) {
+    fail({"--resume, --overwrite", "one of the two", "both",
+          "--resume goes on with the run, --overwrite removes it"});
   }
   lpips.check();
   check_precision_on(device, precision);
@@ -105,9 +222,110 @@ SamplingMethod EvaluationOptions::sampling_method(const BundleOptions& bundle) c
   return sample.method(bundle);
 }
 
+EvaluatedViews EvaluationOptions::evaluated_views() const {
+  return {views, source_frames, target_frames, source_counts};
+}
+
+namespace {
+
+// Seeds of a scene's samples: the first is what one sample alone would have.
+std::vector<int64_t> noise_seeds(const EvaluationOptions& options, int64_t scene) {
+  constexpr int64_t kNextSample = 1'000'000;
+  std::vector<int64_t> seeds;
+  for (int64_t sample = 0; sample < options.samples; ++sample) {
+    seeds.push_back(options.seed + scene + sample * kNextSample);
+  }
+  return seeds;
+}
+
+EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle& bundle) {
+  const auto device = device_from_text(options.device);
+  EvaluationModels models;
+  models.bundle = bundle.options();
+  models.models = kept_bundle_models(bundle, device, options.precision);
+  models.lpips = load_lpips(options.lpips);
+  models.device = device;
+  models.poses = options.poses;
+  std::string head =
+      bundle.options().dpt_head.exists() ? bundle.options().dpt_head.architecture().kind() : "";
+  if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {
+    const auto pose_model = ModelBundle::open(options.pose_model);
+    if (!pose_model.options().dpt_head.exists() || !pose_model.has(BundlePart::dpt_head())) {
+      fail({"--pose-model", "a bundle with a geometry head",
+            pose_model.folder().string() + ", which has none", "choose a DA3 or VGGT model"});
+    }
+    models.pose_model = kept_bundle_models(pose_model, device);
+    head = pose_model.options().dpt_head.architecture().kind();
+  }
+  if (options.poses == PoseEstimator::kVggt && head != "vggt") {
+    fail({"--poses vggt", "a model with VGGT's camera head",
+          head.empty() ? "none" : "the head of kind " + head,
+          "name a VGGT bundle with --pose-model, or choose another estimator"});
+  }
+  return models;
+}
+
+// Evaluates a scene with each number of sources; draws the sheet of the first.
+KeptScene measured_scene(const EvaluationModels& models, const EvaluationOptions& options, const Scene& scene,
+                         int64_t index, const SceneRecords& records) {
+  const FlowSettings sampling =
+      flow_settings(options.sampling_method(models.bundle), options.guidance, models.bundle);
+  KeptScene measured;
+  for (const ViewSelection& selection :
+       evaluated_views(options.evaluated_views(), scene, held_out_key(options.synthetic_seed, index))) {
+    const SamplingScene loaded = load_selected_views(scene, selection, models.bundle);
+    const auto seeds = noise_seeds(options, index);
+    const EvaluatedScene evaluated = evaluate_scene(models, loaded, sampling, seeds);
+    if (measured.by_count.empty()) {
+      if (options.pictures > 0) write_png(records.sheet(index), scene_sheet(loaded, evaluated));
+      if (!options.attention_times.empty()) {
+        measured.attention = attention_correspondence(models, loaded, options.attention_times, seeds.front());
+      }
+    }
+    measured.by_count.push_back(evaluated.evaluation);
+  }
+  return measured;
+}
+
+// Contact sheets of the first scenes, and of those with the best, the median and the worst PSNR.
+void write_sheets(const EvaluationOptions& options, const RunFolder& folder, const SceneRecords& records,
+                  const std::vector<SceneEvaluation>& results) {
+  const auto sheets = folder.subfolder("sheets");
+  for (size_t i = 0; i < results.size() && static_cast<int64_t>(i) < options.pictures; ++i) {
+    copy_file_atomically(records.sheet(static_cast<int64_t>(i)), sheets / (results[i].scene + ".png"));
+  }
+  for (const auto& [name, index] : chosen_scenes(results)) {
+    copy_file_atomically(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));
+  }
+  for (size_t i = 0; i < results.size(); ++i) std::filesystem::remove(records.sheet(static_cast<int64_t>(i)));
+}
+
+void write_attention(const EvaluationOptions& options, const RunFolder& folder,
+                     const std::vector<std::vector<AttentionCorrespondence>>& scenes) {
+  if (options.attention_times.empty()) return;
+  write_file_atomically(folder.path() / "attention_pck.csv", attention_csv(scenes));
+  const Figure picture = attention_picture(scenes);
+  if (!picture.panels.empty()) write_png(picture, folder.subfolder("plots") / "attention_pck.png");
+}
+
+// What of a run is the same for all numbers of sources, and the summaries of each, the first one's outermost.
+nlohmann::ordered_json summaries(const std::vector<std::vector<SceneEvaluation>>& by_count) {
+  auto report = evaluation_summary(by_count.front());
+  if (by_count.size() == 1) return report;
+  auto& by_sources = report["by_sources"] = nlohmann::ordered_json::object();
+  for (const auto& scenes : by_count) {
+    by_sources[std::to_string(scenes.front().sources.size())] = evaluation_summary(scenes);
+  }
+  return report;
+}
+
+}  // namespace
+
 std::string evaluate(const EvaluationOptions& options) {
   use_threads(options.threads);
-  check_run_folder(options.out, "eval", earlier_run(options.overwrite));
+  const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
+  check_run_folder(options.out, "eval", earlier);
+  if (options.resume) refuse_to_resume_others(options);
   const auto bundle = ModelBundle::open(options.model);
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {
@@ -116,46 +334,67 @@ std::string evaluate(const EvaluationOptions& options) {
   for (const auto& warning : mixed_parts(bundle, parts, options.allow_mixed)) {
     std::cerr << "warning: " << warning << "\n";
   }
-  const auto device = device_from_text(options.device);
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
-  RunFolder folder(options.out, "eval", options, earlier_run(options.overwrite));
-  const EvaluationModels models{bundle.options(), kept_bundle_models(bundle, device, options.precision),
-                                load_lpips(options.lpips), device};
+  const EvaluationModels models = load_models(options, bundle);
+  RunFolder folder(options.out, "eval", options, earlier);
+  const SceneRecords records(folder.subfolder("scenes"));
   const SamplingMethod method = options.sampling_method(bundle.options());
-  const FlowSettings sampling = flow_settings(method, options.guidance, bundle.options());
 
-  std::vector<SceneEvaluation> results;
+  std::vector<std::vector<SceneEvaluation>> by_count(std::max<size_t>(1, options.source_counts.size()));
+  std::vector<std::vector<AttentionCorrespondence>> attention;
   Progress progress("evaluating", dataset->size());
   for (int64_t index = 0; index < dataset->size(); ++index) {
-    stop_if_interrupted("evaluation stopped after " + std::to_string(index) + " scenes");
-    const SamplingScene scene = load_held_out_scene(
-        dataset->scene(index), options.views, held_out_key(options.synthetic_seed, index), bundle.options());
-    const EvaluatedScene evaluated = evaluate_scene(models, scene, sampling, options.seed + index);
-    results.push_back(evaluated.evaluation);
-    if (index < options.pictures) {
-      write_png(folder.subfolder("sheets") / (scene.name + ".png"), scene_sheet(scene, evaluated));
+    stop_if_interrupted("evaluation stopped after " + std::to_string(index) +
+                        " scenes; --resume goes on with the next one");
+    auto kept = records.find(index);
+    if (!kept) {
+      kept = measured_scene(models, options, dataset->scene(index), index, records);
+      records.write(index, *kept);
     }
+    for (size_t i = 0; i < by_count.size(); ++i) by_count[i].push_back(kept->by_count.at(i));
+    if (!options.attention_times.empty()) attention.push_back(kept->attention);
+    const SceneEvaluation& first = kept->by_count.front();
     progress.update(index + 1, fmt::format("PSNR of the sample {:.2f} dB, of the mean prediction {:.2f} dB",
-                                           results.back().number("sample_psnr").value,
-                                           results.back().number("mean_prediction_psnr").value));
+                                           first.number("sample_psnr").value,
+                                           first.number("mean_prediction_psnr").value));
   }
   progress.finish();
 
-  write_file_atomically(folder.path() / "eval.csv", evaluation_csv(results));
+  std::vector<SceneEvaluation> all;
+  for (const auto& scenes : by_count) all.insert(all.end(), scenes.begin(), scenes.end());
+  write_file_atomically(folder.path() / "eval.csv", evaluation_csv(all));
+  write_file_atomically(folder.path() / "targets.csv", targets_csv(all));
+  for (const MetricPicture& picture : metric_pictures(by_count.front())) {
+    write_png(picture.figure, folder.subfolder("plots") / (picture.name + ".png"));
+  }
+  write_attention(options, folder, attention);
+  if (options.pictures > 0) write_sheets(options, folder, records, by_count.front());
   nlohmann::ordered_json report = {{"command", "eval"},
                                    {"model", options.model},
                                    {"model_hash", bundle.content_hash()},
                                    {"precision", precision_text(options.precision)},
-                                   {"methods", methods_json(method, options)}};
-  const auto summary = evaluation_summary(results);
+                                   {"methods", methods_json(method, options)},
+                                   {"protocol", protocol_json(options)}};
+  const auto summary = summaries(by_count);
   report.update(summary);
   folder.write_report(report);
   folder.note("table", "eval.csv");
+  folder.note("a row a target", "targets.csv");
+  if (!options.attention_times.empty()) folder.note("queries and keys", "attention_pck.csv");
   folder.note("report", "report.json");
+  if (by_count.front().size() > 1) folder.note("plots", "plots");
   if (options.pictures > 0) folder.note("pictures", "sheets");
   if (options.json) return report.dump(2) + "\n";
-  return evaluation_text(summary) + folder.closing_box();
+  std::string text;
+  if (by_count.size() == 1) text = evaluation_text(summary);
+  for (const auto& scenes : by_count) {
+    if (by_count.size() == 1) break;
+    text += fmt::format("## {} sources\n\n", scenes.front().sources.size()) +
+            evaluation_text(summary.at("by_sources").at(std::to_string(scenes.front().sources.size()))) +
+            "\n";
+  }
+  return text + folder.closing_box();
 }
 
 }  // namespace gld

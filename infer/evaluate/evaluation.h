@@ -5,6 +5,8 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "infer/evaluate/evaluated_views.h"
+#include "infer/evaluate/pose_estimation.h"
 #include "infer/method/sample_options.h"
 #include "infer/pipeline/held_out_scenes.h"
 #include "models/losses/lpips_files.h"
@@ -20,6 +22,7 @@ struct EvaluationOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string out;
   bool overwrite = false;
+  bool resume = false;
   bool allow_mixed = false;
   bool json = false;
   int64_t synthetic = 64;                 // generated scenes; 0 when scenes are given
@@ -27,9 +30,17 @@ struct EvaluationOptions : OptionsGroup {
   std::vector<std::string> scenes;        // folders; empty: generated ones
   SyntheticOptions generator;             // what the generated scenes look like
   ViewSampling views;
+  std::vector<int64_t> source_counts;
+  std::vector<int64_t> source_frames;
+  std::vector<int64_t> target_frames;
+  int64_t samples = 1;  // a scene and number of sources
   SolverOptions solver = SampleOptions().solver;
   GuidanceOptions guidance = SampleOptions().guidance;
   int64_t seed = 0;  // of the first scene's noise; each next scene has the next seed
+  PoseEstimator poses = PoseEstimator::kOurs;
+  std::string pose_model;  // whose geometry head looks at the pictures; empty: the model's own
+  // Flow times at which queries and keys of the DiTs are matched (attention_correspondence.h); empty: not at all.
+  std::vector<double> attention_times;
   LpipsFiles lpips;
   int64_t pictures = 6;
   ComputePrecision precision = ComputePrecision::kFloat32;
@@ -40,12 +51,13 @@ struct EvaluationOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
   void check() const override;
 
+  EvaluatedViews evaluated_views() const;
   // How gld sample would draw the samples with this solver and guidance.
   SamplingMethod sampling_method(const BundleOptions& bundle) const;
 };
 
-// Runs the evaluation and writes the run folder: eval.csv, report.json, sheets/. Returns the tables and the closing box
-// as text.
+// Runs the evaluation and writes the run folder (docs/FILES.md). A scene that is done is kept in scenes/, from where
+// `resume` goes on. Returns the tables and the closing box as text.
 std::string evaluate(const EvaluationOptions& options);
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #include "infer/evaluate/evaluation_report.h"
 
 #include "gld/metrics/metric_list.h"
+#include "gld/metrics/scene_bootstrap.h"
 #include "gld/report/table.h"
 
 #include <algorithm>
@@ -31,15 +32,20 @@ nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
     values.push_back(number.value);
     if (!number.absent.empty()) reasons[number.absent] = reasons.value(number.absent, 0) + 1;
   }
+  int64_t absent_samples = 0;
+  for (const SceneEvaluation& scene : scenes) absent_samples += scene.number(column.name).absent_samples;
   const SceneStatistics statistics = statistics_over_scenes(values);
+  const MeanInterval interval = bootstrap_mean_interval(values);
   nlohmann::ordered_json json{{"mean", number_or_null(statistics.mean)},
                               {"confidence_95", number_or_null(statistics.half_width)},
+                              {"interval_95", {number_or_null(interval.low), number_or_null(interval.high)}},
                               {"deviation", number_or_null(statistics.deviation)},
                               {"scenes", statistics.count},
                               {"unit", column.metric.unit},
                               {"better", better_name(column.metric.better)}};
   if (statistics.infinite > 0) json["infinite"] = statistics.infinite;
   if (!reasons.empty()) json["absent"] = reasons;
+  if (absent_samples > 0) json["absent_samples"] = absent_samples;
   return json;
 }
 
@@ -94,7 +100,7 @@ std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
 
 std::string image_table(const nlohmann::ordered_json& means) {
   std::vector<std::string> header{"target views"};
-  for (const Predictor predictor : all_predictors()) {
+  for (const Predictor predictor : main_predictors()) {
     std::string name = predictor_name(predictor);
     std::replace(name.begin(), name.end(), '_', ' ');
     header.push_back(name);
@@ -102,7 +108,7 @@ std::string image_table(const nlohmann::ordered_json& means) {
   Table table(header);
   for (const Metric& metric : image_metric_list()) {
     std::vector<TableCell> row{name_with_unit(metric)};
-    for (const Predictor predictor : all_predictors()) {
+    for (const Predictor predictor : main_predictors()) {
       row.emplace_back(with_interval(means.at(column_of(metric, predictor)->name), metric.unit));
     }
     table.add_row(row);
@@ -121,22 +127,98 @@ std::string geometry_table(const nlohmann::ordered_json& means) {
   return table.markdown();
 }
 
+// As RFC 4180 quotes: names of scenes are names of folders.
+std::string csv_cell(const std::string& text) {
+  if (text.find_first_of(",\"\n\r") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return quoted + "\"";
+}
+
+std::string target_cell(const SceneNumber& number, size_t sample, size_t target) {
+  if (sample >= number.of_targets.size() || target >= number.of_targets[sample].size()) return "";
+  const double value = number.of_targets[sample][target];
+  return std::isnan(value) ? "" : fmt::format("{:.6f}", value);
+}
+
+// Finite ones, ascending.
+std::vector<double> sorted_values(const std::vector<SceneEvaluation>& scenes, const std::string& column) {
+  std::vector<double> values;
+  for (const SceneEvaluation& scene : scenes) {
+    const double value = scene.number(column).value;
+    if (std::isfinite(value)) values.push_back(value);
+  }
+  std::sort(values.begin(), values.end());
+  return values;
+}
+
 }  // namespace
 
 std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
   std::string text = "scene";
   for (const EvaluationColumn& column : evaluation_columns()) text += "," + column.name;
   for (const Predictor trivial : trivial_predictors()) text += ",sample_beats_" + predictor_name(trivial);
-  text += '\n';
+  text += ",sources,samples\n";
   for (const SceneEvaluation& scene : scenes) {
-    text += scene.scene;
+    text += csv_cell(scene.scene);
     for (const SceneNumber& number : scene.numbers) {
       text += number.absent.empty() ? fmt::format(",{:.6f}", number.value) : ",";
     }
     for (const Predictor trivial : trivial_predictors()) text += scene.sample_beats(trivial) ? ",1" : ",0";
-    text += '\n';
+    text += fmt::format(",{},{}\n", scene.sources.size(), scene.samples);
   }
   return text;
+}
+
+std::string targets_csv(const std::vector<SceneEvaluation>& scenes) {
+  const auto& columns = evaluation_columns();
+  std::vector<size_t> shown;
+  for (size_t i = 0; i < columns.size(); ++i) {
+    if (std::any_of(scenes.begin(), scenes.end(),
+                    [&](const SceneEvaluation& scene) { return !scene.numbers[i].of_targets.empty(); })) {
+      shown.push_back(i);
+    }
+  }
+  std::string text = "scene,sources,sample,target";
+  for (const size_t i : shown) text += "," + columns[i].name;
+  text += '\n';
+  for (const SceneEvaluation& scene : scenes) {
+    for (int64_t sample = 0; sample < scene.samples; ++sample) {
+      for (size_t target = 0; target < scene.targets.size(); ++target) {
+        text += fmt::format("{},{},{},{}", csv_cell(scene.scene), scene.sources.size(), sample,
+                            csv_cell(scene.targets[target]));
+        for (const size_t i : shown)
+          text += "," + target_cell(scene.numbers[i], static_cast<size_t>(sample), target);
+        text += '\n';
+      }
+    }
+  }
+  return text;
+}
+
+std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& scenes) {
+  std::vector<MetricPicture> pictures;
+  for (const Metric& metric : metric_list()) {
+    PlotPanel panel;
+    panel.x.label = "scenes, sorted";
+    panel.y.label = name_with_unit(metric) + ", " + better_name(metric.better) + " is better";
+    for (const Predictor predictor : main_predictors()) {
+      const EvaluationColumn* column = column_of(metric, predictor);
+      if (column == nullptr) continue;
+      const auto values = sorted_values(scenes, column->name);
+      if (values.size() < 2) continue;
+      PlotSeries series;
+      series.name = metric.of_images() ? predictor_name(predictor) : "sample";
+      std::replace(series.name.begin(), series.name.end(), '_', ' ');
+      for (size_t i = 0; i < values.size(); ++i)
+        series.points.emplace_back(static_cast<double>(i + 1), values[i]);
+      panel.series.push_back(std::move(series));
+    }
+    if (panel.series.empty()) continue;
+    panel.title = fmt::format("{} over {} scenes", metric.name, scenes.size());
+    pictures.push_back({metric.name, {"gld eval", {std::move(panel)}}});
+  }
+  return pictures;
 }
 
 nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& scenes) {

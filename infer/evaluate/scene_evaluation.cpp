@@ -47,16 +47,61 @@ torch::Tensor nearest_sources(const Views& views, const torch::Tensor& source_im
   return torch::stack(images);
 }
 
-torch::Tensor reconstruction(const EvaluationModels& models, const torch::Tensor& images) {
+// The true pictures of all views, sources first, and what the model makes of them.
+struct TruePictures {
+  torch::Tensor images;  // (views, 3, height, width); undefined unless every target has a picture
+  std::vector<torch::Tensor> levels;  // as decoders take them, (views, tokens, channels), encoded together
+  LatentGrid grid;
+  GeometryOutput geometry;  // maps are undefined without a geometry head
+};
+
+TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& images) {
+  TruePictures pictures;
+  pictures.images = images;
+  if (!images.defined()) return pictures;
   const auto backbone = models.models.backbone();
-  const auto decoded = models.models.levels.decoded_levels();
-  const auto encoded = backbone->encode(images.to(models.device), decoded.back());
-  std::vector<torch::Tensor> levels;
-  for (const int64_t level : decoded) {
-    levels.push_back(backbone->decodable(encoded.at(static_cast<size_t>(level))).patches);
+  const auto& architecture = backbone->architecture();
+  pictures.grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
+  for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
+    pictures.levels.push_back(backbone->decodable(level).patches);
   }
-  const auto grid = backbone->architecture().grid_of(images.size(0), images.size(2), images.size(3));
-  return models.models.rgb_decoder()->decode(torch::cat(levels, 2), grid).to(torch::kCPU);
+  if (models.bundle.dpt_head.exists()) {
+    pictures.geometry =
+        geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
+  }
+  return pictures;
+}
+
+// All levels that the decoder takes, or `alone` with the others zero.
+torch::Tensor reconstruction(const EvaluationModels& models, const TruePictures& pictures,
+                             std::optional<int64_t> alone) {
+  std::vector<torch::Tensor> levels;
+  for (const int64_t level : models.models.levels.decoded_levels()) {
+    const auto& patches = pictures.levels.at(static_cast<size_t>(level));
+    levels.push_back(alone && *alone != level ? torch::zeros_like(patches) : patches);
+  }
+  return models.models.rgb_decoder()->decode(torch::cat(levels, 2), pictures.grid).to(torch::kCPU);
+}
+
+// (views, tokens, channels) -> (views, channels, rows, columns).
+torch::Tensor as_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
+  return tokens.transpose(1, 2)
+      .reshape({tokens.size(0), tokens.size(2), grid.height, grid.width})
+      .to(torch::kCPU);
+}
+
+// The deepest level of each picture, encoded alone: nothing that views tell each other goes in.
+torch::Tensor features_of_each(const EvaluationModels& models, const torch::Tensor& images) {
+  const auto backbone = models.models.backbone();
+  const auto& architecture = backbone->architecture();
+  std::vector<torch::Tensor> features;
+  for (int64_t view = 0; view < images.size(0); ++view) {
+    const auto levels =
+        backbone->encode(images.narrow(0, view, 1).to(models.device), architecture.levels() - 1);
+    features.push_back(as_maps(backbone->decodable(levels.back()).patches,
+                               architecture.grid_of(1, images.size(2), images.size(3))));
+  }
+  return torch::cat(features);
 }
 
 // Undefined unless every target view has a picture.
@@ -83,6 +128,18 @@ torch::Tensor points_of(const PointCloud& cloud) {
     Eigen::Map<Eigen::Vector3d>(points.data_ptr<double>() + 3 * i) = cloud.x_in_world[static_cast<size_t>(i)];
   }
   return points;
+}
+
+// 0 where unknown; undefined unless every view has a depth map.
+torch::Tensor all_true_depth(const SamplingScene& scene) {
+  std::vector<DepthMap> depths = scene.source_depths;
+  depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
+  std::vector<torch::Tensor> maps;
+  for (const DepthMap& depth : depths) {
+    if (depth.empty()) return {};
+    maps.push_back(to_tensor(depth));
+  }
+  return static_cast<int64_t>(maps.size()) == scene.views.size() ? torch::stack(maps) : torch::Tensor();
 }
 
 // What the true depth of all views shows of the scene, (points, 3); undefined where a view has none.
@@ -127,8 +184,18 @@ class SceneMetrics {
       : models_(models), scene_(scene), lpips_(models.lpips) {
     truth_.true_images = true_images(scene);
     truth_.true_depth = true_depth(scene);
+    truth_.all_true_depth = all_true_depth(scene);
     truth_.views = scene.views;
-    truth_.missing[MetricNeed::kImages] = "a target view of the scene has no picture";
+    const std::string no_picture = "a target view of the scene has no picture";
+    for (const MetricNeed need : {MetricNeed::kImages, MetricNeed::kPhotoCameras, MetricNeed::kPseudoDepth,
+                                  MetricNeed::kTrueLevels}) {
+      truth_.missing[need] = no_picture;
+    }
+    if (truth_.true_images.defined()) {
+      pictures_ = true_pictures(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
+      for (const auto& level : pictures_.levels) truth_.true_levels.push_back(as_maps(level, pictures_.grid));
+      set_what_the_head_says_of_true_pictures();
+    }
     auto& no_lpips = truth_.missing[MetricNeed::kPerceptualDistance];
     if (!lpips_) {
       no_lpips = "no LPIPS weights were given (--lpips-backbone, --lpips-heads)";
@@ -157,9 +224,13 @@ class SceneMetrics {
     const GeometryOutput& geometry = sample.geometry;
     MetricInputs inputs = truth_;
     const Views& views = truth_.views;
+    inputs.view_images = torch::cat({stacked(scene_.source_images), sample.images}).clamp(0, 1);
+    inputs.view_features = features_of_each(models_, inputs.view_images);
+    set_estimated_cameras(geometry, inputs);
     if (!geometry.depth.defined()) {
-      for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays}) {
-        inputs.missing[need] = "the model has no geometry head";
+      for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays,
+                                    MetricNeed::kCameraScale, MetricNeed::kPseudoDepth}) {
+        inputs.missing[need] = kNoHead;
       }
       return inputs;
     }
@@ -172,16 +243,19 @@ class SceneMetrics {
     inputs.missing[MetricNeed::kDepthScale] = "the scale of the predicted depth is not known";
     inputs.missing[MetricNeed::kCloud] =
         placement.scale ? "a view of the scene has no true depth" : inputs.missing[MetricNeed::kDepthScale];
+    inputs.missing[MetricNeed::kCameraScale] = "the cameras that the sample's rays show do not tell a scale";
+    if (placement.alignment && placement.alignment->scale_known) {
+      inputs.camera_scale = placement.alignment->b_from_a.scale;
+    }
     inputs.true_surface = true_surface(scene_);
     if (placement.scale) {
       inputs.depth_scale = placement.scale->scale;
       inputs.cloud = points_of(cloud_of(sample, placement));
     }
-    set_photo_cameras(inputs);
     return inputs;
   }
 
-  const torch::Tensor& target_images() const { return truth_.true_images; }
+  const TruePictures& pictures() const { return pictures_; }
 
  private:
   // As gld sample writes it: the sources' pixels with their photographs, the targets' with the sample's images.
@@ -191,36 +265,120 @@ class SceneMetrics {
     return point_cloud_of(sample.geometry, placement, scene_.views.cameras, images, PointCloudOptions());
   }
 
-  // The cameras that the model finds when it is given the true pictures of all views and no cameras.
-  void set_photo_cameras(MetricInputs& inputs) const {
-    if (!truth_.true_images.defined()) {
-      inputs.missing[MetricNeed::kPhotoCameras] = "a target view of the scene has no picture";
+  // Its depth, and the cameras that it finds when it is given the true pictures of all views and no cameras.
+  void set_what_the_head_says_of_true_pictures() {
+    const GeometryOutput& geometry = pictures_.geometry;
+    if (!geometry.depth.defined()) {
+      truth_.missing[MetricNeed::kPhotoCameras] = truth_.missing[MetricNeed::kPseudoDepth] = kNoHead;
       return;
     }
-    const auto photographs = torch::cat({stacked(scene_.source_images), truth_.true_images});
+    truth_.pseudo_depth = geometry.depth.narrow(0, truth_.views.num_sources, truth_.views.num_targets());
+    const torch::Tensor& pictures = pictures_.images;
     // Of one size, so one lens, as gld sample --photos takes it.
     const std::vector<PhotographLens> one_lens(
-        static_cast<size_t>(photographs.size(0)),
-        {0, static_cast<double>(std::max(photographs.size(2), photographs.size(3)))});
+        static_cast<size_t>(pictures.size(0)),
+        {0, static_cast<double>(std::max(pictures.size(2), pictures.size(3)))});
     try {
-      inputs.photo_cameras = photo_cameras(geometry_of_pictures(models_.models, photographs,
-                                                                GeometryMaps::kDepthAndRays, models_.device),
-                                           photographs, one_lens)
-                                 .cameras;
+      truth_.photo_cameras = photo_cameras(geometry, pictures, one_lens).cameras;
     } catch (const Error&) {
-      inputs.missing[MetricNeed::kPhotoCameras] = "no camera fits the rays of a picture";
+      truth_.missing[MetricNeed::kPhotoCameras] = "no camera fits the rays of a picture";
     }
   }
 
+  // By the estimator that was asked for, from the sample's own geometry or what the pose model sees in its pictures.
+  void set_estimated_cameras(const GeometryOutput& own, MetricInputs& inputs) const {
+    const auto missing = [&](const std::string& reason) {
+      inputs.missing[MetricNeed::kEstimatedCameras] = inputs.missing[MetricNeed::kViewGeometry] = reason;
+    };
+    if (models_.poses == PoseEstimator::kNone) return missing("no poses were asked for (--poses none)");
+    if (!models_.pose_model && !own.rays.defined()) return missing(kNoHead);
+    const GeometryOutput geometry = models_.pose_model
+                                        ? geometry_of_pictures(*models_.pose_model, inputs.view_images,
+                                                               GeometryMaps::kDepthAndRays, models_.device)
+                                        : own;
+    try {
+      inputs.estimated_cameras = estimated_cameras(models_.poses, geometry, truth_.views.cameras);
+      inputs.view_depth = geometry.depth;
+    } catch (const Error&) {
+      missing("no camera fits the rays of a view of the sample");
+    }
+  }
+
+  inline static const std::string kNoHead = "the model has no geometry head";
   const EvaluationModels& models_;
   const SamplingScene& scene_;
   MetricInputs truth_;
+  TruePictures pictures_;
   std::shared_ptr<Lpips> lpips_;
 };
+
+// What a metric has for the targets: nothing where it is of the scene. A reconstruction is of all views.
+std::vector<double> of_targets(const MetricValue& value, const Views& views, Predictor predictor) {
+  if (!value.per_view.defined()) return {};
+  const bool of_all_views = !is_trivial(predictor) && predictor >= Predictor::kReconstruction;
+  const int64_t count = value.per_view.size(0);
+  if (count != (of_all_views ? views.size() : views.num_targets())) return {};
+  const auto numbers = value.per_view.narrow(0, count - views.num_targets(), views.num_targets())
+                           .to(torch::kFloat64)
+                           .contiguous();
+  const double* first = numbers.data_ptr<double>();
+  return {first, first + numbers.numel()};
+}
+
+// Whether a column's number is another one in each sample.
+bool depends_on_sample(const EvaluationColumn& column) {
+  const auto& needs = column.metric.needs;
+  const auto needs_one_of = [&](const std::vector<MetricNeed>& wanted) {
+    return std::any_of(wanted.begin(), wanted.end(), [&](MetricNeed need) {
+      return std::find(needs.begin(), needs.end(), need) != needs.end();
+    });
+  };
+  if (column.metric.of_images()) return column.of == Predictor::kSample;
+  return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels});
+}
+
+// One number of several samples' values.
+SceneNumber over_samples(const std::vector<MetricValue>& values, const EvaluationColumn& column,
+                         const Views& views) {
+  SceneNumber number;
+  double sum = 0;
+  int64_t present = 0;
+  for (const MetricValue& value : values) {
+    number.of_targets.push_back(of_targets(value, views, column.of));
+    if (!value.absent.empty()) {
+      number.absent = value.absent;
+      continue;
+    }
+    sum += value.mean();
+    ++present;
+  }
+  number.value = present > 0 ? sum / static_cast<double>(present) : std::numeric_limits<double>::quiet_NaN();
+  if (present > 0) {
+    number.absent.clear();
+    number.absent_samples = static_cast<int64_t>(values.size()) - present;
+  }
+  const auto empty = [](const std::vector<double>& list) { return list.empty(); };
+  if (std::all_of(number.of_targets.begin(), number.of_targets.end(), empty)) number.of_targets.clear();
+  return number;
+}
 
 }  // namespace
 
 const std::vector<Predictor>& all_predictors() {
+  static const std::vector<Predictor> predictors{Predictor::kSample,
+                                                 Predictor::kMeanPrediction,
+                                                 Predictor::kNearestSource,
+                                                 Predictor::kMeanSource,
+                                                 Predictor::kMeanColor,
+                                                 Predictor::kReconstruction,
+                                                 Predictor::kReconstructionLevel0,
+                                                 Predictor::kReconstructionLevel1,
+                                                 Predictor::kReconstructionLevel2,
+                                                 Predictor::kReconstructionLevel3};
+  return predictors;
+}
+
+const std::vector<Predictor>& main_predictors() {
   static const std::vector<Predictor> predictors{Predictor::kSample,        Predictor::kMeanPrediction,
                                                  Predictor::kNearestSource, Predictor::kMeanSource,
                                                  Predictor::kMeanColor,     Predictor::kReconstruction};
@@ -234,8 +392,16 @@ const std::vector<Predictor>& trivial_predictors() {
 }
 
 std::string predictor_name(Predictor predictor) {
-  static const std::vector<std::string> names{"sample",      "mean_prediction", "nearest_source",
-                                              "mean_source", "mean_color",      "reconstruction"};
+  static const std::vector<std::string> names{"sample",
+                                              "mean_prediction",
+                                              "nearest_source",
+                                              "mean_source",
+                                              "mean_color",
+                                              "reconstruction",
+                                              "reconstruction_level0",
+                                              "reconstruction_level1",
+                                              "reconstruction_level2",
+                                              "reconstruction_level3"};
   return names.at(static_cast<size_t>(predictor));
 }
 
@@ -276,14 +442,12 @@ bool SceneEvaluation::sample_beats_every_trivial() const {
 }
 
 EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScene& scene,
-                              const FlowSettings& sampling, int64_t noise_seed) {
+                              const FlowSettings& sampling, const std::vector<int64_t>& noise_seeds) {
   const torch::NoGradGuard no_gradients;
+  if (noise_seeds.empty()) fail({"evaluation", "at least one sample", "none", "give a seed"});
   EvaluatedScene result;
-  result.sample = run(models, scene, sampling, noise_seed,
-                      models.bundle.dpt_head.exists() ? DecodedViews::kAll : DecodedViews::kNone);
   result.mean_prediction =
-      run(models, scene, mean_prediction_settings(models.bundle), noise_seed, DecodedViews::kNone);
-
+      run(models, scene, mean_prediction_settings(models.bundle), noise_seeds.front(), DecodedViews::kNone);
   const SceneMetrics metrics(models, scene);
   const auto sources = stacked(scene.source_images);
   const int64_t targets = scene.views.num_targets();
@@ -294,24 +458,50 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   const auto set = [&](Predictor predictor, MetricInputs inputs) {
     by_predictor[static_cast<size_t>(predictor)] = std::move(inputs);
   };
-  set(Predictor::kSample, metrics.of_images(result.sample.images));
   set(Predictor::kMeanPrediction, metrics.of_images(result.mean_prediction.images));
   set(Predictor::kNearestSource, metrics.of_images(nearest_sources(scene.views, sources)));
   set(Predictor::kMeanSource, metrics.of_images(for_every_target(sources.mean(0, /*keepdim=*/true))));
   set(Predictor::kMeanColor, metrics.of_images(for_every_target(sources.mean({0, 2, 3}, /*keepdim=*/true))));
-  if (metrics.target_images().defined()) {
-    const auto all = torch::cat({sources, metrics.target_images()});
-    set(Predictor::kReconstruction, metrics.of_images(all, reconstruction(models, all)));
-  } else {
-    set(Predictor::kReconstruction, metrics.of_images(torch::Tensor()));
-  }
-  const MetricInputs geometry = metrics.of_geometry(result.sample);
+  const TruePictures& pictures = metrics.pictures();
+  const auto set_reconstruction = [&](Predictor predictor, std::optional<int64_t> alone) {
+    MetricInputs inputs = metrics.of_images(torch::Tensor());
+    const auto decoded = models.models.levels.decoded_levels();
+    if (alone && std::find(decoded.begin(), decoded.end(), *alone) == decoded.end()) {
+      inputs.missing[MetricNeed::kImages] = fmt::format("the decoder takes no level {}", *alone);
+    } else if (pictures.images.defined()) {
+      inputs = metrics.of_images(pictures.images, reconstruction(models, pictures, alone));
+    }
+    set(predictor, std::move(inputs));
+  };
+  set_reconstruction(Predictor::kReconstruction, std::nullopt);
+  set_reconstruction(Predictor::kReconstructionLevel0, 0);
+  set_reconstruction(Predictor::kReconstructionLevel1, 1);
+  set_reconstruction(Predictor::kReconstructionLevel2, 2);
+  set_reconstruction(Predictor::kReconstructionLevel3, 3);
 
-  result.evaluation.scene = scene.name;
-  for (const EvaluationColumn& column : evaluation_columns()) {
-    const auto& inputs = column.metric.of_images() ? by_predictor[static_cast<size_t>(column.of)] : geometry;
-    const MetricValue value = measure(column.metric, inputs);
-    result.evaluation.numbers.push_back({value.mean(), value.absent});
+  const auto& columns = evaluation_columns();
+  std::vector<std::vector<MetricValue>> values(columns.size());
+  for (const int64_t seed : noise_seeds) {
+    PipelineResult sample = run(models, scene, sampling, seed,
+                                models.bundle.dpt_head.exists() ? DecodedViews::kAll : DecodedViews::kNone);
+    set(Predictor::kSample, metrics.of_images(sample.images));
+    const MetricInputs geometry = metrics.of_geometry(sample);
+    for (size_t i = 0; i < columns.size(); ++i) {
+      if (!values[i].empty() && !depends_on_sample(columns[i])) continue;
+      values[i].push_back(measure(columns[i].metric, columns[i].metric.of_images()
+                                                         ? by_predictor[static_cast<size_t>(columns[i].of)]
+                                                         : geometry));
+    }
+    if (seed == noise_seeds.front()) result.sample = std::move(sample);
+  }
+  SceneEvaluation& evaluation = result.evaluation;
+  evaluation.scene = scene.name;
+  evaluation.samples = static_cast<int64_t>(noise_seeds.size());
+  const auto first_target = scene.view_names.begin() + static_cast<std::ptrdiff_t>(scene.views.num_sources);
+  evaluation.sources.assign(scene.view_names.begin(), first_target);
+  evaluation.targets.assign(first_target, scene.view_names.end());
+  for (size_t i = 0; i < columns.size(); ++i) {
+    evaluation.numbers.push_back(over_samples(values[i], columns[i], scene.views));
   }
   return result;
 }

@@ -30,6 +30,12 @@ void check_view(const PointView& view, size_t index, PointLifting lifting) {
   if (lifting == PointLifting::kRays && view.rays.empty()) {
     fail({where, "a ray map to lift the depth with", "none", "predict rays as well"});
   }
+  if (lifting == PointLifting::kPointMaps &&
+      (view.points.width != view.depth.width || view.points.height != view.depth.height)) {
+    fail({where, "a point map of the depth's size " + size_text(view.depth.width, view.depth.height),
+          view.points.empty() ? "none" : size_text(view.points.width, view.points.height),
+          "take a model whose head predicts points, or another points.lifting"});
+  }
 }
 
 float confidence_at(const PointView& view, int64_t x, int64_t y) {
@@ -94,8 +100,12 @@ class ViewLifter {
   ViewLifter(const PointView& view, double depth_scale, PointLifting lifting)
       : view_(view), depth_scale_(depth_scale), lifting_(lifting) {}
 
-  // Not finite where the ray is not.
+  // Not finite where the ray or the predicted point is not.
   Eigen::Vector3d x_in_world(int64_t x, int64_t y) const {
+    if (lifting_ == PointLifting::kPointMaps) {
+      return view_.world_from_rays *
+             Eigen::Map<const Eigen::Vector3f>(view_.points.point(x, y)).cast<double>();
+    }
     // Of the picture's width and height.
     const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(view_.depth.width);
     const double down = (static_cast<double>(y) + 0.5) / static_cast<double>(view_.depth.height);
@@ -217,15 +227,17 @@ std::vector<size_t> kept_points(const PointCloud& cloud, std::vector<GridCell> c
 }  // namespace
 
 const std::vector<std::string>& point_lifting_names() {
-  static const std::vector<std::string> names{"cameras", "rays"};
+  static const std::vector<std::string> names{"cameras", "rays", "point_maps"};
   return names;
 }
 
 void PointCloudOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor,
-               {"lifting",
-                "what turns depth into points: the views' cameras, or the predicted rays (the paper's way)"},
-               lifting, point_lifting_names());
+  visit_choice(
+      visitor,
+      {"lifting",
+       "what turns depth into points: the views' cameras, the predicted rays (the paper's way), or the "
+       "predicted points themselves (VGGT's)"},
+      lifting, point_lifting_names());
   visitor.real({"confidence_quantile", "fraction of the least sure pixels to leave out"}, confidence_quantile,
                {0, 1});
   visitor.real({"edge_step", "relative step of inverse depth that counts as an edge"}, edge_step,

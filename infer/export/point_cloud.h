@@ -17,8 +17,9 @@ namespace gld {
 
 // What turns a pixel and its depth into a point.
 enum class PointLifting {
-  kCameras,  // the view's camera
-  kRays,     // the predicted ray map: origin + depth * direction (GLD's paper, section 5.7)
+  kCameras,    // the view's camera
+  kRays,       // the predicted ray map: origin + depth * direction (GLD's paper, section 5.7)
+  kPointMaps,  // the predicted point of the pixel, of heads that have such (VGGT); depth only leaves pixels out
 };
 
 const std::vector<std::string>& point_lifting_names();
@@ -43,7 +44,8 @@ struct PointView {
   // Only for PointLifting::kRays. The map is coarser than the depth; between the middles of its cells, and beyond the
   // outermost ones, rays are linear.
   RayMap rays;
-  Similarity world_from_rays;
+  PointMap points;             // only for PointLifting::kPointMaps, of the depth's size
+  Similarity world_from_rays;  // for both
 };
 
 // Pixels of all views, and why those that are no point were left out.
@@ -69,7 +71,7 @@ struct PointCloud {
 // Lifts the depth of every view. depth_scale is the length of one unit of the depth maps, in the world where cameras
 // lift (gld/cameras/depth_scale.h finds it where the DPT head has a scale of its own), in the frame of the rays where they
 // do. The order is view by view, row by row. A view whose depth and confidence differ in size, or whose image is empty,
-// or that lacks the rays that lift it, is an Error.
+// or that lacks the rays or points that lift it, is an Error.
 PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_scale,
                              const PointCloudOptions& options);
 

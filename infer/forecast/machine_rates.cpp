@@ -89,17 +89,14 @@ const LatentGrid kSmallGrid{4, 8, 8}, kLargeGrid{1, 12, 15};
 constexpr double kPlainUnit = 0.1;
 
 void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, MachineSpeed& speed) {
-  const auto has_unit = [](ComputePrecision precision) {
-    return best_matrix_unit(precision) != MatrixUnit::kPlain;
-  };
   const auto linear = [&](ComputePrecision precision) {
-    return has_unit(precision) ? packed_speed(rows, precision, timing) / speed.linear : kPlainUnit;
+    return has_matrix_unit(precision) ? packed_speed(rows, precision, timing) / speed.linear : kPlainUnit;
   };
   speed.bfloat16_linear = linear(ComputePrecision::kBFloat16);
   speed.bfloat16x3_linear = linear(ComputePrecision::kBFloat16x3);
   speed.int8_linear = linear(ComputePrecision::kInt8);
   speed.bfloat16_attention =
-      has_unit(ComputePrecision::kBFloat16)
+      has_matrix_unit(ComputePrecision::kBFloat16)
           ? attention_speed(tokens, ComputePrecision::kBFloat16, timing) / speed.attention
           : kPlainUnit;
 }

@@ -44,10 +44,6 @@ std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions&
   return seconds;
 }
 
-bool has_unit(ComputePrecision precision) {
-  return precision == ComputePrecision::kFloat32 || best_matrix_unit(precision) != MatrixUnit::kPlain;
-}
-
 // Whether a measured method may be taken with these options.
 bool allowed(const MethodErrors& entry, const SampleOptions& options) {
   const ComputePrecision precision = entry.method.precision;
@@ -57,7 +53,7 @@ bool allowed(const MethodErrors& entry, const SampleOptions& options) {
       options.precision != PrecisionChoice::kFloat32;
   if (named && options.precision != PrecisionChoice::kAutomatic)
     return precision == precision_of(options.precision);
-  return has_unit(precision) && entry.of_precision <= largest_automatic_error(precision);
+  return has_matrix_unit(precision) && entry.of_precision <= largest_automatic_error(precision);
 }
 
 // Where the scene is unlike those that were measured.
@@ -142,13 +138,21 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
   choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
                   : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
                                                                  : "by the options";
-  if (automatic && !measured) {
-    choice.notes.emplace_back(
-        "No precision was measured with this model, so that --precision automatic is float32: gld bench sample-plan "
-        "measures.");
+  const auto float32_because = [&](const char* reason) {
+    if (!automatic) return;
+    choice.notes.push_back(
+        fmt::format("{}, so that --precision automatic is float32: gld bench sample-plan measures.", reason));
+  };
+  if (!measured) {
+    float32_because("No precision was measured with this model");
+    return choice;
   }
-  if (!measured) return choice;
   const PlanErrors table = read_plan_errors(table_of(bundle));
+  if (table.model_hash != model_hash()) {
+    float32_because("The measured errors are of other weights");
+  } else if (!errors_of(table, choice.method)) {
+    float32_because("No precision was measured with this method");
+  }
   if (automatic && table.model_hash == model_hash()) {
     // Of the float32 method that was asked for, then in the precision that was found.
     SamplingMethod found = choice.method;

@@ -275,9 +275,7 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
   for (auto& listed : sampling_stages(bundle.level_set(), request.stage_request())) {
     PlannedStage stage;
     static_cast<SamplingStage&>(stage) = std::move(listed);
-    stage.precision = layer_precision(request.flow.precision, stage.kind == StageKind::kFlow
-                                                                  ? ModelKind::kGenerator
-                                                                  : ModelKind::kBackboneOrDecoder);
+    stage.precision = layer_precision(request.flow.precision, model_kind_of(stage.kind));
     if (!stage.runs) {
       stage.evaluations = 0;
     } else {

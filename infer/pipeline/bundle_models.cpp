@@ -19,15 +19,18 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   ParameterPlacement placement;
   placement.device = device;
   PipelineModels models;
-  models.backbone = [=] { return packed(shared->load_backbone(placement), ModelKind::kBackboneOrDecoder); };
+  models.backbone = [=] {
+    return packed(shared->load_backbone(placement), model_kind_of(StageKind::kSourceEncoding));
+  };
   models.levels = bundle.options().level_set();
   models.generator = [=](size_t number) {
     return packed(shared->load_generator(shared->options().generators.at(number).generator, placement),
-                  ModelKind::kGenerator);
+                  model_kind_of(StageKind::kFlow));
   };
   models.rgb_decoder = [=] {
-    return packed(shared->load_image_decoder(placement), ModelKind::kBackboneOrDecoder);
+    return packed(shared->load_image_decoder(placement), model_kind_of(StageKind::kRgbDecoding));
   };
+  // Stays in float32, as a geometry model does (model_kind_of).
   models.dpt_head = [=] { return shared->load_dpt_head(placement); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));

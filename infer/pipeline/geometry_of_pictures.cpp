@@ -36,12 +36,13 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
     inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
   }
   auto maps = models.dpt_head()->forward(inputs, grid, wanted);
-  if (maps.points.defined() && (maps.points.size(1) != height || maps.points.size(2) != width)) {
-    maps.points = maps.point_confidence = torch::Tensor();  // points of other pixels are of no use
-  }
-  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence}) {
+  const auto resized = [&](const torch::Tensor& channels_first) {
+    return torch::upsample_bilinear2d(channels_first, {height, width}, /*align_corners=*/false);
+  };
+  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.points, &maps.point_confidence}) {
     if (!map->defined() || (map->size(1) == height && map->size(2) == width)) continue;
-    *map = torch::upsample_bilinear2d(map->unsqueeze(1), {height, width}, /*align_corners=*/false).squeeze(1);
+    *map = map->dim() == 3 ? resized(map->unsqueeze(1)).squeeze(1)
+                           : resized(map->permute({0, 3, 1, 2})).permute({0, 2, 3, 1}).contiguous();
   }
   for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence,
                              &maps.points, &maps.point_confidence}) {

@@ -169,6 +169,7 @@ std::vector<Camera> cameras_of_depth(const GeometryPlacement& placement, const s
 }
 
 PointLifting lifting_of(const GeometryPlacement& placement, const PointCloudOptions& options) {
+  if (options.lifting == PointLifting::kPointMaps) return options.lifting;  // in the frame of the rays anyway
   return placement.predicted.empty() && !placement.scale ? PointLifting::kRays : options.lifting;
 }
 
@@ -185,8 +186,11 @@ PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacemen
     view.camera = cameras.empty() ? given[i] : cameras[i];
     view.image = images[i];
     view.depth = to_depth_map(geometry.depth[view_index].to(torch::kCPU, torch::kFloat32).contiguous());
-    view.confidence = to_confidence_map(geometry.depth_confidence[view_index]);
+    const bool of_points = used.lifting == PointLifting::kPointMaps && geometry.points.defined();
+    view.confidence =
+        to_confidence_map((of_points ? geometry.point_confidence : geometry.depth_confidence)[view_index]);
     view.rays = to_ray_map(geometry.rays[view_index]);
+    if (of_points) view.points = to_point_map(geometry.points[view_index]);
     view.world_from_rays = placement.scene_from_model();
     views.push_back(std::move(view));
   }

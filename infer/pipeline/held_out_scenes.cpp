@@ -46,6 +46,14 @@ SampledViews held_out_sample(const Scene& scene, const ViewSampling& sampling, c
   return *chosen;
 }
 
+SamplingScene load_selected_views(const Scene& scene, const ViewSelection& selection,
+                                  const BundleOptions& bundle) {
+  const auto size = choose_size("auto", scene, bundle.image_sizes(), bundle.backbone.patch_side());
+  SamplingScene loaded = load_sampling_scene(scene, selection, size);
+  load_source_depths(scene, selection, loaded);
+  return loaded;
+}
+
 SamplingScene load_held_out_scene(const Scene& scene, const ViewSampling& sampling, const SampleKey& key,
                                   const BundleOptions& bundle) {
   const SampledViews chosen = held_out_sample(scene, sampling, key);
@@ -53,10 +61,7 @@ SamplingScene load_held_out_scene(const Scene& scene, const ViewSampling& sampli
   ViewSelection selection;
   selection.sources.assign(chosen.frames.begin(), first_target);
   selection.targets.assign(first_target, chosen.frames.end());
-  const auto size = choose_size("auto", scene, bundle.image_sizes(), bundle.backbone.patch_side());
-  SamplingScene loaded = load_sampling_scene(scene, selection, size);
-  load_source_depths(scene, selection, loaded);
-  return loaded;
+  return load_selected_views(scene, selection, bundle);
 }
 
 }  // namespace gld

@@ -30,7 +30,11 @@ SampleKey held_out_key(int64_t seed, int64_t index);
 // The views that key chooses. Throws Error where the scene has too few frames.
 SampledViews held_out_sample(const Scene& scene, const ViewSampling& sampling, const SampleKey& key);
 
-// Those views at the trained size of the nearest aspect, with the true depth of the sources. Throws Error as held_out_sample does.
+// The selected views at the trained size of the nearest aspect, with the true depth of the sources.
+SamplingScene load_selected_views(const Scene& scene, const ViewSelection& selection,
+                                  const BundleOptions& bundle);
+
+// Of the views that key chooses. Throws Error as held_out_sample does.
 SamplingScene load_held_out_scene(const Scene& scene, const ViewSampling& sampling, const SampleKey& key,
                                   const BundleOptions& bundle);
 

@@ -6,20 +6,24 @@
 #include <string>
 
 namespace gld {
+namespace {
 
-ConfidenceMap to_confidence_map(const torch::Tensor& confidence) {
-  const auto values = confidence.to(torch::kCPU, torch::kFloat32).contiguous();
-  ConfidenceMap map(values.size(1), values.size(0));
+// (height, width) or (height, width, numbers a pixel).
+template <class Map>
+Map to_map(const torch::Tensor& tensor) {
+  const auto values = tensor.to(torch::kCPU, torch::kFloat32).contiguous();
+  Map map(values.size(1), values.size(0));
   std::copy_n(values.data_ptr<float>(), values.numel(), map.values.begin());
   return map;
 }
 
-RayMap to_ray_map(const torch::Tensor& rays) {
-  const auto values = rays.to(torch::kCPU, torch::kFloat32).contiguous();
-  RayMap map(values.size(1), values.size(0));
-  std::copy_n(values.data_ptr<float>(), values.numel(), map.values.begin());
-  return map;
-}
+}  // namespace
+
+ConfidenceMap to_confidence_map(const torch::Tensor& confidence) { return to_map<ConfidenceMap>(confidence); }
+
+RayMap to_ray_map(const torch::Tensor& rays) { return to_map<RayMap>(rays); }
+
+PointMap to_point_map(const torch::Tensor& points) { return to_map<PointMap>(points); }
 
 std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const std::vector<Camera>& given) {
   if (geometry.rays.size(0) != static_cast<int64_t>(given.size())) {

@@ -15,6 +15,8 @@ namespace gld {
 ConfidenceMap to_confidence_map(const torch::Tensor& confidence);
 // (height, width, 6) of any type and device.
 RayMap to_ray_map(const torch::Tensor& rays);
+// (height, width, 3) of any type and device.
+PointMap to_point_map(const torch::Tensor& points);
 
 // The cameras that fit the DPT head's rays best, one a view of geometry.rays: where the model thinks the views stand, in
 // its own frame and unit. given are the views' cameras in the scene; their sizes and principal points are kept, since

@@ -231,9 +231,9 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   }
   auto maps = geometry_of_pictures(models, torch::cat({request.source_images, result.images}),
                                    request.geometry_maps, request.device);
-  maps.points = maps.point_confidence = torch::Tensor();
   if (request.geometry_views != DecodedViews::kTargets) return maps;
-  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence}) {
+  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence,
+                             &maps.points, &maps.point_confidence}) {
     if (map->defined()) *map = map->slice(0, request.views.num_sources);
   }
   return maps;

@@ -41,6 +41,18 @@ double flow_seconds(const LevelSet& levels, const StageRecords& records) {
   return seconds;
 }
 
+ModelKind model_kind_of(StageKind kind) {
+  switch (kind) {
+    case StageKind::kFlow:
+      return ModelKind::kGenerator;
+    case StageKind::kViewPairs:
+    case StageKind::kGeometry:
+      return ModelKind::kGeometry;
+    default:
+      return ModelKind::kBackboneOrDecoder;
+  }
+}
+
 std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request) {
   std::vector<SamplingStage> stages;
   stages.push_back(
@@ -73,7 +85,7 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
   stages.push_back(
       request.geometry_views != DecodedViews::kNone
           ? stage(StageKind::kGeometry, "geometry",
-                  request.geometry_views == DecodedViews::kAll ? "all views, for the point cloud"
+                  request.geometry_views == DecodedViews::kAll ? "all views: the sources tell the scale"
                                                                : "target views")
           : left_out(StageKind::kGeometry, "geometry", "no depth, rays or points were asked for"));
   return stages;

@@ -3,6 +3,7 @@
 #include "gld/machine/stage_record.h"
 #include "models/dit/approximate_savings.h"
 #include "models/latent_spaces/level_set.h"
+#include "models/layers/layer_precision.h"
 
 #include <cstddef>
 #include <cstdint>
@@ -31,6 +32,9 @@ struct StageRequest {
 };
 
 enum class StageKind { kSourceEncoding, kViewPairs, kFlow, kPropagation, kRgbDecoding, kGeometry };
+
+// Of what its models are, where they are asked what to compute in.
+ModelKind model_kind_of(StageKind kind);
 
 // A stage of sampling: what the planner prices, the forecast sizes, the pipeline runs and reports print.
 struct SamplingStage {

@@ -144,9 +144,25 @@ struct PreparedSampling {
   std::optional<ModelBundle> geometry_model;
 };
 
+void check_lifting(const SampleOptions& options, const ModelBundle& geometry_model) {
+  const auto& head = geometry_model.options().dpt_head;
+  if (!options.requested().points || options.points.lifting != PointLifting::kPointMaps || !head.exists() ||
+      head.architecture().predicts_points()) {
+    return;
+  }
+  fail({"--points.lifting", "cameras or rays of a model whose head predicts no points",
+        "point_maps of " + geometry_model.options().name,
+        "choose another, or --geometry-model DIR with a head that does (VGGT's)"});
+}
+
 // Where depth, rays and points come from.
 std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
-  if (!options.geometry_model.empty()) return ModelBundle::open(options.geometry_model);
+  if (!options.geometry_model.empty()) {
+    auto geometry_model = ModelBundle::open(options.geometry_model);
+    check_lifting(options, geometry_model);
+    return geometry_model;
+  }
+  check_lifting(options, bundle);
   if (options.requested().needs_geometry() && !bundle.options().dpt_head.exists()) {
     fail(
         {"--outputs", "image or latents of a model without a geometry head",

@@ -12,6 +12,7 @@ NamedTensors run_autoencoder_case(const ReferenceCase& reference) {
   reference.read_config(options);
   const auto autoencoder = options.make({});
   load_strict(*autoencoder, reference.weight_file());
+  reference.apply_precision(*autoencoder, ModelKind::kBackboneOrDecoder);
   const auto images = reference.input("images", {-1, 3, -1, -1});
   const auto grid = options.grid_of(images.size(0), images.size(2), images.size(3));
   const auto tokens =

@@ -84,7 +84,11 @@ bool ReferenceCase::expects_prefix(const std::string& prefix) const {
 }
 
 void ReferenceCase::apply_precision(torch::nn::Module& module, ModelKind kind) const {
-  if (precision != ComputePrecision::kFloat32) use_precision(module, layer_precision(precision, kind));
+  if (precision == ComputePrecision::kFloat32) return;
+  use_precision(module, layer_precision(precision, kind));
+  for (const auto& part : module.modules(/*include_self=*/false)) {
+    if (dynamic_cast<const PrecisionLayer*>(part.get()) != nullptr) *precision_applied = true;
+  }
 }
 
 ReferenceCase read_reference_case(const std::filesystem::path& folder) {

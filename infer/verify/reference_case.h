@@ -35,6 +35,8 @@ struct ReferenceCase {
   NamedTensors expected;
   std::shared_ptr<const WeightFile> weights;                // null when the case has none
   ComputePrecision precision = ComputePrecision::kFloat32;  // of the modules that runners build
+  // Set by apply_precision where it found layers; what has none runs in float32 and is held to its tolerance.
+  std::shared_ptr<bool> precision_applied = std::make_shared<bool>(false);
 
   std::string name() const { return folder.filename().string(); }
   // For the where of a message about case.json's configuration.

@@ -11,6 +11,7 @@ ReferenceRunners standard_reference_runners() {
       {"rgb_decoder", run_rgb_decoder_case},
       {"lpips", run_lpips_case},
       {"metrics_image_depth", run_metrics_case},
+      {"metrics_trajectory", run_trajectory_case},
       {"camera_conditioning", run_camera_case},
       {"dit", run_dit_case},
       {"sample", run_sample_case},

@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// One runner a kind; each stands in a file of its own (infer/reference_<kind>.cpp).
+// One runner a kind; each stands in a file of its own (infer/verify/reference_<kind>.cpp; the DPT heads of both families in one).
 NamedTensors run_backbone_case(const ReferenceCase& reference);     // kind "backbone"
 NamedTensors run_dpt_head_case(const ReferenceCase& reference);     // kind "dpt_head"
 NamedTensors run_camera_head_case(const ReferenceCase& reference);  // kind "camera_head"
@@ -16,6 +16,7 @@ NamedTensors run_dit_case(const ReferenceCase& reference);          // kind "dit
 NamedTensors run_sample_case(const ReferenceCase& reference);       // kind "sample"
 NamedTensors run_pipeline_case(const ReferenceCase& reference);     // kind "pipeline"
 NamedTensors run_metrics_case(const ReferenceCase& reference);      // kind "metrics_image_depth"
+NamedTensors run_trajectory_case(const ReferenceCase& reference);   // kind "metrics_trajectory"
 
 // Every kind that infer/ can compute, by name.
 ReferenceRunners standard_reference_runners();

@@ -2,12 +2,12 @@
 
 #include "gld/attention/attention.h"
 #include "gld/base/error.h"
+#include "gld/base/sha256.h"
 #include "gld/latents/noise.h"
 #include "models/backbones/latent_tokens.h"
 #include "models/layers/initialisation.h"
 
 #include <algorithm>
-#include <cstring>
 #include <string>
 
 #include <torch/autograd.h>
@@ -18,15 +18,6 @@ namespace {
 constexpr double kNormEpsilon = 1e-6;
 // Between which the logarithm of a posterior's variance is held.
 constexpr double kLeastLogVariance = -30, kLargestLogVariance = 20;
-
-ConvolutionSizes convolution_sizes(int64_t inputs, int64_t outputs, int64_t kernel) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = inputs;
-  sizes.out_channels = outputs;
-  sizes.kernel = kernel;
-  sizes.padding = kernel / 2;
-  return sizes;
-}
 
 std::shared_ptr<torch::nn::Module> child(torch::nn::Module& parent, const std::string& name) {
   return parent.register_module(name, std::make_shared<torch::nn::Module>());
@@ -55,14 +46,14 @@ class KlResidualBlock : public torch::nn::Module {
  public:
   KlResidualBlock(int64_t inputs, int64_t outputs, int64_t groups, const ParameterPlacement& placement) {
     norm1_ = register_module("norm1", std::make_shared<KlGroupNorm>(inputs, groups, placement));
-    conv1_ = register_module("conv1",
-                             std::make_shared<Convolution>(convolution_sizes(inputs, outputs, 3), placement));
+    conv1_ = register_module(
+        "conv1", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 3), placement));
     norm2_ = register_module("norm2", std::make_shared<KlGroupNorm>(outputs, groups, placement));
     conv2_ = register_module(
-        "conv2", std::make_shared<Convolution>(convolution_sizes(outputs, outputs, 3), placement));
+        "conv2", std::make_shared<Convolution>(same_size_convolution(outputs, outputs, 3), placement));
     if (inputs == outputs) return;
     shortcut_ = register_module(
-        "conv_shortcut", std::make_shared<Convolution>(convolution_sizes(inputs, outputs, 1), placement));
+        "conv_shortcut", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 1), placement));
   }
   torch::Tensor forward(const torch::Tensor& x) const {
     const auto hidden = conv1_->forward(torch::silu(norm1_->forward(x)));
@@ -166,6 +157,17 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHa
   return cost;
 }
 
+// Of the picture's 8-bit pixels: the image takes part in the seed of its noise, so that views differ and none depends on
+// the others, and what was computed does not, so that every device and precision draws the same.
+uint64_t picture_bits(const torch::Tensor& image) {
+  const auto pixels =
+      (image.detach().to(torch::kCPU, torch::kFloat64) * 255).round().clamp(0, 255).to(torch::kUInt8);
+  const auto bytes = pixels.contiguous();
+  Sha256 hash;
+  hash.update(ByteView{bytes.data_ptr<uint8_t>(), static_cast<size_t>(bytes.numel())});
+  return std::stoull(hash.hex_digest().substr(0, 16), nullptr, 16);
+}
+
 }  // namespace
 
 // Encoder or decoder, up to the moments and from the latents.
@@ -180,7 +182,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
       return parent.register_module(name, std::make_shared<Convolution>(sizes, placement));
     };
     input_ = convolution(*this, "conv_in",
-                         convolution_sizes(encodes ? 3 : options.latent_channels, channels.front(), 3));
+                         same_size_convolution(encodes ? 3 : options.latent_channels, channels.front(), 3));
     const auto stages = child(*this, encodes ? "down_blocks" : "up_blocks");
     int64_t width = channels.front();
     for (size_t i = 0; i < channels.size(); ++i) {
@@ -193,7 +195,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
         width = channels[i];
       }
       if (i + 1 < channels.size()) {
-        auto sizes = convolution_sizes(width, width, 3);
+        auto sizes = same_size_convolution(width, width, 3);
         if (encodes) {
           sizes.stride = 2;
           sizes.padding = 0;
@@ -214,7 +216,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
     }
     norm_ = register_module("conv_norm_out", std::make_shared<KlGroupNorm>(width, groups, placement));
     output_ = convolution(*this, "conv_out",
-                          convolution_sizes(width, encodes ? 2 * options.latent_channels : 3, 3));
+                          same_size_convolution(width, encodes ? 2 * options.latent_channels : 3, 3));
   }
 
   torch::Tensor forward(const torch::Tensor& input) const {
@@ -302,10 +304,12 @@ AutoencoderKl::AutoencoderKl(const AutoencoderKlOptions& options, const Paramete
   decoder_ =
       register_module("decoder", std::make_shared<AutoencoderKlHalf>(options_, KlHalf::kDecoder, placement));
   const int64_t channels = options_.latent_channels;
-  quant_ = register_module("quant_conv", std::make_shared<Convolution>(
-                                             convolution_sizes(2 * channels, 2 * channels, 1), placement));
-  post_quant_ = register_module(
-      "post_quant_conv", std::make_shared<Convolution>(convolution_sizes(channels, channels, 1), placement));
+  quant_ = register_module(
+      "quant_conv",
+      std::make_shared<Convolution>(same_size_convolution(2 * channels, 2 * channels, 1), placement));
+  post_quant_ =
+      register_module("post_quant_conv",
+                      std::make_shared<Convolution>(same_size_convolution(channels, channels, 1), placement));
 }
 
 torch::Tensor AutoencoderKl::moments(const torch::Tensor& images) const {
@@ -330,12 +334,8 @@ std::vector<torch::Tensor> AutoencoderKl::encode(const torch::Tensor& images, in
     const auto parts = moments(images.narrow(0, view, 1)).chunk(2, 1);
     auto latent = parts[0];
     if (options_.posterior == Posterior::kSample) {
-      // The image's own numbers take part in the seed, so that views differ and none depends on the others.
-      const double sum = latent.detach().to(torch::kFloat64).sum().item<double>();
-      uint64_t bits = 0;
-      std::memcpy(&bits, &sum, sizeof(bits));
-      const auto noise = views_noise(static_cast<uint64_t>(options_.posterior_seed) ^ bits, "posterior", 1,
-                                     latent.sizes().slice(1).vec());
+      const uint64_t seed = static_cast<uint64_t>(options_.posterior_seed) ^ picture_bits(images[view]);
+      const auto noise = views_noise(seed, "posterior", 1, latent.sizes().slice(1).vec());
       latent = latent + torch::exp(parts[1] / 2) * noise.to(latent.device(), latent.scalar_type());
     }
     views.push_back(

@@ -18,11 +18,7 @@ constexpr int64_t kBlocksAStage = 3;
 constexpr int64_t kConvolutionsABlock = 3;
 
 ConvolutionSizes tiny_sizes(int64_t inputs, int64_t outputs, int64_t kernel, bool bias) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = inputs;
-  sizes.out_channels = outputs;
-  sizes.kernel = kernel;
-  sizes.padding = kernel / 2;
+  ConvolutionSizes sizes = same_size_convolution(inputs, outputs, kernel);
   sizes.bias = bias;
   return sizes;
 }

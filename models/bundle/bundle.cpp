@@ -24,7 +24,8 @@ std::filesystem::path part_file(const std::filesystem::path& folder, const Bundl
 // An autoencoder's half as what decodes images.
 class BackboneImages : public ImageDecoder {
  public:
-  explicit BackboneImages(std::shared_ptr<const Backbone> backbone) : backbone_(std::move(backbone)) {}
+  explicit BackboneImages(std::shared_ptr<Backbone> backbone)
+      : backbone_(register_module("backbone", std::move(backbone))) {}
   torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const override {
     return backbone_->decode(features, grid);
   }

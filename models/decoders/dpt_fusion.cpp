@@ -1,24 +1,14 @@
 #include "models/decoders/dpt_fusion.h"
 
 namespace gld {
-namespace {
-
-ConvolutionSizes same_size(int64_t channels, int64_t kernel) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = channels;
-  sizes.out_channels = channels;
-  sizes.kernel = kernel;
-  sizes.padding = kernel / 2;
-  return sizes;
-}
-
-}  // namespace
 
 ResidualConvolution::ResidualConvolution(int64_t channels, FusionResidual residual,
                                          const ParameterPlacement& placement)
     : residual_(residual) {
-  first_ = register_module("conv1", std::make_shared<Convolution>(same_size(channels, 3), placement));
-  second_ = register_module("conv2", std::make_shared<Convolution>(same_size(channels, 3), placement));
+  first_ = register_module(
+      "conv1", std::make_shared<Convolution>(same_size_convolution(channels, channels, 3), placement));
+  second_ = register_module(
+      "conv2", std::make_shared<Convolution>(same_size_convolution(channels, channels, 3), placement));
 }
 
 torch::Tensor ResidualConvolution::forward(const torch::Tensor& x) const {
@@ -34,7 +24,9 @@ FusionBlock::FusionBlock(const Sizes& sizes, const ParameterPlacement& placement
   }
   running_unit_ = register_module(
       "resConfUnit2", std::make_shared<ResidualConvolution>(sizes.channels, sizes.residual, placement));
-  mix_ = register_module("out_conv", std::make_shared<Convolution>(same_size(sizes.channels, 1), placement));
+  mix_ = register_module(
+      "out_conv",
+      std::make_shared<Convolution>(same_size_convolution(sizes.channels, sizes.channels, 1), placement));
 }
 
 torch::Tensor FusionBlock::forward(const torch::Tensor& running, const torch::Tensor& lateral,

@@ -9,7 +9,7 @@ namespace gld {
 namespace {
 
 constexpr int64_t kDepthChannels = 2;  // depth, confidence
-constexpr int64_t kRayChannels = 7;    // direction, moment, confidence
+constexpr int64_t kRayChannels = 7;    // direction, origin, confidence
 
 }  // namespace
 
@@ -68,12 +68,13 @@ DptHead::DptHead(const DptHeadOptions& options, const ParameterPlacement& placem
   depth_stages_ = trunk_.fusion_stages("", FusionResidual::kRaw, placement);
   ray_stages_ = trunk_.fusion_stages("_aux", FusionResidual::kRaw, placement);
 
-  depth_neck_ = child_convolution(scratch, "output_conv1", kernel3(features, features / 2), placement);
+  depth_neck_ =
+      child_convolution(scratch, "output_conv1", same_size_convolution(features, features / 2, 3), placement);
   const auto depth_output = child_module(scratch, "output_conv2");
-  depth_hidden_ =
-      child_convolution(*depth_output, "0", kernel3(features / 2, DptTrunk::kHiddenChannels), placement);
-  depth_output_ =
-      child_convolution(*depth_output, "2", kernel1(DptTrunk::kHiddenChannels, kDepthChannels), placement);
+  depth_hidden_ = child_convolution(
+      *depth_output, "0", same_size_convolution(features / 2, DptTrunk::kHiddenChannels, 3), placement);
+  depth_output_ = child_convolution(
+      *depth_output, "2", same_size_convolution(DptTrunk::kHiddenChannels, kDepthChannels, 1), placement);
 
   // The checkpoint holds a pre-head for every pyramid level; the last one's is the one that runs.
   const auto necks = child_module(scratch, "output_conv1_aux");
@@ -82,16 +83,17 @@ DptHead::DptHead(const DptHeadOptions& options, const ParameterPlacement& placem
     const auto neck = child_module(*necks, std::to_string(level));
     ray_neck_.clear();
     for (int64_t i = 0; i < options_.aux_out1_conv_num; ++i) {
-      const auto sizes = i % 2 == 0 ? kernel3(features, features / 2) : kernel3(features / 2, features);
+      const auto sizes = i % 2 == 0 ? same_size_convolution(features, features / 2, 3)
+                                    : same_size_convolution(features / 2, features, 3);
       ray_neck_.push_back(child_convolution(*neck, std::to_string(i), sizes, placement));
     }
     const auto output = child_module(*outputs, std::to_string(level));
-    ray_hidden_ =
-        child_convolution(*output, "0", kernel3(features / 2, DptTrunk::kHiddenChannels), placement);
+    ray_hidden_ = child_convolution(
+        *output, "0", same_size_convolution(features / 2, DptTrunk::kHiddenChannels, 3), placement);
     ray_norm_ =
         output->register_module("2", std::make_shared<LayerNorm>(DptTrunk::kHiddenChannels, 1e-5, placement));
-    ray_output_ =
-        child_convolution(*output, "5", kernel1(DptTrunk::kHiddenChannels, kRayChannels), placement);
+    ray_output_ = child_convolution(
+        *output, "5", same_size_convolution(DptTrunk::kHiddenChannels, kRayChannels, 1), placement);
   }
 }
 

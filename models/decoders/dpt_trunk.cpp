@@ -37,20 +37,6 @@ std::shared_ptr<Convolution> child_convolution(torch::nn::Module& parent, const 
   return parent.register_module(name, std::make_shared<Convolution>(sizes, placement));
 }
 
-ConvolutionSizes kernel3(int64_t inputs, int64_t outputs) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = inputs;
-  sizes.out_channels = outputs;
-  return sizes;
-}
-
-ConvolutionSizes kernel1(int64_t inputs, int64_t outputs) {
-  auto sizes = kernel3(inputs, outputs);
-  sizes.kernel = 1;
-  sizes.padding = 0;
-  return sizes;
-}
-
 torch::Tensor bounded_exponential(const torch::Tensor& logits) {
   return logits.clamp(-DptTrunk::kLargestLogit, DptTrunk::kLargestLogit).exp();
 }
@@ -83,20 +69,20 @@ DptTrunk::DptTrunk(torch::nn::Module& head, const DptSizes& sizes, const Paramet
   norm_ = head.register_module("norm", std::make_shared<LayerNorm>(sizes_.dim_in, 1e-5, placement));
   const auto projects = child_module(head, "projects");
   for (size_t i = 0; i < 4; ++i) {
-    projects_.push_back(
-        child_convolution(*projects, std::to_string(i), kernel1(sizes_.dim_in, channels[i]), placement));
+    projects_.push_back(child_convolution(*projects, std::to_string(i),
+                                          same_size_convolution(sizes_.dim_in, channels[i], 1), placement));
   }
   const auto resize = child_module(head, "resize_layers");
   enlarge4_ = resize->register_module(
       "0", std::make_shared<BlockUpsampling>(BlockUpsampling::Sizes{channels[0], 4}, placement));
   enlarge2_ = resize->register_module(
       "1", std::make_shared<BlockUpsampling>(BlockUpsampling::Sizes{channels[1], 2}, placement));
-  auto halving = kernel3(channels[3], channels[3]);
+  auto halving = same_size_convolution(channels[3], channels[3], 3);
   halving.stride = 2;
   reduce2_ = child_convolution(*resize, "3", halving, placement);
   scratch_ = child_module(head, "scratch");
   for (size_t i = 0; i < 4; ++i) {
-    auto lateral = kernel3(channels[i], sizes_.features);
+    auto lateral = same_size_convolution(channels[i], sizes_.features, 3);
     lateral.bias = false;
     lateral_.push_back(
         child_convolution(*scratch_, "layer" + std::to_string(i + 1) + "_rn", lateral, placement));

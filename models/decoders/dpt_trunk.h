@@ -79,8 +79,6 @@ std::shared_ptr<torch::nn::Module> child_module(torch::nn::Module& parent, const
 std::shared_ptr<Convolution> child_convolution(torch::nn::Module& parent, const std::string& name,
                                                const ConvolutionSizes& sizes,
                                                const ParameterPlacement& placement);
-ConvolutionSizes kernel3(int64_t inputs, int64_t outputs);
-ConvolutionSizes kernel1(int64_t inputs, int64_t outputs);
 
 // exp, finite for any finite logits.
 torch::Tensor bounded_exponential(const torch::Tensor& logits);

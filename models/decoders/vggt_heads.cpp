@@ -39,11 +39,13 @@ VggtDptHead::VggtDptHead(const DptSizes& sizes, VggtDptOutput output, const Para
     : output_(output), trunk_(*this, sizes, placement) {
   torch::nn::Module& scratch = *trunk_.scratch();
   stages_ = trunk_.fusion_stages("", FusionResidual::kRectified, placement);
-  neck_ = child_convolution(scratch, "output_conv1", kernel3(sizes.features, sizes.features / 2), placement);
+  neck_ = child_convolution(scratch, "output_conv1",
+                            same_size_convolution(sizes.features, sizes.features / 2, 3), placement);
   const auto outputs = child_module(scratch, "output_conv2");
-  hidden_ =
-      child_convolution(*outputs, "0", kernel3(sizes.features / 2, DptTrunk::kHiddenChannels), placement);
-  last_ = child_convolution(*outputs, "2", kernel1(DptTrunk::kHiddenChannels, value_channels(output) + 1),
+  hidden_ = child_convolution(
+      *outputs, "0", same_size_convolution(sizes.features / 2, DptTrunk::kHiddenChannels, 3), placement);
+  last_ = child_convolution(*outputs, "2",
+                            same_size_convolution(DptTrunk::kHiddenChannels, value_channels(output) + 1, 1),
                             placement);
 }
 

@@ -83,9 +83,10 @@ DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : o
   encoder_embedder_ =
       std::make_unique<DitEmbedder>(*this, "s", embedder_sizes(options_.encoder_width()), placement);
   if (options_.num_special_tokens > 0) {
-    special_projection_ =
-        register_module("special_output_proj",
-                        std::make_shared<Linear>(LinearSizes{options_.decoder_width(), channels}, placement));
+    special_projection_ = register_module(
+        "special_output_proj",
+        std::make_shared<Linear>(
+            LinearSizes{options_.decoder_width(), channels, true, 1, LinearPacking::kNever}, placement));
   }
   if (options_.encoder_width() != options_.decoder_width()) {
     condition_projection_ = register_module(

@@ -81,6 +81,7 @@ std::vector<torch::Tensor> gradients_of(const GroupFunction& function,
   for (int64_t first = 0; first < views; first += size) {
     const ViewGroup group{first, std::min(size, views - first)};
     std::vector<torch::Tensor> leaves;
+    leaves.reserve(tensors.size());
     for (const auto& tensor : tensors) leaves.push_back(leaf_of_group(tensor, group, views));
     torch::Tensor result;
     {
@@ -91,6 +92,7 @@ std::vector<torch::Tensor> gradients_of(const GroupFunction& function,
     for (size_t i = 0; i < leaves.size(); ++i) sums[i].add(group, views, gradient_of(leaves[i]));
   }
   std::vector<torch::Tensor> gradients;
+  gradients.reserve(sums.size());
   for (auto& sum : sums) gradients.push_back(sum.take());
   return gradients;
 }
@@ -142,6 +144,7 @@ torch::Tensor joined(const std::vector<torch::Tensor>& parts) {
 
 torch::Tensor joined_outputs(const std::vector<AttentionResult>& results) {
   std::vector<torch::Tensor> outputs;
+  outputs.reserve(results.size());
   for (const auto& result : results) outputs.push_back(result.output);
   return joined(outputs);
 }

@@ -16,6 +16,15 @@ void require_maps(const torch::Tensor& x, int64_t channels, const std::string& l
 
 }  // namespace
 
+ConvolutionSizes same_size_convolution(int64_t in_channels, int64_t out_channels, int64_t kernel) {
+  ConvolutionSizes sizes;
+  sizes.in_channels = in_channels;
+  sizes.out_channels = out_channels;
+  sizes.kernel = kernel;
+  sizes.padding = kernel / 2;
+  return sizes;
+}
+
 Convolution::Convolution(const ConvolutionSizes& sizes, const ParameterPlacement& placement) : sizes_(sizes) {
   weight = register_parameter(
       "weight",

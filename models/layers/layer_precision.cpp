@@ -6,12 +6,14 @@ namespace gld {
 
 LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind) {
   LayerPrecision precision;
+  if (kind == ModelKind::kGeometry) return precision;
   const bool int8 = asked == ComputePrecision::kInt8;
-  precision.linear = int8 && kind == ModelKind::kBackboneOrDecoder ? ComputePrecision::kBFloat16 : asked;
-  const bool has_unit = best_matrix_unit(ComputePrecision::kBFloat16) != MatrixUnit::kPlain;
-  if (asked == ComputePrecision::kBFloat16 || (int8 && has_unit)) {
-    precision.attention = ComputePrecision::kBFloat16;
-  }
+  const auto beside_int8 =
+      has_matrix_unit(ComputePrecision::kBFloat16) ? ComputePrecision::kBFloat16 : ComputePrecision::kFloat32;
+  precision.linear = int8 && kind == ModelKind::kBackboneOrDecoder ? beside_int8 : asked;
+  precision.attention = int8                                   ? beside_int8
+                        : asked == ComputePrecision::kBFloat16 ? ComputePrecision::kBFloat16
+                                                               : ComputePrecision::kFloat32;
   return precision;
 }
 

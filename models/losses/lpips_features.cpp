@@ -7,15 +7,6 @@
 namespace gld {
 namespace {
 
-ConvolutionSizes convolution_sizes(int64_t inputs, int64_t outputs, int64_t kernel) {
-  ConvolutionSizes sizes;
-  sizes.in_channels = inputs;
-  sizes.out_channels = outputs;
-  sizes.kernel = kernel;
-  sizes.padding = kernel / 2;
-  return sizes;
-}
-
 // SqueezeNet's module (Iandola et al. 2016): a 1x1 layer, then 1x1 and 3x3 layers side by side.
 class Fire : public torch::nn::Module {
  public:
@@ -25,14 +16,15 @@ class Fire : public torch::nn::Module {
     int64_t expanded = 0;  // of each of the two
   };
   Fire(const Sizes& sizes, const ParameterPlacement& placement) {
-    squeeze_ = register_module("squeeze", std::make_shared<Convolution>(
-                                              convolution_sizes(sizes.inputs, sizes.squeezed, 1), placement));
+    squeeze_ = register_module(
+        "squeeze",
+        std::make_shared<Convolution>(same_size_convolution(sizes.inputs, sizes.squeezed, 1), placement));
     expand1_ = register_module(
         "expand1x1",
-        std::make_shared<Convolution>(convolution_sizes(sizes.squeezed, sizes.expanded, 1), placement));
+        std::make_shared<Convolution>(same_size_convolution(sizes.squeezed, sizes.expanded, 1), placement));
     expand3_ = register_module(
         "expand3x3",
-        std::make_shared<Convolution>(convolution_sizes(sizes.squeezed, sizes.expanded, 3), placement));
+        std::make_shared<Convolution>(same_size_convolution(sizes.squeezed, sizes.expanded, 3), placement));
   }
   torch::Tensor forward(const torch::Tensor& x) const {
     const auto squeezed = torch::relu(squeeze_->forward(x));
@@ -58,7 +50,7 @@ void LpipsFeatures::add_tap(int64_t channels) {
 
 void LpipsFeatures::build_squeeze(const ParameterPlacement& placement) {
   minimum_side_ = 17;
-  auto stem = convolution_sizes(3, 64, 3);
+  auto stem = same_size_convolution(3, 64, 3);
   stem.stride = 2;
   stem.padding = 0;
   const auto first = register_module("0", std::make_shared<Convolution>(stem, placement));
@@ -109,7 +101,7 @@ void LpipsFeatures::build_vgg(const ParameterPlacement& placement) {
     for (int64_t i = 0; i < stages[stage].convolutions; ++i, number += 2) {
       const auto layer = register_module(
           std::to_string(number),
-          std::make_shared<Convolution>(convolution_sizes(inputs, stages[stage].channels, 3), placement));
+          std::make_shared<Convolution>(same_size_convolution(inputs, stages[stage].channels, 3), placement));
       steps_.push_back([layer](const torch::Tensor& x) { return torch::relu(layer->forward(x)); });
       inputs = stages[stage].channels;
     }
@@ -127,16 +119,16 @@ void LpipsFeatures::build_alex(const ParameterPlacement& placement) {
   const auto pool = [this] {
     steps_.push_back([](const torch::Tensor& x) { return torch::max_pool2d(x, {3, 3}, {2, 2}); });
   };
-  auto stem = convolution_sizes(3, 64, 11);
+  auto stem = same_size_convolution(3, 64, 11);
   stem.stride = 4;
   stem.padding = 2;
   layer("0", stem);
   pool();
-  layer("3", convolution_sizes(64, 192, 5));
+  layer("3", same_size_convolution(64, 192, 5));
   pool();
-  layer("6", convolution_sizes(192, 384, 3));
-  layer("8", convolution_sizes(384, 256, 3));
-  layer("10", convolution_sizes(256, 256, 3));
+  layer("6", same_size_convolution(192, 384, 3));
+  layer("8", same_size_convolution(384, 256, 3));
+  layer("10", same_size_convolution(256, 256, 3));
 }
 
 std::vector<torch::Tensor> LpipsFeatures::forward(const torch::Tensor& x) const {

@@ -1,9 +1,12 @@
 // What all commands of the program promise together.
 #include "cli/commands.h"
 
+#include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "tests/support/data_folders.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <map>
 #include <set>
 
@@ -39,6 +42,28 @@ std::vector<std::string> words_of(const Command& command) {
   const auto space = command.name.find(' ');
   if (space == std::string::npos) return {command.name};
   return {command.name.substr(0, space), command.name.substr(space + 1)};
+}
+
+// The options of a run that is kept here, or of a model that was trained so, still mean what they say: a figure can be made anew
+// by the command and the file beside it.
+TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
+  const auto runnable = runnable_commands();
+  const std::string before = "# gld ", behind = ": the options of this run";
+  int read = 0;
+  for (const char* folder : {"docs/measured", "configs/tiny"}) {
+    for (const auto& item : std::filesystem::recursive_directory_iterator(test::source_root() / folder)) {
+      if (item.path().filename() != "config.yaml") continue;
+      const std::string text = read_file(item.path());
+      ASSERT_EQ(text.rfind(before, 0), 0U) << item.path();
+      const std::string name = text.substr(before.size(), text.find(behind) - before.size());
+      const auto command = std::find_if(runnable.begin(), runnable.end(),
+                                        [&](const Command& candidate) { return candidate.name == name; });
+      ASSERT_NE(command, runnable.end()) << item.path() << " is of " << name;
+      EXPECT_NO_THROW(load_yaml(*command->options, item.path())) << item.path();
+      ++read;
+    }
+  }
+  EXPECT_GT(read, 15);
 }
 
 // A folder, a file or a number has one name and one declaration, whichever command takes it.

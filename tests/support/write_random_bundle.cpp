@@ -1,5 +1,6 @@
-// gld_write_random_bundle FOLDER small|released|MODEL.yaml [SEED]: a model bundle with random weights, for
-// measurements and tests. "released" has the published sizes: 7.5 GB, written tensor by tensor.
+// gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED]: a model bundle with random weights, for
+// measurements and tests. "released" has the published sizes, 7.5 GB written tensor by tensor, "released-vggt" those with
+// VGGT (10 GB).
 
 #include "gld/base/configuration.h"
 #include "models/bundle/random_bundle.h"
@@ -13,6 +14,7 @@ namespace {
 gld::BundleOptions options_from(const std::string& sizes) {
   if (sizes == "small") return gld::small_bundle_options();
   if (sizes == "released") return gld::released_da3_options();
+  if (sizes == "released-vggt") return gld::released_vggt_options();
   gld::BundleOptions options;
   gld::load_yaml(options, sizes);
   gld::check_options(options, sizes);
@@ -23,7 +25,7 @@ gld::BundleOptions options_from(const std::string& sizes) {
 
 int main(int count, char** words) {
   if (count < 3 || count > 4) {
-    std::cerr << "usage: gld_write_random_bundle FOLDER small|released|MODEL.yaml [SEED]\n";
+    std::cerr << "usage: gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED]\n";
     return 2;
   }
   try {

@@ -34,15 +34,15 @@ std::vector<NamedParameter> AutoencoderObjective::parameters() const {
 Losses AutoencoderObjective::losses(const TrainingBatch& batch, const StepContext& context) {
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
   Losses losses;
-  PartSums parts;
+  PartMeans parts;
   for (const TrainingScene& scene : batch.scenes) {
     const auto images = scene.images.to(placement_.device);
     const Autoencoding made = backbone_->autoencode(images, context.generator);
     const auto error = (made.images - images).abs().mean();
     const auto total = options_.reconstruction_weight * error + options_.divergence_weight * made.divergence;
     losses.total = losses.total.defined() ? losses.total + share * total : share * total;
-    parts.add("reconstruction", error, share);
-    parts.add("divergence", made.divergence, share);
+    parts.add("reconstruction", error);
+    parts.add("divergence", made.divergence);
   }
   losses.parts = parts.take();
   return losses;

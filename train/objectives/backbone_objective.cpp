@@ -204,7 +204,7 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
   torch::Generator generator = context.generator;
   const double share = 1.0 / static_cast<double>(batch.scenes.size());
   Losses losses;
-  PartSums parts;
+  PartMeans parts;
   for (const TrainingScene& scene : batch.scenes) {
     const int64_t all = scene.views.size();
     const auto draws = torch::rand({3}, generator, torch::kFloat64);
@@ -221,26 +221,27 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
     torch::Tensor total = showing.head ? result.geometry.total : torch::zeros({}, scene.images.options());
     for (size_t level = 0; level < result.pixel_errors.size(); ++level) {
       total = total + options_.pixel_weights[level] * result.pixel_errors[level];
-      parts.add("pixels_level" + std::to_string(level), result.pixel_errors[level], share);
+      parts.add("pixels_level" + std::to_string(level), result.pixel_errors[level]);
     }
     for (size_t level = 0; level < result.token_errors.size(); ++level) {
       const auto& error = result.token_errors[level].total;
       if (!error.defined()) continue;
       total = total + options_.geometry_weights[level] * error;
-      parts.add("geometry_level" + std::to_string(level), error, share);
+      parts.add("geometry_level" + std::to_string(level), error);
     }
     if (result.correspondence.defined()) {
       total = total + options_.correspondence_weight * result.correspondence;
-      parts.add("correspondence", result.correspondence, share);
+      parts.add("correspondence", result.correspondence);
     }
     losses.total = losses.total.defined() ? losses.total + share * total : share * total;
     if (!showing.head) continue;
-    parts.add("depth", result.geometry.depth, share);
-    parts.add("depth_gradient", result.geometry.gradient, share);
-    parts.add("rays", result.geometry.ray, share);
-    parts.add("origins", result.geometry.origin, share);
-    parts.add("points", result.geometry.point, share);
-    parts.add("depth_abs_rel", result.geometry.absolute_relative, share);
+    parts.add("depth", result.geometry.depth);
+    parts.add("depth_gradient", result.geometry.gradient);
+    parts.add("rays", result.geometry.ray);
+    parts.add("origins", result.geometry.origin);
+    parts.add("points", result.geometry.point);
+    if (result.geometry.point_map.defined()) parts.add("point_maps", result.geometry.point_map);
+    parts.add("depth_abs_rel", result.geometry.absolute_relative);
   }
   losses.parts = parts.take();
   return losses;
@@ -248,7 +249,7 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
 
 Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double total = 0.0, relative = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
+  double total = 0.0, relative = 0.0, pixel_error = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
   RayErrors rays;
   std::vector<RayErrors> token_rays(geometry_layers_.size());
   std::vector<double> token_depth(geometry_layers_.size());
@@ -268,6 +269,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
       token_depth[level] += result.token_errors[level].depth_abs_rel;
     }
     if (result.shallow_image.defined()) {
+      pixel_error += result.pixel_errors.front().item<double>();
       pixel_psnr +=
           measure_images(metric_named("psnr"), scene.images.to(placement_.device), result.shallow_image)
               .mean();
@@ -311,7 +313,11 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
   if (options_.correspondence_weight > 0 && !head_only()) {
     validation.values.emplace_back("correspondence", correspondence / count);
   }
-  if (!pixel_layers_.empty()) validation.values.emplace_back("pixel_psnr", pixel_psnr / count);
+  // The first value is the one that the best checkpoint has least of: an error, where pixels are all there is.
+  if (!pixel_layers_.empty()) {
+    validation.values.emplace_back("pixel_error", pixel_error / count);
+    validation.values.emplace_back("pixel_psnr", pixel_psnr / count);
+  }
   return validation;
 }
 

@@ -184,16 +184,16 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
   std::vector<Drawn> scenes;
   for (const TrainingScene& scene : batch.scenes) scenes.push_back(draw(scene, generator));
   Losses losses;
-  PartSums parts;
+  PartMeans parts;
   for (const Errors& errors : velocity_errors(scenes)) {
     auto total = errors.velocity.all;
     if (errors.correspondence.defined()) {
       total = total + options_.correspondence_weight * errors.correspondence;
-      parts.add("correspondence", errors.correspondence, share);
+      parts.add("correspondence", errors.correspondence);
     }
     losses.total = losses.total.defined() ? losses.total + share * total : share * total;
-    parts.add("source", errors.velocity.source, share);
-    parts.add("target", errors.velocity.target, share);
+    parts.add("source", errors.velocity.source);
+    parts.add("target", errors.velocity.target);
   }
   losses.parts = parts.take();
   return losses;

@@ -63,8 +63,9 @@ void GeometryLossOptions::visit(FieldVisitor& visitor) {
   visitor.real(
       {"origin_weight", "weight of the distance of ray origins from the camera's centre, over the baseline"},
       origin_weight, {0.0, 1e6});
-  visitor.real({"point_weight", "weight of the error of depth * direction + centre"}, point_weight,
-               {0.0, 1e6});
+  visitor.real(
+      {"point_weight", "weight of the error of points: of depth * direction + centre, and of predicted ones"},
+      point_weight, {0.0, 1e6});
   visitor.real({"confidence_reward", "lambda of the reward for confidence"}, confidence_reward, {1e-6, 1e6});
 }
 
@@ -89,10 +90,19 @@ GeometryLosses geometry_losses(const GeometryOutput& predicted, const GeometryTa
   const auto true_point =
       targets.rays.narrow(3, 0, 3) * targets.ray_depth.unsqueeze(3) + targets.rays.narrow(3, 3, 3);
   losses.point = masked_mean((point - true_point).abs().mean(3), targets.ray_valid);
+  if (predicted.points.defined()) {
+    const auto on_grid = [&](const torch::Tensor& channels_first) {
+      return torch::upsample_bilinear2d(channels_first, grid, /*align_corners=*/false).permute({0, 2, 3, 1});
+    };
+    const auto error = (on_grid(predicted.points.permute({0, 3, 1, 2})) - true_point).abs().mean(3);
+    losses.point_map = confident_mean(error, on_grid(predicted.point_confidence.unsqueeze(1)).squeeze(3),
+                                      targets.ray_valid, options.confidence_reward);
+  }
   losses.absolute_relative = masked_mean(depth_error.abs() / targets.depth.clamp_min(1e-6), targets.valid);
   losses.total = options.depth_weight * losses.depth + options.gradient_weight * losses.gradient +
                  options.ray_weight * losses.ray + options.origin_weight * losses.origin +
                  options.point_weight * losses.point;
+  if (losses.point_map.defined()) losses.total = losses.total + options.point_weight * losses.point_map;
   if (options.relative_weight > 0) {
     losses.total = losses.total + options.relative_weight * losses.absolute_relative;
   }

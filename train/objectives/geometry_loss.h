@@ -29,8 +29,11 @@ struct GeometryLossOptions : OptionsGroup {
 // leaves them at the median of what is not known, which is 0, and the scale of the scene is then lost. Theirs is the
 // distance from the true centre over the scene's baseline (mean distance of the other centres from the first), which
 // grows like a square below kExactOrigin and like the distance above. A scene without a baseline has none.
+//
+// Points that a head predicts apart from depth (VGGT's) have the error of depth's points with their own confidence.
 struct GeometryLosses {
   torch::Tensor depth, gradient, ray, origin, point;
+  torch::Tensor point_map;  // undefined of heads without
   torch::Tensor total;
   torch::Tensor absolute_relative;  // mean |predicted - true| / true
 };

@@ -20,12 +20,17 @@ int64_t bytes_of(const SceneLatents& latents) {
   return bytes;
 }
 
-// Different views of one scene have different cameras.
+// Different views of one scene have different cameras, and so have crops of one view.
 std::string key_of(const TrainingScene& scene) {
   std::string key = scene.name + '/' + std::to_string(scene.views.num_sources);
+  const auto append = [&key](const auto& matrix) {
+    key.append(reinterpret_cast<const char*>(matrix.data()),
+               sizeof(double) * static_cast<size_t>(matrix.size()));
+  };
   for (const Camera& camera : scene.views.cameras) {
-    const Eigen::Matrix4d pose = camera.world_from_camera.matrix();
-    key.append(reinterpret_cast<const char*>(pose.data()), sizeof(double) * static_cast<size_t>(pose.size()));
+    append(Eigen::Matrix4d(camera.world_from_camera.matrix()));
+    append(camera.intrinsics);
+    key += std::to_string(camera.width) + 'x' + std::to_string(camera.height);
   }
   return key;
 }

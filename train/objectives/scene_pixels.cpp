@@ -26,15 +26,22 @@ torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& ran
   return (grey.clamp(0.0, 1.0) * (depth > 0.0).to(grey.dtype())).expand({3, depth.size(0), depth.size(1)});
 }
 
-void PartSums::add(const std::string& name, const torch::Tensor& value, double weight) {
-  const auto weighted = weight * value.detach();
-  for (auto& part : parts_) {
-    if (part.first == name) {
-      part.second = part.second + weighted;
+void PartMeans::add(const std::string& name, const torch::Tensor& value) {
+  for (Part& part : parts_) {
+    if (part.name == name) {
+      part.sum = part.sum + value.detach();
+      ++part.count;
       return;
     }
   }
-  parts_.emplace_back(name, weighted);
+  parts_.push_back({name, value.detach(), 1});
+}
+
+std::vector<std::pair<std::string, torch::Tensor>> PartMeans::take() const {
+  std::vector<std::pair<std::string, torch::Tensor>> means;
+  means.reserve(parts_.size());
+  for (const Part& part : parts_) means.emplace_back(part.name, part.sum / static_cast<double>(part.count));
+  return means;
 }
 
 }  // namespace gld

@@ -21,14 +21,19 @@ torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& g
 // known depths in `range`.
 torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range);
 
-// Weighted sums of the detached parts of a loss, by name, in the order of first appearance.
-class PartSums {
+// Means of the detached parts of a loss over the scenes that have them, by name, in the order of first appearance.
+class PartMeans {
  public:
-  void add(const std::string& name, const torch::Tensor& value, double weight);
-  std::vector<std::pair<std::string, torch::Tensor>> take() { return std::move(parts_); }
+  void add(const std::string& name, const torch::Tensor& value);
+  std::vector<std::pair<std::string, torch::Tensor>> take() const;
 
  private:
-  std::vector<std::pair<std::string, torch::Tensor>> parts_;
+  struct Part {
+    std::string name;
+    torch::Tensor sum;
+    int64_t count = 0;
+  };
+  std::vector<Part> parts_;
 };
 
 }  // namespace gld

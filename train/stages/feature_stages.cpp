@@ -31,8 +31,14 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   stage.command = "train backbone";
   const BundleOptions model = ModelBundle::open(options.model).options();
   const bool head = model.dpt_head.exists(), autoencoder = !model.has_rgb_decoder();
-  if (head || !options.objective.geometry_weights.empty()) stage.parts = FrameParts::kImageAndDepth;
+  if (head || !options.objective.geometry_weights.empty() || options.objective.correspondence_weight > 0) {
+    stage.parts = FrameParts::kImageAndDepth;
+  }
   const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
+  if (head_only && !head) {
+    fail({"objective.training", "from_scratch or from_bundle for a model without a geometry head",
+          "head_only", "choose one of them"});
+  }
   if (head) stage.made.push_back(BundlePart::dpt_head());
   if (!head_only) stage.made.push_back(BundlePart::backbone());
   const bool goes_on = options.objective.training != GeometryTraining::kFromScratch;

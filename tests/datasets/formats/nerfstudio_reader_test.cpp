@@ -185,7 +185,8 @@ TEST_F(Nerfstudio, DamagedFiles) {
   write_file_atomically(file(), "{\"frames\": [\n{\"transform_matrix\": [[NaN]]}]}");
   EXPECT_EQ(
       error_of([&] { open_scene(folder_.path()); }),
-      file().string() + ":2: expected JSON, found NaN or Infinity, which are no JSON; leave the frame out.");
+      file().string() +
+          ":2: expected JSON, found NaN or Infinity, which are no JSON; write null or leave the value out.");
   write_file_atomically(file(), "{\"frames\": [\n\n");
   EXPECT_EQ(error_of([&] { open_scene(folder_.path()); }),
             file().string() + ":3: expected JSON, found a syntax error; correct the file.");

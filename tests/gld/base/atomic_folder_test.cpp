@@ -1,6 +1,7 @@
 #include "gld/base/atomic_folder.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/run_journal.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
@@ -44,13 +45,32 @@ TEST(AtomicFolder, AppearsWholeOrNotAtAll) {
     EXPECT_FALSE(std::filesystem::exists(target));
   }
   EXPECT_TRUE(names_in(folder.path()).empty());
-  for (const std::string& text : {std::string("1"), std::string("2")}) {
+  for (const bool empty_before : {false, true}) {
+    if (empty_before) {
+      std::filesystem::remove_all(target);
+      std::filesystem::create_directory(target);
+    }
     AtomicFolder whole(target / "");
-    write_file_atomically(whole.temporary() / text, text);
+    write_file_atomically(whole.temporary() / "1", "1");
     whole.commit();
-    EXPECT_EQ(names_in(target), std::vector<std::string>{text});  // nothing of the one before
+    EXPECT_EQ(names_in(target), std::vector<std::string>{"1"});
   }
   EXPECT_EQ(names_in(folder.path()), std::vector<std::string>{"scene"});
+  // What somebody has put there stays, also what came while the folder was being filled.
+  EXPECT_EQ(error_of([&] { AtomicFolder{target}; }),
+            target.string() +
+                ": expected a new or empty folder, found one with other files; move them or choose "
+                "another output.");
+  {
+    const auto other = folder.path() / "other";
+    AtomicFolder late(other);
+    write_file_atomically(late.temporary() / "1", "1");
+    std::filesystem::create_directory(other);
+    write_file_atomically(other / "precious", "x");
+    EXPECT_FALSE(error_of([&] { late.commit(); }).empty());
+    EXPECT_EQ(names_in(other), std::vector<std::string>{"precious"});
+  }
+  EXPECT_EQ(names_in(folder.path()), (std::vector<std::string>{"other", "scene"}));
   EXPECT_EQ(error_of([&] { AtomicFolder(folder.path() / "none" / "scene"); }),
             (folder.path() / "none" / "scene").string() +
                 ": expected an existing folder to write into, found no folder " +
@@ -84,10 +104,15 @@ TEST(AtomicFolder, WhatKilledProcessesLeftIsRemoved) {
   const TemporaryFolder elsewhere;
   write_file_atomically(elsewhere.path() / (".a.partial-" + ended + "-0"), "x");
   std::filesystem::create_directory_symlink(elsewhere.path(), folder.path() / "linked");
+  const auto other_run = folder.path() / "other_run";
+  std::filesystem::create_directory(other_run);
+  { const RunJournal journal(other_run); }
+  write_file_atomically(other_run / (".step_1.partial-" + ended + "-0.safetensors"), "x");
   remove_abandoned_files(folder.path());
+  EXPECT_EQ(names_in(other_run).size(), 2U);
   EXPECT_EQ(names_in(folder.path()),
             (std::vector<std::string>{".config.partial-" + alive + "-7.yaml", ".partial-", "checkpoints",
-                                      "linked", "notes.partial-1-2"}));
+                                      "linked", "notes.partial-1-2", "other_run"}));
   EXPECT_TRUE(names_in(inner).empty());
   EXPECT_EQ(names_in(elsewhere.path()).size(), 1U);
 }

@@ -179,7 +179,10 @@ TEST(Configuration, YamlThatIsNoListOfOptionsIsOneSentence) {
   EXPECT_EQ(test::error_of([&] { load_yaml_text(options, "? {a: 1}\n: 3\n", "a.yaml"); }),
             "a.yaml:1, key '': expected the name of an option, found a map; correct the text.");
   EXPECT_EQ(test::error_of([&] { load_yaml_text(options, "count: 3\n---\ncount: 4\n", "a.yaml"); }),
-            "a.yaml: expected one YAML document, found 2; remove what stands from '---' on.");
+            "a.yaml: expected one YAML document, found 2; keep one of them.");
+  EXPECT_EQ(test::error_of([&] { load_yaml_text(options, "count: 3\n...\n# more\ncount: 4\n", "a.yaml"); }),
+            "a.yaml: expected one YAML document, found 2; keep one of them.");
+  EXPECT_NO_THROW(load_yaml_text(options, "\xef\xbb\xbf# marked\n---\ncount: 3\n...\n# the end\n", "a.yaml"));
   EXPECT_EQ(test::error_of([&] { load_yaml_text(options, "shape: \"\\e[2J\"\n", "a.yaml"); }),
             "a.yaml:1, key 'shape': expected one of round, square, found '\\x1b[2J'; choose one of them.");
   EXPECT_FALSE(test::error_of([&] { load_yaml_text(options, std::string(100'000, '['), "a.yaml"); }).empty());

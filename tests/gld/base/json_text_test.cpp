@@ -23,8 +23,13 @@ std::string repeated(const std::string& text, size_t times) {
 
 TEST(JsonText, RefusesInOneSentence) {
   EXPECT_EQ(refusal("{\n\"a\": }"), "a.json:2: expected JSON, found a syntax error; correct the file.");
-  EXPECT_EQ(refusal("[1,\nNaN]"),
-            "a.json:2: expected JSON, found NaN or Infinity, which are no JSON; leave the frame out.");
+  EXPECT_EQ(
+      refusal("[1,\nNaN]"),
+      "a.json:2: expected JSON, found NaN or Infinity, which are no JSON; write null or leave the value out.");
+  EXPECT_EQ(
+      refusal("[-Infinity]"),
+      "a.json:1: expected JSON, found NaN or Infinity, which are no JSON; write null or leave the value out.");
+  EXPECT_EQ(refusal("{\"Info\" 1}"), "a.json:1: expected JSON, found a syntax error; correct the file.");
   EXPECT_EQ(refusal("[1e400]"),
             "a.json: expected numbers up to 1.8e308, found a larger one; correct the value.");
   EXPECT_EQ(refusal("[\"\xFF\"]"), "a.json:1: expected JSON, found text that is no UTF-8; correct the file.");

@@ -1,6 +1,7 @@
 #include "gld/base/run_journal.h"
 
 #include "gld/base/atomic_file.h"
+#include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <csignal>
@@ -32,6 +33,31 @@ TEST(RunJournal, NotesWhatItsProcessWritesBelow) {
   const auto found = RunJournal::find(folder);
   ASSERT_TRUE(found);
   EXPECT_THAT(found->written, testing::ElementsAre("a/one.txt", "a/b/a \"name\"\n.txt"));
+}
+
+// File names are bytes; one that is no UTF-8 is still found again.
+TEST(RunJournal, NotesNamesThatAreNoText) {
+  test::TemporaryFolder temporary;
+  const std::string name = "caf\xe9.png";
+  {
+    const RunJournal journal(temporary.path());
+    write_file_atomically(temporary.path() / name, "1");
+  }
+  EXPECT_THAT(RunJournal::find(temporary.path())->written, testing::ElementsAre(name));
+}
+
+// A killed run's header names a process whose number comes again.
+TEST(RunJournal, OfAKilledRunTakesNoMoreNotes) {
+  test::TemporaryFolder temporary;
+  { const RunJournal ended(temporary.path()); }
+  const auto header = read_file(temporary.path() / ".gld-run");
+  const auto at = header.find("\"process\":0");
+  ASSERT_NE(at, std::string::npos);
+  const std::string own = "\"process\":" + std::to_string(::getpid());
+  std::ofstream(temporary.path() / ".gld-run", std::ios::binary)
+      << header.substr(0, at) << own << header.substr(at + own.size());
+  write_file_atomically(temporary.path() / "by_hand.txt", "x");
+  EXPECT_TRUE(RunJournal::find(temporary.path())->written.empty());
 }
 
 // A folder that held something when its journal began was written into by a program without one.
@@ -68,8 +94,17 @@ TEST(RunJournal, KeepsOtherProcessesOutUntilItsOwnEnds) {
     ::pause();
     ::_exit(never_closed == nullptr ? 1 : 0);
   }
-  while (!std::filesystem::exists(temporary.path() / "started")) ::usleep(1000);
-  EXPECT_THROW(RunJournal::refuse_running(temporary.path()), std::exception);
+  for (int waited = 0; !std::filesystem::exists(temporary.path() / "started"); ++waited) {
+    ASSERT_LT(waited, 20'000) << "the child never started";
+    ::usleep(1000);
+  }
+  EXPECT_THAT(
+      test::error_of([&] { RunJournal::refuse_running(temporary.path()); }),
+      testing::AllOf(testing::StartsWith(temporary.path().string() +
+                                         ": expected a run folder that no other process writes, found one "
+                                         "that another process is writing (process " +
+                                         std::to_string(child) + " on "),
+                     testing::EndsWith("; wait for it or choose another --out.")));
   ::kill(child, SIGKILL);
   ::waitpid(child, nullptr, 0);
   EXPECT_NO_THROW(RunJournal::refuse_running(temporary.path()));

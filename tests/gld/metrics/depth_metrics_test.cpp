@@ -42,6 +42,50 @@ TEST(DepthErrors, AViewWithoutValidPixelsHasNoError) {
   EXPECT_TRUE(std::isnan(errors.delta1[1].item<double>()));
 }
 
+TEST(DepthErrors, TheDeltasAreNested) {
+  const auto truth = torch::ones({1, 1, 4});
+  const auto prediction = torch::tensor({1.2f, 1.5f, 1.0f / 1.9f, 2.1f}).view({1, 1, 4});
+  const auto errors = depth_errors(truth, prediction);
+  EXPECT_EQ(errors.delta1[0].item<double>(), 0.25);  // 1.25
+  EXPECT_EQ(errors.delta2[0].item<double>(), 0.5);   // 1.5625
+  EXPECT_EQ(errors.delta3[0].item<double>(), 0.75);  // 1.953125
+}
+
+// Two views, twice and four times as near as the truth.
+TEST(DepthMetrics, EachSaysWhatItWasScaledBy) {
+  const auto truth = torch::rand({2, 6, 5}, torch::kFloat64) + 1;
+  MetricInputs inputs;
+  inputs.true_depth = truth;
+  inputs.depth = truth.clone();
+  inputs.depth[0] /= 2;
+  inputs.depth[1] /= 4;
+  const auto value = [&](const char* name) { return measure(metric_named(name), inputs); };
+  EXPECT_NEAR(value("depth_abs_rel_median_scaled_per_view").mean(), 0, 1e-12);
+  EXPECT_NEAR(value("depth_rmse_least_squares_scaled_per_view").mean(), 0, 1e-12);
+  EXPECT_EQ(value("depth_delta3_median_scaled_per_view").mean(), 1);
+  // One factor for both views cannot hide that they disagree.
+  EXPECT_GT(value("depth_abs_rel_median_scaled").mean(), 0.2);
+  EXPECT_EQ(value("depth_abs_rel_camera_scaled").absent, "the scale of the estimated cameras is unknown");
+  inputs.camera_scale = 2;
+  EXPECT_NEAR(value("depth_abs_rel_camera_scaled").per_view[0].item<double>(), 0, 1e-12);
+  EXPECT_NEAR(value("depth_abs_rel_camera_scaled").per_view[1].item<double>(), 0.5, 1e-12);
+  // A view that cannot be aligned has no error; it is not 0.
+  inputs.depth[1] = -1;
+  EXPECT_TRUE(std::isnan(value("depth_delta1_median_scaled_per_view").per_view[1].item<double>()));
+  EXPECT_EQ(value("depth_delta1_median_scaled_per_view").mean(), 1);
+}
+
+TEST(DepthMetrics, PseudoDepthIsComparedAsItIs) {
+  MetricInputs inputs;
+  inputs.depth = torch::full({1, 2, 2}, 3.0);
+  EXPECT_EQ(measure(metric_named("pseudo_depth_abs_rel"), inputs).absent,
+            "there is no depth of the true pictures to compare with");
+  inputs.pseudo_depth = torch::full({1, 2, 2}, 2.0);
+  EXPECT_NEAR(measure(metric_named("pseudo_depth_abs_rel"), inputs).mean(), 0.5, 1e-12);
+  EXPECT_NEAR(measure(metric_named("pseudo_depth_rmse"), inputs).mean(), 1, 1e-12);
+  EXPECT_EQ(measure(metric_named("pseudo_depth_delta1"), inputs).mean(), 0);
+}
+
 TEST(DepthScale, RecoversTheFactorOfAWholeScene) {
   const auto truth = torch::rand({3, 8, 9}) + 1;
   EXPECT_NEAR(median_depth_scale(truth, truth / 2.5), 2.5, 1e-5);

@@ -6,14 +6,17 @@
 #include "gld/base/configuration.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/weight_tensors.h"
+#include "infer/evaluate/evaluated_views.h"
 #include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
+#include "infer/evaluate/scene_record.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/sample/sampling.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -148,6 +151,107 @@ TEST(EvaluationOptions, RefuseToEvaluateNothing) {
   EXPECT_THAT(test::error_of([&] { options.check(); }), HasSubstr("only the heads"));
 }
 
+TEST(EvaluationReport, AnIntervalIsDrawnOverScenesAndAbsentForOne) {
+  const auto three = evaluation_summary({scene("a", 18.0), scene("b", 19.0), scene("c", 23.0)}).at("means");
+  const auto& interval = three.at("sample_psnr").at("interval_95");
+  EXPECT_GE(interval.at(0).get<double>(), 18);
+  EXPECT_LT(interval.at(0).get<double>(), 20);
+  EXPECT_GT(interval.at(1).get<double>(), 20);
+  EXPECT_LE(interval.at(1).get<double>(), 23);
+  EXPECT_TRUE(
+      evaluation_summary({scene("a", 18.0)}).at("means").at("sample_psnr").at("interval_95").at(0).is_null());
+}
+
+TEST(EvaluationReport, ARowATargetLeavesOutWhatIsOfTheScene) {
+  auto measured = scene("a, \"b\"", 18.0);
+  measured.samples = 2;
+  measured.sources = {"f0"};
+  measured.targets = {"f1", "f2"};
+  const auto& columns = evaluation_columns();
+  for (size_t i = 0; i < columns.size(); ++i) {
+    if (columns[i].name == "sample_psnr") measured.numbers[i].of_targets = {{17, kNaN}, {18, 19}};
+    if (columns[i].name == "mean_prediction_psnr") measured.numbers[i].of_targets = {{20, 21}};
+  }
+  EXPECT_EQ(targets_csv({measured}),
+            "scene,sources,sample,target,sample_psnr,mean_prediction_psnr\n"
+            "\"a, \"\"b\"\"\",1,0,f1,17.000000,20.000000\n"
+            "\"a, \"\"b\"\"\",1,0,f2,,21.000000\n"
+            "\"a, \"\"b\"\"\",1,1,f1,18.000000,\n"
+            "\"a, \"\"b\"\"\",1,1,f2,19.000000,\n");
+}
+
+TEST(EvaluationReport, PicturesAreOfMetricsThatSeveralScenesHave) {
+  std::vector<std::string> names;
+  for (const auto& picture : metric_pictures({scene("a", 18.0), scene("b", 19.0)}))
+    names.push_back(picture.name);
+  EXPECT_THAT(names, testing::Contains("psnr"));
+  EXPECT_THAT(names, testing::Not(testing::Contains("ate")));  // absent in both
+  EXPECT_TRUE(metric_pictures({scene("a", 18.0)}).empty());
+}
+
+TEST(SceneRecord, ReadsBackEqual) {
+  auto measured = scene("a", std::numeric_limits<double>::infinity());
+  measured.samples = 3;
+  measured.sources = {"f0", "f9"};
+  measured.targets = {"f1"};
+  measured.numbers[0].of_targets = {{1.0 / 3}, {kNaN}, {-std::numeric_limits<double>::infinity()}};
+  measured.numbers[0].absent_samples = 1;
+  const auto text = scene_record(measured).dump();
+  const auto found = scene_from_record(nlohmann::json::parse(text), "here");
+  EXPECT_EQ(scene_record(found).dump(), text);
+  EXPECT_EQ(found.number("sample_psnr").value, std::numeric_limits<double>::infinity());
+  EXPECT_TRUE(std::isnan(found.number("ate").value));
+  EXPECT_EQ(found.number("ate").absent, "it was not measured");
+  EXPECT_THAT(test::error_of([] { scene_from_record(nlohmann::json::parse("{}"), "scenes/0.json"); }),
+              HasSubstr("scenes/0.json: expected a scene that gld eval has measured"));
+}
+
+Scene scene_of_frames(size_t frames) {
+  Scene scene;
+  scene.name = "film";
+  scene.frames.resize(frames);
+  return scene;
+}
+
+std::vector<int64_t> numbers_of(const std::vector<FrameChoice>& frames) {
+  return {frames.begin(), frames.end()};
+}
+
+TEST(EvaluatedViews, TargetsAreTheSameForEveryNumberOfSources) {
+  EvaluatedViews views;
+  views.sampling = held_out_views();
+  views.sampling.views = 8;
+  views.sampling.shortest_interval = views.sampling.longest_interval = 1;
+  views.source_counts = {1, 2, 4};
+  check_evaluated_views(views);
+  const auto found = evaluated_views(views, scene_of_frames(12), held_out_key(5, 0));
+  ASSERT_EQ(found.size(), 3U);
+  const auto four = numbers_of(found[2].sources);
+  ASSERT_EQ(four.size(), 4U);
+  EXPECT_EQ(numbers_of(found[1].sources), (std::vector<int64_t>{four[0], four[3]}));
+  EXPECT_EQ(numbers_of(found[0].sources), (std::vector<int64_t>{four[0]}));
+  EXPECT_EQ(four[3] - four[0], 7);  // the first view and the last
+  EXPECT_EQ(found[0].targets.size(), 4U);
+  for (const auto& selection : found) EXPECT_EQ(numbers_of(selection.targets), numbers_of(found[0].targets));
+}
+
+TEST(EvaluatedViews, GivenFramesAreTaken) {
+  EvaluatedViews views;
+  views.sampling = held_out_views();
+  views.source_frames = {0, 5, 9};
+  EXPECT_EQ(test::error_of([&] { check_evaluated_views(views); }),
+            "--source-frames, --target-frames: expected both, or neither, found only sources; give both.");
+  views.target_frames = {3, 4};
+  views.source_counts = {3, 2};
+  const auto found = evaluated_views(views, scene_of_frames(10), held_out_key(5, 0));
+  EXPECT_EQ(numbers_of(found[0].sources), (std::vector<int64_t>{0, 5, 9}));
+  EXPECT_EQ(numbers_of(found[1].sources), (std::vector<int64_t>{0, 9}));
+  EXPECT_EQ(numbers_of(found[1].targets), (std::vector<int64_t>{3, 4}));
+  views.source_counts = {4};
+  EXPECT_THAT(test::error_of([&] { check_evaluated_views(views); }),
+              HasSubstr("at most 3, the --source-frames"));
+}
+
 // One random model and one drawn scene for all tests.
 class Evaluation : public testing::Test {
  protected:
@@ -247,7 +351,7 @@ TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   models.models = kept_bundle_models(bundle, torch::kCPU);
   const FlowSettings settings =
       flow_settings(asked.sampling_method(bundle.options()), asked.guidance, bundle.options());
-  const EvaluatedScene evaluated = evaluate_scene(models, scene, settings, asked.seed);
+  const EvaluatedScene evaluated = evaluate_scene(models, scene, settings, {asked.seed});
 
   const SampledViews views = held_out_sample(found, asked.views, key);
   SampleOptions sampled;
@@ -277,6 +381,128 @@ TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   // Depth without scaling is there exactly where gld sample knows the scale.
   const bool scale_known = written.contains("depth_scale");
   EXPECT_EQ(evaluated.evaluation.number("depth_abs_rel_unscaled").absent.empty(), scale_known);
+}
+
+// Two generated scenes of a random model.
+class EvaluationProtocol : public Evaluation {
+ protected:
+  static EvaluationOptions rooms(const std::string& run) {
+    EvaluationOptions asked = options(run);
+    asked.scenes.clear();
+    asked.synthetic = 2;
+    asked.generator.frames = 8;
+    asked.generator.width = asked.generator.height = 56;
+    asked.solver.evaluations = 2;
+    return asked;
+  }
+  static std::string file(const EvaluationOptions& options, const std::string& name) {
+    return read_file(std::filesystem::path(options.out) / name);
+  }
+};
+
+TEST_F(EvaluationProtocol, ResumeGoesOnWithTheNextScene) {
+  auto killed = rooms("killed");
+  run(killed);
+  const std::string csv = file(killed, "eval.csv"), targets = file(killed, "targets.csv");
+  EXPECT_EQ(std::count(targets.begin(), targets.end(), '\n'), 1 + 2 * 2);
+  // As a killed run leaves it: the first scene is there, marked so that measuring it again would show.
+  const std::filesystem::path out = killed.out;
+  for (const char* name : {"eval.csv", "targets.csv", "report.json", "scenes/000001.json"}) {
+    ASSERT_TRUE(std::filesystem::remove(out / name)) << name;
+  }
+  auto record = nlohmann::ordered_json::parse(file(killed, "scenes/000000.json"));
+  const std::string true_name = record["by_sources"][0]["scene"];
+  record["by_sources"][0]["scene"] = "kept";
+  write_file_atomically(out / "scenes" / "000000.json", record.dump());
+  killed.resume = true;
+  run(killed);
+  std::string resumed = file(killed, "eval.csv");
+  const auto place = resumed.find("kept");
+  ASSERT_NE(place, std::string::npos);
+  resumed.replace(place, 4, true_name);
+  EXPECT_EQ(resumed, csv);
+  // Another option would make other numbers.
+  killed.seed = 12;
+  EXPECT_EQ(
+      test::error_of([&] { evaluate(killed); }),
+      "--resume: expected the options of the run, which has seed 11, found 12; leave it as it was, or begin again "
+      "with --overwrite.");
+  killed.overwrite = true;
+  EXPECT_THAT(test::error_of([&] { killed.check(); }), HasSubstr("--resume, --overwrite"));
+}
+
+TEST_F(EvaluationProtocol, NumbersAreMeansOverSamplesAndTargets) {
+  auto asked = rooms("samples");
+  asked.synthetic = 1;
+  asked.samples = 2;
+  asked.poses = PoseEstimator::kNone;
+  run(asked);
+  std::istringstream text(file(asked, "targets.csv"));
+  std::string line;
+  std::getline(text, line);
+  const auto header = cells(line);
+  const auto column =
+      static_cast<size_t>(std::find(header.begin(), header.end(), "sample_psnr") - header.begin());
+  double sum = 0;
+  std::vector<double> values;
+  while (std::getline(text, line)) values.push_back(std::stod(cells(line)[column]));
+  ASSERT_EQ(values.size(), 4U);  // 2 samples, 2 targets
+  for (const double value : values) sum += value / 4;
+  EXPECT_NE(values[0], values[2]);
+  const auto means = report(asked).at("means");
+  EXPECT_NEAR(means.at("sample_psnr").at("mean").get<double>(), sum, 1e-5);
+  EXPECT_EQ(means.at("ate").at("absent").at("no poses were asked for (--poses none)"), 1);
+  EXPECT_TRUE(means.at("ate").at("mean").is_null());
+}
+
+TEST_F(EvaluationProtocol, EveryNumberOfSourcesIsReported) {
+  auto asked = rooms("counts");
+  asked.views.views = 5;
+  asked.source_counts = {2, 1};
+  asked.poses = PoseEstimator::kDa3;
+  const std::string text = run(asked);
+  const auto found = report(asked);
+  EXPECT_EQ(found.at("by_sources").at("1").at("scenes"), 2);
+  EXPECT_EQ(found.at("means"), found.at("by_sources").at("2").at("means"));
+  EXPECT_THAT(text, HasSubstr("## 1 sources"));
+  const std::string csv = file(asked, "eval.csv");
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 5);
+  EXPECT_EQ(found.at("protocol").at("poses"), "da3");
+  // What every scene has, whatever the sources.
+  for (const char* name : {"pck_level0", "pck_level3", "pseudo_depth_abs_rel", "met3r_like_true_geometry",
+                           "reconstruction_level0_psnr"}) {
+    EXPECT_EQ(found.at("means").at(name).at("scenes"), 2) << name;
+  }
+  EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "plots" / "psnr.png"));
+}
+
+TEST_F(EvaluationProtocol, QueriesAndKeysOfEveryBlockAreMatched) {
+  auto asked = rooms("attention");
+  asked.attention_times = {0.9, 0.5};
+  run(asked);
+  const auto model = small_bundle_options();
+  int64_t blocks = 0;
+  for (const auto& part : model.generators) blocks += part.dit.encoder_blocks() + part.dit.decoder_blocks();
+  std::istringstream text(file(asked, "attention_pck.csv"));
+  std::string line;
+  std::getline(text, line);
+  EXPECT_EQ(line, "stage,block,part,time,pck,low_95,high_95,scenes");
+  int64_t rows = 0;
+  while (std::getline(text, line)) {
+    const auto row = cells(line);
+    EXPECT_EQ(row.at(7), "2") << line;
+    EXPECT_GE(std::stod(row.at(4)), 0) << line;
+    EXPECT_LE(std::stod(row.at(4)), 100) << line;
+    ++rows;
+  }
+  EXPECT_EQ(rows, 2 * blocks);
+}
+
+TEST_F(EvaluationProtocol, VggtsPosesNeedItsCameraHead) {
+  auto asked = rooms("vggt");
+  asked.poses = PoseEstimator::kVggt;
+  EXPECT_THAT(test::error_of([&] { evaluate(asked); }),
+              HasSubstr("--poses vggt: expected a model with VGGT's camera head"));
 }
 
 }  // namespace

@@ -130,6 +130,44 @@ TEST(PointCloud, RaysLiftLikeTheCameraTheyBelongTo) {
   }
 }
 
+// A predicted point is the pixel's, whatever the camera and the depth say; depth still leaves pixels out.
+TEST(PointCloud, PointMapsAreTakenAsTheyAre) {
+  PointView view;
+  view.camera = camera_of(4, 3);
+  view.image = Image(4, 3);
+  view.depth = DepthMap(4, 3);
+  std::fill(view.depth.metres.begin(), view.depth.metres.end(), 2.0F);
+  PointCloudOptions options = keep_all();
+  options.lifting = PointLifting::kPointMaps;
+  EXPECT_EQ(
+      test::error_of([&] { build_point_cloud({view}, 1, options); }),
+      "point cloud, view 0: expected a point map of the depth's size 4x3, found none; take a model whose head "
+      "predicts points, or another points.lifting.");
+  view.points = PointMap(3, 4);
+  EXPECT_EQ(
+      test::error_of([&] { build_point_cloud({view}, 1, options); }),
+      "point cloud, view 0: expected a point map of the depth's size 4x3, found 3x4; take a model whose head "
+      "predicts points, or another points.lifting.");
+  view.points = PointMap(4, 3);
+  for (int64_t y = 0; y < 3; ++y) {
+    for (int64_t x = 0; x < 4; ++x) {
+      float* point = view.points.point(x, y);
+      point[0] = static_cast<float>(x);
+      point[1] = static_cast<float>(y);
+      point[2] = 7;
+    }
+  }
+  view.points.point(2, 1)[2] = kNan;
+  view.depth.at(0, 0) = 0;  // unknown
+  view.world_from_rays.scale = 2;
+  view.world_from_rays.translation = {0, 0, 100};
+  const PointCloud cloud = build_point_cloud({view}, 1, options);
+  EXPECT_EQ(cloud.counts.unknown_depth, 2);
+  ASSERT_EQ(cloud.size(), 10);
+  EXPECT_EQ(cloud.x_in_world.front(), Eigen::Vector3d(2, 0, 114));
+  EXPECT_EQ(cloud.x_in_world.back(), Eigen::Vector3d(6, 4, 114));
+}
+
 TEST(PointCloud, RaysThatAreNotFiniteAreUnknown) {
   PointView view;
   view.camera = camera_of(8, 8);

@@ -126,6 +126,42 @@ TEST(GeometryPlacement, AKnownScaleBringsThePlaneIntoTheScene) {
   }
 }
 
+// Points predicted in the frame of the rays come to where depth and rays put them, with their own confidence.
+TEST(GeometryPlacement, PointMapsComeToTheSamePlane) {
+  const auto given = scene_cameras();
+  auto geometry = plane_seen_from(model_cameras());
+  const auto placement = place_geometry(geometry, given);
+  std::vector<torch::Tensor> points;
+  const auto cameras = model_cameras();
+  for (size_t view = 0; view < cameras.size(); ++view) {
+    const auto depth = geometry.depth[static_cast<int64_t>(view)].contiguous();
+    auto map = torch::empty({depth.size(0), depth.size(1), 3});
+    for (int64_t y = 0; y < depth.size(0); ++y) {
+      for (int64_t x = 0; x < depth.size(1); ++x) {
+        const double z = depth[y][x].item<double>();
+        const Eigen::Matrix3d& k = cameras[view].intrinsics;
+        const Vector3d point = cameras[view].world_from_camera *
+                               Vector3d((static_cast<double>(x) + 0.5 - k(0, 2)) / k(0, 0) * z,
+                                        (static_cast<double>(y) + 0.5 - k(1, 2)) / k(1, 1) * z, z);
+        for (int axis = 0; axis < 3; ++axis) map[y][x][axis] = point[axis];
+      }
+    }
+    points.push_back(map);
+  }
+  geometry.points = torch::stack(points);
+  geometry.point_confidence = torch::full_like(geometry.depth, 3.0F);
+  const auto by_points =
+      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kPointMaps));
+  const auto by_camera =
+      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
+  ASSERT_EQ(by_points.size(), by_camera.size());
+  for (size_t i = 0; i < by_points.x_in_world.size(); ++i) {
+    EXPECT_LT((by_points.x_in_world[i] - by_camera.x_in_world[i]).norm(), 0.02);
+    EXPECT_EQ(by_points.confidences[i], 3.0F);
+  }
+  EXPECT_EQ(lifting_of(GeometryPlacement(), keep_all(PointLifting::kPointMaps)), PointLifting::kPointMaps);
+}
+
 // A scene taken from one place does not tell the scale; the model's own cameras make its views line up.
 TEST(GeometryPlacement, WithoutAScaleTheViewsStillLineUp) {
   auto given = scene_cameras();

@@ -21,6 +21,7 @@
 #include <cstdlib>
 #include <string>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -120,11 +121,24 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
     asked.geometry_model = path("geometry").string();
   }
   asked.outputs = {"image", "depth", "rays", "points"};
+  asked.points.lifting = PointLifting::kPointMaps;
+  if (GetParam() != "vggt") {
+    EXPECT_EQ(
+        test::error_of([&] { sample(asked); }),
+        fmt::format("--points.lifting: expected cameras or rays of a model whose head predicts no points, "
+                    "found point_maps of {}; choose another, or --geometry-model DIR with a head that does "
+                    "(VGGT's).",
+                    ModelBundle::open(geometry ? asked.model : asked.geometry_model).options().name));
+    asked.points.lifting = PointLifting::kCameras;
+  }
   testing::internal::CaptureStdout();
   sample(asked);
   testing::internal::GetCapturedStdout();
   const auto report = nlohmann::json::parse(read_file(path("sample/report.json")));
   EXPECT_EQ(report.contains("geometry"), !geometry);
+  if (GetParam() == "vggt") {
+    EXPECT_EQ(report["points"]["lifted_by"], "point_maps");
+  }
   if (!geometry) {
     EXPECT_EQ(report["geometry"]["from"], "the generated images");
   }

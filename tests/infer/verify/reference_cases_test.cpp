@@ -20,7 +20,7 @@ TEST_P(ReferenceCases, EveryTensorIsWithinItsTolerance) {
 
 INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
                          testing::Values("backbone_da3", "dpt_head_da3", "rgb_decoder", "lpips_squeeze",
-                                         "metrics_image_depth"));
+                                         "metrics_image_depth", "metrics_trajectory"));
 
 INSTANTIATE_TEST_SUITE_P(OtherLatents, ReferenceCases,
                          testing::Values("backbone_vggt", "dpt_head_vggt", "point_head_vggt",

@@ -368,6 +368,38 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
                 "dpt_decoder.pt.");
 }
 
+// What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is what
+// that head then predicts.
+TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
+  const auto reference = test::test_data() / "reference_cases" / "dpt_head_da3_replaced";
+  BundleOptions bundle = small_bundle_options();
+  const auto config = nlohmann::json::parse(read_file(reference / "case.json"))["config"];
+  auto& head = bundle.dpt_head.as<DptHeadOptions>();
+  ASSERT_EQ(head.dim_in, config["dim_in"]);
+  head.features = config["features"];
+  head.out_channels = config["out_channels"].get<std::vector<int64_t>>();
+  head.aux_pyramid_levels = config["aux_pyramid_levels"];
+  head.aux_out1_conv_num = config["aux_out1_conv_num"];
+  save_bundle_options(path("description"), bundle);
+  Tensors da3 =
+      with_prefix(part(BundlePart::backbone()), BackboneOptions().architecture().published_prefix());
+  da3.merge(with_prefix(read_all(test::test_data() / "dpt_decoder" / "head.safetensors"), DptHead::kPrefix));
+  save_safetensors(path("da3.safetensors"), da3);
+  ConversionOptions options;
+  options.da3 = path("da3.safetensors");
+  options.dpt_decoder = test::test_data() / "dpt_decoder" / "dpt_decoder.pt";
+  options.description = path("description") / "model.yaml";
+  options.out = path("replaced");
+  convert(options);
+  const Tensors expected = read_all(reference / "weights.safetensors");
+  const Tensors written =
+      with_prefix(read_all(ModelBundle::open(options.out).file(BundlePart::dpt_head())), DptHead::kPrefix);
+  ASSERT_EQ(written.size(), expected.size());
+  for (const auto& [name, tensor] : expected) {
+    EXPECT_TRUE(written.at(name).to(torch::kFloat32).equal(tensor.to(torch::kFloat32))) << name;
+  }
+}
+
 TEST_F(Conversion, IsStrict) {
   const auto refusal = [&](const Tensors& level1) {
     write_file_atomically(path("level1.pt"), checkpoint({{"ema", level1}}));

@@ -37,6 +37,16 @@ void pack(DitDh& model, ComputePrecision precision) {
 // 4 views of 20 tokens, more rows than LibTorch gets.
 const test::RandomCameras::SceneSizes kSizes{4, 2, 70, 56};
 
+TEST(LayerPrecision, GeometryStaysInFloat32) {
+  for (const auto asked :
+       {ComputePrecision::kBFloat16, ComputePrecision::kBFloat16x3, ComputePrecision::kInt8}) {
+    const LayerPrecision geometry = layer_precision(asked, ModelKind::kGeometry);
+    EXPECT_EQ(geometry.linear, ComputePrecision::kFloat32);
+    EXPECT_EQ(geometry.attention, ComputePrecision::kFloat32);
+    EXPECT_EQ(layer_precision(asked, ModelKind::kGenerator).linear, asked);
+  }
+}
+
 TEST(LayerPrecision, PackedFloat32IsTheUnpackedModelBitForBit) {
   for (const auto& options : {test::small_dit_options(), test::small_cascade_options()}) {
     const auto model = random_dit(options);

@@ -411,10 +411,15 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
   EXPECT_FALSE(made.deeper.defined());
   kept.get(second, encode);
   EXPECT_EQ(encoded, 2);
+  // The same view in another crop is another picture.
+  TrainingScene cropped = first;
+  for (Camera& camera : cropped.views.cameras) camera.intrinsics(0, 2) -= 7;
+  kept.get(cropped, encode);
+  EXPECT_EQ(encoded, 3);
   KeptLatents none(1e-9);  // room for a byte: everything is encoded every time
   none.get(first, encode);
   none.get(first, encode);
-  EXPECT_EQ(encoded, 4);
+  EXPECT_EQ(encoded, 5);
 }
 
 TEST(DistinctBatches, ComeAgain) {

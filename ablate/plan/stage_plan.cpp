@@ -1,0 +1,285 @@
+#include "ablate/plan/stage_plan.h"
+
+#include "gld/base/command_options.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/option_differences.h"
+#include "gld/base/sha256.h"
+#include "gld/report/provenance.h"
+#include "models/bundle/bundle.h"
+
+#include <algorithm>
+#include <map>
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr size_t kKeyDigits = 16;
+constexpr int64_t kSmokeRepeats = 2;
+
+std::string hash_key(const std::string& text) {
+  Sha256 hash;
+  hash.update(text);
+  return hash.hex_digest().substr(0, kKeyDigits);
+}
+
+bool has_field(const OptionsGroup& options, const std::string& key) {
+  const auto fields = describe_options(options);
+  return std::any_of(fields.begin(), fields.end(), [&](const auto& field) { return field.key == key; });
+}
+
+// The option that a stage's random numbers follow from: of training, else of what is drawn. Empty where there is none.
+std::string seed_field(const OptionsGroup& options) {
+  for (const char* key : {"loop.seed", "seed"}) {
+    if (has_field(options, key)) return key;
+  }
+  return "";
+}
+
+int64_t integer_field(const OptionsGroup& options, const std::string& key) {
+  for (const auto& field : describe_options(options)) {
+    if (field.key == key) return std::stoll(field.default_value);
+  }
+  return 0;
+}
+
+std::string replaced(std::string text, const std::string& from, const std::string& to) {
+  for (size_t at = text.find(from); at != std::string::npos; at = text.find(from, at + to.size())) {
+    text.replace(at, from.size(), to);
+  }
+  return text;
+}
+
+class Planner {
+ public:
+  Planner(const Ablation& ablation, const ProgramCommands& commands)
+      : ablation_(ablation), commands_(commands) {}
+
+  AblationPlan plan() {
+    for (size_t variant = 0; variant < ablation_.variants.size(); ++variant) {
+      for (const int64_t seed : ablation_.options.seeds) add_run(variant, seed);
+    }
+    return std::move(plan_);
+  }
+
+ private:
+  // The stages of one variant and seed that are planned so far, by name.
+  struct Run {
+    const VariantDescription& variant;
+    int64_t seed = 0;
+    std::map<std::string, size_t> tasks;  // the first of repeated ones
+    std::map<std::string, std::vector<size_t>> repeats;
+    std::string last_bundle;  // stage; empty: the base
+  };
+
+  std::string where(const Run& run, const StageDescription& stage) const {
+    return ablation_.file.string() + ", variant '" + run.variant.name + "', stage '" + stage.name + "'";
+  }
+
+  void add_run(size_t number, int64_t seed) {
+    const VariantDescription& variant = ablation_.variants[number];
+    Run run{variant, seed, {}, {}, ""};
+    std::string last;
+    for (const StageDescription& stage : ablation_.stages) {
+      const auto& wanted = variant.stages;
+      if (!wanted.empty() && std::find(wanted.begin(), wanted.end(), stage.name) == wanted.end()) continue;
+      std::vector<size_t> repeats;
+      const int64_t count = ablation_.options.smoke ? std::min(kSmokeRepeats, stage.repeat) : stage.repeat;
+      for (int64_t number = 0; number < count; ++number) {
+        repeats.push_back(add_task(run, stage, number));
+        auto& users = plan_.tasks[repeats.back()].used_by;
+        const std::string user = variant.name + ", seed " + std::to_string(seed);
+        if (users.empty() || users.back() != user) users.push_back(user);
+      }
+      run.tasks[stage.name] = repeats.front();
+      run.repeats[stage.name] = repeats;
+      if (makes_bundle(stage.command)) run.last_bundle = stage.name;
+      last = stage.name;
+    }
+    const std::string result = variant.result.empty() ? last : variant.result;
+    task_of(run, result, "result", ablation_.stage(result));
+    plan_.runs.push_back({number, seed, run.repeats.at(result)});
+  }
+
+  size_t task_of(const Run& run, const std::string& name, const std::string& key,
+                 const StageDescription& stage) const {
+    const auto found = run.tasks.find(name);
+    if (found == run.tasks.end()) {
+      fail({where(run, stage) + ", key '" + key + "'", "a stage that the variant takes", "'" + name + "'",
+            "add it to the variant's stages"});
+    }
+    return found->second;
+  }
+
+  // The bundle that a stage takes: a task, or a folder.
+  void choose_model(const Run& run, const StageDescription& stage, StageTask& task) {
+    const std::string& wanted = stage.model.empty() ? run.last_bundle : stage.model;
+    if (!wanted.empty() && wanted != kBaseModel) {
+      task.model = task_of(run, wanted, "model", stage);
+      task.needs.push_back(*task.model);
+      return;
+    }
+    task.base_model = run.variant.model.empty() ? ablation_.options.model : run.variant.model;
+  }
+
+  struct Base {
+    BundleOptions options;
+    std::string hash;
+  };
+  const Base& base(const std::filesystem::path& folder) {
+    const auto known = bases_.find(folder.string());
+    if (known != bases_.end()) return known->second;
+    const auto bundle = ModelBundle::open(folder);
+    return bases_.emplace(folder.string(), Base{bundle.options(), bundle.content_hash()}).first->second;
+  }
+
+  const BundleOptions& bundle_of(const StageTask& task) {
+    return task.model ? *plan_.tasks[*task.model].bundle : base(task.base_model).options;
+  }
+
+  size_t add_task(const Run& run, const StageDescription& stage, int64_t number) {
+    StageTask task;
+    task.stage = stage.name;
+    task.command = stage.command;
+    task.alone = stage.alone;
+    if (stage.command == kAssembleCommand) {
+      plan_assembly(run, stage, task);
+    } else {
+      plan_command(run, stage, task);
+      task.options = replaced(task.options, "${number}", fmt::format("{:06d}", number));
+    }
+    std::sort(task.needs.begin(), task.needs.end());
+    task.needs.erase(std::unique(task.needs.begin(), task.needs.end()), task.needs.end());
+    task.depends = dependencies(task);
+    task.key = hash_key(task.depends);
+    const auto known = numbers_.find(task.key);
+    if (known != numbers_.end()) return known->second;
+    numbers_[task.key] = plan_.tasks.size();
+    plan_.tasks.push_back(std::move(task));
+    return plan_.tasks.size() - 1;
+  }
+
+  void plan_assembly(const Run& run, const StageDescription& stage, StageTask& task) {
+    if (!stage.config.empty()) {
+      fail({where(run, stage) + ", key 'config'", "options alone in a stage that assembles",
+            "'" + stage.config + "'", "write the settings of model.yaml below options"});
+    }
+    task.takes_model = true;
+    choose_model(run, stage, task);
+    for (const std::string& name : stage.parts) {
+      task.parts.push_back(task_of(run, name, "parts", stage));
+      task.needs.push_back(task.parts.back());
+    }
+    task.bundle = std::make_shared<BundleOptions>(bundle_of(task));
+    for (const OptionSetting& setting : ablation_.settings_of(run.variant, stage)) {
+      apply_setting(*task.bundle, setting.key, setting.value, setting.where);
+    }
+    check_options(*task.bundle, where(run, stage));
+    task.options = to_yaml(*task.bundle);
+  }
+
+  void plan_command(const Run& run, const StageDescription& stage, StageTask& task) {
+    const auto options = commands_.options(stage.command);
+    if (!options) {
+      const auto near = nearest_name(stage.command, commands_.names);
+      fail({where(run, stage) + ", key 'command'", "a command of gld, or assemble", "'" + stage.command + "'",
+            near.empty() ? "see gld --help" : "did you mean '" + near + "'?"});
+    }
+    if (!stage.config.empty()) load_yaml(*options, stage.config);
+    for (const OptionSetting& setting : ablation_.settings_of(run.variant, stage)) {
+      apply_setting(*options, setting.key, setting.value, setting.where);
+    }
+    const std::string seed = seed_field(*options);
+    if (!stage.shared && !seed.empty()) {
+      set(*options, seed, std::to_string(integer_field(*options, seed) + kSeedStride * run.seed), run, stage);
+    }
+    task.takes_threads = has_field(*options, "threads");
+    task.takes_model = has_field(*options, "model");
+    if (task.takes_model) {
+      choose_model(run, stage, task);
+      set(*options, "model", "bundle", run, stage);  // for the checks alone
+    }
+    set(*options, "out", "run", run, stage);
+    if (has_field(*options, "device")) set(*options, "device", ablation_.options.device, run, stage);
+    task.resumable = has_field(*options, "resume");
+    if (!stage.resume.empty()) {
+      if (!trains(stage.command)) {
+        fail({where(run, stage) + ", key 'resume'", "a stage that trains", "'" + stage.command + "'",
+              "remove it"});
+      }
+      task.resumed = task_of(run, stage.resume, "resume", stage);
+      task.needs.push_back(*task.resumed);
+    }
+    check_options(*options, where(run, stage));
+    check_folders(*options, run, stage);
+    std::vector<std::string> beside = options_beside_the_result();
+    beside.emplace_back("model");
+    task.options = to_yaml_without(*options, beside);
+    for (const auto& [name, earlier] : run.tasks) {
+      if (task.options.find("${" + name + "}") == std::string::npos) continue;
+      task.named.emplace_back(name, earlier);
+      task.needs.push_back(earlier);
+    }
+    if (makes_bundle(stage.command)) task.bundle = std::make_shared<BundleOptions>(bundle_of(task));
+  }
+
+  void set(OptionsGroup& options, const std::string& key, const std::string& value, const Run& run,
+           const StageDescription& stage) const {
+    apply_setting(options, key, value, where(run, stage));
+  }
+
+  // A long ablation should not find out at its end that its scenes are not there.
+  void check_folders(const OptionsGroup& options, const Run& run, const StageDescription& stage) const {
+    for (const auto& field : describe_options(options)) {
+      const bool scenes = field.key == "scenes" || field.key == "scene" || field.key == "data.scenes";
+      if (!scenes || field.default_value.empty()) continue;
+      std::string rest = field.default_value + ",";
+      for (size_t comma = rest.find(','); comma != std::string::npos; comma = rest.find(',')) {
+        const std::string folder = rest.substr(0, comma);
+        rest = rest.substr(comma + 1);
+        if (folder.find("${") != std::string::npos || std::filesystem::exists(folder)) continue;
+        fail({where(run, stage) + ", key '" + field.key + "'", "a folder that exists", "'" + folder + "'",
+              "say where it is with --overrides " + stage.name + "." + field.key + "=FOLDER"});
+      }
+    }
+  }
+
+  std::string dependencies(const StageTask& task) {
+    const auto key = [&](size_t number) { return plan_.tasks[number].key; };
+    std::string text =
+        "gld ablation stage 1\nprogram: " + program_version() + "\ncommand: " + task.command + "\n";
+    if (task.model) {
+      text += "model: stage " + key(*task.model) + "\n";
+    } else if (task.takes_model) {
+      text += "model: bundle " + base(task.base_model).hash + "\n";
+    }
+    for (const size_t part : task.parts) text += "parts: stage " + key(part) + "\n";
+    if (task.resumed) text += "resume: stage " + key(*task.resumed) + "\n";
+    std::string options = task.options;
+    for (const auto& [name, number] : task.named) {
+      options = replaced(options, "${" + name + "}", "stage " + key(number));
+    }
+    return text + options;
+  }
+
+  const Ablation& ablation_;
+  const ProgramCommands& commands_;
+  AblationPlan plan_;
+  std::map<std::string, size_t> numbers_;  // of tasks, by key
+  std::map<std::string, Base> bases_;      // by folder
+};
+
+}  // namespace
+
+bool is_stage_key(const std::string& text) {
+  return text.size() == kKeyDigits && text.find_first_not_of("0123456789abcdef") == std::string::npos;
+}
+
+AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands) {
+  return Planner(ablation, commands).plan();
+}
+
+}  // namespace gld

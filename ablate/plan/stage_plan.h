@@ -1,0 +1,62 @@
+#pragma once
+
+#include "ablate/configuration/ablation.h"
+#include "ablate/plan/program_commands.h"
+#include "models/bundle/bundle_options.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// One run of a stage, which all variants and seeds share that need exactly it.
+struct StageTask {
+  std::string key;      // 16 hexadecimal digits: of everything that its result depends on
+  std::string stage;    // name in the description
+  std::string command;  // "train level", "assemble"
+  std::string depends;  // the text whose hash the key is
+  // YAML of all options of the command but those that only say how it runs; ${STAGE} stands for the folder of the run of an
+  // earlier stage. Of assemble: model.yaml.
+  std::string options;
+  std::vector<size_t> needs;  // tasks that must be done before, by their number
+  bool takes_model = false;
+  bool takes_threads = false;
+  std::filesystem::path base_model;                   // the bundle it takes where no stage makes one
+  std::optional<size_t> model;                        // the task that makes the bundle it takes
+  std::vector<size_t> parts;                          // assemble: tasks whose trained parts are taken
+  std::optional<size_t> resumed;                      // the task whose run it goes on with
+  std::vector<std::pair<std::string, size_t>> named;  // stages in ${...}, and their tasks
+  bool resumable = false;
+  bool alone = false;
+  std::shared_ptr<BundleOptions> bundle;  // what is in the bundle it makes; null where it makes none
+  std::vector<std::string> used_by;       // "n1, seed 0"
+};
+
+struct VariantRun {
+  size_t variant = 0;  // of Ablation::variants
+  int64_t seed = 0;
+  std::vector<size_t> results;  // the tasks whose rows count
+};
+
+struct AblationPlan {
+  std::vector<StageTask> tasks;  // each behind those that it needs
+  std::vector<VariantRun> runs;
+};
+
+// What an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's version, the command,
+// its options after all settings, its seed among them, and the keys of the stages before it or the content of the bundle.
+// Files and folders that options name count by their name, not by their content.
+// Throws Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is missing.
+AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);
+
+// Whether text looks like StageTask::key.
+bool is_stage_key(const std::string& text);
+
+// How far seeds of stages lie apart: noise of neighbouring scenes has neighbouring seeds.
+constexpr int64_t kSeedStride = 1'000'000;
+
+}  // namespace gld

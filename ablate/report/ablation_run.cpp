@@ -1,0 +1,73 @@
+#include "ablate/report/ablation_run.h"
+
+#include "ablate/plan/stage_cache.h"
+#include "ablate/plan/stage_plan.h"
+#include "ablate/report/ablation_report.h"
+#include "ablate/run/stage_runner.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/interrupt.h"
+#include "gld/base/json_text.h"
+#include "gld/report/run_folder.h"
+
+#include <algorithm>
+#include <iostream>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Of an earlier ablation, whatever its commands wrote: folders named by keys, and nothing else.
+void remove_stages(const fs::path& cache) {
+  if (!fs::is_directory(cache)) return;
+  for (const auto& entry : fs::directory_iterator(cache)) {
+    if (is_stage_key(entry.path().filename().string())) fs::remove_all(entry.path());
+  }
+}
+
+}  // namespace
+
+AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& commands) {
+  const AblateOptions& options = ablation.options;
+  const AblationPlan plan = plan_ablation(ablation, commands);
+  const fs::path own_cache = fs::path(options.out) / "cache";
+  const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
+  if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};
+
+  RunFolder folder(options.out, "ablate", options,
+                   options.overwrite ? EarlierRun::kOverwrite : EarlierRun::kContinue);
+  if (options.overwrite) remove_stages(own_cache);
+  write_file_atomically(folder.path() / "ablation.yaml", ablation.text);
+  std::cerr << plan_text(plan, cache, options.jobs_to_use());
+  // The running stages write checkpoints before they stop.
+  install_interrupt_handler(StopDeadline::kSafePoint);
+  const RunningOptions running{commands.program, options.jobs_to_use(), options.threads};
+  const auto outcomes = run_tasks(plan, cache, running);
+
+  AblationResults results;
+  results.numbers = collect_numbers(ablation, plan, cache, outcomes);
+  results.claims = judge_claims(ablation, results.numbers);
+  const std::string markdown = ablation_markdown(ablation, plan, cache, results);
+  write_file_atomically(folder.path() / "ablation.md", markdown);
+  write_file_atomically(folder.path() / "ablation.csv", ablation_csv(results));
+  const Figure figure = ablation_figure(ablation, results);
+  folder.note("results", "ablation.md");
+  folder.note("rows", "ablation.csv");
+  if (!figure.panels.empty()) {
+    write_svg(figure, folder.path() / "ablation.svg");
+    write_png(figure, folder.path() / "ablation.png");
+    folder.note("plot", "ablation.png");
+  }
+  const auto report = ablation_json(ablation, plan, cache, results);
+  folder.write_report(report);
+  folder.note("report", "report.json");
+
+  const bool complete =
+      std::all_of(outcomes.begin(), outcomes.end(), [](const TaskOutcome& outcome) { return outcome.done; });
+  if (options.json) return {json_text(report, 2) + "\n", complete};
+  return {markdown + "\n" + folder.closing_box(), complete};
+}
+
+}  // namespace gld

@@ -1,0 +1,115 @@
+#include "ablate/report/comparisons.h"
+
+#include "ablate/report/result_rows.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace gld {
+namespace {
+
+std::string column_of(const VariantDescription& variant, const MetricDescription& metric) {
+  const auto own = variant.columns.find(metric.name);
+  return own == variant.columns.end() ? metric.column : own->second;
+}
+
+const VariantNumbers& numbers_of(const std::vector<VariantNumbers>& numbers, const std::string& variant) {
+  return *std::find_if(numbers.begin(), numbers.end(),
+                       [&](const VariantNumbers& one) { return one.variant == variant; });
+}
+
+}  // namespace
+
+std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const AblationPlan& plan,
+                                            const StageCache& cache,
+                                            const std::vector<TaskOutcome>& outcomes) {
+  std::vector<VariantNumbers> all;
+  for (size_t number = 0; number < ablation.variants.size(); ++number) {
+    const VariantDescription& variant = ablation.variants[number];
+    VariantNumbers numbers;
+    numbers.variant = variant.name;
+    for (const VariantRun& run : plan.runs) {
+      if (run.variant != number) continue;
+      for (const size_t result : run.results) {
+        const StageTask& task = plan.tasks[result];
+        if (!outcomes[result].done) {
+          const std::string problem = outcomes[result].problem;
+          if (std::find(numbers.problems.begin(), numbers.problems.end(), problem) ==
+              numbers.problems.end()) {
+            numbers.problems.push_back(problem);
+          }
+          continue;
+        }
+        const ResultRows rows = read_result_rows(cache.run(task) / ablation.stage(task.stage).results);
+        for (const MetricDescription& metric : ablation.metrics) {
+          const auto found = numbers_by_scene(rows, column_of(variant, metric), variant.rows);
+          numbers.metrics[metric.name][run.seed].insert(found.begin(), found.end());
+        }
+      }
+    }
+    all.push_back(std::move(numbers));
+  }
+  return all;
+}
+
+NumbersBySeed scene_means(const MeasuredNumbers& numbers) {
+  NumbersBySeed means;
+  for (const auto& [seed, scenes] : numbers) {
+    for (const auto& [scene, views] : scenes) {
+      double sum = 0;
+      int64_t count = 0;
+      for (const auto& [view, value] : views) {
+        if (!std::isfinite(value)) continue;
+        sum += value;
+        ++count;
+      }
+      if (count > 0) means[seed][scene] = sum / static_cast<double>(count);
+    }
+  }
+  return means;
+}
+
+NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const MeasuredNumbers& second) {
+  MeasuredNumbers gains;
+  for (const auto& [seed, scenes] : first) {
+    const auto others = second.find(seed);
+    if (others == second.end()) continue;
+    for (const auto& [scene, views] : scenes) {
+      const auto other_views = others->second.find(scene);
+      if (other_views == others->second.end()) continue;
+      for (const auto& [view, value] : views) {
+        const auto other = other_views->second.find(view);
+        // Two perfect predictions are equal, and their difference is no number.
+        if (other != other_views->second.end()) gains[seed][scene][view] = gain(better, value, other->second);
+      }
+    }
+  }
+  return scene_means(gains);
+}
+
+std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vector<VariantNumbers>& numbers) {
+  BootstrapOptions bootstrap;
+  bootstrap.replicates = ablation.options.bootstrap;
+  std::vector<ClaimResult> results;
+  for (const ClaimDescription& claim : ablation.claims) {
+    ClaimResult result{claim, {}};
+    if (ablation.variant(claim.better) == nullptr || ablation.variant(claim.worse) == nullptr) {
+      result.comparison.mean = std::numeric_limits<double>::quiet_NaN();
+      result.comparison.reason = "not run: --only left a variant out";
+    } else {
+      const auto measured = [&](const std::string& variant) {
+        const auto& metrics = numbers_of(numbers, variant).metrics;
+        const auto found = metrics.find(claim.metric);
+        return found == metrics.end() ? MeasuredNumbers() : found->second;
+      };
+      const Better better = ablation.metric(claim.metric).direction();
+      result.comparison =
+          compare(paired_gain(better, measured(claim.better), measured(claim.worse)), bootstrap);
+    }
+    results.push_back(std::move(result));
+  }
+  return results;
+}
+
+}  // namespace gld

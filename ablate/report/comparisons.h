@@ -1,0 +1,45 @@
+#pragma once
+
+#include "ablate/configuration/ablation.h"
+#include "ablate/plan/stage_cache.h"
+#include "ablate/plan/stage_plan.h"
+#include "ablate/run/stage_runner.h"
+#include "ablate/statistics/verdict.h"
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// A metric of all that was measured of one variant: by seed, scene and target view ("" where rows are whole scenes).
+using MeasuredNumbers = std::map<int64_t, std::map<std::string, std::map<std::string, double>>>;
+
+struct VariantNumbers {
+  std::string variant;
+  std::map<std::string, MeasuredNumbers> metrics;  // by name; empty ones are absent
+  std::vector<std::string> problems;               // why seeds are missing
+};
+
+// Reads the rows of every run that is done.
+std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const AblationPlan& plan,
+                                            const StageCache& cache,
+                                            const std::vector<TaskOutcome>& outcomes);
+
+// Finite numbers averaged over each scene's views.
+NumbersBySeed scene_means(const MeasuredNumbers& numbers);
+
+// By how much the first is better, of scenes and views that both have, averaged over each scene's views: variants with more
+// target views than others are compared on those that both were asked for.
+NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const MeasuredNumbers& second);
+
+struct ClaimResult {
+  ClaimDescription claim;
+  Comparison comparison;
+};
+
+// The claims whose variants ran; every other one is undecided and says so.
+std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vector<VariantNumbers>& numbers);
+
+}  // namespace gld

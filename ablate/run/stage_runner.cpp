@@ -1,0 +1,322 @@
+#include "ablate/run/stage_runner.h"
+
+#include "ablate/configuration/ablation.h"
+#include "ablate/run/assembled_bundle.h"
+#include "ablate/run/child_process.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/atomic_folder.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/base/printable_text.h"
+#include "gld/report/progress.h"
+
+#include <algorithm>
+#include <chrono>
+#include <fstream>
+#include <memory>
+#include <sstream>
+#include <thread>
+
+#include <fcntl.h>
+#include <sys/file.h>
+#include <unistd.h>
+
+namespace gld {
+namespace {
+
+namespace fs = std::filesystem;
+
+// That no other ablation works at the stage: held by this process and by the stage's own.
+class StageLock {
+ public:
+  explicit StageLock(const fs::path& folder)
+      : file_(::open((folder / "lock").c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666)) {}
+  ~StageLock() {
+    if (file_ >= 0) ::close(file_);
+  }
+  StageLock(const StageLock&) = delete;
+  StageLock& operator=(const StageLock&) = delete;
+  bool take() const { return file_ >= 0 && ::flock(file_, LOCK_EX | LOCK_NB) == 0; }
+  int file() const { return file_; }
+
+ private:
+  int file_;
+};
+
+bool has_training_checkpoint(const fs::path& run) {
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(run / "checkpoints", error)) {
+    const std::string name = entry.path().filename().string();
+    if (name.rfind("step_", 0) == 0 && entry.path().extension() == ".safetensors") return true;
+  }
+  return false;
+}
+
+fs::path newest_checkpoint(const fs::path& run) {
+  fs::path newest;
+  for (const auto& entry : fs::directory_iterator(run / "checkpoints")) {
+    const std::string name = entry.path().filename().string();
+    if (name.rfind("step_", 0) == 0 && (newest.empty() || name > newest.filename().string()))
+      newest = entry.path();
+  }
+  return newest;
+}
+
+// A copy of a finished training that another one goes on with: its newest checkpoint and what belongs to it.
+void branch_training(const fs::path& from, const fs::path& to) {
+  AtomicFolder folder(to);
+  fs::create_directory(folder.temporary() / "checkpoints");
+  const fs::path checkpoint = newest_checkpoint(from);
+  if (checkpoint.empty()) {
+    fail({from.string(), "a checkpoint to go on from", "none", "let the stage keep one (loop.keep_last)"});
+  }
+  copy_file_atomically(checkpoint, folder.temporary() / "checkpoints" / checkpoint.filename());
+  for (const char* name : {"config.yaml", "metrics.jsonl"})
+    copy_file_atomically(from / name, folder.temporary() / name);
+  folder.commit();
+}
+
+int64_t size_on_disk(const fs::path& folder) {
+  int64_t bytes = 0;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    if (entry.is_regular_file()) bytes += static_cast<int64_t>(entry.file_size());
+  }
+  return bytes;
+}
+
+// Of the end of a log, which may be long.
+std::string last_line(const fs::path& log) {
+  constexpr std::streamoff kEnd = 4096;
+  std::ifstream file(log, std::ios::binary | std::ios::ate);
+  if (!file) return "";
+  file.seekg(std::max<std::streamoff>(0, static_cast<std::streamoff>(file.tellg()) - kEnd));
+  std::string last;
+  for (std::string line; std::getline(file, line);) {
+    if (line.find_first_not_of(" \t\r") != std::string::npos) last = line;
+  }
+  return printable_text(last);
+}
+
+std::string with_folders(std::string text, const StageTask& task, const AblationPlan& plan,
+                         const StageCache& cache) {
+  for (const auto& [name, number] : task.named) {
+    const std::string from = "${" + name + "}";
+    const std::string to = cache.run(plan.tasks[number]).string();
+    for (size_t at = text.find(from); at != std::string::npos; at = text.find(from, at + to.size())) {
+      text.replace(at, from.size(), to);
+    }
+  }
+  return text;
+}
+
+fs::path model_folder(const StageTask& task, const AblationPlan& plan, const StageCache& cache) {
+  return task.model ? cache.model(plan.tasks[*task.model]) : task.base_model;
+}
+
+// The scheduler's view of a task.
+struct RunningTask {
+  size_t number = 0;
+  std::unique_ptr<StageLock> lock;
+  std::unique_ptr<ChildProcess> process;
+};
+
+class Scheduler {
+ public:
+  Scheduler(const AblationPlan& plan, const StageCache& cache, const RunningOptions& options)
+      : plan_(plan), cache_(cache), options_(options), outcomes_(plan.tasks.size()) {}
+
+  std::vector<TaskOutcome> run() {
+    for (size_t number = 0; number < plan_.tasks.size(); ++number) {
+      if (cache_.state(plan_.tasks[number]) == StageState::kDone) {
+        outcomes_[number].done = true;
+      } else {
+        waiting_.push_back(number);
+      }
+    }
+    if (waiting_.empty()) return outcomes_;
+    const auto before = static_cast<int64_t>(outcomes_.size() - waiting_.size());
+    Progress progress("ablation", static_cast<int64_t>(outcomes_.size()));
+    progress.update(before, note());
+    while (!waiting_.empty() || !running_.empty()) {
+      if (interrupt_requested()) stop();
+      collect();
+      start();
+      progress.update(finished(), note());
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+    progress.finish();
+    return outcomes_;
+  }
+
+ private:
+  int64_t finished() const {
+    return static_cast<int64_t>(outcomes_.size() - waiting_.size() - running_.size());
+  }
+
+  std::string note() const {
+    std::string text = std::to_string(waiting_.size()) + " waiting";
+    for (const RunningTask& task : running_) {
+      const StageTask& stage = plan_.tasks[task.number];
+      const std::string line = last_line(cache_.folder(stage) / "log.txt");
+      constexpr size_t kLongest = 60;
+      text += "; " + stage.stage + " " + stage.key.substr(0, 6);
+      if (!line.empty()) text += ": " + (line.size() > kLongest ? line.substr(0, kLongest) : line);
+    }
+    return text;
+  }
+
+  [[noreturn]] void stop() {
+    for (RunningTask& task : running_) task.process->stop();
+    for (RunningTask& task : running_) {
+      while (!task.process->poll()) std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      note_end(task);
+    }
+    stop_if_interrupted("the ablation stopped after " + std::to_string(finished()) + " of " +
+                        std::to_string(outcomes_.size()) + " stages; the same command goes on with it");
+    fail({"gld ablate", "a stop that was asked for", "none", "report this"});
+  }
+
+  // What becomes of a stage whose process ended.
+  void note_end(const RunningTask& task) {
+    const StageTask& stage = plan_.tasks[task.number];
+    const FinishedProcess result = *task.process->poll();
+    if (result.status == 0) {
+      const StageCost cost{cache_.seconds_spent(stage) + result.seconds, result.peak_bytes,
+                           size_on_disk(cache_.folder(stage))};
+      cache_.finish(stage, cost);
+      outcomes_[task.number].done = true;
+      return;
+    }
+    cache_.note_seconds_spent(stage, result.seconds);
+    const fs::path log = cache_.folder(stage) / "log.txt";
+    const std::string how = result.status > 128 ? "signal " + std::to_string(result.status - 128)
+                                                : "exit status " + std::to_string(result.status);
+    outcomes_[task.number].problem = "stage '" + stage.stage + "' (" + stage.used_by.front() +
+                                     ") ended with " + how + ": " + last_line(log) + " (" + log.string() +
+                                     ")";
+  }
+
+  void collect() {
+    for (auto task = running_.begin(); task != running_.end();) {
+      if (!task->process->poll()) {
+        ++task;
+        continue;
+      }
+      note_end(*task);
+      task = running_.erase(task);
+    }
+  }
+
+  bool alone_is_running() const {
+    return std::any_of(running_.begin(), running_.end(),
+                       [&](const RunningTask& task) { return plan_.tasks[task.number].alone; });
+  }
+
+  void start() {
+    for (auto number = waiting_.begin(); number != waiting_.end();) {
+      const StageTask& task = plan_.tasks[*number];
+      const bool room = static_cast<int64_t>(running_.size()) < options_.jobs && !alone_is_running() &&
+                        (!task.alone || running_.empty());
+      const auto failed = std::find_if(task.needs.begin(), task.needs.end(),
+                                       [&](size_t needed) { return !outcomes_[needed].problem.empty(); });
+      if (failed != task.needs.end()) {
+        outcomes_[*number].problem = outcomes_[*failed].problem;
+        number = waiting_.erase(number);
+        continue;
+      }
+      const bool ready = std::all_of(task.needs.begin(), task.needs.end(),
+                                     [&](size_t needed) { return outcomes_[needed].done; });
+      if (room && ready && begin(*number)) {
+        number = waiting_.erase(number);
+      } else {
+        ++number;
+      }
+    }
+  }
+
+  // False where another ablation works at the stage.
+  bool begin(size_t number) {
+    const StageTask& task = plan_.tasks[number];
+    fs::create_directories(cache_.folder(task));
+    RunningTask running;
+    running.number = number;
+    running.lock = std::make_unique<StageLock>(cache_.folder(task));
+    if (!running.lock->take()) return false;
+    if (cache_.state(task) == StageState::kDone) {  // by the other one, meanwhile
+      outcomes_[number].done = true;
+      return true;
+    }
+    remove_abandoned_files(cache_.folder(task));
+    cache_.begin(task);
+    try {
+      if (task.command == kAssembleCommand) {
+        assemble(task);
+        outcomes_[number].done = true;
+        return true;
+      }
+      const bool resume = prepare_run(task);
+      write_file_atomically(cache_.folder(task) / "options.yaml",
+                            with_folders(task.options, task, plan_, cache_));
+      running.process = std::make_unique<ChildProcess>(command_line_of(task, plan_, cache_, options_, resume),
+                                                       cache_.folder(task) / "log.txt", running.lock->file());
+    } catch (const Error& error) {
+      outcomes_[number].problem =
+          "stage '" + task.stage + "' (" + task.used_by.front() + "): " + error.what();
+      return true;
+    }
+    running_.push_back(std::move(running));
+    return true;
+  }
+
+  void assemble(const StageTask& task) const {
+    const auto start = std::chrono::steady_clock::now();
+    std::vector<fs::path> others;
+    for (const size_t part : task.parts) others.push_back(cache_.model(plan_.tasks[part]));
+    fs::create_directories(cache_.run(task));
+    assemble_bundle(*task.bundle, model_folder(task, plan_, cache_), others, cache_.model(task));
+    const std::chrono::duration<double> seconds = std::chrono::steady_clock::now() - start;
+    cache_.finish(task, {seconds.count(), 0, size_on_disk(cache_.folder(task))});
+  }
+
+  // Leaves the run folder as the command can begin or go on in it; whether it goes on.
+  bool prepare_run(const StageTask& task) const {
+    const fs::path run = cache_.run(task);
+    if (task.resumed && !fs::exists(run)) branch_training(cache_.run(plan_.tasks[*task.resumed]), run);
+    if (!fs::exists(run)) return false;
+    if (task.resumable && (!trains(task.command) || has_training_checkpoint(run))) return true;
+    fs::remove_all(run);
+    if (!task.resumed) return false;
+    branch_training(cache_.run(plan_.tasks[*task.resumed]), run);
+    return true;
+  }
+
+  const AblationPlan& plan_;
+  const StageCache& cache_;
+  const RunningOptions& options_;
+  std::vector<TaskOutcome> outcomes_;
+  std::vector<size_t> waiting_;
+  std::vector<RunningTask> running_;
+};
+
+}  // namespace
+
+std::vector<std::string> command_line_of(const StageTask& task, const AblationPlan& plan,
+                                         const StageCache& cache, const RunningOptions& options,
+                                         bool resume) {
+  std::vector<std::string> line{options.program.string()};
+  std::istringstream words(task.command);
+  for (std::string word; words >> word;) line.push_back(word);
+  line.insert(line.end(), {"--config", (cache.folder(task) / "options.yaml").string()});
+  if (task.takes_model) line.insert(line.end(), {"--model", model_folder(task, plan, cache).string()});
+  line.insert(line.end(), {"--out", cache.run(task).string()});
+  if (task.takes_threads) line.insert(line.end(), {"--threads", std::to_string(options.threads)});
+  if (resume) line.emplace_back("--resume");
+  return line;
+}
+
+std::vector<TaskOutcome> run_tasks(const AblationPlan& plan, const StageCache& cache,
+                                   const RunningOptions& options) {
+  return Scheduler(plan, cache, options).run();
+}
+
+}  // namespace gld

@@ -1,0 +1,35 @@
+#pragma once
+
+#include "ablate/plan/stage_cache.h"
+#include "ablate/plan/stage_plan.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+struct RunningOptions {
+  std::filesystem::path program;
+  int64_t jobs = 1;
+  int64_t threads = 1;  // of each
+};
+
+struct TaskOutcome {
+  bool done = false;
+  std::string problem;  // of a failed task, or of the one before it that failed: one sentence
+};
+
+// Runs what is not done, each task behind those that it needs, up to `jobs` at a time, and those that are to be alone alone. A task
+// that fails costs those that need it, and no other. Every stage is a process of its own: killed, or killed together with
+// this process, it is gone on with next time (training) or begun again. One outcome a task.
+// Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.
+std::vector<TaskOutcome> run_tasks(const AblationPlan& plan, const StageCache& cache,
+                                   const RunningOptions& options);
+
+// The command line of a task, as it is run and as reports show it.
+std::vector<std::string> command_line_of(const StageTask& task, const AblationPlan& plan,
+                                         const StageCache& cache, const RunningOptions& options, bool resume);
+
+}  // namespace gld

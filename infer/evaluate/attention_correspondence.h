@@ -1,0 +1,42 @@
+#pragma once
+
+#include "gld/report/plot.h"
+#include "infer/evaluate/scene_evaluation.h"
+#include "infer/pipeline/sampling_scene.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// How well the queries of a DiT block find the keys of the same place in other views (CAMEO; GLD's Fig. 14).
+struct AttentionCorrespondence {
+  std::string stage;  // "M1"
+  int64_t block = 0;  // counted over the model, the condition encoder's first
+  bool in_encoder = false;
+  double time = 0;  // flow time
+  double pck =
+      0;  // percent (gld/metrics/correspondence_metrics.h), mean over the pairs of the first view with the others
+};
+
+// Of every generator and block at each time: queries and keys as attention multiplies them (after normalisation and PRoPE),
+// heads one after the other, of the patch tokens; the state is the scene's own latent on the straight path to the noise of that
+// seed. Empty where a target has no picture, a view no true depth, or no pair of views a point.
+std::vector<AttentionCorrespondence> attention_correspondence(const EvaluationModels& models,
+                                                              const SamplingScene& scene,
+                                                              const std::vector<double>& times,
+                                                              int64_t noise_seed);
+
+// For the record of a scene, and back. Throws nlohmann::json::exception for something else.
+nlohmann::ordered_json attention_record(const std::vector<AttentionCorrespondence>& scene);
+std::vector<AttentionCorrespondence> attention_from_record(const nlohmann::json& record);
+
+// A row a stage, block and time: attention_pck.csv; the means with intervals over scenes.
+std::string attention_csv(const std::vector<std::vector<AttentionCorrespondence>>& scenes);
+// A panel a stage: PCK against the block, a line a time.
+Figure attention_picture(const std::vector<std::vector<AttentionCorrespondence>>& scenes);
+
+}  // namespace gld

@@ -1,0 +1,29 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/decoders/geometry_head.h"
+
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// How cameras are found in what a geometry head says of views.
+enum class PoseEstimator {
+  kNone,
+  kOurs,  // gld/cameras/pose_from_rays.h, with the given principal points
+  kDa3,   // gld/cameras/published_pose_from_rays.h
+  kGld,
+  kVggt,  // VGGT's camera head, whose cameras are the heads' rays
+};
+const std::vector<std::string>& pose_estimator_names();  // "none", "ours", "da3", "gld", "vggt"
+
+// One camera a view of geometry.rays, in their frame and unit. given: the scene's, for sizes and (ours) principal points.
+// Throws Error where no camera fits a view, and for kNone.
+std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOutput& geometry,
+                                      const std::vector<Camera>& given);
+
+}  // namespace gld

@@ -1,0 +1,123 @@
+#include "ablate/statistics/paired_statistics.h"
+
+#include "gld/base/philox.h"
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+std::string scene_name(int64_t number) { return "scene_" + std::to_string(number); }
+
+TEST(SignTestPValue, EqualsSumsOfBinomialCoefficientsByHand) {
+  EXPECT_DOUBLE_EQ(sign_test_p_value(0, 0), 1.0);
+  EXPECT_DOUBLE_EQ(sign_test_p_value(1, 0), 1.0);             // 2 * 1/2
+  EXPECT_NEAR(sign_test_p_value(5, 0), 2.0 / 32, 1e-15);      // 2 * C(5,0) / 2^5
+  EXPECT_NEAR(sign_test_p_value(8, 2), 112.0 / 1024, 1e-15);  // 2 * (1 + 10 + 45) / 2^10
+  EXPECT_NEAR(sign_test_p_value(2, 8), 112.0 / 1024, 1e-15);
+  EXPECT_NEAR(sign_test_p_value(15, 5), 2 * 21700.0 / 1048576,
+              1e-14);                                      // 1 + 20 + 190 + 1140 + 4845 + 15504 = 21700
+  EXPECT_DOUBLE_EQ(sign_test_p_value(5, 5), 1.0);          // 2 * 638 / 1024 is above 1
+  EXPECT_NEAR(sign_test_p_value(5000, 5000), 1.0, 1e-12);  // nothing overflows
+  EXPECT_LT(sign_test_p_value(2000, 0), 1e-300);
+}
+
+TEST(SignTest, CountsEachSceneOnceByTheSignOfItsMeanOverSeeds) {
+  const NumbersBySeed differences{{0, {{"a", 1}, {"b", -1}, {"c", 2}, {"d", 1}}},
+                                  {1, {{"a", 3}, {"b", -2}, {"c", -1}, {"d", -1}}}};
+  const SignTest test = sign_test(differences);
+  EXPECT_EQ(test.positive, 2);  // a, and c: 2 - 1
+  EXPECT_EQ(test.negative, 1);  // b
+  EXPECT_EQ(test.ties, 1);      // d
+  EXPECT_DOUBLE_EQ(test.p_value, 1.0);
+}
+
+TEST(PairedDifferences, TakesOnlyWhatBothHaveAndIsFinite) {
+  const double infinite = std::numeric_limits<double>::infinity();
+  const double absent = std::numeric_limits<double>::quiet_NaN();
+  const NumbersBySeed first{
+      {0, {{"a", 5}, {"b", 1}, {"c", infinite}, {"d", absent}}}, {1, {{"a", 7}}}, {2, {{"a", 1}}}};
+  const NumbersBySeed second{{0, {{"a", 2}, {"c", 1}, {"d", 1}, {"e", 1}}}, {1, {{"a", 8}}}};
+  const NumbersBySeed expected{{0, {{"a", 3}}}, {1, {{"a", -1}}}};
+  EXPECT_EQ(paired_differences(first, second), expected);
+  EXPECT_EQ(scene_count(first), 4);
+  EXPECT_DOUBLE_EQ(mean_of_seed_means(expected), 1.0);
+}
+
+TEST(BootstrapInterval, OfEqualNumbersIsThatNumber) {
+  NumbersBySeed numbers;
+  for (int64_t scene = 0; scene < 10; ++scene)
+    numbers[0][scene_name(scene)] = numbers[1][scene_name(scene)] = 2.5;
+  const Interval interval = bootstrap_interval(numbers);
+  EXPECT_DOUBLE_EQ(interval.low, 2.5);
+  EXPECT_DOUBLE_EQ(interval.high, 2.5);
+  EXPECT_TRUE(std::isnan(bootstrap_interval({}).low));
+}
+
+TEST(BootstrapInterval, OfTwoNumbersIsTheirRange) {
+  // Means of two draws of {0, 1}: 0, 1/2, 1 with probabilities 1/4, 1/2, 1/4, so that both tails are at the ends.
+  const Interval interval = bootstrap_interval({{0, {{"a", 0}, {"b", 1}}}});
+  EXPECT_DOUBLE_EQ(interval.low, 0);
+  EXPECT_DOUBLE_EQ(interval.high, 1);
+}
+
+// Scene effects that all seeds share, a little noise of each measurement.
+NumbersBySeed crossed_numbers(uint64_t trial, int64_t seeds, int64_t scenes, double mean) {
+  const PhiloxKey key = philox_key(trial, "crossed");
+  std::vector<float> normal(static_cast<size_t>((seeds + 1) * scenes));
+  fill_normal({key, 0, 0}, normal.data(), static_cast<int64_t>(normal.size()));
+  NumbersBySeed numbers;
+  for (int64_t seed = 0; seed < seeds; ++seed) {
+    for (int64_t scene = 0; scene < scenes; ++scene) {
+      const double shared = normal[static_cast<size_t>(scene)];
+      const double own = normal[static_cast<size_t>((seed + 1) * scenes + scene)];
+      numbers[seed][scene_name(scene)] = mean + shared + 0.3 * own;
+    }
+  }
+  return numbers;
+}
+
+TEST(BootstrapInterval, CoversTheMeanAsOftenAsItSaysWhereSeedsShareTheirScenes) {
+  // 400 trials of 95 %: 380 +- 4.4 covered. 40 scenes lose about one percent to the percentile method. Scenes drawn anew under
+  // each of three seeds would cover about 75 %.
+  BootstrapOptions options;
+  options.replicates = 1000;
+  int64_t covered = 0;
+  constexpr int64_t kTrials = 400;
+  for (int64_t trial = 0; trial < kTrials; ++trial) {
+    const Interval interval =
+        bootstrap_interval(crossed_numbers(static_cast<uint64_t>(trial), 3, 40, 1.5), options);
+    if (interval.low <= 1.5 && 1.5 <= interval.high) ++covered;
+  }
+  EXPECT_GE(covered, 362);  // 95 % - 1 % - 4 deviations
+  EXPECT_LE(covered, 397);
+}
+
+TEST(BootstrapInterval, IsTheSameInEveryOrderAndMirroredForTheOtherSign) {
+  const NumbersBySeed numbers = crossed_numbers(7, 3, 20, 0.2);
+  NumbersBySeed backwards, mirrored;
+  for (auto seed = numbers.rbegin(); seed != numbers.rend(); ++seed) {
+    for (auto scene = seed->second.rbegin(); scene != seed->second.rend(); ++scene) {
+      backwards[seed->first][scene->first] = scene->second;
+      mirrored[seed->first][scene->first] = -scene->second;
+    }
+  }
+  const Interval interval = bootstrap_interval(numbers);
+  EXPECT_EQ(interval.low, bootstrap_interval(backwards).low);
+  EXPECT_EQ(interval.high, bootstrap_interval(backwards).high);
+  EXPECT_NEAR(interval.low, -bootstrap_interval(mirrored).high, 1e-12);
+  EXPECT_NEAR(interval.high, -bootstrap_interval(mirrored).low, 1e-12);
+}
+
+TEST(BootstrapInterval, LeavesOutScenesThatASeedDoesNotHave) {
+  const Interval interval = bootstrap_interval({{0, {{"a", 1}}}, {1, {{"b", 1}}}});
+  EXPECT_DOUBLE_EQ(interval.low, 1);
+  EXPECT_DOUBLE_EQ(interval.high, 1);
+}
+
+}  // namespace
+}  // namespace gld
