@@ -2,7 +2,6 @@
 
 #include "gld/base/error.h"
 #include "gld/cameras/published_pose_from_rays.h"
-#include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/predicted_cameras.h"
 
 #include <algorithm>
@@ -41,23 +40,6 @@ std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOut
       break;
   }
   fail({"pose estimation", "an estimator", "none", "choose another one for --poses"});
-}
-
-GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
-                                    const torch::Device& device) {
-  const int64_t side = models.backbone()->architecture().patch_side();
-  const auto whole = [side](int64_t length) {
-    return std::max<int64_t>(1, (length + side / 2) / side) * side;
-  };
-  const std::vector<int64_t> size{whole(pictures.size(2)), whole(pictures.size(3))};
-  const std::vector<int64_t> own{pictures.size(2), pictures.size(3)};
-  if (size == own) return geometry_of_photographs(models, pictures, device);
-  GeometryOutput geometry = geometry_of_photographs(
-      models, torch::upsample_bilinear2d(pictures, size, /*align_corners=*/false), device);
-  for (torch::Tensor* map : {&geometry.depth, &geometry.depth_confidence}) {
-    *map = torch::upsample_bilinear2d(map->unsqueeze(1), own, /*align_corners=*/false).squeeze(1);
-  }
-  return geometry;
 }
 
 }  // namespace gld

@@ -26,9 +26,4 @@ const std::vector<std::string>& pose_estimator_names();  // "none", "ours", "da3
 std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOutput& geometry,
                                       const std::vector<Camera>& given);
 
-// What a model's geometry head says of pictures of any size, (views, 3, height, width) in [0, 1]: seen at the nearest size in
-// whole patches, depth brought back to theirs.
-GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
-                                    const torch::Device& device);
-
 }  // namespace gld

@@ -4,6 +4,7 @@
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
+#include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/scene_request.h"
@@ -65,7 +66,8 @@ TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& 
     pictures.levels.push_back(backbone->decodable(level).patches);
   }
   if (models.bundle.dpt_head.exists()) {
-    pictures.geometry = geometry_of_photographs(models.models, images, models.device);
+    pictures.geometry =
+        geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
   }
   return pictures;
 }
@@ -271,8 +273,13 @@ class SceneMetrics {
       return;
     }
     truth_.pseudo_depth = geometry.depth.narrow(0, truth_.views.num_sources, truth_.views.num_targets());
+    const torch::Tensor& pictures = pictures_.images;
+    // Of one size, so one lens, as gld sample --photos takes it.
+    const std::vector<PhotographLens> one_lens(
+        static_cast<size_t>(pictures.size(0)),
+        {0, static_cast<double>(std::max(pictures.size(2), pictures.size(3)))});
     try {
-      truth_.photo_cameras = photo_cameras(geometry, pictures_.images).cameras;
+      truth_.photo_cameras = photo_cameras(geometry, pictures, one_lens).cameras;
     } catch (const Error&) {
       truth_.missing[MetricNeed::kPhotoCameras] = "no camera fits the rays of a picture";
     }
@@ -285,9 +292,10 @@ class SceneMetrics {
     };
     if (models_.poses == PoseEstimator::kNone) return missing("no poses were asked for (--poses none)");
     if (!models_.pose_model && !own.rays.defined()) return missing(kNoHead);
-    const GeometryOutput geometry =
-        models_.pose_model ? geometry_of_pictures(*models_.pose_model, inputs.view_images, models_.device)
-                           : own;
+    const GeometryOutput geometry = models_.pose_model
+                                        ? geometry_of_pictures(*models_.pose_model, inputs.view_images,
+                                                               GeometryMaps::kDepthAndRays, models_.device)
+                                        : own;
     try {
       inputs.estimated_cameras = estimated_cameras(models_.poses, geometry, truth_.views.cameras);
       inputs.view_depth = geometry.depth;
