@@ -1,6 +1,7 @@
 #include "gld/base/interrupt.h"
 
 #include "gld/base/error.h"
+#include "gld/base/interrupted_end.h"
 
 #include <array>
 #include <atomic>
@@ -25,13 +26,17 @@ struct UnfinishedFile {
 std::array<UnfinishedFile, 64> unfinished_files;
 
 // Only what is safe in a signal handler: no lock, no memory.
-void end_process(int) {
-  constexpr char kText[] = "interrupted: stopped in the middle of its work; files that are there are whole\n";
+[[noreturn]] void end_process_saying(const char* text, size_t length) {
   for (auto& file : unfinished_files) {
     if (file.state.load() == UnfinishedFile::kNamed) ::unlink(file.name.data());
   }
-  if (::write(STDERR_FILENO, kText, sizeof(kText) - 1) < 0) ::_exit(kInterruptedStatus);
+  if (::write(STDERR_FILENO, text, length) < 0) ::_exit(kInterruptedStatus);
   ::_exit(kInterruptedStatus);
+}
+
+void end_process(int) {
+  constexpr char kText[] = "interrupted: stopped in the middle of its work; files that are there are whole\n";
+  end_process_saying(kText, sizeof(kText) - 1);
 }
 
 void request(int signal) {
@@ -56,6 +61,11 @@ void stop_if_interrupted(const std::string& done) {
   if (!interrupt_requested()) return;
   ::alarm(0);
   throw Interrupted(done);
+}
+
+void end_interrupted_process(const std::string& done) {
+  const std::string text = "interrupted: " + done + "\n";
+  end_process_saying(text.data(), text.size());
 }
 
 void remove_if_unfinished(const std::string& file) {

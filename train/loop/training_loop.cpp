@@ -7,6 +7,7 @@
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "train/loop/checkpoint.h"
+#include "train/loop/checkpoint_on_stop.h"
 #include "train/loop/loss_curve.h"
 #include "train/loop/metrics_log.h"
 
@@ -102,7 +103,13 @@ class Session {
   void save_offending_batch() const;
   void log(const StepOutcome& outcome, double rate);
   void validate();
-  Checkpoint snapshot() const;
+  Checkpoint snapshot() const { return snapshot(parameters_.values()); }
+  // With the parameters' values, flat, where the moving average is in their place.
+  Checkpoint snapshot(const torch::Tensor& values) const;
+  // The parameters' values, flat: a copy, as the moving average may take their place.
+  torch::Tensor trained_values() const { return parameters_.values().detach().clone(); }
+  // The same where the objective may change tensors of its state before its next step is complete.
+  Checkpoint kept_snapshot(const torch::Tensor& values) const;
   void check_fits(const Checkpoint& checkpoint, const std::string& where) const;
   double elapsed() const {
     return earlier_seconds_ +
@@ -117,6 +124,7 @@ class Session {
   Optimiser optimiser_;
   torch::Generator generator_;
   CheckpointFolder checkpoints_;
+  std::optional<CheckpointOnStop> stop_;
   std::optional<MetricsLog> metrics_;
   std::unique_ptr<BatchPrefetcher> feed_;
 
@@ -218,7 +226,16 @@ void Session::restore(TrainingStart start) {
   feed_ = std::make_unique<BatchPrefetcher>(run_.data, feed);
 }
 
-Checkpoint Session::snapshot() const {
+Checkpoint Session::kept_snapshot(const torch::Tensor& values) const {
+  const torch::NoGradGuard no_grad;
+  Checkpoint checkpoint = snapshot(values);
+  for (auto& [name, tensor] : checkpoint.tensors) {
+    if (name.rfind("objective.", 0) == 0) tensor = tensor.detach().clone();
+  }
+  return checkpoint;
+}
+
+Checkpoint Session::snapshot(const torch::Tensor& values) const {
   Checkpoint checkpoint;
   checkpoint.step = step_;
   checkpoint.metadata = {{"kind", objective_.kind()},
@@ -232,7 +249,7 @@ Checkpoint Session::snapshot() const {
   checkpoint.metadata["best"] = std::isfinite(best_) ? nlohmann::json(best_) : nlohmann::json();
   for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
     const std::string& name = parameters_.parameters()[i].name;
-    checkpoint.tensors["model." + name] = parameters_.part(parameters_.values(), i);
+    checkpoint.tensors["model." + name] = parameters_.part(values, i);
     if (optimiser_.has_average())
       checkpoint.tensors["ema." + name] = parameters_.part(optimiser_.average(), i);
   }
@@ -334,6 +351,7 @@ void Session::validate() {
   Validation validation;
   {
     const torch::NoGradGuard no_grad;
+    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values()));
     const AverageInPlace average(parameters_, optimiser_);
     validation = objective_.validate(run_.validation_scenes);
   }
@@ -356,6 +374,7 @@ void Session::validate() {
 
 TrainingSummary Session::run() {
   const int64_t first_step = step_;
+  stop_.emplace(checkpoints_);
   std::optional<Progress> progress;
   if (first_step < options_.steps) {
     progress.emplace("training the " + objective_.kind(), options_.steps - first_step);
@@ -372,7 +391,10 @@ TrainingSummary Session::run() {
                         "; continue with --resume (" + file.string() + ")");
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
-    const StepOutcome outcome = forward_backward();
+    const StepOutcome outcome = [&] {
+      const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(parameters_.values()));
+      return forward_backward();
+    }();
     scenes += outcome.scenes;
     if (outcome.finite) {
       optimiser_.step(rate, outcome.gradient_norm);
@@ -417,6 +439,7 @@ TrainingSummary Session::run() {
   if (progress) progress->finish();
   {
     const torch::NoGradGuard no_grad;
+    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values()));
     const AverageInPlace average(parameters_, optimiser_);
     const auto folder = run_.folder / "model";
     std::filesystem::create_directories(folder);

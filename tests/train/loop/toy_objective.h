@@ -4,10 +4,12 @@
 #include "train/data/batch_prefetcher.h"
 #include "train/loop/objective.h"
 
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <torch/autograd.h>
@@ -25,6 +27,10 @@ class ToyObjective : public Objective {
   bool concurrent() const override { return true; }
   std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
   Losses losses(const TrainingBatch& batch, const StepContext& context) override {
+    if (context.step == slow_step) {
+      counter_.add_(100);  // what a step that is half done leaves behind
+      std::this_thread::sleep_for(std::chrono::seconds(20));
+    }
     torch::Tensor total = torch::zeros({});
     for (const TrainingScene& scene : batch.scenes) {
       const auto colour = scene.images.mean({0, 2, 3});
@@ -55,6 +61,7 @@ class ToyObjective : public Objective {
   // Batches [first, last) give a loss that is not a number.
   int64_t first_spoiled = 0;
   int64_t last_spoiled = 0;
+  int64_t slow_step = -1;  // takes 20 s a micro-batch
 
  private:
   float spoil(int64_t index) const {

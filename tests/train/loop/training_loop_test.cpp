@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
 #include "gld/tensors/weight_tensors.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -371,6 +372,42 @@ TEST(MetricsLog, DamagedLinesAreLeftOut) {
   const std::vector<std::pair<double, double>> expected = {{1, 2}, {5, 4}};
   EXPECT_EQ(log.series("loss"), expected);
   EXPECT_EQ(read_file(file), "{\"step\":1,\"loss\":2}\n{\"step\":5,\"loss\":4}\n");
+}
+
+// A stop in the middle of a step that would take long leaves the checkpoint of the last complete one.
+TEST(TrainingLoop, AStopDoesNotWaitForTheEndOfALongStep) {
+  const test::TemporaryFolder whole, stopped;
+  {
+    test::ToyObjective objective;
+    train(test::toy_run(whole.path(), objective), short_run(), TrainingStart::kFresh);
+  }
+  const pid_t child = fork();
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    install_interrupt_handler(StopDeadline::kSafePoint);
+    test::ToyObjective objective;
+    objective.slow_step = 7;
+    train(test::toy_run(stopped.path(), objective), short_run(), TrainingStart::kFresh);
+    _exit(0);
+  }
+  // The step before it has been logged when the slow one runs.
+  for (int waited = 0; waited < 200 && CheckpointFolder(stopped.path() / "checkpoints", {}).steps().empty();
+       ++waited) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  }
+  std::this_thread::sleep_for(std::chrono::milliseconds(1000));
+  const auto asked = std::chrono::steady_clock::now();
+  kill(child, SIGTERM);
+  int status = 0;
+  waitpid(child, &status, 0);
+  EXPECT_LT(std::chrono::steady_clock::now() - asked, std::chrono::seconds(2));
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), kInterruptedStatus);
+  EXPECT_EQ(CheckpointFolder(stopped.path() / "checkpoints", {}).steps().back(), 7);
+
+  test::ToyObjective objective;
+  train(test::toy_run(stopped.path(), objective), short_run(), TrainingStart::kResume);
+  expect_same_bytes(tensors_of_newest(whole.path()), tensors_of_newest(stopped.path()));
 }
 
 // Kills a run with SIGKILL after different times; whatever moment that is, the run continues and ends with the

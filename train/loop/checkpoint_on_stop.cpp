@@ -1,0 +1,65 @@
+#include "train/loop/checkpoint_on_stop.h"
+
+#include "gld/base/interrupt.h"
+#include "gld/base/interrupted_end.h"
+
+#include <chrono>
+#include <exception>
+#include <string>
+#include <utility>
+
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr auto kBetweenLooks = std::chrono::milliseconds(50);
+// To the loop's own safe point, which loses nothing.
+constexpr auto kGrace = std::chrono::milliseconds(500);
+
+}  // namespace
+
+CheckpointOnStop::CheckpointOnStop(const CheckpointFolder& folder)
+    : folder_(folder), watcher_([this] { watch(); }) {}
+
+CheckpointOnStop::~CheckpointOnStop() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ended_ = true;
+  }
+  changed_.notify_all();
+  watcher_.join();
+}
+
+CheckpointOnStop::Steady::Steady(CheckpointOnStop& owner, Checkpoint state) : owner_(owner) {
+  const std::lock_guard<std::mutex> lock(owner_.mutex_);
+  owner_.state_ = std::move(state);
+}
+
+CheckpointOnStop::Steady::~Steady() {
+  const std::lock_guard<std::mutex> lock(owner_.mutex_);
+  owner_.state_.reset();
+}
+
+void CheckpointOnStop::watch() {
+  std::unique_lock<std::mutex> lock(mutex_);
+  std::optional<Clock::time_point> asked;
+  while (!ended_) {
+    changed_.wait_for(lock, kBetweenLooks, [this] { return ended_; });
+    if (ended_ || !interrupt_requested()) continue;
+    if (!asked) asked = Clock::now();
+    if (!state_ || Clock::now() - *asked < kGrace) continue;
+    std::string done = "training stopped after step " + std::to_string(state_->step);
+    try {
+      const torch::NoGradGuard no_grad;
+      done += "; continue with --resume (" + folder_.save(*state_).string() + ")";
+    } catch (const std::exception& error) {
+      done += "; its checkpoint was not written: " + std::string(error.what());
+    }
+    end_interrupted_process(done);
+  }
+}
+
+}  // namespace gld
