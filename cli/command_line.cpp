@@ -3,10 +3,12 @@
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/printable_text.h"
 #include "gld/report/progress.h"
 #include "gld/report/provenance.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
 #include <map>
 #include <new>
@@ -138,6 +140,39 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
   return nearest_name(flag, known);
 }
 
+// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what follows it up
+// to the next flag. Not in commands that take arguments without a flag.
+std::vector<std::string> with_lists_joined(const CLI::App& app, const Command& command,
+                                           const std::vector<std::string>& arguments) {
+  if (!command.options || command.arguments.maximum > 0) return arguments;
+  std::set<std::string> lists;
+  for (const auto& description : describe_options(*command.options)) {
+    if (description.type.rfind("list", 0) != 0) continue;
+    const auto* option = app.get_option_no_throw("--" + dashed(description.key));
+    if (option == nullptr) continue;
+    for (const auto& name : option->get_lnames()) lists.insert("--" + name);
+  }
+  std::vector<std::string> joined;
+  bool in_list = false, has_value = false;
+  for (const auto& argument : arguments) {
+    // A number may be negative.
+    const bool is_flag = argument.size() > 1 && argument[0] == '-' && argument[1] != '.' &&
+                         (argument[1] < '0' || argument[1] > '9');
+    if (in_list && !is_flag && has_value) {
+      joined.back() += "," + argument;
+      continue;
+    }
+    has_value = in_list && !is_flag;
+    if (is_flag) {
+      const size_t equals = argument.find('=');
+      in_list = lists.count(argument.substr(0, equals)) > 0;
+      has_value = in_list && equals != std::string::npos;
+    }
+    joined.push_back(argument);
+  }
+  return joined;
+}
+
 void refuse_unknown(const Command& command, const CLI::App& app, const std::vector<std::string>& left_over) {
   for (const auto& argument : left_over) {
     if (argument.size() < 2 || argument[0] != '-') continue;
@@ -214,6 +249,7 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   Collected collected;
   if (command.options) add_flags(app, *command.options, outermost, collected);
   try {
+    arguments = with_lists_joined(app, command, arguments);
     std::reverse(arguments.begin(), arguments.end());  // CLI11 takes them last first
     app.parse(arguments);
   } catch (const CLI::CallForHelp&) {
@@ -329,6 +365,10 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
   } catch (const std::bad_alloc&) {
     std::cerr
         << "error: memory ran out; use fewer views or a smaller size, or see what 'gld doctor' forecasts.\n";
+  } catch (const std::filesystem::filesystem_error& error) {
+    const Error sentence({printable_text(error.path1().string()), "a file or folder that can be used",
+                          error.code().message(), "check the path and its permissions"});
+    std::cerr << "error: " << sentence.what() << "\n";
   } catch (const std::exception& error) {
     const std::string text = error.what();
     std::cerr << "error: " << text.substr(0, text.find('\n')) << "\n";

@@ -100,18 +100,40 @@ const SceneReader* detect_scene_format(const std::filesystem::path& path) {
   return found == readers.end() ? nullptr : *found;
 }
 
+namespace {
+
+[[noreturn]] void fail_missing_scene(const std::filesystem::path& path) {
+  fail({path.string(), "a scene's folder", "nothing", "check the path"});
+}
+
+std::string known_markers() {
+  std::vector<std::string> markers;
+  for (const SceneReader* known : scene_readers())
+    markers.push_back(known->marker() + " (" + known->name() + ")");
+  return joined(markers, ", ");
+}
+
+void refuse_bare_photographs(const std::filesystem::path& path) {
+  const auto photographs = list_images(path);
+  if (photographs.empty()) return;
+  fail({path.string(), "images with cameras (one of: " + known_markers() + ")",
+        std::to_string(photographs.size()) + " photographs without cameras",
+        "let the model estimate them with gld sample --photos " + path.string() +
+            ", or let COLMAP: colmap automatic_reconstructor --workspace_path " + path.string() +
+            "_colmap --image_path " + path.string() + ", then put its sparse/0 beside the images"});
+}
+
+}  // namespace
+
 Scene open_scene(const std::filesystem::path& path, const SceneReading& reading) {
   std::error_code error;
   if (!std::filesystem::exists(path, error)) {
-    fail({path.string(), "a scene's folder", "nothing", "check the path"});
+    fail_missing_scene(path);
   }
   if (reading.format != "auto") return scene_reader(reading.format).read(path, reading);
   const SceneReader* reader = detect_scene_format(path);
   if (reader != nullptr) return reader->read(path, reading);
 
-  std::vector<std::string> markers;
-  for (const SceneReader* known : scene_readers())
-    markers.push_back(known->marker() + " (" + known->name() + ")");
   std::vector<SceneLocation> below;
   collect_scenes(path, reading, 0, below);
   if (below.size() == 1) {
@@ -123,21 +145,18 @@ Scene open_scene(const std::filesystem::path& path, const SceneReading& reading)
     fail({path.string(), "one scene", "a folder of " + std::to_string(below.size()) + " scenes",
           "name one of them, such as " + below.front().path.string()});
   }
-  if (const auto photographs = list_images(path); !photographs.empty()) {
-    fail({path.string(), "images with cameras (one of: " + joined(markers, ", ") + ")",
-          std::to_string(photographs.size()) + " photographs without cameras",
-          "let the model estimate them with gld sample --photos " + path.string() +
-              ", or let COLMAP: colmap automatic_reconstructor --workspace_path " + path.string() +
-              "_colmap --image_path " + path.string() + ", then put its sparse/0 beside the images"});
-  }
-  fail({path.string(), "one of: " + joined(markers, ", "), "none of them",
+  refuse_bare_photographs(path);
+  fail({path.string(), "one of: " + known_markers(), "none of them",
         "check the folder or force a layout with --format"});
 }
 
 std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const SceneReading& reading) {
+  std::error_code error;
+  if (!std::filesystem::exists(root, error)) fail_missing_scene(root);
   std::vector<SceneLocation> found;
   collect_scenes(root, reading, 0, found);
   if (found.empty()) {
+    refuse_bare_photographs(root);
     fail({root.string(), "at least one scene", "none", "check the folder or force a layout with --format"});
   }
   return found;

@@ -195,10 +195,10 @@ std::vector<double> angles(const std::vector<Ray>& rays, const Pinhole& pinhole)
   return result;
 }
 
-enum class PrincipalPoint { kFree, kFixed };
+// The first so many of the turn (3), the focal lengths (2) and the principal point (2) are found.
+enum Unknowns { kTurn = 3, kTurnAndFocalLengths = 5, kAll = 7 };
 
-void refine(const std::vector<Ray>& rays, PrincipalPoint principal_point, Pinhole& pinhole) {
-  const int unknowns = principal_point == PrincipalPoint::kFree ? 7 : 5;
+void refine(const std::vector<Ray>& rays, Unknowns unknowns, Pinhole& pinhole) {
   for (int iteration = 0; iteration < 12; ++iteration) {
     const std::vector<double> weights = robust_weights(rays, angles(rays, pinhole));
     Matrix7d normal = Matrix7d::Zero();
@@ -218,8 +218,10 @@ void refine(const std::vector<Ray>& rays, PrincipalPoint principal_point, Pinhol
     if (turn.norm() > 0) {
       pinhole.rotation = Eigen::AngleAxisd(turn.norm(), turn.normalized()) * pinhole.rotation;
     }
-    pinhole.focal = pinhole.focal.cwiseProduct(Eigen::Vector2d(std::exp(step[3]), std::exp(step[4])));
-    if (unknowns == 7) pinhole.principal += pinhole.focal.cwiseProduct(step.tail<2>());
+    if (unknowns >= kTurnAndFocalLengths) {
+      pinhole.focal = pinhole.focal.cwiseProduct(Eigen::Vector2d(std::exp(step[3]), std::exp(step[4])));
+    }
+    if (unknowns == kAll) pinhole.principal += pinhole.focal.cwiseProduct(step.tail<2>());
     if (step.norm() < 1e-12) break;
   }
   pinhole.rotation = Eigen::Quaterniond(pinhole.rotation).normalized().toRotationMatrix();
@@ -252,7 +254,7 @@ Eigen::Vector3d robust_centre(const std::vector<Ray>& rays, double& origin_error
 }  // namespace
 
 RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confidence, const ImageSize& size,
-                                 const std::optional<Eigen::Vector2d>& principal_point) {
+                                 const std::optional<KnownIntrinsics>& known) {
   if (!confidence.empty() && (confidence.width != map.width || confidence.height != map.height)) {
     fail({"camera from rays",
           "confidences of the rays' size " + std::to_string(map.width) + "x" + std::to_string(map.height),
@@ -267,11 +269,14 @@ RecoveredCamera camera_from_rays(const RayMap& map, const ConfidenceMap& confide
   level_confidences(rays);
   Pinhole pinhole = pinhole_of(linear_fit(rays));
   const Eigen::Vector2d half(static_cast<double>(size.width) / 2, static_cast<double>(size.height) / 2);
-  if (principal_point) {
+  Unknowns unknowns = kAll;
+  if (known) {
     // The turn that moving the principal point asks for is found by the refinement.
-    pinhole.principal = kReach * (principal_point->cwiseQuotient(half) - Eigen::Vector2d::Ones());
+    pinhole.principal = kReach * (known->principal_point.cwiseQuotient(half) - Eigen::Vector2d::Ones());
+    if (known->focal_lengths) pinhole.focal = kReach * known->focal_lengths->cwiseQuotient(half);
+    unknowns = known->focal_lengths ? kTurn : kTurnAndFocalLengths;
   }
-  refine(rays, principal_point ? PrincipalPoint::kFixed : PrincipalPoint::kFree, pinhole);
+  refine(rays, unknowns, pinhole);
 
   RecoveredCamera recovered;
   const std::vector<double> errors = angles(rays, pinhole);

@@ -4,6 +4,7 @@
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
+#include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/scene_request.h"
@@ -197,10 +198,15 @@ class SceneMetrics {
       return;
     }
     const auto photographs = torch::cat({stacked(scene_.source_images), truth_.true_images});
+    // Of one size, so one lens, as gld sample --photos takes it.
+    const std::vector<PhotographLens> one_lens(
+        static_cast<size_t>(photographs.size(0)),
+        {0, static_cast<double>(std::max(photographs.size(2), photographs.size(3)))});
     try {
-      inputs.photo_cameras =
-          photo_cameras(geometry_of_photographs(models_.models, photographs, models_.device), photographs)
-              .cameras;
+      inputs.photo_cameras = photo_cameras(geometry_of_pictures(models_.models, photographs,
+                                                                GeometryMaps::kDepthAndRays, models_.device),
+                                           photographs, one_lens)
+                                 .cameras;
     } catch (const Error&) {
       inputs.missing[MetricNeed::kPhotoCameras] = "no camera fits the rays of a picture";
     }

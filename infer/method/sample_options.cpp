@@ -41,9 +41,15 @@ void refuse_without_effect(const SampleOptions& options) {
       fail({"--preset published", "no solver option beside it, the preset decides about all of them",
             "'" + key + "'", "leave out one of the two"});
     }
+    if (key == "photo_lens" && options.photos.files.empty()) {
+      fail({"--photo-lens", "--photos, which it is an option of", "--scene", "leave out one of the two"});
+    }
     const bool of_a_path =
         begins_with(key, "views.") && key != "views.sources" && key != "views.targets" && key != "views.path";
-    if (options.views.path.path.empty() && of_a_path) {
+    // Photographs without targets get a path, which these may shape.
+    const bool has_path =
+        !options.views.path.path.empty() || (!options.photos.files.empty() && options.views.targets.empty());
+    if (!has_path && of_a_path) {
       fail({"--" + key.substr(key.find('.') + 1), "--path, which it is an option of", "--targets",
             "leave out one of the two"});
     }
@@ -73,7 +79,13 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.texts(
       {"photos",
        "instead of a scene: photographs without cameras, files or folders; the model estimates the cameras"},
-      photos);
+      photos.files);
+  visit_choice(
+      visitor,
+      {"photo_lens",
+       "which photographs have one lens: those of one size (upright or turned), all (shared), or none "
+       "(own)"},
+      photos.lens, {"by_size", "shared", "own"});
   visitor.group({"reading", "how the scene is read"}, reading);
   visitor.group({"views", "which views"}, views);
   visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
@@ -119,14 +131,14 @@ void SampleOptions::visit(FieldVisitor& visitor) {
 }
 
 void SampleOptions::check() const {
-  if (scene.empty() && photos.empty()) {
+  if (scene.empty() && photos.files.empty()) {
     fail({"--scene", "a folder of images with cameras", "nothing",
           "add for example --scene my_photos, or --photos my_photos where there are no cameras"});
   }
-  if (!scene.empty() && !photos.empty()) {
+  if (!scene.empty() && !photos.files.empty()) {
     fail({"--scene, --photos", "one of the two", "both", "leave out --photos where the scene has cameras"});
   }
-  if (photos.empty()) views.require_complete();
+  if (photos.files.empty()) views.require_complete();
   check_out(out, "runs/sample");
   requested();
   savings();

@@ -8,6 +8,7 @@
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_placement.h"
+#include "infer/pipeline/photo_selection.h"
 #include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_scene.h"
 #include "models/dit/approximate_savings.h"
@@ -27,7 +28,7 @@ enum class SamplingPreset {
 struct SampleOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string scene;
-  std::vector<std::string> photos;  // instead of a scene: files and folders; their cameras are estimated
+  PhotoSelection photos;  // instead of a scene; their cameras are estimated
   SceneReading reading;
   ViewSelection views;
   std::string size = "auto";

@@ -100,7 +100,7 @@ Eigen::Vector4d intrinsics_of(const Camera& camera, const Camera& first) {
 
 Camera spline_camera(const std::vector<Camera>& cameras, double position) {
   if (cameras.size() < 2) {
-    fail({"spline path", "at least two source cameras", std::to_string(cameras.size()),
+    fail({"--path spline", "at least two source cameras", std::to_string(cameras.size()),
           "add sources or use --path orbit"});
   }
   const double last = static_cast<double>(cameras.size() - 1);

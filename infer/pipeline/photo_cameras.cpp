@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -17,6 +18,7 @@ namespace {
 
 constexpr double kLargestDirectionError = 5;  // degrees, as the median over a photograph's rays
 constexpr double kLargestOriginError = 0.3;   // of the spread of the centres
+constexpr double kLargestFocalSpread = 1.5;   // between photographs of one lens
 constexpr double kLargestCheck = 1.25;  // factor between depth as predicted and as the photographs match
 
 double median_of(std::vector<double> values) {
@@ -40,6 +42,39 @@ double spread_of(const std::vector<Camera>& cameras) {
   return std::sqrt(square);
 }
 
+// focal_length: in pixels, of both directions, where it is known.
+RecoveredCamera recovered_camera(const GeometryOutput& geometry, size_t photograph, const ImageSize& size,
+                                 const std::optional<double>& focal_length) {
+  const auto row = static_cast<int64_t>(photograph);
+  KnownIntrinsics known;
+  known.principal_point = {static_cast<double>(size.width) / 2, static_cast<double>(size.height) / 2};
+  if (focal_length) known.focal_lengths = Eigen::Vector2d::Constant(*focal_length);
+  try {
+    return camera_from_rays(to_ray_map(geometry.rays[row]), to_confidence_map(geometry.ray_confidence[row]),
+                            size, known);
+  } catch (const Error& error) {
+    fail({fmt::format("photograph {}", photograph), "rays that a camera fits", error.parts().found,
+          "use another model, or let COLMAP find the cameras"});
+  }
+}
+
+// Of photographs whose cameras were found each for itself.
+SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
+                       const std::vector<PhotographLens>& lenses, const std::vector<size_t>& photographs) {
+  std::vector<double> logs;
+  for (const size_t i : photographs) {
+    const Eigen::Matrix3d& intrinsics = recovered[i].camera.intrinsics;
+    logs.push_back(0.5 * std::log(intrinsics(0, 0) * intrinsics(1, 1)) - std::log(lenses[i].longer_side));
+  }
+  std::sort(logs.begin(), logs.end());
+  SharedLens shared;
+  shared.photographs = photographs;
+  shared.focal_length = std::exp(0.5 * (logs[(logs.size() - 1) / 2] + logs[logs.size() / 2]));
+  shared.lowest = std::exp(logs.front());
+  shared.highest = std::exp(logs.back());
+  return shared;
+}
+
 }  // namespace
 
 std::vector<std::string> PhotoCameras::doubts() const {
@@ -48,6 +83,13 @@ std::vector<std::string> PhotoCameras::doubts() const {
     if (recovered[i].direction_error <= kLargestDirectionError) continue;
     phrases.push_back(fmt::format("the rays of photograph {} fit no camera to better than {:.1f} degrees", i,
                                   recovered[i].direction_error));
+  }
+  for (const SharedLens& lens : lenses) {
+    if (lens.highest <= kLargestFocalSpread * lens.lowest) continue;
+    phrases.push_back(fmt::format(
+        "the {} photographs of one lens ask for focal lengths from {:.2f} to {:.2f} of their longer "
+        "side (--photo-lens own gives each its own)",
+        lens.photographs.size(), lens.lowest, lens.highest));
   }
   if (cameras.size() < 2) return phrases;
   if (!(origin_error <= kLargestOriginError * spread)) {
@@ -66,42 +108,29 @@ std::vector<std::string> PhotoCameras::doubts() const {
   return phrases;
 }
 
-GeometryOutput geometry_of_photographs(const PipelineModels& models, const torch::Tensor& photographs,
-                                       const torch::Device& device) {
-  const torch::NoGradGuard no_gradients;
-  GeometryInputs inputs;
-  LatentGrid grid;
-  {
-    const auto backbone = models.backbone();
-    const auto& architecture = backbone->architecture();
-    grid = architecture.grid_of(photographs.size(0), photographs.size(2), photographs.size(3));
-    const auto levels = backbone->encode(photographs.to(device), architecture.levels() - 1);
-    for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
-    inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
+PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& photographs,
+                           const std::vector<PhotographLens>& lenses) {
+  if (!lenses.empty() && static_cast<int64_t>(lenses.size()) != photographs.size(0)) {
+    fail({"photographs", fmt::format("a lens for each of {}", photographs.size(0)),
+          std::to_string(lenses.size()), "check what took them"});
   }
-  GeometryOutput geometry = models.dpt_head()->forward(inputs, grid, GeometryMaps::kDepthAndRays);
-  for (torch::Tensor* map :
-       {&geometry.depth, &geometry.depth_confidence, &geometry.rays, &geometry.ray_confidence}) {
-    *map = map->to(torch::kCPU);
-  }
-  return geometry;
-}
-
-PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& photographs) {
   PhotoCameras found;
   const ImageSize size{photographs.size(3), photographs.size(2)};
-  const Eigen::Vector2d middle(static_cast<double>(size.width) / 2, static_cast<double>(size.height) / 2);
-  std::vector<double> origin_errors;
-  for (int64_t i = 0; i < photographs.size(0); ++i) {
-    try {
-      found.recovered.push_back(camera_from_rays(
-          to_ray_map(geometry.rays[i]), to_confidence_map(geometry.ray_confidence[i]), size, middle));
-    } catch (const Error& error) {
-      fail({fmt::format("photograph {}", i), "rays that a camera fits", error.parts().found,
-            "use another model, or let COLMAP find the cameras"});
-    }
-    origin_errors.push_back(found.recovered.back().origin_error);
+  for (size_t i = 0; i < static_cast<size_t>(photographs.size(0)); ++i) {
+    found.recovered.push_back(recovered_camera(geometry, i, size, {}));
   }
+  std::map<int64_t, std::vector<size_t>> photographs_of;
+  for (size_t i = 0; i < lenses.size(); ++i) photographs_of[lenses[i].number].push_back(i);
+  for (const auto& [number, taken] : photographs_of) {
+    if (taken.size() < 2) continue;
+    const SharedLens shared = shared_lens(found.recovered, lenses, taken);
+    for (const size_t i : taken) {
+      found.recovered[i] = recovered_camera(geometry, i, size, shared.focal_length * lenses[i].longer_side);
+    }
+    found.lenses.push_back(shared);
+  }
+  std::vector<double> origin_errors;
+  for (const RecoveredCamera& recovered : found.recovered) origin_errors.push_back(recovered.origin_error);
   const Eigen::Isometry3d first_from_rays = found.recovered.front().camera.camera_from_world();
   for (const RecoveredCamera& recovered : found.recovered) {
     Camera camera = recovered.camera;
@@ -131,7 +160,14 @@ nlohmann::ordered_json photo_cameras_json(const PhotoCameras& found, const std::
                        {"origin_error", recovered.origin_error},
                        {"inliers", recovered.inliers}});
   }
+  auto lenses = nlohmann::ordered_json::array();
+  for (const SharedLens& lens : found.lenses) {
+    lenses.push_back({{"photographs", lens.photographs},
+                      {"focal_length", lens.focal_length},
+                      {"alone", {lens.lowest, lens.highest}}});
+  }
   nlohmann::ordered_json json{{"cameras", cameras},
+                              {"shared_lenses", lenses},
                               {"spread", found.spread},
                               {"origin_error", found.origin_error},
                               {"median_depth", found.median_depth}};
@@ -149,6 +185,11 @@ std::string photo_cameras_text(const PhotoCameras& found, const std::vector<std:
         "  {}: at ({:.3f}, {:.3f}, {:.3f}), {:.0f} degrees wide; its rays fit to {:.2f} degrees, {:.0f} % of them\n",
         names[i], centre.x(), centre.y(), centre.z(), degrees_wide(found.cameras[i]),
         recovered.direction_error, 100 * recovered.inliers);
+  }
+  for (const SharedLens& lens : found.lenses) {
+    text += fmt::format(
+        "  one lens took {} of them: its focal length is {:.3f} of the longer side ({:.3f} to {:.3f} by each alone)\n",
+        lens.photographs.size(), lens.focal_length, lens.lowest, lens.highest);
   }
   text += fmt::format("  median depth {:.3f}; the centres are {:.3f} apart, known to {:.3f}\n",
                       found.median_depth, found.spread, found.origin_error);

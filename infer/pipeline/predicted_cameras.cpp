@@ -31,10 +31,10 @@ std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const std:
   for (size_t i = 0; i < given.size(); ++i) {
     const auto view = static_cast<int64_t>(i);
     const Eigen::Vector2d principal_point = given[i].intrinsics.block<2, 1>(0, 2);
-    cameras.push_back(camera_from_rays(to_ray_map(geometry.rays[view]),
-                                       to_confidence_map(geometry.ray_confidence[view]),
-                                       {given[i].width, given[i].height}, principal_point)
-                          .camera);
+    cameras.push_back(
+        camera_from_rays(to_ray_map(geometry.rays[view]), to_confidence_map(geometry.ray_confidence[view]),
+                         {given[i].width, given[i].height}, KnownIntrinsics{principal_point, {}})
+            .camera);
   }
   return cameras;
 }

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/flow/flow.h"
+#include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/visible_pairs.h"
 #include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
@@ -228,35 +229,13 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
     fail({"geometry", "generated images, which the geometry model looks at", "none",
           "ask for images beside depth, rays or points"});
   }
-  const auto backbone = models.geometry_backbone();
-  const auto& architecture = backbone->architecture();
-  auto images = torch::cat({request.source_images, result.images}).clamp(0, 1).to(request.device);
-  const int64_t height = images.size(2), width = images.size(3), side = architecture.patch_side();
-  const auto whole = [side](int64_t length) {
-    return std::max<int64_t>(1, (length + side / 2) / side) * side;
-  };
-  const std::vector<int64_t> size = {whole(height), whole(width)};
-  if (size[0] != height || size[1] != width) {
-    images = torch::upsample_bilinear2d(images, size, /*align_corners=*/false);
-  }
-  GeometryInputs inputs;
-  const auto levels = backbone->encode(images, architecture.levels() - 1);
-  for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
-  inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
-  auto maps = models.dpt_head()->forward(inputs, architecture.grid_of(images.size(0), size[0], size[1]),
-                                         request.geometry_maps);
-  const auto finish = [&](torch::Tensor& map, bool of_pixels) {
-    if (!map.defined()) return;
-    if (of_pixels && (map.size(1) != height || map.size(2) != width)) {
-      map = torch::upsample_bilinear2d(map.unsqueeze(1), {height, width}, /*align_corners=*/false).squeeze(1);
-    }
-    if (request.geometry_views == DecodedViews::kTargets) map = map.slice(0, request.views.num_sources);
-  };
-  finish(maps.depth, true);
-  finish(maps.depth_confidence, true);
-  finish(maps.rays, false);
-  finish(maps.ray_confidence, false);
+  auto maps = geometry_of_pictures(models, torch::cat({request.source_images, result.images}),
+                                   request.geometry_maps, request.device);
   maps.points = maps.point_confidence = torch::Tensor();
+  if (request.geometry_views != DecodedViews::kTargets) return maps;
+  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence}) {
+    if (map->defined()) *map = map->slice(0, request.views.num_sources);
+  }
   return maps;
 }
 
@@ -317,11 +296,13 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       case StageKind::kGeometry: {
         if (models.geometry_backbone) {
           result.geometry = geometry_of_images(models, request, result);
+          require_finite_geometry(result.geometry, stage.name);
           return;
         }
         const auto selected = select_views(result, all_levels(result), request.geometry_views, num_sources);
         result.geometry = models.dpt_head()->forward(GeometryInputs{selected.levels, result.leading},
                                                      selected.grid, request.geometry_maps);
+        require_finite_geometry(result.geometry, stage.name);
         return;
       }
     }

@@ -146,6 +146,7 @@ void ViewSelection::visit(FieldVisitor& visitor) {
 }
 
 void ViewSelection::check() const {
+  path.check();
   refuse_repeated(*this);
   if (!targets.empty() && !path.path.empty()) {
     fail({"--targets, --path", "either target frames or a path", "both",

@@ -6,12 +6,15 @@
 #include "datasets/scenes/resize_crop.h"
 #include "gld/base/error.h"
 #include "infer/export/image_export.h"
-#include "infer/pipeline/bundle_models.h"
+#include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/sampling_scene.h"
 #include "infer/pipeline/scene_request.h"
 
+#include <algorithm>
 #include <filesystem>
+#include <map>
 #include <set>
+#include <utility>
 
 namespace gld {
 namespace {
@@ -34,6 +37,27 @@ std::vector<std::filesystem::path> photograph_files(const std::vector<std::strin
   return files;
 }
 
+// Numbers photographs by their lens.
+class LensNumbers {
+ public:
+  explicit LensNumbers(PhotoLens lens) : lens_(lens) {}
+  int64_t of(const Image& photograph) {
+    if (lens_ == PhotoLens::kShared) return 0;
+    if (lens_ == PhotoLens::kOwn) return next_++;
+    // A camera held upright turns its pictures.
+    const std::pair sides(std::min(photograph.width, photograph.height),
+                          std::max(photograph.width, photograph.height));
+    const auto [entry, is_new] = by_sides_.try_emplace(sides, next_);
+    if (is_new) ++next_;
+    return entry->second;
+  }
+
+ private:
+  PhotoLens lens_;
+  int64_t next_ = 0;
+  std::map<std::pair<int64_t, int64_t>, int64_t> by_sides_;
+};
+
 std::vector<std::string> names_of(const Scene& scene) {
   std::vector<std::string> names;
   for (const Frame& frame : scene.frames) names.push_back(frame.name);
@@ -42,15 +66,15 @@ std::vector<std::string> names_of(const Scene& scene) {
 
 }  // namespace
 
-PhotoScene photo_scene(const std::vector<std::string>& photos, const std::string& size,
-                       const ModelBundle& bundle, const torch::Device& device) {
+PhotoScene photo_scene(const PhotoSelection& selection, const std::string& size, const BundleOptions& bundle,
+                       const PipelineModels& geometry, const torch::Device& device) {
   PhotoScene made;
   Scene& scene = made.scene;
   scene.name = "photographs";
   scene.format = "photos";
   std::vector<Image> originals;
   std::set<std::string> names;
-  for (const auto& file : photograph_files(photos)) {
+  for (const auto& file : photograph_files(selection.files)) {
     Frame frame;
     frame.name = file.stem().string();
     frame.image_file = file;
@@ -63,14 +87,21 @@ PhotoScene photo_scene(const std::vector<std::string>& photos, const std::string
     frame.camera.height = originals.back().height;
     scene.frames.push_back(std::move(frame));
   }
-  const BundleOptions& model = bundle.options();
-  const ImageSize wanted = choose_size(size, scene, model.image_sizes(), model.backbone.patch_side());
+  const ImageSize wanted = choose_size(size, scene, bundle.image_sizes(), bundle.backbone.patch_side());
+  std::vector<PhotographLens> lenses;
+  LensNumbers numbers(selection.lens);
   for (const Image& original : originals) {
-    made.images.push_back(resize_crop(original, plan_resize_crop(original.width, original.height, wanted)));
+    const ResizeCrop plan = plan_resize_crop(original.width, original.height, wanted);
+    made.images.push_back(resize_crop(original, plan));
+    lenses.push_back({numbers.of(original), static_cast<double>(std::max(original.width, original.height)) *
+                                                static_cast<double>(plan.resized_width) /
+                                                static_cast<double>(plan.window_width)});
   }
   const auto photographs = stacked(made.images);
-  made.found =
-      photo_cameras(geometry_of_photographs(bundle_models(bundle, device), photographs, device), photographs);
+  const GeometryOutput seen =
+      geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
+  require_finite_geometry(seen, "the geometry of the photographs");
+  made.found = photo_cameras(seen, photographs, lenses);
   for (size_t i = 0; i < scene.frames.size(); ++i) {
     scene.frames[i].camera = made.found.cameras[i];
     scene.frames[i].load_image = [image = made.images[i]] { return image; };

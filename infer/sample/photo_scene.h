@@ -6,7 +6,9 @@
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
 #include "infer/pipeline/photo_cameras.h"
-#include "models/bundle/bundle.h"
+#include "infer/pipeline/photo_selection.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/bundle/bundle_options.h"
 
 #include <string>
 #include <vector>
@@ -23,10 +25,11 @@ struct PhotoScene {
   std::string text;  // what was found and how sure it is, for people
 };
 
-// photos: image files, and folders whose image files are taken in natural order; turned upright as EXIF says. size is that
+// Image files, and folders whose image files are taken in natural order; turned upright as EXIF says. size is that
 // of --size. Throws Error for no photograph, two of one name, and one that no camera fits.
-PhotoScene photo_scene(const std::vector<std::string>& photos, const std::string& size,
-                       const ModelBundle& bundle, const torch::Device& device);
+// geometry: the models that see the cameras (bundle_models.h).
+PhotoScene photo_scene(const PhotoSelection& selection, const std::string& size, const BundleOptions& bundle,
+                       const PipelineModels& geometry, const torch::Device& device);
 
 // photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures.
 void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenance& provenance);

@@ -22,6 +22,7 @@
 #include "infer/sample/sampling_outputs.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/part_lineage.h"
+#include "models/bundle/trained_views.h"
 
 #include <algorithm>
 #include <iostream>
@@ -113,7 +114,9 @@ void print_warnings(const std::vector<std::string>& warnings) {
 }
 
 // Where more or other views are asked for than the model was trained on, a sentence each.
-std::vector<std::string> unlike_training(const SamplingScene& scene, const BundleOptions& bundle) {
+std::vector<std::string> unlike_training(const SamplingScene& scene, const ModelBundle& model) {
+  const BundleOptions& bundle = model.options();
+  const int64_t views = trained_views(model);
   std::vector<std::string> notes;
   const auto sizes = bundle.image_sizes();
   const bool trained = std::any_of(sizes.begin(), sizes.end(), [&](const ImageSize& size) {
@@ -122,6 +125,10 @@ std::vector<std::string> unlike_training(const SamplingScene& scene, const Bundl
   if (!trained) {
     notes.push_back(fmt::format("The model was trained on images of {}, these are {}x{}.",
                                 fmt::join(bundle.trained_sizes, ", "), scene.size.width, scene.size.height));
+  }
+  if (views > 0 && scene.views.size() > views) {
+    notes.push_back(fmt::format("The model was trained on scenes of {} views, this one has {}.", views,
+                                scene.views.size()));
   }
   return notes;
 }
@@ -149,17 +156,38 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
   return std::nullopt;
 }
 
+void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& parts) {
+  for (const auto& part : parts) {
+    if (bundle.has(part)) continue;
+    fail({bundle.folder().string(), "a file " + bundle.file(part).filename().string(), "none",
+          "add the part with gld convert or gld train"});
+  }
+}
+
+PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& device) {
+  if (!bundle.options().dpt_head.exists()) {
+    fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
+          "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
+  }
+  bundle_has_all(bundle, {BundlePart::backbone(), BundlePart::dpt_head()});
+  return bundle_models(bundle, device);
+}
+
 // Reads no pixels of a scene that has cameras: what is wrong with the options, the model or the cameras, or does not fit,
 // is said first.
 PreparedSampling prepare(const SampleOptions& options) {
   const torch::Device device = device_from_text(options.device);
   const ModelBundle bundle = ModelBundle::open(options.model);
+  auto geometry_model = geometry_model_of(options, bundle);
   std::optional<PhotoScene> photos;
-  if (!options.photos.empty()) photos = photo_scene(options.photos, options.size, bundle, device);
+  if (!options.photos.files.empty()) {
+    // A geometry model that is named for the generated images sees the cameras as well.
+    photos = photo_scene(options.photos, options.size, bundle.options(),
+                         geometry_models(geometry_model ? *geometry_model : bundle, device), device);
+  }
   const Scene found = photos ? photos->scene : open_scene(options.scene, options.reading);
   const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
                                      bundle.options().backbone.patch_side());
-  auto geometry_model = geometry_model_of(options, bundle);
   ViewSelection selection = options.views;
   // Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
   if (photos && selection.sources.empty()) {
@@ -176,7 +204,7 @@ PreparedSampling prepare(const SampleOptions& options) {
                             std::move(selection),
                             std::move(views),
                             std::move(geometry_model)};
-  const auto notes = unlike_training(prepared.scene, bundle.options());
+  const auto notes = unlike_training(prepared.scene, bundle);
   prepared.scene.warnings.insert(prepared.scene.warnings.end(), notes.begin(), notes.end());
   return prepared;
 }
@@ -208,14 +236,6 @@ StageRequest stage_request(const PreparedSampling& prepared, const SampleOptions
   PlanRequest request = plan_request(prepared, options);
   request.flow.approximate = options.method(prepared.bundle.options()).approximate;
   return request.stage_request();
-}
-
-void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& parts) {
-  for (const auto& part : parts) {
-    if (bundle.has(part)) continue;
-    fail({bundle.folder().string(), "a file " + bundle.file(part).filename().string(), "none",
-          "add the part with gld convert or gld train"});
-  }
 }
 
 // The pixels of the views that were chosen without them.

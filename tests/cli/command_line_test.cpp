@@ -3,9 +3,11 @@
 #include "gld/base/error.h"
 #include "tests/support/temporary_folder.h"
 
+#include <filesystem>
 #include <iostream>
 #include <stdexcept>
 #include <streambuf>
+#include <system_error>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -184,6 +186,34 @@ TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {
   EXPECT_THAT(output_text_, testing::HasSubstr("--frame-count integer [1, 100]=4"));
   EXPECT_THAT(output_text_, testing::HasSubstr("--guidance.scale,--scale real [0, 100]=1.5"));
   EXPECT_THAT(output_text_, testing::HasSubstr("--config FILE"));
+}
+
+// A shell makes several arguments of *.jpg.
+TEST_F(CommandLine, AListTakesSeveralArguments) {
+  command_.arguments = {};
+  EXPECT_EQ(run({"paint", "--sources", "3", "4,5", "6", "--offset", "-1"}), 0);
+  EXPECT_EQ(options_->sources, (std::vector<int64_t>{3, 4, 5, 6}));
+  EXPECT_EQ(options_->offset, -1);
+  EXPECT_EQ(run({"paint", "--sources=7", "8", "--json"}), 0);
+  EXPECT_EQ(options_->sources, (std::vector<int64_t>{7, 8}));
+  EXPECT_EQ(run({"paint", "--offset", "1", "2"}), 2);  // no list
+  // Where a command takes arguments of its own, they are not the list's.
+  command_.arguments = {"FILE", 1, 2};
+  EXPECT_EQ(run({"paint", "--sources", "3", "file"}), 0);
+  EXPECT_EQ(options_->sources, (std::vector<int64_t>{3}));
+  EXPECT_EQ(arguments_, (std::vector<std::string>{"file"}));
+}
+
+// A folder that may not be looked into.
+TEST_F(CommandLine, FileSystemErrorsAreOneSentenceToo) {
+  failure_ = [] {
+    throw std::filesystem::filesystem_error("status", "scene/cameras.json",
+                                            std::make_error_code(std::errc::permission_denied));
+  };
+  EXPECT_EQ(run({"paint", "file"}), 1);
+  EXPECT_EQ(error_text_,
+            "error: scene/cameras.json: expected a file or folder that can be used, found Permission denied; "
+            "check the path and its permissions.\n");
 }
 
 }  // namespace

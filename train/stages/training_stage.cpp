@@ -10,6 +10,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/bundle/part_lineage.h"
+#include "models/bundle/trained_views.h"
 
 #include <algorithm>
 #include <iostream>
@@ -159,7 +160,12 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   install_interrupt_handler(StopDeadline::kSafePoint);
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);
-  note_what_was_trained_on(ModelBundle::open(folder.path() / "model"), stage.made);
+  const auto trained = ModelBundle::open(folder.path() / "model");
+  note_what_was_trained_on(trained, stage.made);
+  for (const auto& part : stage.made) {
+    if (part.kind == BundlePart::Kind::kGenerator)
+      note_trained_views(trained, part, options.data.views.views);
+  }
 
   nlohmann::ordered_json report = {{"command", stage.command},
                                    {"parameters", parameters},

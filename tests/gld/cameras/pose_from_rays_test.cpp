@@ -138,6 +138,32 @@ TEST(CameraFromRays, ResistsOutliersAndListensToConfidence) {
   EXPECT_LT(errors_of(camera_from_rays(mixed, confidence, {504, 280}).camera, truth).rotation, 1e-4);
 }
 
+TEST(CameraFromRays, KeepsTheFocalLengthsThatAreGiven) {
+  const Camera truth = tilted(0.8);
+  KnownIntrinsics known;
+  known.principal_point = truth.intrinsics.block<2, 1>(0, 2);
+  known.focal_lengths = Eigen::Vector2d(truth.intrinsics(0, 0), truth.intrinsics(1, 1));
+  double free_error = 0;
+  double kept_error = 0;
+  for (const uint64_t seed : {1, 2, 3, 4, 5, 6}) {
+    RayMap rays = rays_of_camera(truth, 36, 20);
+    disturb(rays, 1.0, 0, seed);
+    const Camera kept = camera_from_rays(rays, {}, {504, 280}, known).camera;
+    EXPECT_LT((kept.intrinsics - truth.intrinsics).norm(), 1e-9);
+    kept_error += errors_of(kept, truth).rotation / 6;
+    known.focal_lengths.reset();
+    free_error += errors_of(camera_from_rays(rays, {}, {504, 280}, known).camera, truth).rotation / 6;
+    known.focal_lengths = Eigen::Vector2d(truth.intrinsics(0, 0), truth.intrinsics(1, 1));
+  }
+  EXPECT_LE(kept_error, 1.02 * free_error);
+  // Wrong ones are kept as well: the camera turns as well as it can.
+  known.focal_lengths = 1.2 * *known.focal_lengths;
+  const RecoveredCamera wrong = camera_from_rays(rays_of_camera(truth, 36, 20), {}, {504, 280}, known);
+  EXPECT_NEAR(wrong.camera.intrinsics(0, 0), 1.2 * truth.intrinsics(0, 0), 1e-9);
+  EXPECT_LT(errors_of(wrong.camera, truth).rotation, 0.5);
+  EXPECT_GT(wrong.direction_error, 1);
+}
+
 TEST(CameraFromRays, KeepsThePrincipalPointThatIsGiven) {
   for (const Eigen::Vector2d& principal : {Eigen::Vector2d(252, 140), Eigen::Vector2d(310, 84)}) {
     Camera truth = tilted(0.8);
@@ -148,7 +174,7 @@ TEST(CameraFromRays, KeepsThePrincipalPointThatIsGiven) {
       RayMap rays = rays_of_camera(truth, 36, 20);
       disturb(rays, 1.0, 0, seed);
       const Camera free = camera_from_rays(rays, {}, {504, 280}).camera;
-      const Camera kept = camera_from_rays(rays, {}, {504, 280}, principal).camera;
+      const Camera kept = camera_from_rays(rays, {}, {504, 280}, KnownIntrinsics{principal, {}}).camera;
       EXPECT_NEAR(kept.intrinsics(0, 2), principal.x(), 1e-9);
       EXPECT_NEAR(kept.intrinsics(1, 2), principal.y(), 1e-9);
       EXPECT_LT(errors_of(kept, truth).focal, 0.02);

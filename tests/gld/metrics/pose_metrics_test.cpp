@@ -84,7 +84,7 @@ TEST(PoseErrors, OfCamerasThatWereFittedToExactRaysAreZero) {
   for (const Camera& camera : exact) {
     fitted.push_back(camera_from_rays(rays_of_camera(camera, kColumns, kRows), ConfidenceMap(),
                                       {camera.width, camera.height},
-                                      Eigen::Vector2d(camera.intrinsics(0, 2), camera.intrinsics(1, 2)))
+                                      KnownIntrinsics{camera.intrinsics.block<2, 1>(0, 2), {}})
                          .camera);
   }
   MetricInputs inputs;

@@ -229,7 +229,7 @@ TEST(Spline, ReproducesStraightAndEvenMotion) {
 
 TEST(Spline, NeedsTwoCameras) {
   EXPECT_EQ(test::error_of([] { spline_cameras(winding(1), 5); }),
-            "spline path: expected at least two source cameras, found 1; add sources or use --path orbit.");
+            "--path spline: expected at least two source cameras, found 1; add sources or use --path orbit.");
 }
 
 TEST(CameraPath, TakesEvenlySpreadCamerasOfAFile) {

@@ -4,6 +4,7 @@
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
+#include "datasets/images/pfm_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
@@ -16,15 +17,19 @@
 #include "infer/forecast/machine_rates.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
+#include "models/bundle/trained_views.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <filesystem>
+#include <limits>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -179,11 +184,12 @@ TEST_F(Sampling, MeasuredDepthOfASourceTellsTheScaleWhenAsked) {
 TEST_F(Sampling, PhotographsNeedNoCameras) {
   auto asked = with_shipped_model(options("photographs"));
   asked.scene.clear();
-  asked.photos = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
   asked.views.sources = {};
   asked.views.targets = {};
   asked.views.path.frames = 2;
   asked.outputs = {"image", "depth"};
+  asked.named = {"views.frames"};  // as README's command does: a path is what photographs get
   EXPECT_NO_THROW(asked.check());
   const auto report = run(asked);
   EXPECT_EQ(report.at("scene").at("sources"), 6);
@@ -191,10 +197,14 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
   EXPECT_EQ(report.at("photo_cameras").at("cameras").size(), 6U);
   EXPECT_TRUE(report.at("photo_cameras").contains("doubts"));
   EXPECT_THAT(printed_, HasSubstr("cameras estimated from the photographs:"));
+  // They are of one size, so one lens took them.
+  EXPECT_EQ(report.at("photo_cameras").at("shared_lenses").size(), 1U);
+  EXPECT_THAT(printed_, HasSubstr("one lens took 6 of them"));
   // What was estimated is a scene that the same command takes.
   const Scene estimated = open_scene(std::filesystem::path(asked.out) / "photo_scene");
   ASSERT_EQ(estimated.frames.size(), 6U);
   EXPECT_EQ(estimated.frames[0].camera.world_from_camera.matrix(), Eigen::Matrix4d::Identity());
+  EXPECT_EQ(estimated.frames[1].camera.intrinsics, estimated.frames[5].camera.intrinsics);
   EXPECT_EQ(estimated.frames[5].image().width, 112);
   EXPECT_EQ(estimated.frames[5].image().height, 112);
   asked.scene = (folder_->path() / "scene").string();
@@ -202,11 +212,134 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
       test::error_of([&] { asked.check(); }),
       "--scene, --photos: expected one of the two, found both; leave out --photos where the scene has cameras.");
   asked.scene.clear();
-  asked.photos = {(folder_->path() / "model").string()};
+  asked.photos.files = {(folder_->path() / "model").string()};
   asked.out = options("no_photographs").out;
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
-            "--photos: expected photographs, or folders of them, found '" + asked.photos[0] +
+            "--photos: expected photographs, or folders of them, found '" + asked.photos.files[0] +
                 "', which has none; check the name.");
+}
+
+TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
+  auto asked = options("two_numbers");
+  asked.views.targets = {};
+  asked.views.path.path = "orbit";
+  asked.views.path.orbit_center = {1, 2};
+  EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
+            "--orbit-center: expected three numbers, x,y,z in the scene, found 2; "
+            "write for example --orbit-center 0,0,2.5.");
+}
+
+TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
+  auto asked = options("blind");
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.outputs = {"image"};
+  BundleOptions blind = small_bundle_options();
+  blind.dpt_head = GeometryHeadOptions::none();
+  asked.model = (folder_->path() / "blind_model").string();
+  write_random_bundle(asked.model, blind, 7);
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--photos: expected a model with a geometry head, which sees the cameras, found " + asked.model +
+                "; add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
+  // Which then sees the photographs as well as the generated images.
+  asked.geometry_model = (test::source_root() / "configs" / "tiny").string();
+  asked.photos.lens = PhotoLens::kOwn;
+  asked.views.path.frames = 2;
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("photo_cameras").at("cameras").size(), 6U);
+  EXPECT_TRUE(report.at("photo_cameras").at("shared_lenses").empty());
+  asked = options("no_photos");
+  asked.named = {"photo_lens"};
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--photo-lens: expected --photos, which it is an option of, found --scene; leave out one of the two.");
+}
+
+// A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
+TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
+  const auto model = folder_->path() / "broken_head";
+  std::filesystem::copy(folder_->path() / "model", model, std::filesystem::copy_options::recursive);
+  const auto file = model / "dpt_head.safetensors";
+  const auto whole = read_all(file);
+  auto asked = options("broken");
+  asked.model = model.string();
+  asked.overwrite = true;
+  int refused = 0;
+  for (const auto& [name, tensor] : whole) {
+    if (name.find("bias") == std::string::npos || ++refused % 15 != 0) continue;
+    auto broken = whole;
+    broken[name] = tensor.clone();
+    broken[name].view({-1})[0] = std::numeric_limits<float>::quiet_NaN();
+    save_safetensors(file, broken);
+    for (const char* output : {"depth", "points"}) {
+      asked.outputs = {output};
+      testing::internal::CaptureStdout();
+      testing::internal::CaptureStderr();
+      std::string error;
+      try {
+        sample(asked);
+      } catch (const Error& thrown) {
+        error = thrown.what();
+      }
+      testing::internal::GetCapturedStdout();
+      testing::internal::GetCapturedStderr();
+      // Depth alone asks nothing of the half for rays.
+      if (error.empty()) {
+        EXPECT_EQ(std::string(output), "depth") << name;
+        continue;
+      }
+      EXPECT_THAT(error,
+                  testing::MatchesRegex("geometry: expected finite numbers, found [0-9]+ of [0-9]+ values of "
+                                        "the predicted [a-z ]+ that are not; check the geometry head's "
+                                        "weights with gld inspect and gld verify\\."))
+          << name;
+    }
+  }
+  EXPECT_GE(refused, 15);
+}
+
+// Units of a scene are free, up to what a camera's place may be.
+TEST_F(Sampling, SceneScalesGiveDepthOrOneSentence) {
+  const Scene scene = open_scene(folder_->path() / "scene");
+  for (const double scale : {1e-9, 1e10, 1e14, 1e150}) {
+    Scene scaled = scene;
+    for (Frame& frame : scaled.frames) frame.camera.world_from_camera.translation() *= scale;
+    const auto folder = folder_->path() / fmt::format("scale_{:g}", scale);
+    write_scene(scaled, "cameras-json", folder);
+    auto asked = with_shipped_model(options(fmt::format("scaled_{:g}", scale)));
+    asked.scene = folder.string();
+    asked.outputs = {"depth"};
+    if (scale > 1e12) {
+      EXPECT_THAT(test::error_of([&] { run(asked); }), HasSubstr("units of the origin")) << scale;
+      testing::internal::GetCapturedStdout();
+      testing::internal::GetCapturedStderr();
+      continue;
+    }
+    const auto report = run(asked);
+    const auto depth = read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
+    for (const float value : depth.metres) ASSERT_TRUE(std::isfinite(value) && value > 0) << scale;
+    if (!report.contains("depth_scale")) {
+      EXPECT_THAT(report.at("warnings").dump(), HasSubstr("scale of the predicted depth is not known"))
+          << scale;
+    }
+  }
+}
+
+TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
+  auto asked = options("many_views");
+  asked.model = (folder_->path() / "of_three").string();
+  write_random_bundle(asked.model, small_bundle_options(), 7);
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              testing::Not(HasSubstr("The model was trained on scenes")));
+  const auto bundle = ModelBundle::open(asked.model);
+  note_trained_views(bundle, BundlePart::of(level_model(1)), 3);
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              HasSubstr("warning: The model was trained on scenes of 3 views, this one has 4.\n"));
+  asked.views.targets = {1};
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              testing::Not(HasSubstr("The model was trained on scenes")));
 }
 
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {

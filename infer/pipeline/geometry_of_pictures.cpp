@@ -1,0 +1,68 @@
+#include "infer/pipeline/geometry_of_pictures.h"
+
+#include "gld/base/error.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include <torch/autograd.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+
+GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
+                                    GeometryMaps wanted, const torch::Device& device) {
+  const torch::NoGradGuard no_gradients;
+  const int64_t height = pictures.size(2), width = pictures.size(3);
+  auto images = pictures.clamp(0, 1).to(device);
+  GeometryInputs inputs;
+  LatentGrid grid;
+  {
+    const auto backbone = models.geometry_backbone ? models.geometry_backbone() : models.backbone();
+    const auto& architecture = backbone->architecture();
+    const int64_t side = architecture.patch_side();
+    const auto whole = [side](int64_t length) {
+      return std::max<int64_t>(1, (length + side / 2) / side) * side;
+    };
+    const std::vector<int64_t> size = {whole(height), whole(width)};
+    if (size[0] != height || size[1] != width) {
+      images = torch::upsample_bilinear2d(images, size, /*align_corners=*/false);
+    }
+    grid = architecture.grid_of(images.size(0), size[0], size[1]);
+    const auto levels = backbone->encode(images, architecture.levels() - 1);
+    for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
+    inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
+  }
+  auto maps = models.dpt_head()->forward(inputs, grid, wanted);
+  if (maps.points.defined() && (maps.points.size(1) != height || maps.points.size(2) != width)) {
+    maps.points = maps.point_confidence = torch::Tensor();  // points of other pixels are of no use
+  }
+  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence}) {
+    if (!map->defined() || (map->size(1) == height && map->size(2) == width)) continue;
+    *map = torch::upsample_bilinear2d(map->unsqueeze(1), {height, width}, /*align_corners=*/false).squeeze(1);
+  }
+  for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence,
+                             &maps.points, &maps.point_confidence}) {
+    if (map->defined()) *map = map->to(pictures.device());
+  }
+  return maps;
+}
+
+void require_finite_geometry(const GeometryOutput& geometry, const std::string& stage) {
+  const std::pair<const char*, const torch::Tensor&> maps[] = {
+      {"depth", geometry.depth},   {"confidence of depth", geometry.depth_confidence},
+      {"rays", geometry.rays},     {"confidence of rays", geometry.ray_confidence},
+      {"points", geometry.points}, {"confidence of points", geometry.point_confidence}};
+  for (const auto& [name, map] : maps) {
+    if (!map.defined()) continue;
+    const auto wrong = map.numel() - map.isfinite().sum().item<int64_t>();
+    if (wrong == 0) continue;
+    fail({stage, "finite numbers",
+          fmt::format("{} of {} values of the predicted {} that are not", wrong, map.numel(), name),
+          "check the geometry head's weights with gld inspect and gld verify"});
+  }
+}
+
+}  // namespace gld

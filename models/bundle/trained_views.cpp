@@ -1,0 +1,42 @@
+#include "models/bundle/trained_views.h"
+
+#include "gld/files/weight_file.h"
+#include "gld/tensors/weight_tensors.h"
+
+#include <algorithm>
+#include <charconv>
+#include <string>
+
+namespace gld {
+namespace {
+
+constexpr const char* kTrainedViews = "gld:trained_views";
+
+}  // namespace
+
+void note_trained_views(const ModelBundle& bundle, const BundlePart& part, int64_t views) {
+  const auto file = WeightFile::open(bundle.file(part));
+  auto metadata = file->metadata();
+  metadata[kTrainedViews] = std::to_string(views);
+  save_safetensors(
+      bundle.file(part), file->entries(),
+      [&](const TensorEntry& entry) { return read_tensor(*file, entry.name); }, metadata);
+}
+
+int64_t trained_views(const ModelBundle& bundle) {
+  int64_t fewest = 0;
+  for (const BundlePart& part : bundle_parts(bundle.options())) {
+    if (part.kind != BundlePart::Kind::kGenerator || !bundle.has(part)) continue;
+    const auto& metadata = WeightFile::open(bundle.file(part))->metadata();
+    const auto noted = metadata.find(kTrainedViews);
+    if (noted == metadata.end()) continue;
+    int64_t views = 0;
+    const char* const end = noted->second.data() + noted->second.size();
+    const auto parsed = std::from_chars(noted->second.data(), end, views);
+    if (parsed.ec != std::errc() || parsed.ptr != end || views < 1) continue;  // another program's
+    fewest = fewest == 0 ? views : std::min(fewest, views);
+  }
+  return fewest;
+}
+
+}  // namespace gld
