@@ -17,7 +17,6 @@
 #include <vector>
 
 #include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 
 namespace gld {
@@ -97,18 +96,6 @@ cv::Mat turned_upright(const cv::Mat& image, int orientation) {
   return result;
 }
 
-cv::Mat bgr_view(const Image& image, const std::string& where) {
-  if (image.width < 1 || image.height < 1 ||
-      image.rgb.size() != static_cast<size_t>(3 * image.width * image.height)) {
-    fail({where, "an image with 3 bytes a pixel", std::to_string(image.rgb.size()) + " bytes", {}});
-  }
-  const cv::Mat rgb(static_cast<int>(image.height), static_cast<int>(image.width), CV_8UC3,
-                    const_cast<uint8_t*>(image.rgb.data()));
-  cv::Mat bgr;
-  cv::cvtColor(rgb, bgr, cv::COLOR_RGB2BGR);
-  return bgr;
-}
-
 }  // namespace
 
 Image read_image(const std::filesystem::path& file, ImageOrientation orientation) {
@@ -169,11 +156,7 @@ void write_png(const std::filesystem::path& file, const Image& image) {
 }
 
 void write_jpeg(const std::filesystem::path& file, const Image& image, int quality) {
-  std::vector<uint8_t> bytes;
-  if (!cv::imencode(".jpg", bgr_view(image, file.string()), bytes, {cv::IMWRITE_JPEG_QUALITY, quality})) {
-    fail({file.string(), "to encode an image", "an encoder error", "check the installation of OpenCV"});
-  }
-  write_file_atomically(file, std::string(bytes.begin(), bytes.end()));
+  write_file_atomically(file, encode_jpeg(image, quality, file.string()));
 }
 
 void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit) {

@@ -6,6 +6,7 @@
 #include <csetjmp>
 #include <cstddef>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <new>
 
@@ -67,6 +68,45 @@ struct JpegReader {
   JpegReader(const JpegReader&) = delete;
   JpegReader& operator=(const JpegReader&) = delete;
 };
+
+struct JpegWriter {
+  JpegErrors errors;
+  jpeg_compress_struct info{};
+  unsigned char* bytes = nullptr;  // of malloc(), as libjpeg asks for them
+  unsigned long size = 0;
+
+  JpegWriter() {
+    info.err = jpeg_std_error(&errors.manager);
+    errors.manager.error_exit = leave_jpeg;
+    errors.manager.output_message = print_nothing;
+  }
+  ~JpegWriter() {
+    jpeg_destroy_compress(&info);
+    std::free(bytes);
+  }
+  JpegWriter(const JpegWriter&) = delete;
+  JpegWriter& operator=(const JpegWriter&) = delete;
+};
+
+// Whether all was written; otherwise the errors' text says why not.
+bool write_rows(JpegWriter& writer, const Image& image, int quality) {
+  if (setjmp(writer.errors.leave) != 0) return false;
+  jpeg_create_compress(&writer.info);
+  jpeg_mem_dest(&writer.info, &writer.bytes, &writer.size);
+  writer.info.image_width = static_cast<JDIMENSION>(image.width);
+  writer.info.image_height = static_cast<JDIMENSION>(image.height);
+  writer.info.input_components = 3;
+  writer.info.in_color_space = JCS_RGB;
+  jpeg_set_defaults(&writer.info);
+  jpeg_set_quality(&writer.info, quality, TRUE);
+  jpeg_start_compress(&writer.info, TRUE);
+  while (writer.info.next_scanline < writer.info.image_height) {
+    JSAMPROW row = const_cast<JSAMPROW>(image.pixel(0, writer.info.next_scanline));
+    jpeg_write_scanlines(&writer.info, &row, 1);
+  }
+  jpeg_finish_compress(&writer.info);
+  return true;
+}
 
 // Whether the header was read and the output chosen; otherwise the errors' text says why not.
 bool read_header(JpegReader& reader, const std::string& bytes) {
@@ -139,6 +179,18 @@ DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where) {
   if (!read_rows(reader, pixels.bytes.data())) fail_jpeg(reader, where);
   if (pixels.channels == 4) bgr_from_cmyk(pixels);
   return pixels;
+}
+
+std::string encode_jpeg(const Image& image, int quality, const std::string& where) {
+  if (image.empty() || static_cast<int64_t>(image.rgb.size()) != 3 * image.width * image.height) {
+    fail({where, "an image with 3 bytes a pixel", std::to_string(image.rgb.size()) + " bytes", {}});
+  }
+  JpegWriter writer;
+  if (!write_rows(writer, image, quality)) {
+    fail({where, "an image that JPEG can hold", std::string("libjpeg's answer: ") + writer.errors.text.data(),
+          "write it as PNG"});
+  }
+  return {reinterpret_cast<const char*>(writer.bytes), writer.size};
 }
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "datasets/images/decoded_pixels.h"
+#include "datasets/images/image.h"
 
 #include <string>
 
@@ -11,5 +12,9 @@ namespace gld {
 // ends up in the Error. What it cannot notice stays unnoticed, for JPEG files have no checksum. CMYK becomes blue, green,
 // red.
 DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where);
+
+// The bytes of a JPEG file of that quality, 1 to 100, with half the resolution in colour. Equal input gives equal bytes. Throws
+// Error when the image has no pixels or more in a row than the format holds.
+std::string encode_jpeg(const Image& image, int quality, const std::string& where);
 
 }  // namespace gld

@@ -8,13 +8,15 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdio>
 #include <cstdlib>
 #include <functional>
+#include <memory>
 #include <string>
+#include <vector>
 
 #include <fmt/format.h>
-#include <opencv2/core.hpp>
-#include <opencv2/imgcodecs.hpp>
+#include <png.h>
 
 namespace gld {
 namespace {
@@ -28,10 +30,35 @@ double largest_difference(const Image& image, const std::array<int, 3>& colour) 
   return largest;
 }
 
-// A file of one value per channel (OpenCV's order: blue, green, red, alpha) as the program reads it.
-double error_after_reading(const std::filesystem::path& file, int type, const cv::Scalar& value,
+// A PNG file of one value a channel: grey; red, green, blue; or these and alpha.
+void write_one_colour(const std::filesystem::path& file, int bits, const std::vector<int>& channels) {
+  constexpr png_uint_32 kWidth = 9, kHeight = 6;
+  const std::unique_ptr<FILE, int (*)(FILE*)> stream(std::fopen(file.c_str(), "wb"), &std::fclose);
+  if (stream == nullptr) fail({file.string(), "a file that can be written", "none", "free space there"});
+  png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
+  png_infop info = png_create_info_struct(png);
+  png_init_io(png, stream.get());
+  const int kind = channels.size() == 1   ? PNG_COLOR_TYPE_GRAY
+                   : channels.size() == 3 ? PNG_COLOR_TYPE_RGB
+                                          : PNG_COLOR_TYPE_RGB_ALPHA;
+  png_set_IHDR(png, info, kWidth, kHeight, bits, kind, PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT,
+               PNG_FILTER_TYPE_DEFAULT);
+  png_write_info(png, info);
+  std::vector<png_byte> row;
+  for (png_uint_32 x = 0; x < kWidth; ++x) {
+    for (const int value : channels) {
+      if (bits == 16) row.push_back(static_cast<png_byte>(value >> 8));
+      row.push_back(static_cast<png_byte>(value & 0xFF));
+    }
+  }
+  for (png_uint_32 y = 0; y < kHeight; ++y) png_write_row(png, row.data());
+  png_write_end(png, info);
+  png_destroy_write_struct(&png, &info);
+}
+
+double error_after_reading(const std::filesystem::path& file, int bits, const std::vector<int>& channels,
                            const std::array<int, 3>& colour) {
-  cv::imwrite(file.string(), cv::Mat(6, 9, type, value));
+  write_one_colour(file, bits, channels);
   return largest_difference(read_image(file), colour);
 }
 
@@ -127,14 +154,14 @@ std::vector<ExtremeRow> image_extremes(const std::filesystem::path& folder) {
   const auto add = [&](const char* situation, double error, double limit) {
     rows.push_back({"images", situation, "largest error of a channel, of 255", error, limit});
   };
-  add("8-bit colour", error_after_reading(file, CV_8UC3, {30, 20, 10}, {10, 20, 30}), 0);
-  add("all black", error_after_reading(file, CV_8UC3, {0, 0, 0}, {0, 0, 0}), 0);
-  add("all white", error_after_reading(file, CV_8UC3, {255, 255, 255}, {255, 255, 255}), 0);
-  add("16-bit colour", error_after_reading(file, CV_16UC3, {65535, 257 * 100 + 60, 0}, {0, 100, 255}), 0);
-  add("8-bit grey", error_after_reading(file, CV_8UC1, {77}, {77, 77, 77}), 0);
-  add("16-bit grey", error_after_reading(file, CV_16UC1, {257 * 100 + 60}, {100, 100, 100}), 0);
-  add("alpha 0 over white", error_after_reading(file, CV_8UC4, {0, 0, 0, 0}, {255, 255, 255}), 0);
-  add("alpha 0.2 over white", error_after_reading(file, CV_8UC4, {0, 0, 100, 51}, {224, 204, 204}), 0);
+  add("8-bit colour", error_after_reading(file, 8, {10, 20, 30}, {10, 20, 30}), 0);
+  add("all black", error_after_reading(file, 8, {0, 0, 0}, {0, 0, 0}), 0);
+  add("all white", error_after_reading(file, 8, {255, 255, 255}, {255, 255, 255}), 0);
+  add("16-bit colour", error_after_reading(file, 16, {0, 257 * 100 + 60, 65535}, {0, 100, 255}), 0);
+  add("8-bit grey", error_after_reading(file, 8, {77}, {77, 77, 77}), 0);
+  add("16-bit grey", error_after_reading(file, 16, {257 * 100 + 60}, {100, 100, 100}), 0);
+  add("alpha 0 over white", error_after_reading(file, 8, {0, 0, 0, 0}, {255, 255, 255}), 0);
+  add("alpha 0.2 over white", error_after_reading(file, 8, {100, 0, 0, 51}, {224, 204, 204}), 0);
   add("the eight EXIF orientations of a JPEG", orientation_error(folder), 4);
   rows.push_back({"images", "8:1 picture resized and cropped", "shift of a point against its pixel, pixels",
                   aspect_error(), 1e-9});

@@ -5,11 +5,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <optional>
 #include <thread>
 
 #include <torch/autograd.h>
+
+#include <nlohmann/json.hpp>
 
 namespace gld {
 namespace {
@@ -28,6 +32,7 @@ Evaluated evaluate(Objective& objective, const MicroBatch& micro, const MicroBat
   }
   Evaluated result;
   result.outcome.loss = losses.total.item<double>();
+  result.outcome.scenes = static_cast<int64_t>(micro.batch.scenes.size());
   for (const auto& [name, value] : losses.parts)
     result.outcome.parts.emplace_back(name, value.item<double>());
   if (std::isfinite(result.outcome.loss)) result.scaled_loss = losses.total * work.share;
@@ -47,14 +52,86 @@ WorkerResult compute(Objective& objective, const std::vector<torch::Tensor>& par
     const Evaluated evaluated = evaluate(objective, micro, work);
     result.outcome = evaluated.outcome;
     if (evaluated.scaled_loss.defined()) {
-      result.gradients =
-          torch::autograd::grad({evaluated.scaled_loss}, parameters, {}, /*retain_graph=*/c10::nullopt,
-                                /*create_graph=*/false, /*allow_unused=*/true);
+      result.gradients = torch::autograd::grad({evaluated.scaled_loss}, parameters, {}, /*retain_graph=*/{},
+                                               /*create_graph=*/false, /*allow_unused=*/true);
     }
   } catch (...) {
     result.error = std::current_exception();
   }
   return result;
+}
+
+std::vector<torch::Tensor> tensors_of(const FlatParameters& parameters) {
+  std::vector<torch::Tensor> tensors;
+  for (const NamedParameter& item : parameters.parameters()) tensors.push_back(item.parameter);
+  return tensors;
+}
+
+// In as many threads as there are workers.
+std::vector<WorkerResult> compute_all(Objective& objective, const FlatParameters& parameters,
+                                      const std::vector<MicroBatch>& batches, const MicroBatchWork& work) {
+  const auto workers = std::min<int64_t>(work.workers, static_cast<int64_t>(batches.size()));
+  const auto tensors = tensors_of(parameters);
+  std::vector<WorkerResult> results(batches.size());
+  std::atomic<size_t> next{0};
+  std::vector<std::thread> threads;
+  for (int64_t worker = 0; worker < workers; ++worker) {
+    threads.emplace_back([&] {
+      for (size_t index = next++; index < batches.size(); index = next++) {
+        results[index] = compute(objective, tensors, batches[index], work);
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  return results;
+}
+
+void add_to(FlatParameters& parameters, const std::vector<torch::Tensor>& gradients) {
+  for (size_t i = 0; i < gradients.size(); ++i) {
+    if (gradients[i].defined()) parameters.part(parameters.gradients(), i).add_(gradients[i]);
+  }
+}
+
+// Numbers as hexadecimal text: JSON has no infinities, and every bit counts.
+std::string number_text(double value) {
+  char text[40];
+  std::snprintf(text, sizeof(text), "%a", value);
+  return text;
+}
+
+std::string text_of(const MicroBatchOutcome& outcome) {
+  nlohmann::json parts = nlohmann::json::array();
+  for (const auto& [name, value] : outcome.parts) parts.push_back({name, number_text(value)});
+  return nlohmann::json({{"loss", number_text(outcome.loss)}, {"scenes", outcome.scenes}, {"parts", parts}})
+      .dump();
+}
+
+MicroBatchOutcome outcome_from(const std::string& text) {
+  const auto values = nlohmann::json::parse(text);
+  const auto number = [](const nlohmann::json& value) {
+    return std::strtod(value.get_ref<const std::string&>().c_str(), nullptr);
+  };
+  MicroBatchOutcome outcome;
+  outcome.loss = number(values.at("loss"));
+  outcome.scenes = values.at("scenes").get<int64_t>();
+  for (const auto& part : values.at("parts")) {
+    outcome.parts.emplace_back(part.at(0).get<std::string>(), number(part.at(1)));
+  }
+  return outcome;
+}
+
+// From what every process gave: a list of its outcomes, in the order in which it computed them.
+std::vector<MicroBatchOutcome> outcomes_in_order(const std::vector<std::string>& of_processes,
+                                                 int64_t micro_batches) {
+  std::vector<nlohmann::json> lists;
+  for (const std::string& text : of_processes) lists.push_back(nlohmann::json::parse(text));
+  const auto processes = static_cast<int64_t>(lists.size());
+  std::vector<MicroBatchOutcome> outcomes;
+  for (int64_t micro = 0; micro < micro_batches; ++micro) {
+    const auto& list = lists[static_cast<size_t>(process_of_micro_batch(micro, processes))];
+    outcomes.push_back(outcome_from(list.at(static_cast<size_t>(micro / processes)).get<std::string>()));
+  }
+  return outcomes;
 }
 
 }  // namespace
@@ -72,28 +149,46 @@ std::vector<MicroBatchOutcome> add_gradients(Objective& objective, FlatParameter
     }
     return outcomes;
   }
-  std::vector<torch::Tensor> tensors;
-  for (const NamedParameter& item : parameters.parameters()) tensors.push_back(item.parameter);
-  std::vector<WorkerResult> results(batches.size());
-  std::atomic<size_t> next{0};
-  std::vector<std::thread> threads;
-  for (int64_t worker = 0; worker < workers; ++worker) {
-    threads.emplace_back([&] {
-      for (size_t index = next++; index < batches.size(); index = next++) {
-        results[index] = compute(objective, tensors, batches[index], work);
-      }
-    });
-  }
-  for (std::thread& thread : threads) thread.join();
+  const auto results = compute_all(objective, parameters, batches, work);
   const torch::NoGradGuard no_grad;
   for (const WorkerResult& result : results) {
     if (result.error) std::rethrow_exception(result.error);
     outcomes.push_back(result.outcome);
-    for (size_t i = 0; i < result.gradients.size(); ++i) {
-      if (result.gradients[i].defined()) parameters.part(parameters.gradients(), i).add_(result.gradients[i]);
-    }
+    add_to(parameters, result.gradients);
   }
   return outcomes;
+}
+
+std::vector<MicroBatchOutcome> add_gradients_of_all(ProcessTeam& team, Objective& objective,
+                                                    FlatParameters& parameters,
+                                                    const std::vector<MicroBatch>& own, int64_t micro_batches,
+                                                    const MicroBatchWork& work) {
+  const torch::Tensor& gradients = parameters.gradients();
+  auto owned_sum = torch::zeros({team.piece_length(gradients.numel())}, gradients.options());
+  // Several workers compute all of this process's micro-batches at once; one takes them in turn, and keeps one gradient.
+  std::vector<WorkerResult> at_once;
+  if (work.workers > 1) at_once = compute_all(objective, parameters, own, work);
+  const auto tensors = tensors_of(parameters);
+  std::vector<std::string> mine;
+  // Round r adds the micro-batches r * count to (r + 1) * count - 1, one of each process.
+  const int64_t rounds = (micro_batches + team.count() - 1) / team.count();
+  for (int64_t round = 0; round < rounds; ++round) {
+    const auto index = static_cast<size_t>(round);
+    parameters.zero_gradients();
+    if (index < own.size()) {
+      const WorkerResult result =
+          work.workers > 1 ? std::move(at_once[index]) : compute(objective, tensors, own[index], work);
+      if (result.error) std::rethrow_exception(result.error);
+      const torch::NoGradGuard no_grad;
+      add_to(parameters, result.gradients);
+      mine.push_back(text_of(result.outcome));
+    }
+    // A process without a micro-batch, or with one whose loss is not finite, adds zeros, which change no bit.
+    team.add_at_owners(gradients, owned_sum);
+  }
+  torch::Tensor whole = gradients;
+  team.gather_pieces(owned_sum, whole);
+  return outcomes_in_order(team.gather(nlohmann::json(mine).dump()), micro_batches);
 }
 
 }  // namespace gld

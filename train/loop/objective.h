@@ -54,6 +54,8 @@ class Objective {
   virtual std::vector<NamedParameter> parameters() const = 0;
   // Whether losses() may be called from several threads at the same time.
   virtual bool concurrent() const { return false; }
+  // Whether micro-batches may be computed in different processes: losses() leaves nothing that after_step() takes.
+  virtual bool spreads_over_processes() const { return true; }
   // Losses averaged over the scenes of a micro-batch, with gradients.
   virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
   // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.

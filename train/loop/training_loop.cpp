@@ -11,6 +11,7 @@
 #include "train/loop/loss_curve.h"
 #include "train/loop/metrics_log.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -37,7 +38,8 @@ struct StepOutcome {
   bool finite = false;
   double loss = 0.0;
   double gradient_norm = 0.0;
-  std::string problem;  // what was not finite
+  std::string problem;      // what was not finite
+  int64_t micro_batch = 0;  // and of which
   int64_t scenes = 0;
   std::vector<std::pair<std::string, double>> parts;  // means over the micro-batches
 };
@@ -83,6 +85,28 @@ class DividedThreads {
   int before_;
 };
 
+// Those of a run's batches that one process computes, in order.
+class BatchesOfProcess final : public TrainingBatchSource {
+ public:
+  BatchesOfProcess(std::shared_ptr<const TrainingBatchSource> all, const ProcessTeam& team, int64_t first,
+                   int64_t micro_batches)
+      : all_(std::move(all)), first_(first), micro_batches_(micro_batches) {
+    for (int64_t micro = 0; micro < micro_batches; ++micro) {
+      if (process_of_micro_batch(micro, team.count()) == team.rank()) own_.push_back(micro);
+    }
+  }
+  TrainingBatch batch(int64_t index) const override {
+    const auto own = static_cast<int64_t>(own_.size());
+    return all_->batch(first_ + index / own * micro_batches_ + own_[static_cast<size_t>(index % own)]);
+  }
+
+ private:
+  std::shared_ptr<const TrainingBatchSource> all_;
+  int64_t first_;
+  int64_t micro_batches_;
+  std::vector<int64_t> own_;  // micro-batches of a step
+};
+
 class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
@@ -98,6 +122,16 @@ class Session {
   TrainingSummary run();
 
  private:
+  // Rank 0 restores, logs, validates and writes for all.
+  bool leads() const { return run_.team == nullptr || run_.team->rank() == 0; }
+  bool computes(int64_t micro) const {
+    return run_.team == nullptr || process_of_micro_batch(micro, run_.team->count()) == run_.team->rank();
+  }
+  void check_team() const;
+  void read_checkpoint(TrainingStart start);
+  void take_state_of_first_process();
+  void begin_feed();
+  bool stop_requested() const;
   StepOutcome forward_backward();
   void count_non_finite(const StepOutcome& outcome);
   void save_offending_batch() const;
@@ -178,7 +212,63 @@ void Session::check_fits(const Checkpoint& checkpoint, const std::string& where)
   }
 }
 
+void Session::check_team() const {
+  if (run_.team == nullptr) return;
+  const int64_t processes = run_.team->count();
+  if (options_.micro_batches < processes) {
+    fail({"loop.micro_batches", "at least one for each of " + std::to_string(processes) + " processes",
+          std::to_string(options_.micro_batches), "raise it, or start fewer processes"});
+  }
+  if (!objective_.spreads_over_processes()) {
+    fail({"--processes.count", "1 for an objective with a discriminator, which learns from all of a step",
+          std::to_string(processes), "train it in one process, with more threads"});
+  }
+}
+
 void Session::restore(TrainingStart start) {
+  check_team();
+  if (leads()) read_checkpoint(start);
+  if (run_.team != nullptr) take_state_of_first_process();
+  if (leads()) metrics_.emplace(run_.folder / "metrics.jsonl", step_);
+  begin_feed();
+}
+
+void Session::take_state_of_first_process() {
+  ProcessTeam& team = *run_.team;
+  nlohmann::json counts;
+  if (leads()) counts = {step_, batch_index_, skipped_, skipped_in_a_row_};
+  counts = nlohmann::json::parse(team.gather(counts.dump()).front());
+  step_ = counts.at(0).get<int64_t>();
+  batch_index_ = counts.at(1).get<int64_t>();
+  skipped_ = counts.at(2).get<int64_t>();
+  skipped_in_a_row_ = counts.at(3).get<int64_t>();
+  torch::Tensor values = parameters_.values();
+  team.broadcast(values, 0);
+  auto state = optimiser_.state();
+  for (auto& [name, tensor] : state) team.broadcast(tensor, 0);
+  optimiser_.load_state(state, "the state of rank 0");
+  auto beside = objective_.state();
+  for (auto& [name, tensor] : beside) team.broadcast(tensor, 0);
+  objective_.load_state(beside, "the state of rank 0");
+  torch::Tensor random = generator_.get_state();
+  team.broadcast(random, 0);
+  generator_.set_state(random);
+}
+
+void Session::begin_feed() {
+  PrefetchOptions feed;
+  feed.first = batch_index_;
+  feed.threads = options_.loader_threads;
+  feed.ahead = 2 * std::max<int64_t>(options_.loader_threads, 1) + 1;
+  auto data = run_.data;
+  if (run_.team != nullptr) {
+    data = std::make_shared<BatchesOfProcess>(data, *run_.team, batch_index_, options_.micro_batches);
+    feed.first = 0;
+  }
+  feed_ = std::make_unique<BatchPrefetcher>(data, feed);
+}
+
+void Session::read_checkpoint(TrainingStart start) {
   check_training_start(run_.folder, start);
   const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
     check_fits(checkpoint, where);
@@ -218,12 +308,13 @@ void Session::restore(TrainingStart start) {
     const auto& best = checkpoint.metadata.at("best");
     if (best.is_number()) best_ = best.get<double>();
   }
-  metrics_.emplace(run_.folder / "metrics.jsonl", step_);
-  PrefetchOptions feed;
-  feed.first = batch_index_;
-  feed.threads = options_.loader_threads;
-  feed.ahead = 2 * std::max<int64_t>(options_.loader_threads, 1) + 1;
-  feed_ = std::make_unique<BatchPrefetcher>(run_.data, feed);
+}
+
+// All stop after the same step.
+bool Session::stop_requested() const {
+  if (run_.team == nullptr) return interrupt_requested();
+  const auto all = run_.team->gather(interrupt_requested() ? "stop" : "");
+  return std::find(all.begin(), all.end(), "stop") != all.end();
 }
 
 Checkpoint Session::kept_snapshot(const torch::Tensor& values) const {
@@ -271,9 +362,8 @@ StepOutcome Session::forward_backward() {
     const auto seed = torch::randint(0, std::numeric_limits<int64_t>::max(), {1}, generator_, torch::kInt64);
     StepContext own = context();
     own.generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed.item<int64_t>()));
-    batches.push_back({feed_->next(), own});
     ++batch_index_;
-    outcome.scenes += static_cast<int64_t>(batches.back().batch.scenes.size());
+    if (computes(micro)) batches.push_back({feed_->next(), own});
   }
   MicroBatchWork work;
   work.precision = options_.precision;
@@ -282,10 +372,17 @@ StepOutcome Session::forward_backward() {
   Averages parts;
   double loss_sum = 0.0;
   last_batch_ = batches.back().batch;
-  const auto results = add_gradients(objective_, parameters_, batches, work);
+  const auto results = run_.team == nullptr ? add_gradients(objective_, parameters_, batches, work)
+                                            : add_gradients_of_all(*run_.team, objective_, parameters_,
+                                                                   batches, options_.micro_batches, work);
+  const auto processes = static_cast<size_t>(run_.team == nullptr ? 1 : run_.team->count());
   for (size_t micro = 0; micro < results.size(); ++micro) {
+    outcome.scenes += results[micro].scenes;
     if (!std::isfinite(results[micro].loss)) {
-      if (outcome.finite) last_batch_ = batches[micro].batch;
+      if (outcome.finite) {
+        outcome.micro_batch = static_cast<int64_t>(micro);
+        if (computes(outcome.micro_batch)) last_batch_ = batches[micro / processes].batch;
+      }
       outcome.finite = false;
       outcome.problem = "a loss of " + six_digits(results[micro].loss);
       continue;
@@ -339,7 +436,7 @@ void Session::count_non_finite(const StepOutcome& outcome) {
   ++skipped_;
   ++skipped_in_a_row_;
   if (skipped_in_a_row_ < options_.stop_after_non_finite) return;
-  save_offending_batch();
+  if (computes(outcome.micro_batch)) save_offending_batch();
   fail({"training step " + std::to_string(step_), "finite losses and gradients",
         outcome.problem + " (" + std::to_string(skipped_in_a_row_) + " skipped steps in a row)",
         "look at the batch in " + (run_.folder / "non_finite" / "batch.safetensors").string() +
@@ -376,7 +473,9 @@ TrainingSummary Session::run() {
   const int64_t first_step = step_;
   stop_.emplace(checkpoints_);
   std::optional<Progress> progress;
-  if (first_step < options_.steps) {
+  if (!leads()) {
+    // Rank 0 speaks for all.
+  } else if (first_step < options_.steps) {
     progress.emplace("training the " + objective_.kind(), options_.steps - first_step);
   } else {
     messages_.push_back(fmt::format("nothing to train: the run is at step {} of {}", step_, options_.steps));
@@ -385,8 +484,10 @@ TrainingSummary Session::run() {
   int64_t scenes = 0;
   auto logged = std::chrono::steady_clock::now();
   while (step_ < options_.steps) {
-    if (interrupt_requested()) {
-      const auto file = checkpoints_.save(snapshot());
+    if (stop_requested()) {
+      std::filesystem::path file = checkpoints_.path();
+      if (leads()) file = checkpoints_.save(snapshot());
+      if (run_.team != nullptr) run_.team->finish();
       throw Interrupted("training stopped after step " + std::to_string(step_) +
                         "; continue with --resume (" + file.string() + ")");
     }
@@ -409,6 +510,7 @@ TrainingSummary Session::run() {
     }
     ++step_;
     const bool last = step_ == options_.steps;
+    if (!leads()) continue;
     if (step_ % options_.log_every == 0 || last) {
       const auto now = std::chrono::steady_clock::now();
       const double seconds = std::chrono::duration<double>(now - logged).count();
@@ -419,6 +521,9 @@ TrainingSummary Session::run() {
       line["learning_rate"] = rate;
       line["samples_per_second"] = static_cast<double>(scenes) / std::max(seconds, 1e-9);
       line["data_wait_fraction"] = waited / std::max(seconds, 1e-9);
+      if (run_.team != nullptr) {
+        line["communication_fraction"] = run_.team->take_communication_seconds() / std::max(seconds, 1e-9);
+      }
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
@@ -437,7 +542,7 @@ TrainingSummary Session::run() {
     if (step_ % options_.checkpoint_every == 0 || last) checkpoints_.save(snapshot());
   }
   if (progress) progress->finish();
-  {
+  if (leads()) {
     const torch::NoGradGuard no_grad;
     const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values()));
     const AverageInPlace average(parameters_, optimiser_);

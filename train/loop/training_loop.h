@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "train/data/batch_prefetcher.h"
+#include "train/distributed/process_team.h"
 #include "train/loop/micro_batches.h"
 #include "train/loop/objective.h"
 #include "train/optim/learning_rate.h"
@@ -41,13 +42,16 @@ enum class TrainingStart {
 
 // Where a run gets its work from and where it writes.
 struct TrainingRun {
-  std::filesystem::path folder;  // exists
+  std::filesystem::path folder;  // exists; of several processes rank 0 reads and writes there
   Objective* objective = nullptr;
   std::shared_ptr<const TrainingBatchSource> data;
   std::vector<TrainingScene> validation_scenes;
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
+  // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are spread
+  // over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
+  ProcessTeam* team = nullptr;
 };
 
 struct TrainingSummary {

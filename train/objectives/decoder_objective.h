@@ -78,6 +78,7 @@ class DecoderObjective : public Objective {
   std::string kind() const override { return "decoder"; }
   torch::Device device() const override { return placement_.device; }
   bool concurrent() const override { return discriminator_ == nullptr; }
+  bool spreads_over_processes() const override { return discriminator_ == nullptr; }
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   std::vector<std::pair<std::string, double>> after_step(const StepContext& context) override;

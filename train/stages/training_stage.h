@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "models/bundle/bundle.h"
 #include "train/data/training_data.h"
+#include "train/distributed/process_placement.h"
 #include "train/loop/objective.h"
 #include "train/loop/training_loop.h"
 
@@ -31,6 +32,7 @@ struct TrainOptions : OptionsGroup {
   std::string device = "cpu";
   int64_t threads = 0;
   ExportPrecision weights = ExportPrecision::kFloat32;
+  ProcessesOptions processes;
   TrainingDataOptions data;
   TrainingLoopOptions loop;
 
@@ -56,7 +58,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                             const std::vector<std::string>& may_change);
 
 // Runs a stage: run folder with the resolved configuration (all_options), loop, model/, report.json. Returns the
-// closing box as text. draw may be empty.
+// closing box as text, an empty one where another process writes the run folder. draw may be empty.
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw);
 

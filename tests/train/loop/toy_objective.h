@@ -3,10 +3,12 @@
 #include "gld/base/atomic_file.h"
 #include "train/data/batch_prefetcher.h"
 #include "train/loop/objective.h"
+#include "train/loop/training_loop.h"
 
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <string>
 #include <thread>
