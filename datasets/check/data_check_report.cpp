@@ -1,6 +1,7 @@
 #include "datasets/check/data_check.h"
 #include "datasets/images/image_file.h"
 #include "datasets/pictures/camera_layout_picture.h"
+#include "gld/base/json_text.h"
 #include "gld/base/printable_text.h"
 #include "gld/report/run_folder.h"
 
@@ -147,7 +148,7 @@ int run_data_check(const std::filesystem::path& path, const DataCheckOptions& op
     run->note("report", "report.json");
   }
   if (options.json) {
-    std::cout << report.dump(2) << "\n";
+    std::cout << json_text(report, 2) << "\n";
   } else {
     if (scenes.size() < found) {
       std::cout << fmt::format("{} of {} scenes were checked; --most-scenes {} checks all\n", scenes.size(),

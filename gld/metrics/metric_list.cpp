@@ -71,6 +71,7 @@ namespace gld {
   METRIC(reprojection_score)                          \
   METRIC(reprojection_pixels)                         \
   METRIC(reprojection_agreement)                      \
+  METRIC(reprojection_baseline_ratio)                 \
   METRIC(met3r_like)                                  \
   METRIC(met3r_like_coverage)                         \
   METRIC(met3r_like_true_geometry)                    \

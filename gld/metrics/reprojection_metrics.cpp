@@ -86,6 +86,34 @@ class DepthSurface {
 
 }  // namespace
 
+namespace {
+
+double centre_spread(const std::vector<Camera>& cameras) {
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  const auto count = static_cast<double>(cameras.size());
+  for (const Camera& camera : cameras) mean += camera.world_from_camera.translation() / count;
+  double squares = 0;
+  for (const Camera& camera : cameras)
+    squares += (camera.world_from_camera.translation() - mean).squaredNorm();
+  return std::sqrt(squares / count);
+}
+
+// NaN without a known pixel.
+double median_known_depth(const torch::Tensor& depth) {
+  const auto values = depth.to(torch::kCPU, torch::kFloat64);
+  const auto known = values.masked_select(values.isfinite() & (values > 0));
+  return known.numel() > 0 ? known.median().item<double>() : std::numeric_limits<double>::quiet_NaN();
+}
+
+}  // namespace
+
+double baseline_ratio(const std::vector<Camera>& cameras, const torch::Tensor& depth,
+                      const std::vector<Camera>& true_cameras, const torch::Tensor& true_depth) {
+  const double truth = centre_spread(true_cameras) / median_known_depth(true_depth);
+  if (!(truth > 0)) return std::numeric_limits<double>::quiet_NaN();
+  return centre_spread(cameras) / median_known_depth(depth) / truth;
+}
+
 std::vector<ColouredPoint> coloured_points(const torch::Tensor& images, const torch::Tensor& depth,
                                            const std::vector<Camera>& cameras) {
   require_depth_of_cameras(depth, cameras);
@@ -255,6 +283,19 @@ Metric reprojection_score_metric() {
 
 Metric reprojection_pixels_metric() {
   return round_trip_metric("reprojection_pixels", "pixels", Better::kLower, &RoundTrip::pixels);
+}
+
+Metric reprojection_baseline_ratio_metric() {
+  return {"reprojection_baseline_ratio",
+          "",
+          Better::kNearOne,
+          {MetricNeed::kViewGeometry, MetricNeed::kAllTrueDepth},
+          [](const MetricInputs& inputs) {
+            const double ratio = baseline_ratio(inputs.estimated_cameras, inputs.view_depth,
+                                                inputs.views.cameras, inputs.all_true_depth);
+            return metric_of_views(torch::full({1}, ratio, torch::kFloat64),
+                                   "the scene's cameras stand at one place, or no depth is known");
+          }};
 }
 
 Metric reprojection_agreement_metric() {

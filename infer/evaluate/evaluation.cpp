@@ -8,6 +8,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -385,7 +386,7 @@ std::string evaluate(const EvaluationOptions& options) {
   folder.note("report", "report.json");
   if (by_count.front().size() > 1) folder.note("plots", "plots");
   if (options.pictures > 0) folder.note("pictures", "sheets");
-  if (options.json) return report.dump(2) + "\n";
+  if (options.json) return json_text(report, 2) + "\n";
   std::string text;
   if (by_count.size() == 1) text = evaluation_text(summary);
   for (const auto& scenes : by_count) {

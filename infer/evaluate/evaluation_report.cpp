@@ -66,6 +66,11 @@ const EvaluationColumn* column_of(const Metric& metric, Predictor predictor) {
 
 std::string with_interval(const nlohmann::ordered_json& statistics, const std::string& unit) {
   if (statistics.at("mean").is_null()) return statistics.contains("infinite") ? "infinite" : "absent";
+  const double mean = statistics.at("mean").get<double>();
+  // A small number keeps two digits of its own.
+  if (mean != 0 && std::abs(mean) < 0.01) {
+    return fmt::format("{:.1e} +- {:.1e}", mean, statistics.at("confidence_95").get<double>());
+  }
   const int digits = unit == "dB" || unit == "degrees" ? 2 : 3;
   return fmt::format("{:.{}f} +- {:.{}f}", statistics.at("mean").get<double>(), digits,
                      statistics.at("confidence_95").get<double>(), digits);
@@ -121,6 +126,7 @@ std::string geometry_table(const nlohmann::ordered_json& means) {
   for (const Metric& metric : metric_list()) {
     if (metric.of_images()) continue;
     const auto& statistics = means.at(metric.name);
+    if (statistics.at("scenes") == 0 && !statistics.contains("infinite")) continue;  // absent_text says why
     table.add_row({name_with_unit(metric), with_interval(statistics, metric.unit),
                    std::to_string(statistics.at("scenes").get<int64_t>())});
   }

@@ -195,6 +195,7 @@ RequestedOutputs SampleOptions::requested() const {
     }
   }
   if (outputs.empty()) fail({"--outputs", "at least one output", "none", "add for example --outputs image"});
+  requested.geometry_of_images = !geometry_model.empty();
   return requested;
 }
 

@@ -38,16 +38,19 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   return models;
 }
 
+void require_geometry_head(const ModelBundle& bundle) {
+  if (bundle.options().dpt_head.exists()) return;
+  fail({"--geometry-model", "a bundle with a geometry head", bundle.folder().string() + ", which has none",
+        "choose a DA3 or VGGT model"});
+}
+
 void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const torch::Device& device) {
-  if (!bundle.options().dpt_head.exists()) {
-    fail({"--geometry-model", "a bundle with a geometry head", bundle.folder().string() + ", which has none",
-          "choose a DA3 or VGGT model"});
-  }
+  require_geometry_head(bundle);
   const auto shared = std::make_shared<const ModelBundle>(bundle);
   ParameterPlacement placement;
   placement.device = device;
   models.geometry_backbone = [=] { return shared->load_backbone(placement); };
-  models.dpt_head = [=] { return shared->load_dpt_head(placement); };
+  models.geometry_head = [=] { return shared->load_dpt_head(placement); };
 }
 
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device,

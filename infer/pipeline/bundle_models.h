@@ -19,6 +19,8 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device,
                                   ComputePrecision precision = ComputePrecision::kFloat32);
 
+// Throws Error, naming --geometry-model, where a bundle has no geometry head.
+void require_geometry_head(const ModelBundle& bundle);
 // Depth and rays then come from that bundle, which looks at the generated images. Error where it has no geometry head.
 void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const torch::Device& device);
 

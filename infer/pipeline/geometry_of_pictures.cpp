@@ -35,7 +35,8 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
     for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
     inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
   }
-  auto maps = models.dpt_head()->forward(inputs, grid, wanted);
+  const auto head = models.geometry_head ? models.geometry_head() : models.dpt_head();
+  auto maps = head->forward(inputs, grid, wanted);
   const auto resized = [&](const torch::Tensor& channels_first) {
     return torch::upsample_bilinear2d(channels_first, {height, width}, /*align_corners=*/false);
   };

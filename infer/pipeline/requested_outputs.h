@@ -12,12 +12,14 @@ struct RequestedOutputs {
   bool rays = false;
   bool points = false;
   bool latents = false;
+  bool geometry_of_images = false;  // geometry is what another model sees in the generated images
 
   bool needs_depth() const { return depth || points; }
   // Depth takes its scale from the rays too, and its cameras where that leaves the scale open.
   bool needs_rays() const { return rays || needs_depth(); }
   bool needs_geometry() const { return needs_depth() || needs_rays(); }
-  bool needs_image() const { return image || points; }  // points are coloured by the images
+  // Points are coloured by the images.
+  bool needs_image() const { return image || points || (geometry_of_images && needs_geometry()); }
 
   DecodedViews image_views() const { return needs_image() ? DecodedViews::kTargets : DecodedViews::kNone; }
   DecodedViews geometry_views() const {

@@ -36,9 +36,10 @@ struct PipelineModels {
   std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
   std::function<std::shared_ptr<ImageDecoder>()> rgb_decoder;
   std::function<std::shared_ptr<GeometryHead>()> dpt_head;
-  // The backbone that dpt_head belongs to, where geometry is that of another model, which looks at the generated images;
-  // empty where it is read off the model's own levels.
+  // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read off
+  // the model's own levels by dpt_head.
   std::function<std::shared_ptr<Backbone>()> geometry_backbone;
+  std::function<std::shared_ptr<GeometryHead>()> geometry_head;
   std::vector<LevelStatistics> statistics;  // of what each generator makes
 };
 

@@ -78,6 +78,9 @@ void visit_frames(FieldVisitor& visitor, const Field& field, std::vector<FrameCh
   visitor.texts(field, texts);
   frames.clear();
   for (const auto& text : texts) {
+    if (text.empty()) {
+      fail({"--" + field.name, "frame numbers or names", "nothing between two commas", "remove one of them"});
+    }
     int64_t number = 0;
     const auto end = text.data() + text.size();
     const auto parsed = std::from_chars(text.data(), end, number);
@@ -208,7 +211,8 @@ SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& asked
   return sampling;
 }
 
-void load_source_depths(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling) {
+void load_source_depths(const Scene& scene, const ViewSelection& asked, SamplingScene& sampling) {
+  const ViewSelection selection = looked_up(asked, scene);
   sampling.source_depths.clear();
   for (const int64_t number : selection.sources) {
     const Frame& frame = frame_of(scene, number, "--sources");

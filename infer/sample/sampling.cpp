@@ -5,6 +5,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
@@ -159,6 +160,7 @@ void check_lifting(const SampleOptions& options, const ModelBundle& geometry_mod
 std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
   if (!options.geometry_model.empty()) {
     auto geometry_model = ModelBundle::open(options.geometry_model);
+    require_geometry_head(geometry_model);
     check_lifting(options, geometry_model);
     return geometry_model;
   }
@@ -189,6 +191,13 @@ PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& d
   return bundle_models(bundle, device);
 }
 
+// View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
+void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, int64_t sources) {
+  const bool visible = options.method(bundle.options()).approximate.view_pairs == ViewPairs::kVisible;
+  if (!visible || sources < 2 || bundle.options().dpt_head.exists()) return;
+  fail({"--approximate.view-pairs", "all for a model without a geometry head", "visible", "leave it out"});
+}
+
 // Reads no pixels of a scene that has cameras: what is wrong with the options, the model or the cameras, or does not fit,
 // is said first.
 PreparedSampling prepare(const SampleOptions& options) {
@@ -213,6 +222,7 @@ PreparedSampling prepare(const SampleOptions& options) {
     selection.path.path = found.frames.size() > 1 ? "spline" : "orbit";
   }
   SamplingScene views = sampling_views(found, selection, size);
+  check_view_pairs(options, bundle, views.views.num_sources);
   PreparedSampling prepared{device,
                             bundle,
                             std::move(photos),
@@ -340,7 +350,7 @@ std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing
                                         {"predicted_peak_bytes", planned.plan.peak_bytes()},
                                         {"rates", planned.speed_origin},
                                         {"warnings", warnings}};
-    return report.dump(2) + "\n";
+    return json_text(report, 2) + "\n";
   }
   std::string text = scene_line(prepared.scene) + planned_text(planned);
   for (const auto& warning : warnings) text += "warning: " + warning + "\n";
@@ -355,11 +365,12 @@ void sample(const SampleOptions& options) {
   PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   SamplingScene& scene = prepared.scene;
-  auto parts = needed_parts(bundle.options(), stage_request(prepared, options));
+  const StageRequest stage_wishes = stage_request(prepared, options);
+  auto parts = needed_parts(bundle.options(), stage_wishes);
   if (prepared.geometry_model) {
-    // Its backbone and head look at the generated images; this bundle's head is not asked.
+    // Its backbone and head look at the generated images; this bundle's head is asked for view pairs alone.
     const auto head = std::find(parts.begin(), parts.end(), BundlePart::dpt_head());
-    if (head != parts.end()) parts.erase(head);
+    if (head != parts.end() && !stage_wishes.source_depth()) parts.erase(head);
     bundle_has_all(*prepared.geometry_model, {BundlePart::backbone(), BundlePart::dpt_head()});
   }
   bundle_has_all(bundle, parts);
@@ -398,9 +409,11 @@ void sample(const SampleOptions& options) {
   provenance.seed = options.seed;
   provenance.precision = precision_text(planned.choice.method.precision);
   const UnfinishedLatents kept(run.path());
-  if (options.resume) request.kept_latents = kept.read(wait_for_hash());
+  // A method that is chosen by the machine's speed may be another one next time.
+  const std::string method = json_text(to_json(planned.choice.method));
+  if (options.resume) request.kept_latents = kept.read({wait_for_hash(), method});
   request.on_latent = [&](int64_t level, const torch::Tensor& latent) {
-    kept.write(level, latent, hash->get());  // inside a stage, which records no other one
+    kept.write(level, latent, {hash->get(), method});  // inside a stage, which records no other one
   };
   SamplingOutputs outputs(run, scene, requested, options, provenance);
   FlowProgress progress;
@@ -460,7 +473,7 @@ void sample(const SampleOptions& options) {
   kept.remove();
   run.note("report", "report.json");
   if (options.json) {
-    std::cout << report.dump(2) << "\n";
+    std::cout << json_text(report, 2) << "\n";
   } else {
     std::cout << actual_text(planned.plan, stages.records()) << outputs.scale_text() << run.closing_box();
   }

@@ -12,10 +12,11 @@ namespace gld {
 namespace {
 
 constexpr const char* kModelHash = "gld:model";
+constexpr const char* kMethod = "gld:method";
 
 }  // namespace
 
-std::map<int64_t, torch::Tensor> UnfinishedLatents::read(const std::string& model_hash) const {
+std::map<int64_t, torch::Tensor> UnfinishedLatents::read(const Origin& origin) const {
   std::map<int64_t, torch::Tensor> latents;
   std::error_code none;
   for (const auto& item : std::filesystem::directory_iterator(folder_, none)) {
@@ -27,18 +28,20 @@ std::map<int64_t, torch::Tensor> UnfinishedLatents::read(const std::string& mode
       continue;
     }
     const auto file = WeightFile::open(item.path());
-    const auto hash = file->metadata().find(kModelHash);
-    if (hash == file->metadata().end() || hash->second != model_hash) continue;
+    const auto is = [&](const char* name, const std::string& value) {
+      const auto found = file->metadata().find(name);
+      return found != file->metadata().end() && found->second == value;
+    };
+    if (!is(kModelHash, origin.model_hash) || !is(kMethod, origin.method)) continue;
     latents[level] = read_tensor(*file, "latent").clone();
   }
   return latents;
 }
 
-void UnfinishedLatents::write(int64_t level, const torch::Tensor& latent,
-                              const std::string& model_hash) const {
+void UnfinishedLatents::write(int64_t level, const torch::Tensor& latent, const Origin& origin) const {
   std::filesystem::create_directories(folder_);
   save_safetensors(folder_ / ("level" + std::to_string(level) + ".safetensors"), {{"latent", latent}},
-                   {{kModelHash, model_hash}});
+                   {{kModelHash, origin.model_hash}, {kMethod, origin.method}});
 }
 
 void UnfinishedLatents::remove() const {

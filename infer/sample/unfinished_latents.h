@@ -15,10 +15,15 @@ class UnfinishedLatents {
  public:
   explicit UnfinishedLatents(const std::filesystem::path& run_folder) : folder_(run_folder / "unfinished") {}
 
-  // As PipelineRequest::kept_latents takes them; those that weights of another hash made are not taken. Throws Error for a
-  // damaged file.
-  std::map<int64_t, torch::Tensor> read(const std::string& model_hash) const;
-  void write(int64_t level, const torch::Tensor& latent, const std::string& model_hash) const;
+  // What made a level.
+  struct Origin {
+    std::string model_hash;
+    std::string method;  // its options as JSON
+  };
+
+  // As PipelineRequest::kept_latents takes them; those of another origin are not taken. Throws Error for a damaged file.
+  std::map<int64_t, torch::Tensor> read(const Origin& origin) const;
+  void write(int64_t level, const torch::Tensor& latent, const Origin& origin) const;
   // When everything that is made of them is written.
   void remove() const;
 

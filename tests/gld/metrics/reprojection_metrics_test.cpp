@@ -142,6 +142,28 @@ TEST(Reprojection, WhatIsLeftOutIsReported) {
   EXPECT_GT(found.agreement, 0.3);
 }
 
+// Cameras that all stand at one place reproject perfectly onto each other; that is not hidden.
+TEST(Reprojection, CollapsedCamerasHaveABaselineRatioOfZero) {
+  const test::PlaneRoom room(3, 16, 12);
+  MetricInputs inputs;
+  inputs.views.cameras = room.cameras;
+  inputs.views.num_sources = 1;
+  inputs.view_images = torch::rand({3, 3, 12, 16});
+  inputs.all_true_depth = room.depth_maps();
+  const auto ratio = [&] { return measure(metric_named("reprojection_baseline_ratio"), inputs); };
+  // The unit of the prediction does not count.
+  inputs.estimated_cameras = room.cameras;
+  for (Camera& camera : inputs.estimated_cameras) camera.world_from_camera.translation() *= 5;
+  inputs.view_depth = room.depth_maps() * 5;
+  EXPECT_NEAR(ratio().mean(), 1, 1e-12);
+  for (Camera& camera : inputs.estimated_cameras) camera = room.cameras[0];
+  inputs.view_depth = room.depth_maps()[0].expand({3, 12, 16});
+  EXPECT_LT(measure(metric_named("reprojection_pixels"), inputs).mean(), 1e-9);
+  EXPECT_NEAR(ratio().mean(), 0, 1e-12);
+  for (Camera& camera : inputs.views.cameras) camera = room.cameras[0];
+  EXPECT_EQ(ratio().absent, "the scene's cameras stand at one place, or no depth is known");
+}
+
 TEST(Reprojection, IsAbsentWhereNoViewSeesAnother) {
   test::PlaneRoom room(2, 10, 8);
   const auto depth = room.depth_maps();

@@ -146,6 +146,18 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
     EXPECT_TRUE(std::filesystem::exists(path("sample") / file)) << file;
   }
 
+  if (!geometry) {
+    // The images are decoded for the geometry model, whoever asked for them.
+    asked.outputs = {"depth"};
+    asked.out = path("depth_alone").string();
+    testing::internal::CaptureStdout();
+    sample(asked);
+    testing::internal::GetCapturedStdout();
+    EXPECT_TRUE(std::filesystem::exists(path("depth_alone/depth/view_03.pfm")));
+    asked.approximate.view_pairs = ViewPairs::kVisible;
+    EXPECT_EQ(test::error_of([&] { sample(asked); }).substr(0, 26), "--approximate.view-pairs: ");
+  }
+
   EXPECT_EQ(std::filesystem::exists(path("sample/rays/point_maps.safetensors")), GetParam() == "vggt");
 
   EvaluationOptions evaluation;

@@ -10,6 +10,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/json_text.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/ply_file.h"
@@ -175,6 +176,14 @@ TEST_F(Sampling, MeasuredDepthOfASourceTellsTheScaleWhenAsked) {
   const auto report = run(asked);
   ASSERT_EQ(report.at("depth_scale_estimates").size(), 1U);
   EXPECT_EQ(report.at("depth_scale_estimates").at(0).at("estimator"), "source_depth");
+  // By names as by numbers.
+  const Scene scene = open_scene(asked.scene);
+  asked.views.sources = {FrameChoice(scene.frames[0].name), FrameChoice(scene.frames[3].name)};
+  asked.overwrite = true;
+  EXPECT_EQ(run(asked).at("depth_scale_estimates"), report.at("depth_scale_estimates"));
+  EXPECT_EQ(
+      test::error_of([&] { apply_setting(asked, "views.sources=[0, '', 3]"); }),
+      "--sources: expected frame numbers or names, found nothing between two commas; remove one of them.");
   asked.scale_from = {"source_depths"};
   EXPECT_EQ(test::error_of([&] { asked.check(); }),
             "--scale-from: expected camera_poses, photographs, sparse_points, source_depth, found "
@@ -557,10 +566,12 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
   const std::filesystem::path out = asked.out;
   EXPECT_FALSE(std::filesystem::exists(out / "unfinished"));
   const auto before = read_file(out / "images" / "view_02.png");
-  const auto hash = nlohmann::json::parse(read_file(out / "report.json")).at("model").at("hash");
+  const auto first = nlohmann::ordered_json::parse(read_file(out / "report.json"));
+  const std::string hash = first.at("model").at("hash"),
+                    method = json_text(first.at("sampling").at("method"));
   const UnfinishedLatents unfinished(out);
-  unfinished.write(1, read_all(out / "latents.safetensors").at("level1"), hash);
-  unfinished.write(0, read_all(out / "latents.safetensors").at("level0"), "of other weights");
+  unfinished.write(1, read_all(out / "latents.safetensors").at("level1"), {hash, method});
+  unfinished.write(0, read_all(out / "latents.safetensors").at("level0"), {"of other weights", method});
   std::filesystem::remove(out / "images" / "view_02.png");
   asked.resume = true;
   const auto report = run(asked);
@@ -568,6 +579,10 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
   EXPECT_EQ(report.at("flows").at(1).at("function_evaluations"), 3);
   EXPECT_TRUE(read_file(out / "images" / "view_02.png") == before);
   EXPECT_FALSE(std::filesystem::exists(out / "unfinished"));
+  // Nor is a level taken that another method made.
+  unfinished.write(1, torch::zeros({1}), {hash, "{}"});
+  EXPECT_TRUE(unfinished.read({hash, method}).empty());
+  unfinished.remove();
   asked.seed = 1;
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--resume: expected the options of the run, which has seed 0, found 1; leave it as it was, or "
