@@ -1,0 +1,131 @@
+// gld ablate from end to end, with the program itself: GLD_PROGRAM.
+#include "ablate/run/child_process.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/json_text.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/temporary_folder.h"
+
+#include <chrono>
+#include <thread>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+namespace fs = std::filesystem;
+using std::chrono::milliseconds;
+using testing::HasSubstr;
+
+// A training of seconds, evaluated two ways, and a second one put together with the first's parts.
+const char* const kDescription = R"(title: A small ablation
+seeds: [0, 1]
+threads: 1
+jobs: 2
+stages:
+  statistics:
+    command: stats
+    options: {scene_count: 2, data: {synthetic: {frames: 6, width: 56, height: 56}, views: {views: 3, shortest_interval: 1, longest_interval: 2, fewest_sources: 1, most_sources: 2}}}
+  level:
+    command: train level
+    options:
+      level: 1
+      data: {synthetic: {frames: 6, width: 56, height: 56}, views: {views: 3, shortest_interval: 1, longest_interval: 2, fewest_sources: 1, most_sources: 2}, distinct_batches: 2, validation_scenes: 1}
+      loop: {steps: 60, checkpoint_every: 1, log_every: 20, validate_every: 1000}
+  whole: {command: assemble, model: statistics, parts: [level]}
+  eval:
+    command: eval
+    options:
+      synthetic: 2
+      pictures: 0
+      generator: {frames: 6, width: 56, height: 56}
+      views: {views: 3, shortest_interval: 1, longest_interval: 2, fewest_sources: 1, most_sources: 1}
+      solver: {evaluations: 2}
+metrics:
+  psnr: {column: sample_psnr}
+variants:
+  plain: {}
+  guided: {options: {eval: {guidance: {guidance_scale: 3}}}}
+claims:
+  guidance: {metric: psnr, better: guided, worse: plain}
+smoke:
+  level: {loop: {steps: 2}}
+)";
+
+class AblateCommand : public testing::Test {
+ protected:
+  AblateCommand() {
+    BundleOptions options = small_bundle_options();
+    options.trained_sizes = {"56x56"};
+    write_random_bundle(folder_.path() / "model", options, 1);
+    write_file_atomically(folder_.path() / "a.yaml", kDescription);
+  }
+
+  std::vector<std::string> command(const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> words{
+        GLD_PROGRAM, "ablate",       "--config", (folder_.path() / "a.yaml").string(),
+        "--out",     run().string(), "--model",  (folder_.path() / "model").string()};
+    words.insert(words.end(), more.begin(), more.end());
+    return words;
+  }
+  fs::path run() const { return folder_.path() / "run"; }
+
+  // The exit status; what is printed stands in text_.
+  int finish(ChildProcess& process) {
+    while (!process.poll()) std::this_thread::sleep_for(milliseconds(10));
+    text_ = read_file(log());
+    return process.poll()->status;
+  }
+  int gld_ablate(const std::vector<std::string>& more = {}) {
+    fs::remove(log());
+    ChildProcess process(command(more), log(), -1);
+    return finish(process);
+  }
+  fs::path log() const { return folder_.path() / "log.txt"; }
+
+  test::TemporaryFolder folder_;
+  std::string text_;
+};
+
+TEST_F(AblateCommand, AStageThatFailsCostsItsVariantAlone) {
+  std::string text = kDescription;
+  const std::string before = "guided: {options: {eval: {guidance: {guidance_scale: 3}}}}";
+  text.replace(text.find(before), before.size(),
+               "guided: {options: {eval: {views: {views: 30, most_sources: 1}}}}");
+  write_file_atomically(folder_.path() / "a.yaml", text);
+  EXPECT_EQ(gld_ablate({"--smoke"}), 1);
+  EXPECT_THAT(
+      text_,
+      HasSubstr("Not everything ran:\n\n- guided: stage 'eval' (guided, seed 0) ended with exit status 1: "));
+  const auto report = parse_json(read_file(run() / "report.json"), "report.json");
+  EXPECT_EQ(report.at("variants").at(0).at("metrics").at("psnr").at("scenes"), 2);
+  EXPECT_TRUE(report.at("variants").at(1).at("metrics").at("psnr").at("mean").is_null());
+}
+
+TEST_F(AblateCommand, SaysWhatIsWrongBeforeAnythingRuns) {
+  EXPECT_EQ(gld_ablate({"--only", "gided"}), 2);
+  EXPECT_EQ(text_,
+            "error: --only: expected a variant of this ablation, found 'gided'; did you mean 'guided'?\n");
+  EXPECT_EQ(gld_ablate({"--overrides", "eval.synthetc=3"}), 2);
+  EXPECT_EQ(
+      text_,
+      "error: --overrides, stage 'eval', key 'synthetc': expected a known option, found an unknown one; did you mean "
+      "'synthetic'?\n");
+  EXPECT_EQ(gld_ablate({"--overrides", "eval.scenes=no/such/folder"}), 1);
+  EXPECT_EQ(
+      text_.substr(text_.find("variant")),
+      "variant 'plain', stage 'eval', key 'scenes': expected a folder that exists, found 'no/such/folder'; say where it "
+      "is with --overrides eval.scenes=FOLDER.\n");
+  fs::remove(log());
+  ChildProcess without({GLD_PROGRAM, "ablate", "--out", run().string()}, log(), -1);
+  EXPECT_EQ(finish(without), 2);
+  EXPECT_EQ(
+      text_,
+      "error: --config: expected the description of an ablation, found nothing; add for example --config "
+      "configs/ablations/sources.yaml.\n");
+  EXPECT_FALSE(fs::exists(run()));
+}
+
+}  // namespace
+}  // namespace gld
