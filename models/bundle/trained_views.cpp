@@ -27,9 +27,9 @@ int64_t trained_views(const ModelBundle& bundle) {
   int64_t fewest = 0;
   for (const BundlePart& part : bundle_parts(bundle.options())) {
     if (part.kind != BundlePart::Kind::kGenerator || !bundle.has(part)) continue;
-    const auto& metadata = WeightFile::open(bundle.file(part))->metadata();
-    const auto noted = metadata.find(kTrainedViews);
-    if (noted == metadata.end()) continue;
+    const auto file = WeightFile::open(bundle.file(part));
+    const auto noted = file->metadata().find(kTrainedViews);
+    if (noted == file->metadata().end()) continue;
     int64_t views = 0;
     const char* const end = noted->second.data() + noted->second.size();
     const auto parsed = std::from_chars(noted->second.data(), end, views);

@@ -155,6 +155,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
     testing::internal::GetCapturedStdout();
     EXPECT_TRUE(std::filesystem::exists(path("depth_alone/depth/view_03.pfm")));
     asked.approximate.view_pairs = ViewPairs::kVisible;
+    asked.overwrite = true;
     EXPECT_EQ(test::error_of([&] { sample(asked); }).substr(0, 26), "--approximate.view-pairs: ");
   }
 
