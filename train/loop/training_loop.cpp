@@ -480,6 +480,12 @@ TrainingSummary Session::run() {
   } else {
     messages_.push_back(fmt::format("nothing to train: the run is at step {} of {}", step_, options_.steps));
   }
+  if (options_.workers > 1 && !objective_.concurrent()) {
+    messages_.push_back(fmt::format(
+        "micro-batches were computed one after another, not by {} workers: recomputed activations and a discriminator "
+        "allow no other way",
+        options_.workers));
+  }
   Averages averages;
   int64_t scenes = 0;
   auto logged = std::chrono::steady_clock::now();
