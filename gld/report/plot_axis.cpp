@@ -81,7 +81,8 @@ void AxisLayout::make_linear_ticks() {
   const double digit = rough / power < 1.5 ? 1 : rough / power < 3.5 ? 2 : rough / power < 7.5 ? 5 : 10;
   const double step = digit * power;
   for (double k = std::ceil(low_ / step); k * step <= high_; ++k) {
-    ticks_.push_back({k * step, fmt::format("{:.6g}", k * step), ""});
+    const double value = k == 0 ? 0 : k * step;  // not "-0"
+    ticks_.push_back({value, fmt::format("{:.6g}", value), ""});
   }
 }
 

@@ -94,6 +94,8 @@ TEST(PlotAxis, LinearTicksAreRound) {
   // Equal values still make an axis.
   EXPECT_TRUE(AxisLayout({"x", AxisScale::kLinear, 0, 0}, {3, 3}, "plot").shows(3));
   EXPECT_TRUE(AxisLayout({"x", AxisScale::kLog, 0, 0}, {3, 3}, "plot").shows(3));
+  const AxisLayout across_zero({"x", AxisScale::kLinear, -0.4, 2}, {}, "plot");
+  for (const auto& tick : across_zero.ticks()) EXPECT_NE(tick.label, "-0");
 }
 
 TEST(Plot, ParetoFrontKeepsWhatNothingBeats) {
