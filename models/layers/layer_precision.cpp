@@ -21,13 +21,17 @@ void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
   for (const auto& parameter : model.parameters()) {
     if (!parameter.is_cpu()) return;
   }
-  if (auto* layer = dynamic_cast<PrecisionLayer*>(&model)) layer->use_precision(precision);
+  const auto pack = [&](torch::nn::Module& module) {
+    auto* layer = dynamic_cast<PrecisionLayer*>(&module);
+    if (layer == nullptr) return;
+    layer->use_precision(precision);
+    // Layer by layer: packed weights do not lie in the blocks that the originals leave, and both of all layers would be
+    // twice the model.
+    if (precision.originals == PackedOriginals::kRelease) release_kept_blocks();
+  };
+  pack(model);
   // Without itself, which LibTorch only gives where it is held by a shared pointer.
-  for (const auto& module : model.modules(/*include_self=*/false)) {
-    if (auto* layer = dynamic_cast<PrecisionLayer*>(module.get())) layer->use_precision(precision);
-  }
-  // What the originals took is of no size that sampling asks for.
-  if (precision.originals == PackedOriginals::kRelease) release_kept_blocks();
+  for (const auto& module : model.modules(/*include_self=*/false)) pack(*module);
 }
 
 }  // namespace gld

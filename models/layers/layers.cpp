@@ -1,16 +1,37 @@
 #include "models/layers/layers.h"
 
 #include "gld/base/error.h"
+#include "gld/machine/block_memory.h"
 #include "gld/tensors/fused_ops.h"
 #include "gld/tensors/transposed_product.h"
 
+#include <cstdint>
 #include <limits>
 #include <string>
 
 #include <torch/autograd.h>
 
+#include <sys/mman.h>
+#include <unistd.h>
+
 namespace gld {
 namespace {
+
+// Weights that were read in place are pages of a mapped file, which stay with the process as long as any tensor of the file does:
+// beside the packed weights they would double what a model takes. Pages of a file that nobody wrote to go, to come again
+// when they are read (MADV_PAGEOUT; a kernel before 5.4 keeps them). Memory of our own is left alone: it is given back anyway.
+void page_out(const torch::Tensor& tensor) {
+#ifdef MADV_PAGEOUT
+  if (tensor.storage().data_ptr().get_deleter() == &give_block) return;
+  const auto page = static_cast<uintptr_t>(::sysconf(_SC_PAGESIZE));
+  const auto begin = reinterpret_cast<uintptr_t>(tensor.data_ptr());
+  const auto end = begin + static_cast<uintptr_t>(tensor.numel() * tensor.element_size());
+  const uintptr_t first = (begin + page - 1) / page * page, last = end / page * page;
+  if (first < last) ::madvise(reinterpret_cast<void*>(first), last - first, MADV_PAGEOUT);
+#else
+  (void)tensor;
+#endif
+}
 
 void require_channels(const torch::Tensor& x, int64_t channels, const std::string& layer) {
   if (x.dim() == 0 || x.size(-1) != channels) {
@@ -49,6 +70,7 @@ void Linear::use_precision(const LayerPrecision& precision) {
   const torch::NoGradGuard no_gradients;
   packed_ = std::make_unique<const PackedLayer>(weight, parts_, precision.linear);
   if (precision.originals == PackedOriginals::kKeep) return;
+  page_out(weight);
   // The shape without the numbers; who reads them all the same finds NaN.
   weight.set_data(torch::full({1}, std::numeric_limits<float>::quiet_NaN()).expand(weight.sizes()));
 }
