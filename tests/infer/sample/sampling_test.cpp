@@ -296,7 +296,8 @@ TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
       testing::internal::GetCapturedStderr();
       // Not every number takes part in these outputs; one that does may not give depth that looks known.
       if (error.empty()) {
-        const auto report = nlohmann::json::parse(read_file(std::filesystem::path(asked.out) / "report.json"));
+        const auto report =
+            nlohmann::json::parse(read_file(std::filesystem::path(asked.out) / "report.json"));
         if (std::string(output) == "points") {
           EXPECT_EQ(report.at("points").at("unknown_depth"), 0) << name;
           continue;
