@@ -1,15 +1,20 @@
 // Models whose layers compute in another precision, beside the same weights in float32 and in double.
 #include "models/layers/layer_precision.h"
 
+#include "gld/tensors/weight_tensors.h"
 #include "models/dit/dit_field.h"
 #include "models/layers/layers.h"
+#include "models/weights/weight_loading.h"
 #include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
+#include "tests/support/temporary_folder.h"
 
+#include <fstream>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -36,6 +41,36 @@ void pack(DitDh& model, ComputePrecision precision) {
 
 // 4 views of 20 tokens, more rows than LibTorch gets.
 const test::RandomCameras::SceneSizes kSizes{4, 2, 70, 56};
+
+// Bytes of files that are in this process's memory.
+int64_t resident_file_bytes() {
+  std::ifstream status("/proc/self/status");
+  for (std::string word; status >> word;) {
+    int64_t kilobytes = 0;
+    if (word == "RssFile:" && status >> kilobytes) return 1024 * kilobytes;
+  }
+  return -1;
+}
+
+// Weights are read in place, from pages of their file; packed ones stand beside them, so the pages must go.
+TEST(LayerPrecision, PackedWeightsDoNotKeepThePagesOfTheirFile) {
+  const test::TemporaryFolder folder;
+  constexpr int64_t kWidth = 2048;
+  constexpr int64_t kBytes = kWidth * kWidth * 4;
+  Linear layer({kWidth, kWidth}, ParameterPlacement{});
+  save_safetensors(folder.path() / "layer.safetensors", named_tensors(layer));
+  ::sync();  // the kernel drops only what is on the disk
+  const int64_t before = resident_file_bytes();
+  ASSERT_GE(before, 0);
+  load_strict(layer, *WeightFile::open(folder.path() / "layer.safetensors"));
+  EXPECT_GT(layer.weight.sum().item<double>(), -1e9);
+  // A folder for temporary files that lies in memory has no pages of files.
+  if (resident_file_bytes() - before < kBytes / 2) return;
+  LayerPrecision layers = layer_precision(ComputePrecision::kFloat32, ModelKind::kGenerator);
+  layers.originals = PackedOriginals::kRelease;
+  use_precision(layer, layers);
+  EXPECT_LT(resident_file_bytes() - before, kBytes / 4);
+}
 
 TEST(LayerPrecision, GeometryStaysInFloat32) {
   for (const auto asked :
