@@ -1,0 +1,80 @@
+#include "infer/evaluate/evaluation_columns.h"
+
+#include "gld/metrics/metric_list.h"
+
+#include <algorithm>
+
+namespace gld {
+namespace {
+
+std::string column_name(Predictor predictor, const Metric& metric) {
+  return is_trivial(predictor) ? metric.name + "_" + predictor_name(predictor)
+                               : predictor_name(predictor) + "_" + metric.name;
+}
+
+}  // namespace
+
+bool is_trivial(Predictor predictor) {
+  const auto& trivial = trivial_predictors();
+  return std::find(trivial.begin(), trivial.end(), predictor) != trivial.end();
+}
+
+const std::vector<Predictor>& all_predictors() {
+  static const std::vector<Predictor> predictors{Predictor::kSample,
+                                                 Predictor::kMeanPrediction,
+                                                 Predictor::kNearestSource,
+                                                 Predictor::kMeanSource,
+                                                 Predictor::kMeanColor,
+                                                 Predictor::kReconstruction,
+                                                 Predictor::kReconstructionLevel0,
+                                                 Predictor::kReconstructionLevel1,
+                                                 Predictor::kReconstructionLevel2,
+                                                 Predictor::kReconstructionLevel3};
+  return predictors;
+}
+
+const std::vector<Predictor>& main_predictors() {
+  static const std::vector<Predictor> predictors{Predictor::kSample,        Predictor::kMeanPrediction,
+                                                 Predictor::kNearestSource, Predictor::kMeanSource,
+                                                 Predictor::kMeanColor,     Predictor::kReconstruction};
+  return predictors;
+}
+
+const std::vector<Predictor>& trivial_predictors() {
+  static const std::vector<Predictor> predictors{Predictor::kNearestSource, Predictor::kMeanSource,
+                                                 Predictor::kMeanColor};
+  return predictors;
+}
+
+std::string predictor_name(Predictor predictor) {
+  static const std::vector<std::string> names{"sample",
+                                              "mean_prediction",
+                                              "nearest_source",
+                                              "mean_source",
+                                              "mean_color",
+                                              "reconstruction",
+                                              "reconstruction_level0",
+                                              "reconstruction_level1",
+                                              "reconstruction_level2",
+                                              "reconstruction_level3"};
+  return names.at(static_cast<size_t>(predictor));
+}
+
+const std::vector<EvaluationColumn>& evaluation_columns() {
+  static const std::vector<EvaluationColumn> columns = [] {
+    std::vector<EvaluationColumn> list;
+    for (const Metric& metric : metric_list()) {
+      if (!metric.of_images()) {
+        list.push_back({metric.name, metric, Predictor::kSample});
+        continue;
+      }
+      for (const Predictor predictor : all_predictors()) {
+        list.push_back({column_name(predictor, metric), metric, predictor});
+      }
+    }
+    return list;
+  }();
+  return columns;
+}
+
+}  // namespace gld

@@ -1,0 +1,43 @@
+#pragma once
+
+#include "gld/metrics/metric.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Whose images are compared with the true ones.
+enum class Predictor {
+  kSample,          // a sample of the model, as gld sample draws it
+  kMeanPrediction,  // the model's prediction of the mean, mean_prediction_settings
+  // Trivial ones, which know the sources only:
+  kNearestSource,  // the source whose camera is nearest, copied
+  kMeanSource,     // pixel by pixel mean of the sources
+  kMeanColor,      // the mean colour of the sources
+  // All views, sources too, encoded and decoded: what the decoder can do at best.
+  kReconstruction,
+  // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says something of
+  // the level only where the decoder was trained with levels left out.
+  kReconstructionLevel0,
+  kReconstructionLevel1,
+  kReconstructionLevel2,
+  kReconstructionLevel3,
+};
+const std::vector<Predictor>& all_predictors();
+const std::vector<Predictor>& main_predictors();  // without those of one level
+const std::vector<Predictor>& trivial_predictors();
+bool is_trivial(Predictor predictor);
+std::string predictor_name(Predictor predictor);  // "mean_prediction"
+
+// A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr", "mean_prediction_psnr",
+// "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the metric's own name
+// ("depth_abs_rel_unscaled").
+struct EvaluationColumn {
+  std::string name;
+  Metric metric;
+  Predictor of = Predictor::kSample;
+};
+const std::vector<EvaluationColumn>& evaluation_columns();
+
+}  // namespace gld
