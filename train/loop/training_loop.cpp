@@ -1,15 +1,16 @@
 #include "train/loop/training_loop.h"
 
-#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/report/progress.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
+#include "train/loop/batches_of_process.h"
 #include "train/loop/checkpoint.h"
 #include "train/loop/checkpoint_on_stop.h"
 #include "train/loop/loss_curve.h"
 #include "train/loop/metrics_log.h"
+#include "train/loop/resumable_checkpoint.h"
 
 #include <algorithm>
 #include <chrono>
@@ -25,8 +26,6 @@
 
 namespace gld {
 namespace {
-
-constexpr int64_t kLargest = 1'000'000'000'000;
 
 std::string six_digits(double value) {
   char text[32];
@@ -85,28 +84,6 @@ class DividedThreads {
   int before_;
 };
 
-// Those of a run's batches that one process computes, in order.
-class BatchesOfProcess final : public TrainingBatchSource {
- public:
-  BatchesOfProcess(std::shared_ptr<const TrainingBatchSource> all, const ProcessTeam& team, int64_t first,
-                   int64_t micro_batches)
-      : all_(std::move(all)), first_(first), micro_batches_(micro_batches) {
-    for (int64_t micro = 0; micro < micro_batches; ++micro) {
-      if (process_of_micro_batch(micro, team.count()) == team.rank()) own_.push_back(micro);
-    }
-  }
-  TrainingBatch batch(int64_t index) const override {
-    const auto own = static_cast<int64_t>(own_.size());
-    return all_->batch(first_ + index / own * micro_batches_ + own_[static_cast<size_t>(index % own)]);
-  }
-
- private:
-  std::shared_ptr<const TrainingBatchSource> all_;
-  int64_t first_;
-  int64_t micro_batches_;
-  std::vector<int64_t> own_;  // micro-batches of a step
-};
-
 class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
@@ -144,7 +121,6 @@ class Session {
   torch::Tensor trained_values() const { return parameters_.values().detach().clone(); }
   // The same where the objective may change tensors of its state before its next step is complete.
   Checkpoint kept_snapshot(const torch::Tensor& values) const;
-  void check_fits(const Checkpoint& checkpoint, const std::string& where) const;
   double elapsed() const {
     return earlier_seconds_ +
            std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
@@ -174,43 +150,6 @@ class Session {
   std::vector<std::pair<std::string, double>> validation_;
   std::vector<std::string> messages_;
 };
-
-// Everything that restore() takes from it, so that nothing is half restored and nothing is converted without a word.
-void Session::check_fits(const Checkpoint& checkpoint, const std::string& where) const {
-  const auto& state = checkpoint.metadata;
-  const std::string remedy = "resume with the options that wrote the checkpoint";
-  const auto has_kind = state.is_object() && state.contains("kind") && state["kind"].is_string();
-  const std::string kind = has_kind ? state["kind"].get<std::string>() : "nameless";
-  if (kind != objective_.kind()) {
-    fail({where, "a checkpoint of a " + objective_.kind() + " run", "one of a " + kind + " run",
-          "name the folder of the run to resume"});
-  }
-  for (const char* name : {"batch_index", "skipped_steps", "skipped_in_a_row"}) {
-    const auto found = state.find(name);
-    if (found == state.end() || !found->is_number_integer() || found->get<int64_t>() < 0) {
-      fail({where, std::string("a count '") + name + "'", "none", remedy});
-    }
-  }
-  for (const char* name : {"loss", "seconds", "best"}) {
-    const auto found = state.find(name);
-    const bool may_be_null = std::string(name) == "best";  // before the first validation
-    if (found == state.end() || !(found->is_number() || (may_be_null && found->is_null()))) {
-      fail({where, std::string("a number '") + name + "'", "none", remedy});
-    }
-  }
-  for (const auto& [name, expected] : snapshot().tensors) {
-    const auto found = checkpoint.tensors.find(name);
-    const auto text = [](const torch::Tensor& tensor) {
-      return "shape " + c10::str(tensor.sizes()) + " in " + c10::toString(tensor.scalar_type());
-    };
-    if (found == checkpoint.tensors.end()) {
-      fail({where, "tensor '" + name + "' of " + text(expected), "none of that name", remedy});
-    }
-    if (found->second.sizes() != expected.sizes() || found->second.scalar_type() != expected.scalar_type()) {
-      fail({where, "tensor '" + name + "' of " + text(expected), text(found->second), remedy});
-    }
-  }
-}
 
 void Session::check_team() const {
   if (run_.team == nullptr) return;
@@ -271,7 +210,7 @@ void Session::begin_feed() {
 void Session::read_checkpoint(TrainingStart start) {
   check_training_start(run_.folder, start);
   const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
-    check_fits(checkpoint, where);
+    check_resumable(checkpoint, snapshot(), objective_.kind(), where);
   };
   const auto found = start == TrainingStart::kResume ? checkpoints_.newest(check) : std::nullopt;
   if (found) {
@@ -568,28 +507,6 @@ TrainingSummary Session::run() {
 }
 
 }  // namespace
-
-void TrainingLoopOptions::visit(FieldVisitor& visitor) {
-  visitor.integer({"steps", "optimiser steps of the whole run"}, steps, {1, kLargest});
-  visitor.integer({"micro_batches", "micro-batches whose gradients are summed for one step"}, micro_batches,
-                  {1, 100000});
-  visit_seed(visitor, seed, "everything random in the run");
-  visitor.integer({"log_every", "steps between two lines of metrics.jsonl"}, log_every, {1, kLargest});
-  visitor.integer({"checkpoint_every", "steps between two checkpoints"}, checkpoint_every, {1, kLargest});
-  visitor.integer({"keep_last", "newest checkpoints that are kept, beside the best"}, keep_last, {1, 1000});
-  visitor.integer({"validate_every", "steps between two validations"}, validate_every, {1, kLargest});
-  visitor.integer(
-      {"stop_after_non_finite", "steps in a row with a non-finite loss or gradient that end the run"},
-      stop_after_non_finite, {1, 100000});
-  visitor.integer({"loader_threads", "threads that prepare data ahead of the step"}, loader_threads,
-                  {0, 256});
-  visitor.integer({"workers", "micro-batches computed at the same time; the threads are divided among them"},
-                  workers, {1, 256});
-  visit_choice(visitor, {"precision", "bfloat16 casts matrix products on devices that have it (CUDA)"},
-               precision, {"float32", "bfloat16"});
-  visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
-  visitor.group({"optimiser", "optimiser, clipping and moving average"}, optimiser);
-}
 
 void check_training_start(const std::filesystem::path& folder, TrainingStart start) {
   const CheckpointFolder checkpoints(folder / "checkpoints", {});
