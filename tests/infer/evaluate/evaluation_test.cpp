@@ -6,7 +6,6 @@
 #include "gld/base/configuration.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/weight_tensors.h"
-#include "infer/evaluate/evaluated_views.h"
 #include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
 #include "infer/evaluate/scene_record.h"
@@ -204,52 +203,6 @@ TEST(SceneRecord, ReadsBackEqual) {
   EXPECT_EQ(found.number("ate").absent, "it was not measured");
   EXPECT_THAT(test::error_of([] { scene_from_record(nlohmann::json::parse("{}"), "scenes/0.json"); }),
               HasSubstr("scenes/0.json: expected a scene that gld eval has measured"));
-}
-
-Scene scene_of_frames(size_t frames) {
-  Scene scene;
-  scene.name = "film";
-  scene.frames.resize(frames);
-  return scene;
-}
-
-std::vector<int64_t> numbers_of(const std::vector<FrameChoice>& frames) {
-  return {frames.begin(), frames.end()};
-}
-
-TEST(EvaluatedViews, TargetsAreTheSameForEveryNumberOfSources) {
-  EvaluatedViews views;
-  views.sampling = held_out_views();
-  views.sampling.views = 8;
-  views.sampling.shortest_interval = views.sampling.longest_interval = 1;
-  views.source_counts = {1, 2, 4};
-  check_evaluated_views(views);
-  const auto found = evaluated_views(views, scene_of_frames(12), held_out_key(5, 0));
-  ASSERT_EQ(found.size(), 3U);
-  const auto four = numbers_of(found[2].sources);
-  ASSERT_EQ(four.size(), 4U);
-  EXPECT_EQ(numbers_of(found[1].sources), (std::vector<int64_t>{four[0], four[3]}));
-  EXPECT_EQ(numbers_of(found[0].sources), (std::vector<int64_t>{four[0]}));
-  EXPECT_EQ(four[3] - four[0], 7);  // the first view and the last
-  EXPECT_EQ(found[0].targets.size(), 4U);
-  for (const auto& selection : found) EXPECT_EQ(numbers_of(selection.targets), numbers_of(found[0].targets));
-}
-
-TEST(EvaluatedViews, GivenFramesAreTaken) {
-  EvaluatedViews views;
-  views.sampling = held_out_views();
-  views.source_frames = {0, 5, 9};
-  EXPECT_EQ(test::error_of([&] { check_evaluated_views(views); }),
-            "--source-frames, --target-frames: expected both, or neither, found only sources; give both.");
-  views.target_frames = {3, 4};
-  views.source_counts = {3, 2};
-  const auto found = evaluated_views(views, scene_of_frames(10), held_out_key(5, 0));
-  EXPECT_EQ(numbers_of(found[0].sources), (std::vector<int64_t>{0, 5, 9}));
-  EXPECT_EQ(numbers_of(found[1].sources), (std::vector<int64_t>{0, 9}));
-  EXPECT_EQ(numbers_of(found[1].targets), (std::vector<int64_t>{3, 4}));
-  views.source_counts = {4};
-  EXPECT_THAT(test::error_of([&] { check_evaluated_views(views); }),
-              HasSubstr("at most 3, the --source-frames"));
 }
 
 // One random model and one drawn scene for all tests.

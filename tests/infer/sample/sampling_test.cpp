@@ -19,6 +19,7 @@
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
 #include "models/bundle/trained_views.h"
+#include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -39,67 +40,8 @@
 namespace gld {
 namespace {
 
+using test::Sampling;
 using testing::HasSubstr;
-
-// One random model and one drawn scene of 6 frames for all tests.
-class Sampling : public testing::Test {
- protected:
-  static void SetUpTestSuite() {
-    folder_ = new test::TemporaryFolder();
-    ::setenv("XDG_CACHE_HOME", (folder_->path() / "cache").c_str(), 1);  // no rates of the tester's
-    write_random_bundle(folder_->path() / "model", small_bundle_options(), 7);
-    SyntheticOptions synthetic;
-    synthetic.seed = 5;
-    synthetic.frames = 6;
-    synthetic.width = 112;
-    synthetic.height = 56;
-    write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder_->path() / "scene");
-  }
-  static void TearDownTestSuite() {
-    delete folder_;
-    folder_ = nullptr;
-  }
-
-  static SampleOptions options(const std::string& run) {
-    SampleOptions options;
-    options.model = (folder_->path() / "model").string();
-    options.scene = (folder_->path() / "scene").string();
-    options.views.sources = {0, 3};
-    options.views.targets = {1, 2};
-    options.size = "112x56";
-    options.solver.evaluations = 3;
-    options.threads = 1;
-    options.out = (folder_->path() / run).string();
-    return options;
-  }
-
-  static nlohmann::json run(const SampleOptions& options) {
-    testing::internal::CaptureStdout();
-    testing::internal::CaptureStderr();
-    sample(options);
-    printed_ = testing::internal::GetCapturedStdout();
-    testing::internal::GetCapturedStderr();
-    return nlohmann::json::parse(read_file(std::filesystem::path(options.out) / "report.json"));
-  }
-
-  // A random model's rays fit no camera.
-  static SampleOptions with_shipped_model(SampleOptions options) {
-    options.model = (test::source_root() / "configs" / "tiny").string();
-    options.size = "112x112";
-    return options;
-  }
-
-  static std::vector<std::string> stage_names(const nlohmann::json& report) {
-    std::vector<std::string> names;
-    for (const auto& stage : report.at("stages")) names.push_back(stage.at("stage"));
-    return names;
-  }
-
-  static test::TemporaryFolder* folder_;
-  static std::string printed_;
-};
-test::TemporaryFolder* Sampling::folder_ = nullptr;
-std::string Sampling::printed_;
 
 TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   auto asked = options("everything");
@@ -228,138 +170,6 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
                 "', which has none; check the name.");
 }
 
-TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
-  auto asked = options("two_numbers");
-  asked.views.targets = {};
-  asked.views.path.path = "orbit";
-  asked.views.path.orbit_center = {1, 2};
-  EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
-            "--orbit-center: expected three numbers, x,y,z in the scene, found 2; "
-            "write for example --orbit-center 0,0,2.5.");
-}
-
-TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
-  auto asked = options("blind");
-  asked.scene.clear();
-  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
-  asked.views.sources = {};
-  asked.views.targets = {};
-  asked.outputs = {"image"};
-  BundleOptions blind = small_bundle_options();
-  blind.dpt_head = GeometryHeadOptions::none();
-  asked.model = (folder_->path() / "blind_model").string();
-  write_random_bundle(asked.model, blind, 7);
-  EXPECT_EQ(test::error_of([&] { sample(asked); }),
-            "--photos: expected a model with a geometry head, which sees the cameras, found " + asked.model +
-                "; add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
-  // Which then sees the photographs as well as the generated images.
-  asked.geometry_model = (test::source_root() / "configs" / "tiny").string();
-  asked.photos.lens = PhotoLens::kOwn;
-  asked.views.path.frames = 2;
-  const auto report = run(asked);
-  EXPECT_EQ(report.at("photo_cameras").at("cameras").size(), 6U);
-  EXPECT_TRUE(report.at("photo_cameras").at("shared_lenses").empty());
-  asked = options("no_photos");
-  asked.named = {"photo_lens"};
-  EXPECT_EQ(
-      test::error_of([&] { asked.check(); }),
-      "--photo-lens: expected --photos, which it is an option of, found --scene; leave out one of the two.");
-}
-
-// A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
-TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
-  const auto model = folder_->path() / "broken_head";
-  std::filesystem::copy(folder_->path() / "model", model, std::filesystem::copy_options::recursive);
-  const auto file = model / "dpt_head.safetensors";
-  const auto whole = read_all(file);
-  auto asked = options("broken");
-  asked.model = model.string();
-  asked.overwrite = true;
-  int biases = 0, named = 0;
-  for (const auto& [name, tensor] : whole) {
-    if (name.find("bias") == std::string::npos || ++biases % 15 != 0) continue;
-    auto broken = whole;
-    broken[name] = tensor.clone();
-    broken[name].view({-1})[0] = std::numeric_limits<float>::quiet_NaN();
-    save_safetensors(file, broken);
-    for (const char* output : {"depth", "points"}) {
-      asked.outputs = {output};
-      testing::internal::CaptureStdout();
-      testing::internal::CaptureStderr();
-      std::string error;
-      try {
-        sample(asked);
-      } catch (const Error& thrown) {
-        error = thrown.what();
-      }
-      testing::internal::GetCapturedStdout();
-      testing::internal::GetCapturedStderr();
-      // Not every number takes part in these outputs; one that does may not give depth that looks known.
-      if (error.empty()) {
-        const auto report =
-            nlohmann::json::parse(read_file(std::filesystem::path(asked.out) / "report.json"));
-        if (std::string(output) == "points") {
-          EXPECT_EQ(report.at("points").at("unknown_depth"), 0) << name;
-          continue;
-        }
-        const auto depth = read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
-        for (const float value : depth.metres) ASSERT_TRUE(std::isfinite(value) && value > 0) << name;
-        continue;
-      }
-      ++named;
-      EXPECT_THAT(error,
-                  testing::MatchesRegex("geometry: expected finite numbers, found [0-9]+ of [0-9]+ values of "
-                                        "the predicted [a-z ]+ that are not; check the geometry head's "
-                                        "weights with gld inspect and gld verify\\."))
-          << name;
-    }
-  }
-  EXPECT_GE(biases, 15);
-  EXPECT_GE(named, 3);
-}
-
-// Units of a scene are free, up to what a camera's place may be.
-TEST_F(Sampling, SceneScalesGiveDepthOrOneSentence) {
-  const Scene scene = open_scene(folder_->path() / "scene");
-  for (const double scale : {1e-9, 1e10, 1e14, 1e150}) {
-    Scene scaled = scene;
-    for (Frame& frame : scaled.frames) frame.camera.world_from_camera.translation() *= scale;
-    const auto folder = folder_->path() / fmt::format("scale_{:g}", scale);
-    if (scale > 1e12) {
-      EXPECT_THAT(test::error_of([&] { write_scene(scaled, "cameras-json", folder); }),
-                  HasSubstr("units of the origin"))
-          << scale;
-      continue;
-    }
-    write_scene(scaled, "cameras-json", folder);
-    auto asked = with_shipped_model(options(fmt::format("scaled_{:g}", scale)));
-    asked.scene = folder.string();
-    asked.outputs = {"depth"};
-    const auto report = run(asked);
-    const auto depth = read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
-    for (const float value : depth.metres) ASSERT_TRUE(std::isfinite(value) && value > 0) << scale;
-    if (!report.contains("depth_scale")) {
-      EXPECT_THAT(report.at("warnings").dump(), HasSubstr("scale of the predicted depth is not known"))
-          << scale;
-    }
-  }
-}
-
-TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
-  auto asked = options("many_views");
-  asked.model = (folder_->path() / "of_three").string();
-  write_random_bundle(asked.model, small_bundle_options(), 7);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
-  const auto bundle = ModelBundle::open(asked.model);
-  note_trained_views(bundle, BundlePart::of(level_model(1)), 3);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              HasSubstr("warning: The model was trained on scenes of 3 views, this one has 4.\n"));
-  asked.views.targets = {1};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
-}
-
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {
   auto asked = options("points");
   asked.outputs = {"points"};
@@ -473,47 +283,6 @@ TEST_F(Sampling, AnOrbitNeedsNoTargetFrames) {
   EXPECT_FALSE(report.contains("against_truth"));
 }
 
-TEST_F(Sampling, WrongRequestsGetOneSentence) {
-  const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
-    SampleOptions asked = options("refused");
-    change(asked);
-    return test::error_of([&] {
-      asked.check();
-      asked.views.check();
-      sample(asked);
-    });
-  };
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.targets = {9}; }),
-            "--targets: expected frame numbers from 0 to 5, which is what scene 'scene' has, found 9; "
-            "choose among its frames.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.sources.clear(); }),
-            "--sources: expected at least one source view, found none; add for example --sources 0,3.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) {
-              asked.views.sources = {1, 1};
-            }),
-            "--sources: expected each source view once, found frame 1 twice; remove the repetition.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.path.path = "orbit"; }),
-            "--targets, --path: expected either target frames or a path, found both; "
-            "add for example --targets 1,2, or --path orbit.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.size = "100x56"; }),
-            "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
-  EXPECT_EQ(
-      sentence([](SampleOptions& asked) { asked.size = "big"; }),
-      "--size: expected WIDTHxHEIGHT in pixels, or auto, found 'big'; write for example --size 504x280.");
-  EXPECT_EQ(
-      sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
-      "--outputs: expected image, depth, rays, points or latents, found 'imagse'; did you mean 'image'?");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.device = "tpu"; }),
-            "--device: expected cpu, cuda or cuda:N, found 'tpu'; write for example --device cpu.");
-  EXPECT_EQ(
-      sentence([](SampleOptions& asked) { asked.scene.clear(); }),
-      "--scene: expected a folder of images with cameras, found nothing; add for example --scene my_photos, "
-      "or --photos my_photos where there are no cameras.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.out.clear(); }),
-            "--out: expected a folder to write into, found nothing; add for example --out runs/sample.");
-  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "refused"));
-}
-
 TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
   auto asked = options("interrupted");
   asked.solver.evaluations = 4000;
@@ -539,33 +308,6 @@ TEST_F(Sampling, CtrlCKeepsFinishedFilesAndSaysWhatWasDone) {
   EXPECT_TRUE(std::filesystem::is_regular_file(std::filesystem::path(asked.out) / "config.yaml"));
   std::signal(SIGALRM, SIG_DFL);
   install_interrupt_handler(StopDeadline::kSafePoint);  // nothing is asked of the tests that follow
-}
-
-TEST_F(Sampling, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
-  auto asked = options("twice");
-  asked.outputs = {"image", "latents"};
-  run(asked);
-  const std::filesystem::path out = asked.out;
-  EXPECT_THAT(test::error_of([&] { sample(asked); }),
-              HasSubstr("found an earlier run of gld sample; choose another --out, or add --overwrite"));
-  write_file_atomically(out / "images" / "mine.png", "mine");
-  asked.overwrite = true;
-  asked.outputs = {"image"};
-  run(asked);
-  EXPECT_FALSE(std::filesystem::exists(out / "latents.safetensors"));
-  EXPECT_TRUE(std::filesystem::exists(out / "images" / "mine.png"));
-  EXPECT_TRUE(std::filesystem::exists(out / "images" / "view_02.png"));
-}
-
-// A wrong request says so before anything is removed.
-TEST_F(Sampling, AMistakeLeavesTheEarlierRunAsItWas) {
-  auto asked = options("kept_run");
-  asked.outputs = {"image"};
-  run(asked);
-  asked.overwrite = true;
-  asked.views.targets = {9};
-  EXPECT_THROW(sample(asked), Error);
-  EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "images" / "view_02.png"));
 }
 
 TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
@@ -596,143 +338,6 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--resume: expected the options of the run, which has seed 0, found 1; leave it as it was, or "
             "begin again with --overwrite.");
-}
-
-TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
-  auto asked = options("too_large");
-  asked.memory_limit = 0.4;
-  asked.views.targets.clear();
-  asked.views.path.path = "orbit";
-  asked.views.path.frames = 400;
-  EXPECT_THAT(
-      test::error_of([&] { sample(asked); }),
-      testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what would "
-                             "fit: [0-9]+ views of this size"));
-  EXPECT_FALSE(std::filesystem::exists(asked.out));
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));
-}
-
-TEST_F(Sampling, AMissingPartIsNamedFirst) {
-  const auto model = folder_->path() / "without_head";
-  std::filesystem::copy(folder_->path() / "model", model);
-  std::filesystem::remove(model / "dpt_head.safetensors");
-  auto asked = options("missing_part");
-  asked.model = model.string();
-  EXPECT_EQ(
-      test::error_of([&] { sample(asked); }),
-      model.string() +
-          ": expected a file dpt_head.safetensors, found none; add the part with gld convert or gld train.");
-  EXPECT_FALSE(std::filesystem::exists(asked.out));
-  asked.outputs = {"image"};  // which needs none
-  run(asked);
-}
-
-TEST_F(Sampling, FramesAreChosenByNumberOrName) {
-  const auto frames = open_scene(folder_->path() / "scene").frames;
-  auto numbers = options("by_number"), names = options("by_name");
-  numbers.outputs = names.outputs = {"image"};
-  names.views.sources = {FrameChoice(frames[0].name), FrameChoice(3)};
-  names.views.targets = {FrameChoice(frames[1].name), FrameChoice(frames[2].name)};
-  EXPECT_EQ(run(names).at("scene"), run(numbers).at("scene"));
-  names.views.targets = {FrameChoice(frames[0].name)};
-  EXPECT_THAT(test::error_of([&] { sampling_plan_report(names, PlanTiming::kPredicted); }),
-              HasSubstr("--targets: expected frames that are not sources"));
-  names.views.targets = {FrameChoice("nobody")};
-  EXPECT_THAT(test::error_of([&] { sampling_plan_report(names, PlanTiming::kPredicted); }),
-              HasSubstr("--targets: expected frames of scene 'scene', found 'nobody', which is none"));
-}
-
-TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
-  const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
-    SampleOptions asked = options("refused");
-    change(asked);
-    return test::error_of([&] { check_options(asked, "gld sample"); });
-  };
-  EXPECT_EQ(sentence([](SampleOptions& asked) {
-              asked.preset = SamplingPreset::kPublished;
-              asked.named = {"preset", "solver.evaluations"};
-            }),
-            "--preset published: expected no solver option beside it, the preset decides about all of them, "
-            "found 'solver.evaluations'; leave out one of the two.");
-  EXPECT_EQ(
-      sentence([](SampleOptions& asked) {
-        asked.named = {"views.targets", "views.frames"};
-      }),
-      "--frames: expected --path, which it is an option of, found --targets; leave out one of the two.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) {
-              asked.views.targets = {1, 1};
-            }),
-            "--targets: expected each target view once, found frame 1 twice; remove the repetition.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.targets = {3}; }),
-            "--targets: expected frames that are not sources, found frame 3, which is a source; leave it out "
-            "of one of the two.");
-  EXPECT_EQ(sentence([](SampleOptions& asked) { asked.resume = asked.overwrite = true; }),
-            "--resume, --overwrite: expected one of the two, found both; --resume goes on with the run, "
-            "--overwrite removes it.");
-}
-
-TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
-  auto asked = options("unused");
-  asked.outputs = {"image"};
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
-  EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
-  EXPECT_THAT(text,
-              testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
-  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
-}
-
-TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
-  const auto scene = folder_->path() / "cut_short";
-  std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
-  for (const auto& entry : std::filesystem::recursive_directory_iterator(scene)) {
-    // The header, which tells the size, stays.
-    if (entry.path().extension() == ".png") std::filesystem::resize_file(entry.path(), 200);
-  }
-  auto asked = options("unused");
-  asked.scene = scene.string();
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
-  EXPECT_THAT(text, HasSubstr("2 source and 2 target views at 112x56"));
-  EXPECT_THROW(sample(asked), Error);
-}
-
-// Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
-TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
-  auto asked = options("kept_rates");
-  asked.outputs = {"latents"};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("quick estimate"));
-  EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
-  MachineSpeed slow;
-  slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
-  set_thread_count(1);
-  keep_machine_speed(machine_rates_file(), present_rate_key(), slow);
-  const auto report = run(asked);
-  EXPECT_THAT(printed_, HasSubstr("rates that gld doctor measured"));
-  const auto& level1 = report.at("plan").at(1);
-  EXPECT_EQ(level1.at("stage"), "M1");
-  EXPECT_NEAR(level1.at("predicted_seconds").get<double>() / (level1.at("tflop").get<double>() * 1e6), 1,
-              0.5);
-  std::filesystem::remove(machine_rates_file());
-}
-
-TEST_F(Sampling, TheDoctorForecastsForAModel) {
-  DoctorOptions asked;
-  asked.model = (folder_->path() / "model").string();
-  asked.size = "112x56";
-  asked.json = true;
-  asked.threads = 1;
-  const auto report = nlohmann::json::parse(doctor_report(asked));
-  EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
-  EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
-  ASSERT_EQ(report.at("forecast").size(), 6u);
-  EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
-  const auto again = nlohmann::json::parse(doctor_report(asked));
-  EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
-  EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
-  for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
-  asked.sources = asked.views;
-  EXPECT_EQ(
-      test::error_of([&] { asked.check(); }),
-      "--source-views: expected fewer source views than views, found 8 of 8; leave at least one target view.");
 }
 
 }  // namespace

@@ -1,0 +1,139 @@
+// What gld plan, the memory check and gld doctor say of a sampling.
+#include "datasets/formats/cameras_json.h"
+#include "datasets/formats/scene_reader.h"
+#include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
+#include "datasets/images/pfm_file.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/base/json_text.h"
+#include "gld/tensors/torch_version.h"
+#include "gld/tensors/weight_tensors.h"
+#include "infer/export/ply_file.h"
+#include "infer/forecast/doctor.h"
+#include "infer/forecast/machine_rates.h"
+#include "infer/sample/unfinished_latents.h"
+#include "models/bundle/random_bundle.h"
+#include "models/bundle/trained_views.h"
+#include "tests/infer/sample/sampling_fixture.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <limits>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+namespace gld {
+namespace {
+
+using test::Sampling;
+using testing::HasSubstr;
+
+TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
+  auto asked = options("many_views");
+  asked.model = (folder_->path() / "of_three").string();
+  write_random_bundle(asked.model, small_bundle_options(), 7);
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              testing::Not(HasSubstr("The model was trained on scenes")));
+  const auto bundle = ModelBundle::open(asked.model);
+  note_trained_views(bundle, BundlePart::of(level_model(1)), 3);
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              HasSubstr("warning: The model was trained on scenes of 3 views, this one has 4.\n"));
+  asked.views.targets = {1};
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
+              testing::Not(HasSubstr("The model was trained on scenes")));
+}
+
+TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
+  auto asked = options("too_large");
+  asked.memory_limit = 0.4;
+  asked.views.targets.clear();
+  asked.views.path.path = "orbit";
+  asked.views.path.frames = 400;
+  EXPECT_THAT(
+      test::error_of([&] { sample(asked); }),
+      testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what would "
+                             "fit: [0-9]+ views of this size"));
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));
+}
+
+TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
+  auto asked = options("unused");
+  asked.outputs = {"image"};
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
+  EXPECT_THAT(text,
+              testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
+  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
+}
+
+TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
+  const auto scene = folder_->path() / "cut_short";
+  std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(scene)) {
+    // The header, which tells the size, stays.
+    if (entry.path().extension() == ".png") std::filesystem::resize_file(entry.path(), 200);
+  }
+  auto asked = options("unused");
+  asked.scene = scene.string();
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  EXPECT_THAT(text, HasSubstr("2 source and 2 target views at 112x56"));
+  EXPECT_THROW(sample(asked), Error);
+}
+
+// Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
+TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
+  auto asked = options("kept_rates");
+  asked.outputs = {"latents"};
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("quick estimate"));
+  EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
+  MachineSpeed slow;
+  slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
+  set_thread_count(1);
+  keep_machine_speed(machine_rates_file(), present_rate_key(), slow);
+  const auto report = run(asked);
+  EXPECT_THAT(printed_, HasSubstr("rates that gld doctor measured"));
+  const auto& level1 = report.at("plan").at(1);
+  EXPECT_EQ(level1.at("stage"), "M1");
+  EXPECT_NEAR(level1.at("predicted_seconds").get<double>() / (level1.at("tflop").get<double>() * 1e6), 1,
+              0.5);
+  std::filesystem::remove(machine_rates_file());
+}
+
+TEST_F(Sampling, TheDoctorForecastsForAModel) {
+  DoctorOptions asked;
+  asked.model = (folder_->path() / "model").string();
+  asked.size = "112x56";
+  asked.json = true;
+  asked.threads = 1;
+  const auto report = nlohmann::json::parse(doctor_report(asked));
+  EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
+  EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
+  ASSERT_EQ(report.at("forecast").size(), 6u);
+  EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
+  const auto again = nlohmann::json::parse(doctor_report(asked));
+  EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
+  EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
+  for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
+  asked.sources = asked.views;
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--source-views: expected fewer source views than views, found 8 of 8; leave at least one target view.");
+}
+
+}  // namespace
+}  // namespace gld
