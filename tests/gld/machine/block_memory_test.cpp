@@ -1,5 +1,7 @@
 #include "gld/machine/block_memory.h"
 
+#include "gld/machine/stage_record.h"
+
 #include <cstdint>
 #include <cstring>
 #include <thread>
@@ -42,6 +44,21 @@ TEST_F(BlockMemory, GivesAFreedBlockToTheNextOfAboutThatSize) {
   EXPECT_NE(third, first);
   give_block(second);
   give_block(third);
+}
+
+// Weights have such sizes; a huge page for the few bytes past the last whole one would cost an eighth of a model.
+TEST_F(BlockMemory, TakesNoHugePageForTheHeader) {
+  constexpr int64_t kBlocks = 8, kBytes = 16 * kMegabyte;
+  const int64_t before = resident_bytes();
+  std::vector<void*> blocks;
+  for (int64_t i = 0; i < kBlocks; ++i) {
+    blocks.push_back(take_block(kBytes));
+    std::memset(blocks.back(), 1, kBytes);
+  }
+  const int64_t taken = resident_bytes() - before;
+  for (void* block : blocks) give_block(block);
+  EXPECT_GE(taken, kBlocks * kBytes);
+  EXPECT_LT(taken, kBlocks * kBytes + kBlocks * kBytes / 32);
 }
 
 TEST_F(BlockMemory, DoesNotSpendALargeBlockOnASmallOne) {
