@@ -24,6 +24,7 @@
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/trained_views.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <iostream>
@@ -156,12 +157,22 @@ void check_lifting(const SampleOptions& options, const ModelBundle& geometry_mod
         "choose another, or --geometry-model DIR with a head that does (VGGT's)"});
 }
 
+// Only rays tell where depth and points belong. flag: what chose the model.
+void check_rays(const SampleOptions& options, const ModelBundle& geometry_model, const char* flag) {
+  if (!options.requested().needs_geometry() || predicts_rays(geometry_model.options().dpt_head)) return;
+  fail({flag, "image or latents of a model without a camera head",
+        "depth, rays or points of " + geometry_model.folder().string() +
+            ", whose VGGT heads have none for cameras",
+        "add --outputs image, or --geometry-model DIR with a model that sees cameras"});
+}
+
 // Where depth, rays and points come from.
 std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
   if (!options.geometry_model.empty()) {
     auto geometry_model = ModelBundle::open(options.geometry_model);
     require_geometry_head(geometry_model);
     check_lifting(options, geometry_model);
+    check_rays(options, geometry_model, "--geometry-model");
     return geometry_model;
   }
   check_lifting(options, bundle);
@@ -171,6 +182,7 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
          "depth, rays or points of " + options.model,
          "add --outputs image, or --geometry-model DIR to have a geometry model look at the generated images"});
   }
+  check_rays(options, bundle, "--outputs");
   return std::nullopt;
 }
 
@@ -187,6 +199,11 @@ PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& d
     fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
   }
+  if (!predicts_rays(bundle.options().dpt_head)) {
+    fail({"--photos", "a model that sees cameras",
+          bundle.folder().string() + ", whose VGGT heads have none for cameras",
+          "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
+  }
   bundle_has_all(bundle, {BundlePart::backbone(), BundlePart::dpt_head()});
   return bundle_models(bundle, device);
 }
@@ -194,8 +211,11 @@ PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& d
 // View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
 void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, int64_t sources) {
   const bool visible = options.method(bundle.options()).approximate.view_pairs == ViewPairs::kVisible;
-  if (!visible || sources < 2 || bundle.options().dpt_head.exists()) return;
-  fail({"--approximate.view-pairs", "all for a model without a geometry head", "visible", "leave it out"});
+  if (!visible || sources < 2 || predicts_rays(bundle.options().dpt_head)) return;
+  fail({"--approximate.view-pairs",
+        bundle.options().dpt_head.exists() ? "all for a model without a camera head"
+                                           : "all for a model without a geometry head",
+        "visible", "leave it out"});
 }
 
 // Reads no pixels of a scene that has cameras: what is wrong with the options, the model or the cameras, or does not fit,

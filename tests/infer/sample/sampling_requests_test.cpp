@@ -80,6 +80,43 @@ TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
       "--photo-lens: expected --photos, which it is an option of, found --scene; leave out one of the two.");
 }
 
+// VGGT's camera head is a part that a bundle may lack; nothing is computed before that is said.
+TEST_F(Sampling, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
+  BundleOptions blind;
+  load_yaml(blind, test::source_root() / "configs/ablations/latents/vggt/model.yaml");
+  apply_setting(blind, "dpt_head.camera_head=false");
+  auto asked = options("no_camera_head");
+  asked.model = (folder_->path() / "no_camera_head_model").string();
+  asked.size = "112x112";
+  save_bundle_options(asked.model, blind);  // without weights, which would be missed next
+  const std::string found = asked.model + ", whose VGGT heads have none for cameras; ";
+  const auto refusal = [&] { return test::error_of([&] { sample(asked); }); };
+  for (const char* output : {"depth", "rays", "points"}) {
+    asked.outputs = {output};
+    EXPECT_EQ(refusal(),
+              "--outputs: expected image or latents of a model without a camera head, found depth, rays or "
+              "points of " +
+                  found + "add --outputs image, or --geometry-model DIR with a model that sees cameras.");
+  }
+  asked.outputs = {"points"};
+  asked.points.lifting = PointLifting::kPointMaps;
+  EXPECT_THAT(refusal(), testing::StartsWith("--outputs: "));
+  asked.geometry_model = asked.model;
+  EXPECT_THAT(refusal(), testing::StartsWith("--geometry-model: "));
+  asked.geometry_model.clear();
+  asked.outputs = {"image"};
+  EXPECT_THAT(refusal(), HasSubstr("expected a file "));  // which it could do with weights
+  asked.approximate.view_pairs = ViewPairs::kVisible;
+  EXPECT_EQ(refusal(),
+            "--approximate.view-pairs: expected all for a model without a camera head, found visible; leave "
+            "it out.");
+  asked.approximate.view_pairs = ViewPairs::kAll;
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  EXPECT_EQ(refusal(), "--photos: expected a model that sees cameras, found " + found +
+                           "add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
+}
+
 // A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
 TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
   const auto model = folder_->path() / "broken_head";
