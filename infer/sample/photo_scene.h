@@ -8,14 +8,30 @@
 #include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/photo_selection.h"
 #include "infer/pipeline/sampling_pipeline.h"
-#include "models/bundle/bundle_options.h"
 
+#include <cstdint>
+#include <filesystem>
 #include <string>
 #include <vector>
 
 #include <torch/types.h>
 
 namespace gld {
+
+// A photograph as its file's header tells, turned upright as EXIF says.
+struct Photograph {
+  std::string name;
+  std::filesystem::path file;
+  int64_t width = 0, height = 0;  // pixels
+};
+
+// Image files, and folders whose image files are taken in natural order. Decodes nothing. Throws Error for no photograph and
+// for two of one name.
+std::vector<Photograph> list_photographs(const std::vector<std::string>& files_and_folders);
+
+// What can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The cameras, side by side,
+// only stand in for those that follow; there are no pixels.
+Scene scene_before_cameras(const std::vector<Photograph>& photographs);
 
 // Photographs without cameras, made a scene by a geometry model (gld sample --photos).
 struct PhotoScene {
@@ -25,10 +41,9 @@ struct PhotoScene {
   std::string text;  // what was found and how sure it is, for people
 };
 
-// Image files, and folders whose image files are taken in natural order; turned upright as EXIF says. size is that
-// of --size. Throws Error for no photograph, two of one name, and one that no camera fits.
-// geometry: the models that see the cameras (bundle_models.h).
-PhotoScene photo_scene(const PhotoSelection& selection, const std::string& size, const BundleOptions& bundle,
+// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Throws Error
+// for a photograph that no camera fits.
+PhotoScene photo_scene(const std::vector<Photograph>& photographs, PhotoLens lens, const ImageSize& size,
                        const PipelineModels& geometry, const torch::Device& device);
 
 // photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures.

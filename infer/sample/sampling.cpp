@@ -137,13 +137,21 @@ std::vector<std::string> unlike_training(const SamplingScene& scene, const Model
 
 // What sampling needs before anything is computed.
 struct PreparedSampling {
-  torch::Device device = torch::kCPU;
+  torch::Device device;
   ModelBundle bundle;
-  std::optional<PhotoScene> photos;  // where the cameras were estimated
+  std::vector<Photograph> photographs;  // instead of a scene with cameras
+  std::optional<PhotoScene> photos;  // once their cameras are estimated; before, stand-ins are in the scene
   Scene found;
-  ViewSelection selection;  // as asked for, completed where cameras were estimated
+  ViewSelection selection;  // as asked for, completed for photographs
   SamplingScene scene;      // without its images
   std::optional<ModelBundle> geometry_model;
+
+  explicit PreparedSampling(const SampleOptions& options)
+      : device(device_from_text(options.device)), bundle(ModelBundle::open(options.model)) {}
+
+  bool cameras_known() const { return photographs.empty() || photos.has_value(); }
+  // A geometry model that is named for the generated images sees the cameras of photographs as well.
+  const ModelBundle& camera_model() const { return geometry_model ? *geometry_model : bundle; }
 };
 
 void check_lifting(const SampleOptions& options, const ModelBundle& geometry_model) {
@@ -194,7 +202,7 @@ void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& pa
   }
 }
 
-PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& device) {
+void check_photo_model(const ModelBundle& bundle) {
   if (!bundle.options().dpt_head.exists()) {
     fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
@@ -204,8 +212,6 @@ PipelineModels geometry_models(const ModelBundle& bundle, const torch::Device& d
           bundle.folder().string() + ", whose VGGT heads have none for cameras",
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
   }
-  bundle_has_all(bundle, {BundlePart::backbone(), BundlePart::dpt_head()});
-  return bundle_models(bundle, device);
 }
 
 // View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
@@ -218,41 +224,60 @@ void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, i
         "visible", "leave it out"});
 }
 
-// Reads no pixels of a scene that has cameras: what is wrong with the options, the model or the cameras, or does not fit,
-// is said first.
+// Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
+void complete_for_photographs(ViewSelection& selection, int64_t photographs) {
+  if (selection.sources.empty()) {
+    for (int64_t i = 0; i < photographs; ++i) selection.sources.emplace_back(i);
+  }
+  if (selection.targets.empty() && selection.path.path.empty()) {
+    selection.path.path = photographs > 1 ? "spline" : "orbit";
+  }
+}
+
+// The views with the cameras that are known now, and what is unusual about them.
+void choose_views(PreparedSampling& prepared, const ImageSize& size) {
+  prepared.scene = sampling_views(prepared.found, prepared.selection, size);
+  std::vector<std::string>& warnings = prepared.scene.warnings;
+  if (!prepared.cameras_known()) {
+    prepared.scene.path_note =
+        "gld sample estimates the cameras of the photographs; what is said here takes their number and sizes";
+    warnings.clear();
+  }
+  const auto notes = unlike_training(prepared.scene, prepared.bundle);
+  warnings.insert(warnings.end(), notes.begin(), notes.end());
+}
+
+// Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the model or
+// the cameras, or does not fit, is said first.
 PreparedSampling prepare(const SampleOptions& options) {
-  const torch::Device device = device_from_text(options.device);
-  const ModelBundle bundle = ModelBundle::open(options.model);
-  auto geometry_model = geometry_model_of(options, bundle);
-  std::optional<PhotoScene> photos;
-  if (!options.photos.files.empty()) {
-    // A geometry model that is named for the generated images sees the cameras as well.
-    photos = photo_scene(options.photos, options.size, bundle.options(),
-                         geometry_models(geometry_model ? *geometry_model : bundle, device), device);
+  PreparedSampling prepared(options);
+  const ModelBundle& bundle = prepared.bundle;
+  prepared.geometry_model = geometry_model_of(options, bundle);
+  if (options.photos.files.empty()) {
+    prepared.found = open_scene(options.scene, options.reading);
+  } else {
+    check_photo_model(prepared.camera_model());
+    prepared.photographs = list_photographs(options.photos.files);
+    prepared.found = scene_before_cameras(prepared.photographs);
   }
-  const Scene found = photos ? photos->scene : open_scene(options.scene, options.reading);
-  const ImageSize size = choose_size(options.size, found, bundle.options().image_sizes(),
+  const ImageSize size = choose_size(options.size, prepared.found, bundle.options().image_sizes(),
                                      bundle.options().backbone.patch_side());
-  ViewSelection selection = options.views;
-  // Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
-  if (photos && selection.sources.empty()) {
-    for (size_t i = 0; i < found.frames.size(); ++i) selection.sources.push_back(static_cast<int64_t>(i));
+  prepared.selection = options.views;
+  if (!prepared.photographs.empty()) {
+    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
   }
-  if (photos && selection.targets.empty() && selection.path.path.empty()) {
-    selection.path.path = found.frames.size() > 1 ? "spline" : "orbit";
-  }
-  SamplingScene views = sampling_views(found, selection, size);
-  check_view_pairs(options, bundle, views.views.num_sources);
-  PreparedSampling prepared{device,
-                            bundle,
-                            std::move(photos),
-                            found,
-                            std::move(selection),
-                            std::move(views),
-                            std::move(geometry_model)};
-  const auto notes = unlike_training(prepared.scene, bundle);
-  prepared.scene.warnings.insert(prepared.scene.warnings.end(), notes.begin(), notes.end());
+  choose_views(prepared, size);
+  check_view_pairs(options, bundle, prepared.scene.views.num_sources);
   return prepared;
+}
+
+// Loads and runs the model that sees them.
+void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options) {
+  const ImageSize size = prepared.scene.size;
+  prepared.photos = photo_scene(prepared.photographs, options.photos.lens, size,
+                                bundle_models(prepared.camera_model(), prepared.device), prepared.device);
+  prepared.found = prepared.photos->scene;
+  choose_views(prepared, size);
 }
 
 // The method and what it would take. model_hash is called where the bundle's measured errors are needed.
@@ -261,8 +286,8 @@ struct PlannedSampling {
   FlowSettings settings;
   SamplingPlan plan;
   std::string speed_origin;  // of the machine's speed that the plan's times come from
-  // By the cameras alone; the pipeline may find fewer pairs with the sources' depth.
-  ViewVisibility visibility;
+  // By the cameras alone, where they are known; the pipeline may find fewer pairs with the sources' depth.
+  std::optional<ViewVisibility> visibility;
 };
 
 PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options) {
@@ -274,6 +299,10 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
   request.outputs = options.requested();
   if (prepared.geometry_model) {
     request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
+  }
+  request.photographs = static_cast<int64_t>(prepared.photographs.size());
+  for (const Photograph& photograph : prepared.photographs) {
+    request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
   }
   return request;
 }
@@ -321,11 +350,12 @@ void refuse_too_large(const PreparedSampling& prepared, const SampleOptions& opt
 PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
                         const std::function<std::string()>& model_hash) {
   const BundleOptions& bundle = prepared.bundle.options();
-  const Views& views = prepared.scene.views;
   PlanRequest request = plan_request(prepared, options);
   PlannedSampling planned;
-  planned.visibility = view_visibility(views);
-  request.visible_share = planned.visibility.kept();
+  if (prepared.cameras_known()) {
+    planned.visibility = view_visibility(prepared.scene.views);
+    request.visible_share = planned.visibility->kept();
+  }
   const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
   planned.choice = choose_method(options, prepared.bundle, request, known.speed, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
@@ -343,7 +373,7 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
 std::string planned_text(const PlannedSampling& planned) {
   const bool some_pairs = planned.settings.approximate.view_pairs == ViewPairs::kVisible;
   return choice_text(planned.choice) + plan_text(planned.plan) + planned.speed_origin + "\n" +
-         (some_pairs ? view_visibility_text(planned.visibility) : "");
+         (some_pairs && planned.visibility ? view_visibility_text(*planned.visibility) : "");
 }
 
 std::string scene_line(const SamplingScene& scene) {
@@ -394,11 +424,17 @@ void sample(const SampleOptions& options) {
     bundle_has_all(*prepared.geometry_model, {BundlePart::backbone(), BundlePart::dpt_head()});
   }
   bundle_has_all(bundle, parts);
+  if (!prepared.photographs.empty()) {
+    bundle_has_all(prepared.camera_model(), {BundlePart::backbone(), BundlePart::dpt_head()});
+  }
   refuse_too_large(prepared, options);
+  StageRecords stages;
+  if (!prepared.photographs.empty()) {
+    stages.run(kPhotoCamerasStage, [&] { estimate_cameras(prepared, options); });
+  }
   for (auto& note : mixed_parts(bundle, parts, options.allow_mixed))
     scene.warnings.push_back(std::move(note));
 
-  StageRecords stages;
   Provenance provenance = make_provenance("sample", options);
   std::unique_ptr<BackgroundHash> hash;
   const auto wait_for_hash = [&] {

@@ -95,6 +95,49 @@ TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
   EXPECT_THROW(sample(asked), Error);
 }
 
+// Cut short behind the header, which tells the size: whoever decoded one would fail.
+std::vector<std::string> undecodable_photographs(const std::filesystem::path& picture,
+                                                 const std::filesystem::path& folder, int count) {
+  std::filesystem::create_directories(folder);
+  const std::string header = read_file(picture).substr(0, 200);
+  for (int i = 0; i < count; ++i) write_file_atomically(folder / fmt::format("{:04}.png", i), header);
+  return {folder.string()};
+}
+
+TEST_F(Sampling, ThePlanOfPhotographsReadsTheirSizesAlone) {
+  auto asked = options("unused");
+  const auto picture = open_scene(asked.scene).frames.front().image_file;
+  asked.scene.clear();
+  asked.photos.files = undecodable_photographs(picture, folder_->path() / "few_photographs", 5);
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.size = "auto";
+  asked.approximate.view_pairs = ViewPairs::kVisible;
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  EXPECT_THAT(text, HasSubstr("5 source and 6 target views at "));
+  EXPECT_THAT(text, HasSubstr("gld sample estimates the cameras of the photographs"));
+  EXPECT_THAT(text, testing::ContainsRegex("photo cameras .* 5 photographs, whose cameras .* sees"));
+  EXPECT_THAT(text, testing::Not(HasSubstr("warning: photographs")));
+  asked.views.sources = {5};
+  EXPECT_THAT(test::error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
+              HasSubstr("--sources: expected frame numbers from 0 to 4"));
+}
+
+TEST_F(Sampling, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
+  auto asked = options("too_many");
+  const auto picture = open_scene(asked.scene).frames.front().image_file;
+  asked.scene.clear();
+  asked.photos.files = undecodable_photographs(picture, folder_->path() / "many_photographs", 3000);
+  asked.views.sources = {0, 1};
+  asked.views.targets = {2};
+  asked.memory_limit = 0.4;
+  EXPECT_THAT(
+      test::error_of([&] { sample(asked); }),
+      testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what "
+                             "would fit: [0-9]+ photographs"));
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+}
+
 // Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
 TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
   auto asked = options("kept_rates");
