@@ -9,6 +9,7 @@
 #include "gld/base/option_differences.h"
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
+#include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
@@ -110,10 +111,6 @@ class FlowProgress {
   std::string stage_;
   std::unique_ptr<Progress> line_;
 };
-
-void print_warnings(const std::vector<std::string>& warnings) {
-  for (const auto& warning : warnings) std::cerr << "warning: " << warning << "\n";
-}
 
 // Where more or other views are asked for than the model was trained on, a sentence each.
 std::vector<std::string> unlike_training(const SamplingScene& scene, const ModelBundle& model) {
@@ -384,7 +381,7 @@ std::string scene_line(const SamplingScene& scene) {
 
 }  // namespace
 
-std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing) {
+ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing) {
   use_threads(options.threads);
   const PreparedSampling prepared = prepare(options);
   const std::string problem = memory_problem(prepared, options);
@@ -400,11 +397,9 @@ std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing
                                         {"predicted_peak_bytes", planned.plan.peak_bytes()},
                                         {"rates", planned.speed_origin},
                                         {"warnings", warnings}};
-    return json_text(report, 2) + "\n";
+    return {json_text(report, 2) + "\n", warnings};
   }
-  std::string text = scene_line(prepared.scene) + planned_text(planned);
-  for (const auto& warning : warnings) text += "warning: " + warning + "\n";
-  return text;
+  return {scene_line(prepared.scene) + planned_text(planned), warnings};
 }
 
 void sample(const SampleOptions& options) {

@@ -176,7 +176,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   doctor.model = asked.model;
   doctor.size = "112x112";
   doctor.threads = 1;
-  EXPECT_THAT(doctor_report(doctor), HasSubstr("RGB decoding"));
+  EXPECT_THAT(doctor_report(doctor).text, HasSubstr("RGB decoding"));
 }
 
 INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces, testing::Values("da3", "vggt", "dinov2", "vae", "taef2"));

@@ -46,15 +46,14 @@ TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
   auto asked = options("many_views");
   asked.model = (folder_->path() / "of_three").string();
   write_random_bundle(asked.model, small_bundle_options(), 7);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
+  const auto few_views = testing::Not(testing::Contains(HasSubstr("The model was trained on scenes")));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings, few_views);
   const auto bundle = ModelBundle::open(asked.model);
   note_trained_views(bundle, BundlePart::of(level_model(1)), 3);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              HasSubstr("warning: The model was trained on scenes of 3 views, this one has 4.\n"));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings,
+              testing::Contains("The model was trained on scenes of 3 views, this one has 4."));
   asked.views.targets = {1};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings, few_views);
 }
 
 TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
@@ -68,13 +67,14 @@ TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
       testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what would "
                              "fit: [0-9]+ views of this size"));
   EXPECT_FALSE(std::filesystem::exists(asked.out));
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings,
+              testing::Contains(HasSubstr("This takes ")));
 }
 
 TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
   auto asked = options("unused");
   asked.outputs = {"image"};
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
   EXPECT_THAT(text,
               testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
@@ -90,7 +90,7 @@ TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
   }
   auto asked = options("unused");
   asked.scene = scene.string();
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("2 source and 2 target views at 112x56"));
   EXPECT_THROW(sample(asked), Error);
 }
@@ -113,11 +113,11 @@ TEST_F(Sampling, ThePlanOfPhotographsReadsTheirSizesAlone) {
   asked.views.targets = {};
   asked.size = "auto";
   asked.approximate.view_pairs = ViewPairs::kVisible;
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("5 source and 6 target views at "));
   EXPECT_THAT(text, HasSubstr("gld sample estimates the cameras of the photographs"));
   EXPECT_THAT(text, testing::ContainsRegex("photo cameras .* 5 photographs, whose cameras .* sees"));
-  EXPECT_THAT(text, testing::Not(HasSubstr("warning: photographs")));
+  EXPECT_TRUE(sampling_plan_report(asked, PlanTiming::kPredicted).warnings.empty());
   asked.views.sources = {5};
   EXPECT_THAT(test::error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
               HasSubstr("--sources: expected frame numbers from 0 to 4"));
@@ -142,7 +142,7 @@ TEST_F(Sampling, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
 TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
   auto asked = options("kept_rates");
   asked.outputs = {"latents"};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("quick estimate"));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).text, HasSubstr("quick estimate"));
   EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
   MachineSpeed slow;
   slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
@@ -163,19 +163,24 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   asked.size = "112x56";
   asked.json = true;
   asked.threads = 1;
-  const auto report = nlohmann::json::parse(doctor_report(asked));
+  const auto report = nlohmann::json::parse(doctor_report(asked).text);
   EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
   EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
   ASSERT_EQ(report.at("forecast").size(), 6u);
   EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
-  const auto again = nlohmann::json::parse(doctor_report(asked));
+  const auto again = nlohmann::json::parse(doctor_report(asked).text);
   EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
   EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
   for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
+  EXPECT_EQ(again.at("warnings"), nlohmann::json(doctor_report(asked).warnings));
+  asked.views = 1000;
+  asked.size = "10080x10080";
+  asked.json = false;
+  EXPECT_THAT(doctor_report(asked).warnings, testing::Contains(HasSubstr("The forecast needs ")));
   asked.sources = asked.views;
   EXPECT_EQ(
       test::error_of([&] { asked.check(); }),
-      "--source-views: expected fewer source views than views, found 8 of 8; leave at least one target view.");
+      "--source-views: expected fewer source views than views, found 1000 of 1000; leave at least one target view.");
 }
 
 }  // namespace
