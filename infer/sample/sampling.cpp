@@ -262,6 +262,8 @@ PreparedSampling prepare(const SampleOptions& options) {
   prepared.selection = options.views;
   if (!prepared.photographs.empty()) {
     complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
+    const std::string& path = prepared.selection.path.path;
+    if (!path.empty()) refuse_orbit_options_of(options, path);
   }
   choose_views(prepared, size);
   check_view_pairs(options, bundle, prepared.scene.views.num_sources);

@@ -50,6 +50,42 @@ TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
   EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
             "--orbit-center: expected three numbers, x,y,z in the scene, found 2; "
             "write for example --orbit-center 0,0,2.5.");
+  asked.views.path.orbit_center = {1, 2, 3};
+  asked.views.path.orbit_distance = 2;
+  EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
+            "--orbit-center, --orbit-distance: expected one of the two, found both; leave out the distance, "
+            "which is only for finding the centre.");
+}
+
+TEST_F(Sampling, OptionsOfAnOrbitNeedOne) {
+  auto asked = options("no_orbit");
+  asked.views.targets = {};
+  for (const char* key : {"center", "radius", "distance", "degrees"}) {
+    asked.named = {"views.path", std::string("views.orbit_") + key};
+    for (const char* path : {"spline", "path.json"}) {
+      asked.views.path.path = path;
+      EXPECT_EQ(test::error_of([&] { asked.check(); }),
+                fmt::format("--orbit-{}: expected --path orbit, which it is an option of, found --path {}; "
+                            "leave out one of the two.",
+                            key, path));
+    }
+    asked.views.path.path = "orbit";
+    EXPECT_NO_THROW(asked.check());
+  }
+  asked.named = {"views.orbit_radius"};
+  asked.views.path.path = "";
+  asked.views.targets = {1};
+  EXPECT_THAT(test::error_of([&] { asked.check(); }),
+              testing::StartsWith("--orbit-radius: expected --path, "));
+  // What lies between several photographs is a spline.
+  asked.views.targets = {};
+  asked.views.sources = {};
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  EXPECT_NO_THROW(asked.check());
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--orbit-radius: expected --path orbit, which it is an option of, found --path spline; leave out "
+            "one of the two.");
 }
 
 TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
