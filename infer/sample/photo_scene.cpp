@@ -7,6 +7,7 @@
 #include "datasets/scenes/resize_crop.h"
 #include "gld/base/error.h"
 #include "infer/export/image_export.h"
+#include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/scene_request.h"
 
@@ -106,26 +107,30 @@ Scene scene_before_cameras(const std::vector<Photograph>& photographs) {
 }
 
 PhotoScene photo_scene(const std::vector<Photograph>& taken, PhotoLens lens, const ImageSize& size,
-                       const PipelineModels& geometry, const torch::Device& device) {
+                       const PipelineModels& geometry, const torch::Device& device, StageRecords& stages) {
   PhotoScene made;
   made.scene = scene_before_cameras(taken);
   Scene& scene = made.scene;
   std::vector<PhotographLens> lenses;
-  LensNumbers numbers(lens);
-  // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
-  for (const Photograph& photograph : taken) {
-    const Image original = read_image(photograph.file, ImageOrientation::kUpright);
-    const ResizeCrop plan = plan_resize_crop(original.width, original.height, size);
-    made.images.push_back(resize_crop(original, plan));
-    lenses.push_back({numbers.of(photograph), static_cast<double>(std::max(original.width, original.height)) *
-                                                  static_cast<double>(plan.resized_width) /
-                                                  static_cast<double>(plan.window_width)});
-  }
-  const auto photographs = stacked(made.images);
-  const GeometryOutput seen =
-      geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
-  require_finite_geometry(seen, "the geometry of the photographs");
-  made.found = photo_cameras(seen, photographs, lenses);
+  torch::Tensor photographs;
+  GeometryOutput seen;
+  stages.run(kPhotoCamerasStage, [&] {
+    LensNumbers numbers(lens);
+    // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
+    for (const Photograph& photograph : taken) {
+      const Image original = read_image(photograph.file, ImageOrientation::kUpright);
+      const ResizeCrop plan = plan_resize_crop(original.width, original.height, size);
+      made.images.push_back(resize_crop(original, plan));
+      lenses.push_back(
+          {numbers.of(photograph), static_cast<double>(std::max(original.width, original.height)) *
+                                       static_cast<double>(plan.resized_width) /
+                                       static_cast<double>(plan.window_width)});
+    }
+    photographs = stacked(made.images);
+    seen = geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
+    require_finite_geometry(seen, "the geometry of the photographs");
+  });
+  stages.run("fitting cameras", [&] { made.found = photo_cameras(seen, photographs, lenses); });
   for (size_t i = 0; i < scene.frames.size(); ++i) {
     scene.frames[i].camera = made.found.cameras[i];
     scene.frames[i].load_image = [image = made.images[i]] { return image; };

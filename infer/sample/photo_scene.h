@@ -3,6 +3,7 @@
 #include "datasets/images/image.h"
 #include "datasets/scenes/scene.h"
 #include "gld/cameras/image_size.h"
+#include "gld/machine/stage_record.h"
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
 #include "infer/pipeline/photo_cameras.h"
@@ -41,10 +42,11 @@ struct PhotoScene {
   std::string text;  // what was found and how sure it is, for people
 };
 
-// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Throws Error
-// for a photograph that no camera fits.
+// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Records what
+// the model takes as kPhotoCamerasStage and apart from it the fitting of cameras to what it sees. Throws Error for a photograph
+// that no camera fits.
 PhotoScene photo_scene(const std::vector<Photograph>& photographs, PhotoLens lens, const ImageSize& size,
-                       const PipelineModels& geometry, const torch::Device& device);
+                       const PipelineModels& geometry, const torch::Device& device, StageRecords& stages);
 
 // photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures.
 void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenance& provenance);

@@ -271,10 +271,11 @@ PreparedSampling prepare(const SampleOptions& options) {
 }
 
 // Loads and runs the model that sees them.
-void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options) {
+void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages) {
   const ImageSize size = prepared.scene.size;
-  prepared.photos = photo_scene(prepared.photographs, options.photos.lens, size,
-                                bundle_models(prepared.camera_model(), prepared.device), prepared.device);
+  prepared.photos =
+      photo_scene(prepared.photographs, options.photos.lens, size,
+                  bundle_models(prepared.camera_model(), prepared.device), prepared.device, stages);
   prepared.found = prepared.photos->scene;
   // One photograph's axis meets no other, and few meet surely: the depth that was seen says how far what they look at is.
   CameraPathOptions& path = prepared.selection.path;
@@ -431,9 +432,7 @@ void sample(const SampleOptions& options) {
   }
   refuse_too_large(prepared, options);
   StageRecords stages;
-  if (!prepared.photographs.empty()) {
-    stages.run(kPhotoCamerasStage, [&] { estimate_cameras(prepared, options); });
-  }
+  if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
   for (auto& note : mixed_parts(bundle, parts, options.allow_mixed))
     scene.warnings.push_back(std::move(note));
 
