@@ -199,7 +199,8 @@ PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest&
   stage.kind = StageKind::kGeometry;
   stage.name = kPhotoCamerasStage;
   stage.before_pipeline = true;
-  stage.reason = fmt::format("{} photographs, whose cameras {} sees", request.photographs, geometry.name);
+  stage.reason = fmt::format("{} photograph{}, whose cameras {} sees", request.photographs,
+                             request.photographs == 1 ? "" : "s", geometry.name);
   stage.precision = layer_precision(ComputePrecision::kFloat32, model_kind_of(stage.kind));
   stage.cost = geometry_of_pictures_cost(geometry, grid, GeometryMaps::kDepthAndRays);
   stage.memory.loaded =
