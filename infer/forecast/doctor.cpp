@@ -13,6 +13,7 @@
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
 #include "models/bundle/bundle.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <optional>
 #include <vector>
@@ -132,7 +133,8 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
   request.num_sources = options.sources;
   request.outputs.image = true;
-  request.outputs.depth = request.outputs.points = bundle.options().has_geometry();
+  request.outputs.depth = request.outputs.points =
+      bundle.options().has_geometry() && predicts_rays(bundle.options().dpt_head);
   for (const auto& part : bundle.options().generators) {
     request.flow.solvers.push_back(options.solver);
     request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
