@@ -21,7 +21,6 @@
 #include "infer/evaluate/scene_record.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/part_lineage.h"
-#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <cmath>
@@ -249,12 +248,12 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   models.device = device;
   models.poses = options.poses;
   const auto seeing_head = [](const BundleOptions& model) {
-    return predicts_rays(model.dpt_head) ? model.dpt_head.architecture().kind() : "";
+    return model.dpt_head.predicts_rays() ? model.dpt_head.architecture().kind() : "";
   };
   std::string head = seeing_head(bundle.options());
   if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {
     const auto pose_model = ModelBundle::open(options.pose_model);
-    if (!predicts_rays(pose_model.options().dpt_head) || !pose_model.has(BundlePart::dpt_head())) {
+    if (!pose_model.options().dpt_head.predicts_rays() || !pose_model.has(BundlePart::dpt_head())) {
       fail({"--pose-model", "a bundle with a geometry head that sees cameras",
             pose_model.folder().string() + ", which has none", "choose a DA3 or VGGT model"});
     }

@@ -8,7 +8,6 @@
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/scene_request.h"
-#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <limits>
@@ -56,7 +55,7 @@ TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& 
   for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
     pictures.levels.push_back(backbone->decodable(level).patches);
   }
-  if (predicts_rays(models.bundle.dpt_head)) {
+  if (models.bundle.dpt_head.predicts_rays()) {
     pictures.geometry =
         geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
   }
@@ -417,7 +416,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   for (const int64_t seed : noise_seeds) {
     PipelineResult sample =
         run(models, scene, sampling, seed,
-            predicts_rays(models.bundle.dpt_head) ? DecodedViews::kAll : DecodedViews::kNone);
+            models.bundle.dpt_head.predicts_rays() ? DecodedViews::kAll : DecodedViews::kNone);
     set(Predictor::kSample, metrics.of_images(sample.images));
     const MetricInputs geometry = metrics.of_geometry(sample);
     for (size_t i = 0; i < columns.size(); ++i) {

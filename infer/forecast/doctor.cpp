@@ -13,7 +13,6 @@
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
 #include "models/bundle/bundle.h"
-#include "models/decoders/predicted_rays.h"
 
 #include <optional>
 #include <vector>
@@ -134,7 +133,7 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.num_sources = options.sources;
   request.outputs.image = true;
   request.outputs.depth = request.outputs.points =
-      bundle.options().has_geometry() && predicts_rays(bundle.options().dpt_head);
+      bundle.options().has_geometry() && bundle.options().dpt_head.predicts_rays();
   for (const auto& part : bundle.options().generators) {
     request.flow.solvers.push_back(options.solver);
     request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;

@@ -5,7 +5,6 @@
 #include "gld/tensors/device.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/trained_views.h"
-#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <memory>
@@ -50,7 +49,7 @@ void check_lifting(const SampleOptions& options, const ModelBundle& geometry_mod
 
 // Only rays tell where depth and points belong. flag: what chose the model.
 void check_rays(const SampleOptions& options, const ModelBundle& geometry_model, const char* flag) {
-  if (!options.requested().needs_geometry() || predicts_rays(geometry_model.options().dpt_head)) return;
+  if (!options.requested().needs_geometry() || geometry_model.options().dpt_head.predicts_rays()) return;
   fail({flag, "image or latents of a model without a camera head",
         "depth, rays or points of " + geometry_model.folder().string() +
             ", whose VGGT heads have none for cameras",
@@ -90,7 +89,7 @@ void check_photo_model(const ModelBundle& bundle) {
     fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
   }
-  if (!predicts_rays(bundle.options().dpt_head)) {
+  if (!bundle.options().dpt_head.predicts_rays()) {
     fail({"--photos", "a model that sees cameras",
           bundle.folder().string() + ", whose VGGT heads have none for cameras",
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
@@ -100,7 +99,7 @@ void check_photo_model(const ModelBundle& bundle) {
 // View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
 void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, int64_t sources) {
   const bool visible = options.method(bundle.options()).approximate.view_pairs == ViewPairs::kVisible;
-  if (!visible || sources < 2 || predicts_rays(bundle.options().dpt_head)) return;
+  if (!visible || sources < 2 || bundle.options().dpt_head.predicts_rays()) return;
   fail({"--approximate.view-pairs",
         bundle.options().dpt_head.exists() ? "all for a model without a camera head"
                                            : "all for a model without a geometry head",

@@ -61,6 +61,8 @@ class GeometryHeadArchitecture : public OptionsGroup {
   virtual int64_t patch_side() const = 0;      // pixels
   // Leading tokens of the backbone that it was made for; -1 for any.
   virtual int64_t leading_tokens() const { return -1; }
+  // Whether it predicts rays, and with them cameras: depth without rays has no place in a scene.
+  virtual bool predicts_rays() const { return true; }
   // Whether depth comes with GeometryOutput::points.
   virtual bool predicts_points() const { return false; }
   virtual Cost cost(const LatentGrid& grid, GeometryMaps maps) const = 0;

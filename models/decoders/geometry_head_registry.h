@@ -21,6 +21,7 @@ class GeometryHeadOptions : public ChosenArchitecture<GeometryHeadArchitecture> 
 
   static GeometryHeadOptions none();
   bool exists() const;
+  bool predicts_rays() const { return exists() && architecture().predicts_rays(); }
   std::shared_ptr<GeometryHead> make(const ParameterPlacement& placement) const {
     return architecture().make(placement);
   }

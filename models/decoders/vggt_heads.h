@@ -95,6 +95,7 @@ struct VggtHeadsOptions : GeometryHeadArchitecture, DptSizes {
   int64_t level_channels() const override { return dim_in; }
   int64_t patch_side() const override { return patch_size; }
   int64_t leading_tokens() const override { return num_special_tokens; }
+  bool predicts_rays() const override { return camera_head; }
   bool predicts_points() const override { return point_head; }
   Cost cost(const LatentGrid& grid, GeometryMaps maps) const override;
 };

@@ -2,6 +2,7 @@
 
 #include "gld/cameras/pose_from_rays.h"
 #include "infer/pipeline/predicted_cameras.h"
+#include "models/decoders/geometry_head_registry.h"
 #include "tests/support/error_of.h"
 
 #include <cmath>
@@ -76,7 +77,10 @@ TEST(VggtHeads, CamerasAreOfAllViewsAndMapsOfThoseAskedFor) {
   EXPECT_FALSE(heads.forward(all, {3, 3, 2}, GeometryMaps::kDepth).rays.defined());
 
   auto without = small_options();
+  EXPECT_TRUE(GeometryHeadOptions(without).predicts_rays());
   without.camera_head = without.point_head = false;
+  EXPECT_FALSE(GeometryHeadOptions(without).predicts_rays());
+  EXPECT_FALSE(GeometryHeadOptions::none().predicts_rays());
   VggtHeads depth_only(without, ParameterPlacement());
   depth_only.initialise(at::detail::createCPUGenerator(1));
   EXPECT_FALSE(depth_only.forward(all, {3, 3, 2}, GeometryMaps::kDepth).points.defined());
