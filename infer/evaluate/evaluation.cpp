@@ -133,15 +133,19 @@ void copy_file_atomically(const std::filesystem::path& from, const std::filesyst
   if (std::filesystem::is_regular_file(from)) write_file_atomically(to, read_file(from));
 }
 
-nlohmann::ordered_json protocol_json(const EvaluationOptions& options) {
+nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const BundleOptions& bundle) {
+  const bool geometry = bundle.has_geometry();
   nlohmann::ordered_json protocol{
       {"samples", options.samples},
       {"poses", pose_estimator_names().at(static_cast<size_t>(options.poses))},
-      {"poses_from", options.pose_model.empty() ? "the model's own geometry head" : options.pose_model},
+      {"poses_from", !options.pose_model.empty() ? options.pose_model
+                     : geometry                  ? "the model's own geometry head"
+                                                 : "nothing: the model has no geometry head"},
       {"lpips", options.lpips.lpips_backbone.empty() ? nlohmann::ordered_json()
                                                      : nlohmann::ordered_json(options.lpips.lpips_backbone)},
       {"true_depth", "measured"},
-      {"pseudo_depth", "of the model's own head on the true pictures"}};
+      {"pseudo_depth", geometry ? "of the model's own head on the true pictures"
+                                : "nothing: the model has no geometry head"}};
   if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
   return protocol;
 }
@@ -376,7 +380,7 @@ std::string evaluate(const EvaluationOptions& options) {
                                    {"model_hash", bundle.content_hash()},
                                    {"precision", precision_text(options.precision)},
                                    {"methods", methods_json(method, options)},
-                                   {"protocol", protocol_json(options)}};
+                                   {"protocol", protocol_json(options, bundle.options())}};
   const auto summary = summaries(by_count);
   report.update(summary);
   folder.write_report(report);

@@ -12,6 +12,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/method/sampling_method.h"
 #include "models/bundle/bundle.h"
 
 #include <optional>
@@ -101,17 +102,17 @@ std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOption
         fmt::format("It needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
                     bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory)));
   }
-  int64_t guided = 0, evaluations = 0;
+  int64_t guided = 0, evaluations = 0;  // of flows: other stages run once, without guidance
   for (const auto& stage : plan.stages) {
+    if (stage.kind != StageKind::kFlow) continue;
     guided += stage.with_unconditional;
     evaluations += stage.evaluations;
   }
   if (guided > 0) {
     advice.push_back(
         fmt::format("Guidance doubles {} of {} evaluations: --guidance-scale 1 removes it, "
-                    "--guidance-interval 0.9,1 keeps it "
-                    "where it matters most.",
-                    guided, evaluations - static_cast<int64_t>(plan.stages.size()) + 2));
+                    "--guidance-interval 0.9,1 keeps it where it matters most.",
+                    guided, evaluations));
   }
   if (options.solver.evaluations > 16 && !is_adaptive(options.solver.solver)) {
     advice.emplace_back(
@@ -131,11 +132,11 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.num_sources = options.sources;
   request.outputs.image = true;
   request.outputs.depth = request.outputs.points = bundle.options().has_geometry();
-  for (const auto& part : bundle.options().generators) {
-    request.flow.solvers.push_back(options.solver);
-    request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
-  }
-  request.flow.guidance = options.guidance;
+  SamplingMethod method;
+  method.solver = options.solver;
+  method.guidance_interval = options.guidance.guidance_interval;
+  method.guidance_tolerance = options.guidance.guidance_tolerance;
+  request.flow = flow_settings(method, options.guidance, bundle.options());
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, machine.speed);

@@ -172,19 +172,9 @@ Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
                                   : bundle.backbone.architecture().decoding_cost(grid);
 }
 
-// The grid of another backbone that looks at the generated images: sides rounded to its patches, as the pipeline does.
-LatentGrid geometry_grid(const BundleOptions& geometry, const BundleOptions& bundle,
-                         const PlanRequest& request) {
-  const int64_t side = geometry.backbone.patch_side();
-  const auto tokens = [&](int64_t count) {
-    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
-  };
-  return {request.grid.views, tokens(request.grid.height), tokens(request.grid.width)};
-}
-
 Cost geometry_model_cost(const BundleOptions& geometry, const BundleOptions& bundle,
                          const PlanRequest& request) {
-  const LatentGrid grid = geometry_grid(geometry, bundle, request);
+  const LatentGrid grid = geometry_model_grid(geometry, bundle, request);
   Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
   const Cost head = geometry.dpt_head.cost(grid, request.outputs.geometry_maps());
   cost.add_operations_of(head);
@@ -200,9 +190,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
   switch (stage.kind) {
     case StageKind::kSourceEncoding: {
       Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
-      // Leading tokens of new views, which one source alone has given already where all get the same.
-      if (stages.decodes() && backbone.leading_tokens() > 0 && backbone.propagates() &&
-          (request.num_sources > 1 || backbone.carried_rows() > 1)) {
+      if (stages.decodes() && backbone.encodes_carried_tokens(request.num_sources)) {
         cost.add_operations_of(
             backbone.encoding_cost(with_views(request.grid, backbone.carried_rows()), bundle.boundary_level));
       }
@@ -234,6 +222,15 @@ StageRequest PlanRequest::stage_request() const {
   stages.geometry_views = outputs.geometry_views();
   stages.view_pairs = flow.approximate.view_pairs;
   return stages;
+}
+
+LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                               const PlanRequest& request) {
+  const int64_t side = geometry.backbone.patch_side();
+  const auto tokens = [&](int64_t count) {
+    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
+  };
+  return {request.grid.views, tokens(request.grid.height), tokens(request.grid.width)};
 }
 
 PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow) {

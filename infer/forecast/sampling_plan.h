@@ -40,6 +40,11 @@ struct PlanRequest {
   }
 };
 
+// The grid of request.geometry_model, another backbone that looks at the generated images: sides rounded to its patches, as
+// the pipeline does.
+LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                               const PlanRequest& request);
+
 // How often each part of a model runs in a flow, over both branches of guidance.
 struct PlannedRuns {
   int64_t condition_encoder = 0;

@@ -38,6 +38,11 @@ class BackboneArchitecture : public OptionsGroup {
   virtual int64_t leading_tokens() const = 0;
   // Rows of Backbone::carried_tokens: 1 where all views get the same leading tokens, 2 where the first view's are others.
   virtual int64_t carried_rows() const { return 1; }
+  // Whether Backbone::carried_tokens runs the backbone once more, for so many source views: a source alone has been encoded
+  // alone already, and without leading tokens there are none to carry.
+  bool encodes_carried_tokens(int64_t num_sources) const {
+    return propagates() && leading_tokens() > 0 && (num_sources > 1 || carried_rows() > 1);
+  }
   // Whether Backbone::propagate makes deeper levels of a level.
   virtual bool propagates() const { return true; }
 
@@ -77,7 +82,7 @@ struct PropagationStart {
 
 // What latents are of: a frozen geometric foundation model (DA3, docs/DESIGN.md section 4, "Backbone"), another network of
 // image features, or an autoencoder; all register themselves.
-// Nothing outside models/backbones names one of them. View 0 is the reference view; views are never reordered.
+// Outside models/backbones only the table of published files names one of them (models/bundle/published_backbones.h). View 0 is the reference view; views are never reordered.
 class Backbone : public torch::nn::Module {
  public:
   virtual const BackboneArchitecture& architecture() const = 0;

@@ -49,7 +49,7 @@ struct BundleOptions : OptionsGroup {
   double latent_epsilon = 1e-5;              // added to the variance of latent statistics
   std::vector<std::string> trained_sizes = {"504x504", "504x378", "504x336", "504x280"};
 
-  // A new DA3-Base model as in the paper.
+  // DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
   BundleOptions();
   void visit(FieldVisitor& visitor) override;
   // The parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that are whole patches.
@@ -68,13 +68,8 @@ struct BundleOptions : OptionsGroup {
   bool has_rgb_decoder() const { return !backbone.architecture().decodes_images(); }
 };
 
-// What the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published
-// conventions of cameras.
-BundleOptions released_da3_options();
-// The same for the released VGGT checkpoints: 5 special tokens generated with the
-// patches (num_special_tokens: 0 leaves them to propagation, as the paper's final experiments do).
-BundleOptions released_vggt_options();
-// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder.
+// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder. Its
+// time shift is the paper's.
 BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone);
 
 }  // namespace gld

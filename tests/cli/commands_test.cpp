@@ -4,6 +4,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "tests/support/data_folders.h"
+#include "train/stages/feature_stages.h"
 
 #include <algorithm>
 #include <filesystem>
@@ -64,6 +65,54 @@ TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
     }
   }
   EXPECT_GT(read, 15);
+}
+
+// Each file of configs/train names its command in its head, and says of the paper's recipe what it has to say.
+TEST(Commands, ReadTheRecipesOfThePaper) {
+  int read = 0;
+  for (const auto& item : std::filesystem::directory_iterator(test::source_root() / "configs/train")) {
+    const std::string text = read_file(item.path()), file = item.path().filename().string();
+    if (file == "model.yaml") continue;
+    const auto at = text.find("# gld "), end = text.find(" --config configs/train/" + file);
+    ASSERT_NE(at, std::string::npos) << file;
+    ASSERT_LT(at, end) << file;
+    const std::string name = text.substr(at + 6, end - at - 6);
+    const auto runnable = runnable_commands();
+    const auto command = std::find_if(runnable.begin(), runnable.end(),
+                                      [&](const Command& candidate) { return candidate.name == name; });
+    ASSERT_NE(command, runnable.end()) << file << " is of " << name;
+    ASSERT_NO_THROW(load_yaml(*command->options, item.path())) << file;
+    ++read;
+    auto* train = dynamic_cast<TrainOptions*>(command->options.get());
+    if (train == nullptr || name == "train backbone") continue;
+    const bool decoder = name == "train decoder";
+    const auto& loop = train->loop;
+    EXPECT_EQ(loop.steps, decoder ? 170000 : 175000) << file;
+    EXPECT_EQ(loop.micro_batches * train->data.loading.batch_size * (decoder ? train->data.views.views : 1),
+              decoder ? 128 : 48)
+        << file;
+    EXPECT_EQ(train->data.longest_intervals,
+              decoder ? (std::vector<int64_t>{128, 20}) : (std::vector<int64_t>{128, 20, 4, 20}))
+        << file;
+    EXPECT_EQ(train->data.weights, decoder ? (std::vector<double>{1, 1}) : (std::vector<double>{4, 4, 1, 1}))
+        << file;
+    EXPECT_EQ(train->data.loading.crop_centre, CropCentre::kPrincipalPoint) << file;
+    EXPECT_EQ(loop.optimiser.ema_decay, decoder ? 0.9978 : 0.9995) << file;
+    if (decoder) {
+      EXPECT_EQ(dynamic_cast<TrainDecoderOptions*>(train)->objective.level_dropout, 0.5);
+    } else {
+      EXPECT_EQ(loop.learning_rate.peak, 5e-5) << file;
+      EXPECT_EQ(train->data.views.order, ViewOrder::kShuffled) << file;
+    }
+  }
+  EXPECT_EQ(read, 5);
+  BundleOptions model;
+  load_yaml(model, test::source_root() / "configs/train/model.yaml");
+  check_options(model, "configs/train/model.yaml");
+  for (const auto& part : model.generators) {
+    EXPECT_EQ(part.time_shift.training, 0);
+    EXPECT_EQ(part.dit.translation_unit, TranslationUnit::kLargestDistance);
+  }
 }
 
 // A folder, a file or a number has one name and one declaration, whichever command takes it.

@@ -3,6 +3,7 @@
 // VGGT (10 GB).
 
 #include "gld/base/configuration.h"
+#include "models/bundle/published_backbones.h"
 #include "models/bundle/random_bundle.h"
 
 #include <exception>
