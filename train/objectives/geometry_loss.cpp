@@ -1,5 +1,7 @@
 #include "train/objectives/geometry_loss.h"
 
+#include "gld/cameras/angles.h"
+
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -13,7 +15,6 @@ namespace {
 
 constexpr double kExactOrigin = 0.02;    // of the baseline
 constexpr double kLeastBaseline = 1e-4;  // in units of the scene's size; less is a camera that only turns
-constexpr double kDegrees = 57.29577951308232;
 
 // Mean distance of the later views' centres from the first view's, which is the origin.
 double baseline_of(const torch::Tensor& true_rays) {
@@ -130,7 +131,7 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
   RayErrors errors;
   // By the chord: the arc cosine has no digits left at small angles.
   errors.direction_degrees =
-      kDegrees * (2 * ((from - to).norm(2, 3) / 2).clamp_max(1.0).asin()).mean().item<double>();
+      kDegreesPerRadian * (2 * ((from - to).norm(2, 3) / 2).clamp_max(1.0).asin()).mean().item<double>();
   errors.rotation_degrees = errors.translation_degrees = errors.origin =
       std::numeric_limits<double>::quiet_NaN();
   if (views < 2) return errors;
@@ -162,9 +163,9 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
     origin += (centre - true_centre).norm();
   }
   const auto others = static_cast<double>(views - 1);
-  errors.rotation_degrees = kDegrees * rotation / others;
+  errors.rotation_degrees = kDegreesPerRadian * rotation / others;
   if (baseline > kLeastBaseline) {
-    errors.translation_degrees = kDegrees * translation / others;
+    errors.translation_degrees = kDegreesPerRadian * translation / others;
     errors.origin = origin / others / baseline;
   }
   return errors;
