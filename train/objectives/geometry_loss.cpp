@@ -46,6 +46,11 @@ torch::Tensor gradient_error(const torch::Tensor& error, const torch::Tensor& ma
   return masked_mean(error.diff(1, dim).abs(), both);
 }
 
+torch::Tensor absolute_relative(const torch::Tensor& error, const torch::Tensor& depth,
+                                const torch::Tensor& mask) {
+  return masked_mean(error.abs() / depth.clamp_min(1e-6), mask);
+}
+
 torch::Tensor origin_error(const torch::Tensor& predicted_rays, const torch::Tensor& true_rays) {
   const double baseline = baseline_of(true_rays);
   if (baseline <= kLeastBaseline) return torch::zeros({}, predicted_rays.options());
@@ -99,7 +104,7 @@ GeometryLosses geometry_losses(const GeometryOutput& predicted, const GeometryTa
     losses.point_map = confident_mean(error, on_grid(predicted.point_confidence.unsqueeze(1)).squeeze(3),
                                       targets.ray_valid, options.confidence_reward);
   }
-  losses.absolute_relative = masked_mean(depth_error.abs() / targets.depth.clamp_min(1e-6), targets.valid);
+  losses.absolute_relative = absolute_relative(depth_error, targets.depth, targets.valid);
   losses.total = options.depth_weight * losses.depth + options.gradient_weight * losses.gradient +
                  options.ray_weight * losses.ray + options.origin_weight * losses.origin +
                  options.point_weight * losses.point;
@@ -193,8 +198,7 @@ TokenGeometryLosses token_geometry_losses(const torch::Tensor& read, const Geome
     GeometryTargets of_tokens;
     of_tokens.rays = middle;
     losses.rays = ray_errors(rays, of_tokens);
-    losses.depth_abs_rel =
-        masked_mean((log_depth.exp() - depth).abs() / depth.clamp_min(1e-6), valid).item<double>();
+    losses.depth_abs_rel = absolute_relative(log_depth.exp() - depth, depth, valid).item<double>();
   }
   return losses;
 }
