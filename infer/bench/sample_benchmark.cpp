@@ -15,6 +15,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/bench/relative_rms.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/scene_request.h"
@@ -107,17 +108,13 @@ class SceneSampler {
     SampleRow row = run(variant, result);
     if (row.non_finite == 0) {
       // The boundary level, which is generated first, and the shallowest.
-      row.level1_error = relative_error(result.latents.rbegin()->second, reference_.latents.rbegin()->second);
-      row.level0_error = relative_error(result.latents.begin()->second, reference_.latents.begin()->second);
+      row.level1_error = relative_rms(result.latents.rbegin()->second, reference_.latents.rbegin()->second);
+      row.level0_error = relative_rms(result.latents.begin()->second, reference_.latents.begin()->second);
     }
     return row;
   }
 
  private:
-  static double relative_error(const torch::Tensor& latent, const torch::Tensor& reference) {
-    return ((latent - reference).norm() / reference.norm()).item<double>();
-  }
-
   SampleRow run(const SamplingVariant& variant, PipelineResult& result) {
     SamplingMethod method;
     method.solver = variant.solver;
