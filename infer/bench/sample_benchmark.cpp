@@ -137,7 +137,7 @@ class SceneSampler {
       if (error.parts().expected != "finite numbers") throw;
       row.non_finite = 1;
     }
-    row.seconds = flow_seconds(models_.models.levels, stages);
+    row.seconds = stage_seconds(models_.models.levels, StageKind::kFlow, stages);
     for (const auto& stage : stages.records()) {
       row.peak_bytes = std::max(row.peak_bytes, stage.peak_bytes);
     }

@@ -109,9 +109,9 @@ class Sampler {
     StageRecords stages;
     Run run;
     run.result = run_pipeline(*models, request, stages);
-    run.seconds = flow_seconds(models->levels, stages);
+    run.seconds = stage_seconds(models->levels, StageKind::kFlow, stages) +
+                  stage_seconds(models->levels, StageKind::kViewPairs, stages);
     for (const auto& stage : stages.records()) {
-      if (stage.name == "view pairs") run.seconds += stage.seconds;
       run.peak_bytes = std::max(run.peak_bytes, stage.peak_bytes);
     }
     return run;
