@@ -127,8 +127,8 @@ class Sampler {
     // The boundary level, which is generated first, and the shallowest.
     const auto& latents = made.result.latents;
     const auto& exact = reference.result.latents;
-    sample.level1_error = relative_rms(latents.rbegin()->second, exact.rbegin()->second);
-    sample.level0_error = relative_rms(latents.begin()->second, exact.begin()->second);
+    sample.boundary_error = relative_rms(latents.rbegin()->second, exact.rbegin()->second);
+    sample.shallowest_error = relative_rms(latents.begin()->second, exact.begin()->second);
     if (method.precision != ComputePrecision::kFloat32) {
       SamplingMethod in_float32 = method;
       in_float32.precision = ComputePrecision::kFloat32;
