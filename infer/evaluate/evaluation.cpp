@@ -158,8 +158,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.integers({"source_counts",
-                    "numbers of sources to evaluate each scene with, targets the same; empty: "
-                    "once, as views says"},
+                    "numbers of sources to evaluate each scene with, targets the same; "
+                    "empty: once, as views says"},
                    source_counts, {1, 1000});
   visitor.integers({"source_frames", "frames that are sources in every scene; empty: views chooses"},
                    source_frames, {0, 1'000'000});

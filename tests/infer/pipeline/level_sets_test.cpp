@@ -208,8 +208,7 @@ TEST(LevelSetBundle, AModelOfTodayReadsAsThePublishedSetAndAnotherBoundaryIsRefu
   load_yaml_text(options, "boundary_level: 2\n", "model.yaml");
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "generated: expected a part that generates boundary_level 2, which propagation starts from, "
-            "found none in "
-            "generated; add 2 to generated or change boundary_level.");
+            "found none in generated; add 2 to generated or change boundary_level.");
 }
 
 TEST(LevelSetBundle, OptionsOfOtherSetsAreWrittenAndRead) {
@@ -233,8 +232,7 @@ TEST(LevelSetBundle, GeometryOfAModelThatLeavesLevelsOutIsRefused) {
                            stages);
             }),
             "geometry: expected all levels, which the DPT head takes, found no level 0; ask for images "
-            "alone, or use "
-            "a model that generates it.");
+            "alone, or use a model that generates it.");
 }
 
 }  // namespace
