@@ -2,6 +2,7 @@
 // after another here.
 
 #include "gld/base/configuration.h"
+#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/flow/flow.h"
 #include "gld/flow/schedule.h"
 #include "gld/latents/noise.h"
@@ -20,20 +21,6 @@ namespace {
 
 constexpr int64_t kHeight = 28, kWidth = 42;  // pixels
 constexpr int64_t kViews = 3, kSources = 2;
-
-Views views_in_a_row() {
-  Views views;
-  views.num_sources = kSources;
-  for (int64_t i = 0; i < kViews; ++i) {
-    Camera camera;
-    camera.width = kWidth;
-    camera.height = kHeight;
-    camera.intrinsics << 40, 0, 21, 0, 40, 14, 0, 0, 1;
-    camera.world_from_camera.translation().x() = 0.3 * static_cast<double>(i);
-    views.cameras.push_back(camera);
-  }
-  return views;
-}
 
 struct SetCase {
   const char* name;
@@ -66,7 +53,7 @@ BundleOptions options_of(const SetCase& set) {
 
 PipelineRequest request_of(const BundleOptions& options) {
   PipelineRequest request;
-  request.views = views_in_a_row();
+  request.views = cameras_in_a_row({kViews, kSources, {kWidth, kHeight}});
   torch::manual_seed(3);
   request.source_images = torch::rand({kSources, 3, kHeight, kWidth});
   const int64_t tokens = (kHeight / 14) * (kWidth / 14);
