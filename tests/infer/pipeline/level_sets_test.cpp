@@ -9,6 +9,7 @@
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/sampling_pipeline.h"
+#include "infer/pipeline/sampling_stages.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -220,6 +221,30 @@ TEST(LevelSetBundle, GeometryOfAModelThatLeavesLevelsOutIsRefused) {
             }),
             "geometry: expected all levels, which the DPT head takes, found no level 0; ask for images "
             "alone, or use a model that generates it.");
+}
+
+// Records are found again under the names that stages have.
+TEST(SamplingStages, AreTimedByTheirKind) {
+  LevelSet levels;
+  levels.generators = {level_model(1), cascade(1, 0)};
+  StageRequest request;
+  request.views = 4;
+  request.num_sources = 2;
+  request.geometry_views = DecodedViews::kAll;
+  request.view_pairs = ViewPairs::kVisible;
+  const auto stages = sampling_stages(levels, request);
+  ASSERT_EQ(stages.size(), 7U);
+  StageRecords records;
+  for (const SamplingStage& stage : stages) records.run(stage.name, [] {});
+  records.run("writing", [] {});
+  const auto seconds = [&](size_t number) { return records.records()[number].seconds; };
+  EXPECT_EQ(stages[0].kind, StageKind::kSourceEncoding);
+  EXPECT_EQ(stage_seconds(levels, StageKind::kSourceEncoding, records), seconds(0));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kViewPairs, records), seconds(1));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kFlow, records), seconds(2) + seconds(3));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kPropagation, records), seconds(4));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kRgbDecoding, records), seconds(5));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kGeometry, records), seconds(6));
 }
 
 }  // namespace
