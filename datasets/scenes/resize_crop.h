@@ -10,9 +10,6 @@
 
 namespace gld {
 
-// 504x504, 504x378, 504x336, 504x280 (paper A.3).
-std::vector<ImageSize> published_sizes();
-
 // The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
 ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
 

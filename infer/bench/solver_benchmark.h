@@ -22,7 +22,7 @@ struct SolverBenchmarkOptions : OptionsGroup {
   std::string problem;
   std::vector<int64_t> counts{4, 6, 8, 12, 16, 20, 32, 49};
   std::vector<double> tolerances{1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};
-  double shift = 31.18;
+  double shift = ScheduleOptions().shift;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

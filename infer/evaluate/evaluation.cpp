@@ -60,18 +60,6 @@ Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   return make_picture_sheet(sections, text);
 }
 
-// Only a run of the same options would go on as the one that was interrupted.
-void refuse_to_resume_others(const EvaluationOptions& options) {
-  const auto file = std::filesystem::path(options.out) / "config.yaml";
-  if (!std::filesystem::is_regular_file(file)) return;
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    const auto& free = options_beside_the_result();
-    if (std::find(free.begin(), free.end(), difference.key) != free.end()) continue;
-    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
-          difference.now, "leave it as it was, or begin again with --overwrite"});
-  }
-}
-
 // What a run keeps of a scene that is done.
 struct KeptScene {
   std::vector<SceneEvaluation> by_count;  // one a number of sources
@@ -174,8 +162,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.integers({"source_counts",
-                    "numbers of sources to evaluate each scene with, targets the same; empty: "
-                    "once, as views says"},
+                    "numbers of sources to evaluate each scene with, targets the same; "
+                    "empty: once, as views says"},
                    source_counts, {1, 1000});
   visitor.integers({"source_frames", "frames that are sources in every scene; empty: views chooses"},
                    source_frames, {0, 1'000'000});
@@ -330,7 +318,7 @@ std::string evaluate(const EvaluationOptions& options) {
   use_threads(options.threads);
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "eval", earlier);
-  if (options.resume) refuse_to_resume_others(options);
+  if (options.resume) refuse_other_options(options.out, options);
   const auto bundle = ModelBundle::open(options.model);
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {

@@ -26,6 +26,8 @@ enum class Predictor {
 };
 const std::vector<Predictor>& all_predictors();
 const std::vector<Predictor>& main_predictors();  // without those of one level
+// Those of one level alone, by level: four columns, whatever backbone there is.
+const std::vector<Predictor>& level_predictors();
 const std::vector<Predictor>& trivial_predictors();
 bool is_trivial(Predictor predictor);
 std::string predictor_name(Predictor predictor);  // "mean_prediction"

@@ -14,6 +14,7 @@
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/transposed_product.h"
 #include "infer/forecast/dit_speed.h"
+#include "models/layers/operation_cost.h"
 
 #include <algorithm>
 #include <array>
@@ -31,7 +32,6 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kFloatBytes = 4;
 // The factors where they were not measured, from machines that were.
 constexpr double kUsualSmallModel = 1.8, kUsualLargeModel = 1.15;
 

@@ -8,6 +8,7 @@
 #include "infer/forecast/stage_speed.h"
 #include "models/cost/branch_choice.h"
 #include "models/dit/encoder_nodes.h"
+#include "models/dit/extrapolated_field.h"
 
 #include <algorithm>
 #include <array>
@@ -16,11 +17,6 @@
 
 namespace gld {
 namespace {
-
-bool guided_at(double t, const GuidanceOptions& guidance) {
-  return guidance.guidance_scale != 1 && t >= guidance.guidance_interval[0] &&
-         t <= guidance.guidance_interval[1];
-}
 
 // The flow time that each evaluation starts its step from.
 std::vector<double> evaluation_times(const SolverOptions& solver) {
@@ -35,20 +31,18 @@ std::vector<double> evaluation_times(const SolverOptions& solver) {
 
 int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& guidance) {
   const auto times = evaluation_times(solver);
-  return std::count_if(times.begin(), times.end(), [&](double t) { return guided_at(t, guidance); });
+  return std::count_if(times.begin(), times.end(), [&](double t) { return guidance.acts_at(t); });
 }
 
-// The runs of ExtrapolatedField (models/dit/extrapolated_field.h).
 int64_t extrapolated_runs(const SolverOptions& solver, const GuidanceOptions& guidance, int64_t every) {
   const auto times = evaluation_times(solver);
   int64_t runs = 0;
-  std::array<int64_t, 2> newest{-1, -1};  // evaluation that a branch was last computed at
+  std::array<int64_t, 2> newest{kNeverRun, kNeverRun};  // evaluation that a branch was last computed at
   for (int64_t i = 0; i < static_cast<int64_t>(times.size()); ++i) {
-    const bool refresh = i == 0 || (i - 1) % every == 0;
-    const int64_t branches = guided_at(times[static_cast<size_t>(i)], guidance) ? 2 : 1;
+    const int64_t branches = guidance.acts_at(times[static_cast<size_t>(i)]) ? 2 : 1;
     for (int64_t branch = 0; branch < branches; ++branch) {
       auto& last = newest[static_cast<size_t>(branch)];
-      if (!refresh && last >= 0 && i - last < every) continue;
+      if (!extrapolated_encoder_runs_at(i, last, every)) continue;
       last = i;
       ++runs;
     }

@@ -80,19 +80,6 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
                      evaluations, options.guidance.guidance_scale);
 }
 
-// Only a run of the same options would go on as the one that was interrupted.
-void refuse_other_options(const SampleOptions& options) {
-  const auto file = std::filesystem::path(options.out) / "config.yaml";
-  if (!std::filesystem::is_regular_file(file)) return;
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    const auto& free = options_beside_the_result();
-    if (difference.key == "memory_limit" || std::find(free.begin(), free.end(), difference.key) != free.end())
-      continue;
-    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
-          difference.now, "leave it as it was, or begin again with --overwrite"});
-  }
-}
-
 // One progress line a flow-matching stage.
 class FlowProgress {
  public:
@@ -361,7 +348,7 @@ void sample(const SampleOptions& options) {
   use_threads(options.threads);
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "sample", earlier);
-  if (options.resume) refuse_other_options(options);
+  if (options.resume) refuse_other_options(options.out, options, {"memory_limit"});
   PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   SamplingScene& scene = prepared.scene;

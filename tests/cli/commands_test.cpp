@@ -118,7 +118,7 @@ TEST(Commands, ReadTheRecipesOfThePaper) {
 // A folder, a file or a number has one name and one declaration, whichever command takes it.
 TEST(Commands, SharedOptionsAreTheSameEverywhere) {
   const std::set<std::string> shared{"out", "threads", "device", "seed", "scene", "scenes"};
-  std::map<std::string, std::set<std::string>> declarations;
+  std::map<std::string, std::set<std::string>> declarations, defaults;
   for (const auto& command : runnable_commands()) {
     if (!command.options) continue;
     for (const auto& option : describe_options(*command.options)) {
@@ -130,11 +130,18 @@ TEST(Commands, SharedOptionsAreTheSameEverywhere) {
       if (name == "seed") help = help.substr(0, 8) + help.substr(help.find(';'));
       if (name == "scenes") help = help.substr(0, help.find(';'));
       declarations[name].insert(option.type + " " + option.range + " " + help);
+      // A stage of an ablation has one thread, because stages run side by side; the help of --jobs says so.
+      if (name == "threads" && command.name == "ablate") {
+        EXPECT_EQ(option.default_value, "1");
+        continue;
+      }
+      defaults[name].insert(option.default_value);
     }
   }
   EXPECT_EQ(declarations.size(), shared.size());
   for (const auto& [name, different] : declarations) {
     EXPECT_EQ(different.size(), 1U) << name << ": " << testing::PrintToString(different);
+    EXPECT_EQ(defaults[name].size(), 1U) << name << ": " << testing::PrintToString(defaults[name]);
   }
 }
 

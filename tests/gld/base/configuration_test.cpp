@@ -116,6 +116,19 @@ TEST(Configuration, SaysWhatDiffersFromAnEarlierText) {
   EXPECT_EQ(differences[2].key, "title");
 }
 
+TEST(Configuration, ARunGoesOnWithItsOwnOptionsOnly) {
+  const test::TemporaryFolder folder;
+  OuterOptions options;
+  refuse_other_options(folder.path(), options);  // killed before its file was written
+  write_file_atomically(folder.path() / "config.yaml", to_yaml(options));
+  refuse_other_options(folder.path(), options);
+  options.title = "b";
+  refuse_other_options(folder.path(), options, {"title"});
+  EXPECT_EQ(test::error_of([&] { refuse_other_options(folder.path(), options, {"inner.weight"}); }),
+            "--resume: expected the options of the run, which has title " + OuterOptions().title +
+                ", found b; leave it as it was, or begin again with --overwrite.");
+}
+
 TEST(Configuration, SuggestsOnlyWhatIsNear) {
   EXPECT_EQ(nearest_name("ddim", {"euler", "dp54", "unipc3"}), "");
   EXPECT_EQ(nearest_name("--schedule", {"--help", "--size"}), "");

@@ -131,8 +131,7 @@ TEST_F(Bundles, RefusesWhatIsNoBundle) {
   EXPECT_EQ(error_of([&] { ModelBundle::open(own_.path() / "nowhere"); }),
             (own_.path() / "nowhere").string() +
                 ": expected a model bundle, a folder with model.yaml, found no such folder; make one with "
-                "gld convert "
-                "or gld train, or check the path.");
+                "gld convert or gld train, or check the path.");
   EXPECT_EQ(error_of([&] { ModelBundle::open(own_.path()); }),
             own_.path().string() +
                 ": expected a model bundle, a folder with model.yaml, found a folder without it; "

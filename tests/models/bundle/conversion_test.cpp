@@ -505,10 +505,9 @@ TEST_F(Conversion, IsStrict) {
           "s_projector.bias).");
   auto misshapen = part(BundlePart::of(level_model(1)));
   misshapen["s_projector.bias"] = torch::zeros({3});
-  EXPECT_EQ(refusal(misshapen),
-            where +
-                ": tensor ema.s_projector.bias: expected shape (128), found (3); check that "
-                "the configuration belongs to these weights.");
+  EXPECT_EQ(refusal(misshapen), where +
+                                    ": tensor ema.s_projector.bias: expected shape (128), found (3); "
+                                    "check that the configuration belongs to these weights.");
   auto broken = part(BundlePart::of(level_model(1)));
   broken["s_projector.bias"] = torch::full({128}, std::numeric_limits<float>::quiet_NaN());
   EXPECT_EQ(refusal(broken),
@@ -537,8 +536,7 @@ TEST_F(Conversion, NeedsAFileAndAFolder) {
   options.out = "somewhere";
   EXPECT_EQ(error_of([&] { options.check(); }),
             "gld convert: expected at least one file to convert, found none; give --da3, --level1, ... (see "
-            "gld convert "
-            "--help).");
+            "gld convert --help).");
   options.out.clear();
   EXPECT_EQ(error_of([&] { options.check(); }),
             "--out: expected a folder to write into, found nothing; add for example --out models/gld.");
