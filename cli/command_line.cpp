@@ -128,7 +128,26 @@ std::vector<std::string> known_flags(const CLI::App& app) {
   return names;
 }
 
-// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else the nearest name.
+// The shortest of those that begin so, "--model" for "--mod"; empty where the beginning is a letter or none begins so.
+std::string begun_name(const std::string& beginning, const std::vector<std::string>& known) {
+  constexpr size_t kFewestLetters = 2;
+  std::string shortest;
+  if (beginning.size() - std::min(beginning.find_first_not_of('-'), beginning.size()) < kFewestLetters)
+    return "";
+  for (const auto& name : known) {
+    if (name.compare(0, beginning.size(), beginning) != 0) continue;
+    if (shortest.empty() || name.size() < shortest.size()) shortest = name;
+  }
+  return shortest;
+}
+
+// What a wrong name was perhaps meant to be: one that begins so, or else the nearest.
+std::string meant_name(const std::string& name, const std::vector<std::string>& known) {
+  const std::string begun = begun_name(name, known);
+  return begun.empty() ? nearest_name(name, known) : begun;
+}
+
+// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else as of any name.
 std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
   if (flag.rfind("--", 0) == 0) {
     const std::string end = "." + flag.substr(2);
@@ -137,7 +156,7 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
         return name;
     }
   }
-  return nearest_name(flag, known);
+  return meant_name(flag, known);
 }
 
 // "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what follows it up
@@ -336,7 +355,7 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     }
     return parse(command, rest, outermost);
   }
-  const auto near = nearest_name(arguments[0], names);
+  const auto near = meant_name(arguments[0], names);
   fail({program, "a command", "'" + arguments[0] + "'",
         near.empty() ? "see " + program + " --help" : "did you mean '" + near + "'?"});
 }

@@ -14,6 +14,7 @@
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sampling_method.h"
 #include "models/bundle/bundle.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <optional>
 #include <vector>
@@ -91,17 +92,19 @@ std::vector<std::string> complaints(const Machine& machine) {
 
 struct Forecast {
   SamplingPlan plan;
+  std::string memory_problem;  // empty where it fits
   std::vector<std::string> advice;
 };
 
-std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options,
-                                    const Machine& machine) {
+std::string memory_problem_of(const SamplingPlan& plan, const Machine& machine) {
+  if (machine.available_memory <= 0 || plan.peak_bytes() <= machine.available_memory) return "";
+  return fmt::format(
+      "The forecast needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
+      bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory));
+}
+
+std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options) {
   std::vector<std::string> advice;
-  if (plan.peak_bytes() > machine.available_memory && machine.available_memory > 0) {
-    advice.push_back(
-        fmt::format("It needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
-                    bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory)));
-  }
   int64_t guided = 0, evaluations = 0;  // of flows: other stages run once, without guidance
   for (const auto& stage : plan.stages) {
     if (stage.kind != StageKind::kFlow) continue;
@@ -131,7 +134,8 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
   request.num_sources = options.sources;
   request.outputs.image = true;
-  request.outputs.depth = request.outputs.points = bundle.options().has_geometry();
+  request.outputs.depth = request.outputs.points =
+      bundle.options().has_geometry() && predicts_rays(bundle.options().dpt_head);
   SamplingMethod method;
   method.solver = options.solver;
   method.guidance_interval = options.guidance.guidance_interval;
@@ -140,7 +144,8 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, machine.speed);
-  result.advice = advice_for(result.plan, options, machine);
+  result.memory_problem = memory_problem_of(result.plan, machine);
+  result.advice = advice_for(result.plan, options);
   return result;
 }
 
@@ -230,30 +235,34 @@ void DoctorOptions::check() const {
   }
 }
 
-std::string doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
+ReportText doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
   use_threads(options.threads);
   Machine machine = examine_machine(options);
   machine.process_engines = process_engines;
   const auto wrong = complaints(machine);
+  std::vector<std::string> warnings = wrong;
+  std::optional<Forecast> made;
+  if (!options.model.empty()) {
+    made = forecast(options, machine);
+    if (!made->memory_problem.empty()) warnings.push_back(made->memory_problem);
+  }
   if (options.json) {
     nlohmann::ordered_json report{{"machine", machine_json(machine)}, {"complaints", wrong}};
-    if (!options.model.empty()) {
-      const Forecast made = forecast(options, machine);
-      report["forecast"] = plan_json(made.plan);
-      report["advice"] = made.advice;
+    if (made) {
+      report["forecast"] = plan_json(made->plan);
+      report["advice"] = made->advice;
     }
-    return json_text(report, 2) + "\n";
+    report["warnings"] = warnings;
+    return {json_text(report, 2) + "\n", warnings};
   }
   std::string text = machine_text(machine);
-  for (const auto& complaint : wrong) text += "warning: " + complaint + "\n";
   if (wrong.empty()) text += "Nothing is wrong.\n";
-  if (options.model.empty()) return text;
-  const Forecast made = forecast(options, machine);
+  if (!made) return {text, warnings};
   text += fmt::format("\nForecast for {} with {} views ({} sources) at {}:\n", options.model, options.views,
                       options.sources, options.size);
-  text += plan_text(made.plan);
-  for (const auto& line : made.advice) text += "- " + line + "\n";
-  return text;
+  text += plan_text(made->plan);
+  for (const auto& line : made->advice) text += "- " + line + "\n";
+  return {text, warnings};
 }
 
 }  // namespace gld

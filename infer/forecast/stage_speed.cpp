@@ -86,7 +86,7 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
 // Of another backbone and its head, which look at the generated images.
 double geometry_model_seconds(const BundleOptions& geometry, const BundleOptions& bundle,
                               const PlanRequest& request) {
-  const LatentGrid grid = geometry_model_grid(geometry, bundle, request);
+  const LatentGrid grid = geometry_model_grid(geometry, bundle, request.grid);
   const auto backbone = geometry.backbone.make(ParameterPlacement{});
   fill(*backbone);
   const int64_t side = geometry.backbone.patch_side();

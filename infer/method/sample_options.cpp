@@ -34,6 +34,13 @@ std::string method_field_asked_for(const SampleOptions& options) {
 
 bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
 
+// "--orbit-center" for "views.orbit_center".
+std::string flag_of(const std::string& key) {
+  std::string flag = "--" + key.substr(key.find('.') + 1);
+  std::replace(flag.begin(), flag.end(), '_', '-');
+  return flag;
+}
+
 // What the command line asks for and nothing would look at.
 void refuse_without_effect(const SampleOptions& options) {
   for (const auto& key : options.named) {
@@ -50,10 +57,10 @@ void refuse_without_effect(const SampleOptions& options) {
     const bool has_path =
         !options.views.path.path.empty() || (!options.photos.files.empty() && options.views.targets.empty());
     if (!has_path && of_a_path) {
-      fail({"--" + key.substr(key.find('.') + 1), "--path, which it is an option of", "--targets",
-            "leave out one of the two"});
+      fail({flag_of(key), "--path, which it is an option of", "--targets", "leave out one of the two"});
     }
   }
+  if (!options.views.path.path.empty()) refuse_orbit_options_of(options, options.views.path.path);
 }
 
 void refuse_two_methods(const SampleOptions& options) {
@@ -67,6 +74,15 @@ void refuse_two_methods(const SampleOptions& options) {
 }
 
 }  // namespace
+
+void refuse_orbit_options_of(const SampleOptions& options, const std::string& path) {
+  if (path == "orbit") return;
+  for (const auto& key : options.named) {
+    if (!begins_with(key, "views.orbit_")) continue;
+    fail({flag_of(key), "--path orbit, which it is an option of", "--path " + path,
+          "leave out one of the two"});
+  }
+}
 
 SampleOptions::SampleOptions() {
   reading.broken_frames = BrokenFrames::kSkip;  // a frame that nobody chose does not stand in the way

@@ -19,7 +19,7 @@ struct CameraPathOptions : OptionsGroup {
   double orbit_radius = 0;
 
   void visit(FieldVisitor& visitor) override;
-  void check() const override;  // orbit_center is a point or nothing
+  void check() const override;  // orbit_center is a point or nothing, and not beside a distance to find it by
 };
 
 // The target cameras of --path: "orbit", "spline", or a cameras.json file whose cameras are taken as they are (all of

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <streambuf>
 #include <system_error>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -109,6 +110,22 @@ TEST_F(CommandLine, WrongUsageGetsOneSentence) {
   EXPECT_EQ(error_text_,
             "error: --set: expected key=value, found 'frame_count'; "
             "write for example --set solver.evaluations=16.\n");
+}
+
+// What lacks more letters than it has is near to nothing, but begins a name.
+TEST_F(CommandLine, ABeginningSuggestsTheNameThatItBegins) {
+  for (const auto& [typed, meant] : {std::pair{"--fra", "--frame-count"},
+                                     {"--frame", "--frame-count"},
+                                     {"--js=1", "--json"},
+                                     {"--guid", "--guidance.scale"},
+                                     {"--no-j", "--no-json"}}) {
+    EXPECT_EQ(run({"paint", "x", typed}), 2);
+    EXPECT_THAT(error_text_, testing::HasSubstr(std::string("; did you mean ") + meant + "?\n")) << typed;
+  }
+  EXPECT_EQ(run({"paint", "x", "--f"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("; see gld paint --help.\n"));
+  EXPECT_EQ(run({"pa"}), 2);
+  EXPECT_EQ(error_text_, "error: gld: expected a command, found 'pa'; did you mean 'paint'?\n");
 }
 
 TEST_F(CommandLine, AFlagIsNamedAsItIsTypedAndItsValueIsText) {

@@ -145,6 +145,20 @@ TEST(Commands, SharedOptionsAreTheSameEverywhere) {
   }
 }
 
+// Of a plan the warnings are what matters, as of every command.
+TEST(Commands, QuietShowsWarnings) {
+  const auto scene = test::test_data() / "scenes" / "tartanair_hospital";
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  const int status = run_command_line(
+      all_commands(),
+      {"plan", "--quiet", "--model", (test::source_root() / "configs/tiny").string(), "--scene",
+       scene.string(), "--sources", "0", "--targets", "1", "--size", "112x112", "--memory-limit", "0.001"});
+  EXPECT_EQ(testing::internal::GetCapturedStdout(), "");
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), testing::HasSubstr("warning: This takes "));
+  EXPECT_EQ(status, 0);
+}
+
 // 0 for help, 2 for wrong usage: nothing was begun.
 TEST(Commands, ExitStatusSaysWhatWentWrong) {
   for (const auto& command : runnable_commands()) {

@@ -188,7 +188,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   doctor.model = asked.model;
   doctor.size = "112x112";
   doctor.threads = 1;
-  EXPECT_THAT(doctor_report(doctor), HasSubstr("RGB decoding"));
+  EXPECT_THAT(doctor_report(doctor).text, HasSubstr("RGB decoding"));
 }
 
 INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces,

@@ -170,6 +170,27 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
                 "', which has none; check the name.");
 }
 
+// Its axis meets no other, and its unit is the model's: only the predicted depth tells how far away things are.
+TEST_F(Sampling, OnePhotographIsOrbitedAtItsDepth) {
+  auto asked = with_shipped_model(options("one_photograph"));
+  asked.photos.files = {open_scene(asked.scene).frames.front().image_file.string()};
+  asked.scene.clear();
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 2;
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  const double depth = report.at("photo_cameras").at("median_depth");
+  EXPECT_GT(std::abs(std::log(depth)), 0.01);  // not the 1 that is assumed where nothing is known
+  EXPECT_THAT(printed_,
+              HasSubstr(fmt::format(", {:.4g} away: at the depth of what the source cameras see", depth)));
+  asked.views.path.path = "orbit";
+  asked.views.path.orbit_distance = 7;
+  asked.overwrite = true;
+  run(asked);
+  EXPECT_THAT(printed_, HasSubstr(", 7 away: "));
+}
+
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {
   auto asked = options("points");
   asked.outputs = {"points"};
