@@ -147,7 +147,8 @@ std::string meant_name(const std::string& name, const std::vector<std::string>& 
   return begun.empty() ? nearest_name(name, known) : begun;
 }
 
-// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else as of any name.
+// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else as of any
+// name.
 std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
   if (flag.rfind("--", 0) == 0) {
     const std::string end = "." + flag.substr(2);
@@ -159,8 +160,8 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
   return meant_name(flag, known);
 }
 
-// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what follows it up
-// to the next flag. Not in commands that take arguments without a flag.
+// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what
+// follows it up to the next flag. Not in commands that take arguments without a flag.
 std::vector<std::string> with_lists_joined(const CLI::App& app, const Command& command,
                                            const std::vector<std::string>& arguments) {
   if (!command.options || command.arguments.maximum > 0) return arguments;

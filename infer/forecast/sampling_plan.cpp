@@ -107,8 +107,8 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   }
 }
 
-// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise and
-// latents of the generated levels, source features, levels to decode.
+// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise
+// and latents of the generated levels, source features, levels to decode.
 struct StageNeeds {
   BundlePart part;
   int64_t latents = 0;

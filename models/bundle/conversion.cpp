@@ -265,7 +265,8 @@ ordered_json convert_tensors(const BundlePart& part, const std::map<std::string,
           {"bytes", std::filesystem::file_size(ModelBundle::open(options.out).file(part))}};
 }
 
-// Backbones without a head: the names of their files may be others than the module's, and two files may hold one half each.
+// Backbones without a head: the names of their files may be others than the module's, and two files may hold one half
+// each.
 void convert_renamed_backbone(const ConversionOptions& options, const BundleOptions& bundle,
                               ordered_json& report) {
   const auto module = make_bundle_module(BundlePart::backbone(), bundle, on_meta());
@@ -305,8 +306,8 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
   report["parts"]["backbone"] = convert_tensors(BundlePart::backbone(), tensors, where, options, bundle);
 }
 
-// GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the published
-// head's; the others stay.
+// GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the
+// published head's; the others stay.
 void replace_head(const ConversionOptions& options, const BundleOptions& bundle, ordered_json& report) {
   const auto file = WeightFile::open(options.dpt_decoder);
   const auto there = ModelBundle::open(options.out);
@@ -375,8 +376,8 @@ void refuse_part_that_is_there(const ConversionOptions& options, const BundlePar
         "choose another --out, or add --overwrite to replace it"});
 }
 
-// Files that a conversion makes in its folder: taken away again where it fails, so that the corrected command finds what
-// the mistaken one found.
+// Files that a conversion makes in its folder: taken away again where it fails, so that the corrected command finds
+// what the mistaken one found.
 class MadeFiles {
  public:
   explicit MadeFiles(std::filesystem::path folder) : folder_(std::move(folder)) {

@@ -30,8 +30,8 @@ struct ConversionOptions : OptionsGroup {
   std::string statistics_level1;
   std::string special_statistics_level0;  // the same of special tokens
   std::string special_statistics_level1;
-  // model.yaml of the weights; empty for that of the bundle that is there already, the released model of the backbone that
-  // is given, or the released DA3-Base model.
+  // model.yaml of the weights; empty for that of the bundle that is there already, the released model of the backbone
+  // that is given, or the released DA3-Base model.
   std::string description;
   CheckpointWeights weights = CheckpointWeights::kEma;
   StoredPrecision precision = StoredPrecision::kFloat32;

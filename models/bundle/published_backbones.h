@@ -11,8 +11,8 @@
 
 namespace gld {
 
-// A published file of a backbone: the option of gld convert that takes it, how it is recognised, and what it holds. This table
-// and backbone_registry.cpp are what names a family outside its own file.
+// A published file of a backbone: the option of gld convert that takes it, how it is recognised, and what it holds.
+// This table and backbone_registry.cpp are what names a family outside its own file.
 struct PublishedBackbone {
   std::string option;     // "vggt"
   std::string help;       // of that option
@@ -55,8 +55,9 @@ void require_published(const WeightFile& file, const std::string& option);
 // Of a file that is to hold something else ("M1"): Error naming the backbone that it holds, or latent statistics.
 void require_no_backbone(const WeightFile& file, const std::string& wanted);
 
-// The name in diffusers' files of a tensor of an autoencoder in the original ones (CompVis), which both also write in older
-// ways; others are returned as they are. stages: of the autoencoder, which originals count from the finest in both halves.
+// The name in diffusers' files of a tensor of an autoencoder in the original ones (CompVis), which both also write in
+// older ways; others are returned as they are. stages: of the autoencoder, which originals count from the finest in
+// both halves.
 std::string diffusers_autoencoder_name(const std::string& name, int64_t stages);
 
 }  // namespace gld

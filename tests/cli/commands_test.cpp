@@ -45,8 +45,8 @@ std::vector<std::string> words_of(const Command& command) {
   return {command.name.substr(0, space), command.name.substr(space + 1)};
 }
 
-// The options of a run that is kept here, or of a model that was trained so, still mean what they say: a figure can be made anew
-// by the command and the file beside it.
+// The options of a run that is kept here, or of a model that was trained so, still mean what they say: a figure can be
+// made anew by the command and the file beside it.
 TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
   const auto runnable = runnable_commands();
   const std::string before = "# gld ", behind = ": the options of this run";

@@ -448,8 +448,8 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
                 "dpt_decoder.pt.");
 }
 
-// What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is what
-// that head then predicts.
+// What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is
+// what that head then predicts.
 TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
   const auto reference = test::test_data() / "reference_cases" / "dpt_head_da3_replaced";
   BundleOptions bundle = small_bundle_options();
