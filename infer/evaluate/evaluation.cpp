@@ -327,6 +327,7 @@ std::string evaluate(const EvaluationOptions& options) {
   for (const auto& part : bundle_parts(bundle.options())) {
     if (bundle.has(part)) parts.push_back(part);
   }
+  print_warnings(thread_warnings(options.threads));
   print_warnings(mixed_parts(bundle, parts, options.allow_mixed));
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);

@@ -78,12 +78,7 @@ std::vector<std::string> complaints(const Machine& machine) {
         "configure the build anew, which links the one that LibTorch brings.",
         machine.openmp.size()));
   }
-  if (machine.threads > machine.cores) {
-    list.push_back(
-        fmt::format("{} threads share {} cores, which makes the figures above those of no machine: "
-                    "lower --threads.",
-                    machine.threads, machine.cores));
-  }
+  for (auto& warning : thread_warnings(machine.threads)) list.push_back(std::move(warning));
   if (machine.threads < machine.cores) {
     list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
   }

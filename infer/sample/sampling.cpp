@@ -6,6 +6,7 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/printable_text.h"
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
@@ -184,7 +185,7 @@ void add_new(std::vector<std::string>& warnings, const std::vector<std::string>&
 }
 
 std::string scene_line(const SamplingScene& scene) {
-  return fmt::format("scene {}: {} source and {} target views at {}x{}\n{}", scene.name,
+  return fmt::format("scene {}: {} source and {} target views at {}x{}\n{}", printable_text(scene.name),
                      scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height,
                      scene.path_note.empty() ? "" : scene.path_note + "\n");
 }
@@ -196,7 +197,8 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
   const PreparedSampling prepared = prepare(options);
   const std::string problem = memory_problem(prepared, options);
   const auto planned = plan_of(prepared, options, timing, [&] { return prepared.bundle.content_hash(); });
-  std::vector<std::string> warnings = planned.choice.notes;
+  std::vector<std::string> warnings = thread_warnings(options.threads);
+  warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
   if (!problem.empty()) warnings.push_back(problem);
   if (options.json) {
@@ -246,6 +248,7 @@ void sample(const SampleOptions& options) {
     if (prepared.photos) std::cout << prepared.photos->text;
     std::cout << std::flush;
   }
+  print_warnings(thread_warnings(options.threads));
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
   load_pixels(prepared, options);

@@ -120,7 +120,9 @@ ModelBundle ModelBundle::open(const std::filesystem::path& asked) {
   const auto yaml = folder / kOptionsFile;
   if (!std::filesystem::is_regular_file(yaml)) {
     fail({folder.string(), "a model bundle, a folder with " + kOptionsFile,
-          std::filesystem::is_directory(folder) ? "a folder without it" : "no such folder",
+          std::filesystem::is_directory(folder) ? "a folder without it"
+          : std::filesystem::exists(folder)     ? "a file; name its folder"
+                                                : "no such folder",
           "make one with gld convert or gld train, or check the path"});
   }
   ModelBundle bundle;

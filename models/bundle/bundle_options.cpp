@@ -49,7 +49,9 @@ ImageSize image_size_from_text(const std::string& text, const std::string& where
   const char* end = position + text.size();
   const bool good = read_side(position, end, size.width) && position != end && *position++ == 'x' &&
                     read_side(position, end, size.height) && position == end;
-  if (!good) fail({where, "WIDTHxHEIGHT in pixels", "'" + text + "'", "write for example 504x280"});
+  if (!good)
+    fail({where, fmt::format("WIDTHxHEIGHT in pixels, sides from 1 to {}", kLargestSide), "'" + text + "'",
+          "write for example 504x280"});
   return size;
 }
 

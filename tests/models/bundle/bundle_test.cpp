@@ -185,9 +185,9 @@ TEST_F(Bundles, PartsMustFitEachOther) {
       {[](BundleOptions& options) { options.trained_sizes = {"504x281"}; },
        "trained_sizes: expected sides that are multiples of 14, found 504x281; choose whole patches."},
       {[](BundleOptions& options) { options.trained_sizes = {"504 x 280"}; },
-       "trained_sizes: expected WIDTHxHEIGHT in pixels, found '504 x 280'; write for example 504x280."},
+       "trained_sizes: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found '504 x 280'; write for example 504x280."},
       {[](BundleOptions& options) { options.trained_sizes = {"-504x280"}; },
-       "trained_sizes: expected WIDTHxHEIGHT in pixels, found '-504x280'; write for example 504x280."},
+       "trained_sizes: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found '-504x280'; write for example 504x280."},
   };
   for (const auto& mismatch : mismatches) {
     auto options = small_bundle_options();
