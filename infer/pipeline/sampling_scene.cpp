@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/cameras/camera_checks.h"
+#include "models/bundle/bundle_options.h"
 
 #include <algorithm>
 #include <charconv>
