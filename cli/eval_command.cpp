@@ -20,12 +20,11 @@ Command make_eval_command() {
       "Or as the paper: gld eval --scenes my_scenes --samples 4 --source-counts 1,2,4 --views.views 8 "
       "--guidance-scale 1.5 --poses vggt --pose-model vggt_bundle --out runs/eval\n"
       "Measures two things side by side: samples, drawn as gld sample draws them (--solver and --guidance "
-      "options change that), and the prediction of the mean, one evaluation without guidance. Writes "
-      "eval.csv "
-      "(one row a scene), targets.csv (one a target view) and report.json (means with 95 % confidence "
-      "intervals; what could not be measured is absent, with the reason), beside three trivial "
-      "predictors: the nearest source, the mean of the sources, and their mean colour. A run that was "
-      "killed goes on with the next scene with --resume.";
+      "options change that), and the prediction of the mean, one evaluation without guidance. "
+      "Writes eval.csv (one row a scene), targets.csv (one a target view) and report.json (means with 95 % "
+      "confidence intervals; what could not be measured is absent, with the reason), "
+      "beside three trivial predictors: the nearest source, the mean of the sources, and their mean colour. "
+      "A run that was killed goes on with the next scene with --resume.";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
     std::cout << evaluate(*options);

@@ -15,8 +15,8 @@ Command make_stats_command() {
   command.summary = "Compute the latent statistics that level and cascade models need";
   command.description =
       "Example: gld stats --config configs/tiny/stats.yaml --model runs/decoder/model --out runs/stats\n"
-      "model/ in the run folder is a copy of the bundle with the statistics of every level that it "
-      "generates.";
+      "model/ in the run folder is a copy of the bundle, "
+      "with the statistics of every level that it generates.";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
     std::cout << compute_statistics(*options);

@@ -283,7 +283,9 @@ void AblateOptions::visit(FieldVisitor& visitor) {
       overrides);
   visitor.boolean({"smoke", "run with the description's smoke settings and the first seed only"}, smoke);
   visitor.boolean({"plan", "show what would run and what it needs, then stop"}, plan);
-  visitor.integer({"jobs", "stages that run at a time; 0: as many as the cores hold with --threads each"},
+  visitor.integer({"jobs",
+                   "stages that run at a time; 0: as many as the cores hold with --threads each, which is 1: "
+                   "the cores go to stages side by side"},
                   jobs, {0, kMostThreads});
   visit_threads(visitor, threads);
   visit_device(visitor, device);

@@ -82,10 +82,10 @@ DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& opt
 std::string data_check_text(const DataCheck& check);
 nlohmann::ordered_json data_check_json(const DataCheck& check);
 
-// The command: checks every scene at or below path, options.most_scenes of them, evenly spread, to their pixels and the others
-// by their files. Prints the checks of the first kind and of scenes with problems, then what was looked at, and which scenes
-// have problems as a warning. Where there is a run folder, writes report.json and a picture of the cameras of each scene that
-// was checked to its pixels. Exit status 1 when there are problems.
+// The command: checks every scene at or below path, options.most_scenes of them, evenly spread, to their pixels and the
+// others by their files. Prints the checks of the first kind and of scenes with problems, then what was looked at, and
+// which scenes have problems as a warning. Where there is a run folder, writes report.json and a picture of the cameras
+// of each scene that was checked to its pixels. Exit status 1 when there are problems.
 int run_data_check(const std::filesystem::path& path, const DataCheckOptions& options);
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include "datasets/formats/colmap_binary.h"
 #include "datasets/formats/colmap_text.h"
 #include "datasets/formats/file_listing.h"
+#include "datasets/images/decoded_pixels.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/error.h"
 
@@ -99,6 +100,26 @@ ColmapLocation find_colmap_model(const std::filesystem::path& scene) {
     }
   }
   return {};
+}
+
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where) {
+  const auto camera = model.cameras.find(image.camera_id);
+  if (camera == model.cameras.end()) {
+    fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
+          "export the model again"});
+  }
+  check_picture_size(camera->second.width, camera->second.height, where);
+  const ColmapLens lens = colmap_lens(camera->second, where);
+  FrameRecord record;
+  record.name = image_file.stem().string();
+  record.image_file = image_file;
+  record.camera_width = camera->second.width;
+  record.camera_height = camera->second.height;
+  record.intrinsics = lens.intrinsics;
+  record.lens = lens.lens;
+  record.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
+  return record;
 }
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "datasets/formats/frame_pixels.h"
 #include "datasets/scenes/lens_distortion.h"
 
 #include <cstdint>
@@ -55,6 +56,10 @@ struct ColmapLens {
   LensDistortion lens;
 };
 ColmapLens colmap_lens(const ColmapCamera& camera, const std::string& where);
+
+// What the model says of an image whose file was found: pose, lens and size. Error when its camera is not in the model.
+FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
+                          const std::filesystem::path& image_file, const std::string& where);
 
 // Name and number of parameters of the models by their number in binary files.
 struct ColmapModelKind {

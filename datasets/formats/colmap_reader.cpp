@@ -1,9 +1,8 @@
 #include "datasets/formats/colmap_reader.h"
 
+#include "datasets/formats/colmap_model.h"
 #include "datasets/formats/file_listing.h"
 #include "datasets/formats/frame_pixels.h"
-#include "datasets/images/decoded_pixels.h"
-#include "datasets/scenes/frame_checks.h"
 #include "gld/base/error.h"
 
 #include <optional>
@@ -19,8 +18,8 @@ std::filesystem::path find_colmap_image(const std::filesystem::path& folder, con
   return find_image(file.parent_path(), file.stem().string());
 }
 
-// The scene around a model whose own folder was given, such as SCENE/sparse/0: the nearest folder with images, or the path
-// itself where there is none.
+// The scene around a model whose own folder was given, such as SCENE/sparse/0: the nearest folder with images, or the
+// path itself where there is none.
 std::filesystem::path scene_around(const std::filesystem::path& path, const std::string& image_folder) {
   auto folder = std::filesystem::absolute(path).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();
@@ -34,26 +33,6 @@ std::filesystem::path scene_around(const std::filesystem::path& path, const std:
 }
 
 }  // namespace
-
-FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
-                          const std::filesystem::path& image_file, const std::string& where) {
-  const auto camera = model.cameras.find(image.camera_id);
-  if (camera == model.cameras.end()) {
-    fail({where, "camera " + std::to_string(image.camera_id) + " in the model", "none",
-          "export the model again"});
-  }
-  check_picture_size(camera->second.width, camera->second.height, where);
-  const ColmapLens lens = colmap_lens(camera->second, where);
-  FrameRecord record;
-  record.name = image_file.stem().string();
-  record.image_file = image_file;
-  record.camera_width = camera->second.width;
-  record.camera_height = camera->second.height;
-  record.intrinsics = lens.intrinsics;
-  record.lens = lens.lens;
-  record.world_from_camera = checked_pose(QuaternionPose{image.rotation, image.translation}, where).inverse();
-  return record;
-}
 
 bool ColmapReader::recognises(const std::filesystem::path& path) const {
   return !find_colmap_model(path).folder.empty();

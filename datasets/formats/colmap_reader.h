@@ -1,7 +1,5 @@
 #pragma once
 
-#include "datasets/formats/colmap_model.h"
-#include "datasets/formats/frame_pixels.h"
 #include "datasets/formats/scene_reader.h"
 
 #include <filesystem>
@@ -18,9 +16,5 @@ class ColmapReader : public SceneReader {
   bool recognises(const std::filesystem::path& path) const override;
   Scene read(const std::filesystem::path& path, const SceneReading& reading) const override;
 };
-
-// What the model says of an image whose file was found: pose, lens and size. Error when its camera is not in the model.
-FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
-                          const std::filesystem::path& image_file, const std::string& where);
 
 }  // namespace gld

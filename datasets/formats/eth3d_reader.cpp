@@ -1,6 +1,6 @@
 #include "datasets/formats/eth3d_reader.h"
 
-#include "datasets/formats/colmap_reader.h"
+#include "datasets/formats/colmap_model.h"
 #include "datasets/formats/depth_files.h"
 #include "datasets/formats/file_listing.h"
 #include "datasets/formats/frame_pixels.h"

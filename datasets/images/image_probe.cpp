@@ -47,9 +47,9 @@ class Bytes {
   const std::string& where_;
 };
 
-// The orientation that EXIF metadata ("Exif", two zeros, a TIFF structure) ask for; 1 when they have none or are damaged:
-// a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but cameras may
-// belong to the picture as stored.
+// The orientation that EXIF metadata ("Exif", two zeros, a TIFF structure) ask for; 1 when they have none or are
+// damaged: a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but cameras
+// may belong to the picture as stored.
 int exif_orientation(const std::string& metadata) {
   const std::unique_ptr<ExifData, decltype(&exif_data_unref)> exif(exif_data_new(), exif_data_unref);
   if (!exif) return 1;

@@ -20,6 +20,7 @@ Image to_image(const torch::Tensor& image) {
   const torch::Tensor bytes = image.detach()
                                   .to(torch::kCPU, torch::kFloat32)
                                   .clamp(0, 1)
+                                  .nan_to_num(0)  // of NaN the conversion to bytes is undefined
                                   .mul(255)
                                   .round()
                                   .to(torch::kUInt8)

@@ -17,7 +17,7 @@ struct SceneTensors {
   Views views;             // the cameras, sources first
 };
 
-// An image as (3, height, width) in [0, 1], and back (rounded, clamped).
+// An image as (3, height, width) in [0, 1], and back (rounded, clamped, black where a value is no number).
 torch::Tensor to_tensor(const Image& image);
 Image to_image(const torch::Tensor& image);
 

@@ -26,10 +26,6 @@ void append_weight(std::vector<double>& cumulative, double weight, const std::st
 
 }  // namespace
 
-std::vector<WeightedSize> published_size_mixture() {
-  return {{{504, 504}, 2}, {{504, 378}, 2}, {{504, 336}, 1}, {{504, 280}, 1}};
-}
-
 Mixture::Mixture(std::vector<MixturePart> parts) : parts_(std::move(parts)) {
   if (parts_.empty()) fail({"dataset mixture", "at least one dataset", "none", "name one"});
   for (const MixturePart& part : parts_) {
@@ -44,12 +40,6 @@ Mixture::Mixture(std::vector<MixturePart> parts) : parts_(std::move(parts)) {
       fail({"dataset " + part.name, "at least one scene", "none", "check the folder"});
     }
   }
-}
-
-int64_t Mixture::num_scenes() const {
-  int64_t count = 0;
-  for (const MixturePart& part : parts_) count += part.dataset->size();
-  return count;
 }
 
 SampleChoice Mixture::choose(const SampleKey& key) const {

@@ -25,9 +25,6 @@ struct WeightedSize {
   double weight = 1;
 };
 
-// The paper's: 504x504, 504x378, 504x336, 504x280 at 2:2:1:1.
-std::vector<WeightedSize> published_size_mixture();
-
 // Which scene and views a sample uses, before anything is loaded.
 struct SampleChoice {
   size_t part = 0;
@@ -40,7 +37,6 @@ class Mixture {
   // Error when there are no parts, a weight is not positive, or view counts differ.
   explicit Mixture(std::vector<MixturePart> parts);
   const std::vector<MixturePart>& parts() const { return parts_; }
-  int64_t num_scenes() const;
   SampleChoice choose(const SampleKey& key) const;
 
  private:

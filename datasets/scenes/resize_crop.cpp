@@ -86,8 +86,6 @@ std::vector<Value> sampled(const std::vector<Value>& source, const ResizeCrop& p
 
 }  // namespace
 
-std::vector<ImageSize> published_sizes() { return {{504, 504}, {504, 378}, {504, 336}, {504, 280}}; }
-
 ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes) {
   if (sizes.empty()) fail({"trained sizes", "at least one size", "none", "list the model's sizes"});
   if (width < 1 || height < 1) {

@@ -120,14 +120,4 @@ std::optional<SampledViews> sample_views(const ViewSampling& sampling, int64_t n
   return sampled;
 }
 
-std::optional<SampledViews> spread_views(const ViewSampling& sampling, int64_t num_frames) {
-  sampling.check();
-  if (num_frames < sampling.views) return std::nullopt;
-  const std::vector<int64_t> frames = spread_positions(sampling.views, num_frames);
-  if (sampling.sources == SourceChoice::kRandom) {
-    return arranged(frames, spread_positions(sampling.most_sources, sampling.views));
-  }
-  return arranged(frames, evaluation_sources(sampling));
-}
-
 }  // namespace gld

@@ -51,7 +51,4 @@ struct SampledViews {
 std::optional<SampledViews> sample_views(const ViewSampling& sampling, int64_t num_frames,
                                          const SampleKey& key);
 
-// The views of an evaluation: `views` frames evenly spread over the whole video instead of a random start.
-std::optional<SampledViews> spread_views(const ViewSampling& sampling, int64_t num_frames);
-
 }  // namespace gld

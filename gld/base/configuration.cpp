@@ -1,6 +1,7 @@
 #include "gld/base/configuration.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
 #include "gld/base/json_text.h"
@@ -188,7 +189,12 @@ class Assigner : public FieldVisitor {
       // yaml-cpp also takes octal and hexadecimal numbers; only plain decimal integers are meant here.
       const std::string text = right ? node.Scalar() : std::string();
       const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
-      right = right && parsed.ec == std::errc() && parsed.ptr == text.data() + text.size();
+      const bool whole = right && parsed.ptr == text.data() + text.size();
+      if (whole && parsed.ec == std::errc::result_out_of_range) {
+        fail({place(source_, node, prefix_ + field.name), expected + " of 64 bits", shown(node),
+              "choose one nearer to 0"});
+      }
+      right = whole && parsed.ec == std::errc();
     } else {
       right = right && YAML::convert<Value>::decode(node, value);
     }
@@ -498,6 +504,21 @@ std::vector<OptionDifference> differences_from(const std::string& yaml, const st
     if (old != before.end() && old->second != value) differences.push_back({key, old->second, value});
   }
   return differences;
+}
+
+void refuse_other_options(const std::filesystem::path& run, const OptionsGroup& options,
+                          const std::vector<std::string>& may_differ) {
+  const auto file = run / "config.yaml";
+  if (!std::filesystem::is_regular_file(file)) return;
+  const auto contains = [](const std::vector<std::string>& names, const std::string& name) {
+    return std::find(names.begin(), names.end(), name) != names.end();
+  };
+  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
+    if (contains(options_beside_the_result(), difference.key) || contains(may_differ, difference.key))
+      continue;
+    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
+          difference.now, "leave it as it was, or begin again with --overwrite"});
+  }
 }
 
 nlohmann::json to_json(const OptionsGroup& options) {

@@ -38,6 +38,10 @@ void GuidanceOptions::check() const {
   }
 }
 
+bool GuidanceOptions::acts_at(double t) const {
+  return guidance_scale != 1 && t >= guidance_interval[0] && t <= guidance_interval[1];
+}
+
 BranchVelocities BranchedField::both(const torch::Tensor& state, double t) {
   return {conditional(state, t), unconditional(state, t)};
 }
@@ -52,14 +56,9 @@ GuidedField::GuidedField(BranchedField& field, const GuidanceOptions& options)
   options_.check();
 }
 
-bool GuidedField::active(double t) const {
-  return options_.guidance_scale != 1 && t >= options_.guidance_interval[0] &&
-         t <= options_.guidance_interval[1];
-}
-
 torch::Tensor GuidedField::velocity(const torch::Tensor& state, double t) {
   ++report_.evaluations;
-  if (!active(t)) {
+  if (!options_.acts_at(t)) {
     ++report_.outside_interval;
     return field_.conditional(state, t);
   }

@@ -34,6 +34,9 @@ struct GuidanceOptions : OptionsGroup {
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
+
+  // Whether the unconditional branch has a part in the velocity at this flow time.
+  bool acts_at(double t) const;
 };
 
 struct BranchVelocities {
@@ -69,8 +72,6 @@ class GuidedField : public VelocityField {
   GuidedField(BranchedField& field, const GuidanceOptions& options);
   torch::Tensor velocity(const torch::Tensor& state, double t) override;
 
-  // Whether guidance acts at this flow time.
-  bool active(double t) const;
   const GuidanceReport& report() const { return report_; }
 
  private:

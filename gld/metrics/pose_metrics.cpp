@@ -1,6 +1,7 @@
 #include "gld/metrics/pose_metrics.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/angles.h"
 #include "gld/cameras/pose_alignment.h"
 #include "gld/cameras/pose_from_rays.h"
 #include "gld/metrics/metric.h"
@@ -17,7 +18,6 @@ namespace gld {
 namespace {
 
 constexpr double kUndefinedAngle = std::numeric_limits<double>::quiet_NaN();
-constexpr double kDegrees = 180 / 3.14159265358979323846;
 
 void require_one_of_each(const Views& views, const std::vector<Camera>& predicted,
                          const torch::Tensor& rays) {
@@ -42,7 +42,7 @@ std::vector<Eigen::Isometry3d> seen_from_first(const std::vector<Camera>& camera
 }
 
 double angle_between(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b)) * kDegrees;
+  return std::atan2(a.cross(b).norm(), a.dot(b)) * kDegreesPerRadian;
 }
 
 double largest_distance(const std::vector<Eigen::Isometry3d>& poses) {

@@ -1,5 +1,7 @@
 #include "gld/report/report_text.h"
 
+#include "gld/base/printable_text.h"
+
 #include <iostream>
 
 namespace gld {
@@ -11,7 +13,7 @@ void print_report(const ReportText& report) {
 
 void print_warnings(const std::vector<std::string>& warnings) {
   std::cout << std::flush;
-  for (const auto& warning : warnings) std::cerr << "warning: " << warning << "\n";
+  for (const auto& warning : warnings) std::cerr << "warning: " << printable_text(warning) << "\n";
 }
 
 }  // namespace gld

@@ -92,18 +92,27 @@ PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& 
   return request;
 }
 
+// "M1", "the cascade".
+std::string with_article(const LevelGenerator& generator) {
+  return (generator.is_cascade() ? "the " : "") + generator_stage(generator);
+}
+
 std::map<std::string, torch::Tensor> run_whole(const PipelineModels& models, const PipelineRequest& request) {
   StageRecords stages;
   const auto result = run_pipeline(models, request, stages);
-  return {{"level 1 after M1", result.latents.at(1)},
-          {"level 0 after the cascade", result.latents.at(0)},
-          {"level 2 after propagation", result.levels[2]},
-          {"level 3 after propagation", result.levels[3]},
-          {"images", result.images},
-          {"depth", result.geometry.depth},
-          {"depth confidence", result.geometry.depth_confidence},
-          {"rays", result.geometry.rays},
-          {"ray confidence", result.geometry.ray_confidence}};
+  std::map<std::string, torch::Tensor> made{{"images", result.images},
+                                            {"depth", result.geometry.depth},
+                                            {"depth confidence", result.geometry.depth_confidence},
+                                            {"rays", result.geometry.rays},
+                                            {"ray confidence", result.geometry.ray_confidence}};
+  for (const LevelGenerator& generator : models.levels.generators) {
+    made[fmt::format("level {} after {}", generator.level, with_article(generator))] =
+        result.latents.at(generator.level);
+  }
+  for (int64_t level = models.levels.boundary + 1; level < models.levels.levels; ++level) {
+    made[fmt::format("level {} after propagation", level)] = result.levels.at(static_cast<size_t>(level));
+  }
+  return made;
 }
 
 torch::Tensor random_pictures(uint64_t seed, int64_t height, int64_t width) {
@@ -160,9 +169,11 @@ std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder) {
   }
 
   auto broken = whole_request(options, pictures);
-  broken.noise[1][1][2][3] = std::numeric_limits<float>::quiet_NaN();
-  rows.push_back({"whole model", "a NaN in the cascade", "of stage, step and time not named in the message",
-                  missing_in_message([&] { run_whole(single_models, broken); }, "cascade"), 0});
+  broken.noise.back()[1][2][3] = std::numeric_limits<float>::quiet_NaN();
+  const LevelGenerator& last = options.generators.back().generator;
+  rows.push_back({"whole model", "a NaN in " + with_article(last),
+                  "of stage, step and time not named in the message",
+                  missing_in_message([&] { run_whole(single_models, broken); }, generator_stage(last)), 0});
   return rows;
 }
 

@@ -18,6 +18,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/bench/benchmark_precisions.h"
 #include "infer/bench/composed_dit.h"
+#include "infer/bench/relative_rms.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
 
@@ -131,10 +132,6 @@ struct ForwardTimes {
 
 double relative_difference(const torch::Tensor& x, const torch::Tensor& reference) {
   return ((x - reference).abs().max() / reference.abs().max()).item<double>();
-}
-
-double relative_rms(const torch::Tensor& x, const torch::Tensor& reference) {
-  return ((x - reference).norm() / reference.norm()).item<double>();
 }
 
 struct Part {

@@ -15,6 +15,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
+#include "infer/bench/relative_rms.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/scene_request.h"
@@ -36,7 +37,7 @@ constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 const std::string kEverywhere = "everywhere";
 
 // What means over scenes are taken of.
-constexpr double SampleRow::*kAveraged[] = {&SampleRow::level1_error, &SampleRow::level0_error,
+constexpr double SampleRow::*kAveraged[] = {&SampleRow::boundary_error, &SampleRow::shallowest_error,
                                             &SampleRow::seconds};
 
 SamplingVariant variant_of(SolverKind solver, ScheduleKind schedule, int64_t evaluations, double scale) {
@@ -98,7 +99,7 @@ class SceneSampler {
     reference_row_.solver = "reference";
     reference_row_.schedule.clear();
     reference_row_.count = 0;
-    reference_row_.level1_error = reference_row_.level0_error = 0;
+    reference_row_.boundary_error = reference_row_.shallowest_error = 0;
   }
   const SampleRow& reference_row() const { return reference_row_; }
 
@@ -107,17 +108,13 @@ class SceneSampler {
     SampleRow row = run(variant, result);
     if (row.non_finite == 0) {
       // The boundary level, which is generated first, and the shallowest.
-      row.level1_error = relative_error(result.latents.rbegin()->second, reference_.latents.rbegin()->second);
-      row.level0_error = relative_error(result.latents.begin()->second, reference_.latents.begin()->second);
+      row.boundary_error = relative_rms(result.latents.rbegin()->second, reference_.latents.rbegin()->second);
+      row.shallowest_error = relative_rms(result.latents.begin()->second, reference_.latents.begin()->second);
     }
     return row;
   }
 
  private:
-  static double relative_error(const torch::Tensor& latent, const torch::Tensor& reference) {
-    return ((latent - reference).norm() / reference.norm()).item<double>();
-  }
-
   SampleRow run(const SamplingVariant& variant, PipelineResult& result) {
     SamplingMethod method;
     method.solver = variant.solver;
@@ -131,16 +128,17 @@ class SceneSampler {
     row.count = variant.solver.evaluations;
     row.guidance_scale = variant.guidance.guidance_scale;
     row.guidance = guidance_text(variant.guidance);
-    row.level1_error = row.level0_error = kNotMeasured;
+    row.boundary_error = row.shallowest_error = kNotMeasured;
     StageRecords stages;
     try {
       result = run_pipeline(models_.models, request_, stages);
     } catch (const Error& error) {
-      // Every stage words it like this (gld/flow/solvers/solver.h, infer/pipeline/sampling_pipeline.h); other errors end the report.
+      // Every stage words it like this (gld/flow/solvers/solver.h, infer/pipeline/sampling_pipeline.h); other errors
+      // end the report.
       if (error.parts().expected != "finite numbers") throw;
       row.non_finite = 1;
     }
-    row.seconds = flow_seconds(models_.models.levels, stages);
+    row.seconds = stage_seconds(models_.models.levels, StageKind::kFlow, stages);
     for (const auto& stage : stages.records()) {
       row.peak_bytes = std::max(row.peak_bytes, stage.peak_bytes);
     }
@@ -218,7 +216,7 @@ class BenchmarkScenes {
 enum class RowValue { kError, kPsnr };
 
 double value_of(const SampleRow& row, RowValue value) {
-  return value == RowValue::kError ? row.level0_error : row.quality_of("psnr");
+  return value == RowValue::kError ? row.shallowest_error : row.quality_of("psnr");
 }
 
 // Error or quality against seconds, one line a variant, at one guidance scale.
@@ -372,9 +370,9 @@ Table sample_table(const std::vector<SampleRow>& rows) {
                               : row.on_error_front                       ? "error"
                               : row.on_quality_front                     ? "psnr"
                                                                          : "";
-    std::vector<TableCell> cells{row.scene,          row.solver,      row.schedule,    row.count,
-                                 row.guidance_scale, row.guidance,    row.evaluations, row.unconditional,
-                                 row.level1_error,   row.level0_error};
+    std::vector<TableCell> cells{row.scene,          row.solver,          row.schedule,    row.count,
+                                 row.guidance_scale, row.guidance,        row.evaluations, row.unconditional,
+                                 row.boundary_error, row.shallowest_error};
     for (const Metric& metric : image_metric_list()) {
       const auto found = row.quality.find(metric.name);
       cells.push_back(found == row.quality.end() ? TableCell(std::string()) : TableCell(found->second));

@@ -21,8 +21,8 @@ struct BenchmarkViews : ViewSelection {
   void check() const override {}
 };
 
-// gld bench sample: latent error, image quality and time of sampling by solver, schedule, evaluations and guidance, of a
-// scene's views or of generated scenes that training has not seen.
+// gld bench sample: latent error, image quality and time of sampling by solver, schedule, evaluations and guidance, of
+// a scene's views or of generated scenes that training has not seen.
 struct SampleBenchmarkOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::vector<std::string> scenes;  // folders
@@ -65,14 +65,16 @@ struct SampleRow {
   std::string guidance;     // where and when the unconditional branch runs: "everywhere", "from t = 0.9", ...
   int64_t evaluations = 0;  // of both levels together
   int64_t unconditional = 0;  // of them with the unconditional branch
-  double level1_error = 0;    // RMS of the latent's difference from the reference, over the reference's RMS
-  double level0_error = 0;
+  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the
+  // shallowest one; in tables level1_error and level0_error, what they are of the published model.
+  double boundary_error = 0;
+  double shallowest_error = 0;
   // Every metric of images by its name, means over the target views; one that is absent is left out.
   std::map<std::string, double> quality;
   double seconds = 0;      // of M1 and the cascade
   int64_t peak_bytes = 0;  // largest resident memory of a stage
   int64_t non_finite = 0;  // 1 where sampling stopped at a value that was not finite
-  // On the Pareto front of seconds and level0_error, or of seconds and psnr, among the rows of its scene and scale.
+  // On the Pareto front of seconds and shallowest_error, or of seconds and psnr, among the rows of its scene and scale.
   bool on_error_front = false;
   bool on_quality_front = false;
 

@@ -15,6 +15,7 @@
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/bench/benchmark_precisions.h"
+#include "infer/bench/relative_rms.h"
 #include "infer/bench/sample_plan_table.h"
 #include "infer/method/plan_errors.h"
 #include "infer/pipeline/bundle_models.h"
@@ -108,18 +109,15 @@ class Sampler {
     StageRecords stages;
     Run run;
     run.result = run_pipeline(*models, request, stages);
-    run.seconds = flow_seconds(models->levels, stages);
+    run.seconds = stage_seconds(models->levels, StageKind::kFlow, stages) +
+                  stage_seconds(models->levels, StageKind::kViewPairs, stages);
     for (const auto& stage : stages.records()) {
-      if (stage.name == "view pairs") run.seconds += stage.seconds;
       run.peak_bytes = std::max(run.peak_bytes, stage.peak_bytes);
     }
     return run;
   }
 
   PlanSample measure(const BenchScene& scene, const SamplingMethod& method, const Run& reference) {
-    const auto relative = [](const torch::Tensor& latent, const torch::Tensor& exact) {
-      return ((latent - exact).norm() / exact.norm()).item<double>();
-    };
     const auto mean_psnr = [](const torch::Tensor& truth, const torch::Tensor& images) {
       return measure_images(metric_named("psnr"), truth, images).mean();
     };
@@ -129,14 +127,14 @@ class Sampler {
     // The boundary level, which is generated first, and the shallowest.
     const auto& latents = made.result.latents;
     const auto& exact = reference.result.latents;
-    sample.level1_error = relative(latents.rbegin()->second, exact.rbegin()->second);
-    sample.level0_error = relative(latents.begin()->second, exact.begin()->second);
+    sample.boundary_error = relative_rms(latents.rbegin()->second, exact.rbegin()->second);
+    sample.shallowest_error = relative_rms(latents.begin()->second, exact.begin()->second);
     if (method.precision != ComputePrecision::kFloat32) {
       SamplingMethod in_float32 = method;
       in_float32.precision = ComputePrecision::kFloat32;
       const auto other = run(scene, in_float32).result.latents;
-      sample.precision_error = std::max(relative(latents.rbegin()->second, other.rbegin()->second),
-                                        relative(latents.begin()->second, other.begin()->second));
+      sample.precision_error = std::max(relative_rms(latents.rbegin()->second, other.rbegin()->second),
+                                        relative_rms(latents.begin()->second, other.begin()->second));
     }
     sample.psnr = mean_psnr(scene.truth, made.result.images);
     sample.psnr_difference = sample.psnr - mean_psnr(scene.truth, reference.result.images);

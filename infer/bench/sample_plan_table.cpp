@@ -166,8 +166,8 @@ Table plan_sample_table(const std::vector<PlanRow>& rows) {
                "psnr_to_reference", "gflop"});
   for (const auto& row : rows) {
     for (const auto& sample : row.samples) {
-      table.add_row({row.variant.family, row.variant.method.name, sample.scene, sample.level1_error,
-                     sample.level0_error, sample.psnr, sample.psnr_difference, sample.psnr_to_reference,
+      table.add_row({row.variant.family, row.variant.method.name, sample.scene, sample.boundary_error,
+                     sample.shallowest_error, sample.psnr, sample.psnr_difference, sample.psnr_to_reference,
                      sample.flop / 1e9});
     }
   }

@@ -5,6 +5,7 @@
 #include "infer/method/sampling_method.h"
 #include "models/bundle/bundle_options.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -37,15 +38,17 @@ std::vector<PlanVariant> of_families(std::vector<PlanVariant> variants,
 // One scene sampled one way.
 struct PlanSample {
   std::string scene;
-  double level1_error = 0;  // RMS of the latent's difference from the reference, over the reference's RMS
-  double level0_error = 0;
+  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the
+  // shallowest one; in tables level1_error and level0_error, what they are of the published model.
+  double boundary_error = 0;
+  double shallowest_error = 0;
   double precision_error = 0;    // the worse of both against the same method in float32; 0 in float32
   double psnr = 0;               // of the target views in dB
   double psnr_difference = 0;    // from the reference's psnr
   double psnr_to_reference = 0;  // of its images against the reference's
   double flop = 0;               // of M1 and the cascade, from what ran
 
-  double error() const { return level1_error > level0_error ? level1_error : level0_error; }
+  double error() const { return std::max(shallowest_error, boundary_error); }
 };
 
 // A way to sample, over all scenes.
@@ -61,8 +64,8 @@ struct PlanRow {
   // Of M1 and the cascade, of one scene alone on all threads; the shortest of the repeats.
   double seconds = 0;
   int64_t peak_bytes = 0;  // the largest of the repeats
-  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself, or in another
-  // precision, which saves time and not work.
+  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself, or in
+  // another precision, which saves time and not work.
   double error_of_fewer_evaluations = 0;
 };
 

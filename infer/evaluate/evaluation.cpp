@@ -60,18 +60,6 @@ Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   return make_picture_sheet(sections, text);
 }
 
-// Only a run of the same options would go on as the one that was interrupted.
-void refuse_to_resume_others(const EvaluationOptions& options) {
-  const auto file = std::filesystem::path(options.out) / "config.yaml";
-  if (!std::filesystem::is_regular_file(file)) return;
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    const auto& free = options_beside_the_result();
-    if (std::find(free.begin(), free.end(), difference.key) != free.end()) continue;
-    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
-          difference.now, "leave it as it was, or begin again with --overwrite"});
-  }
-}
-
 // What a run keeps of a scene that is done.
 struct KeptScene {
   std::vector<SceneEvaluation> by_count;  // one a number of sources
@@ -133,15 +121,19 @@ void copy_file_atomically(const std::filesystem::path& from, const std::filesyst
   if (std::filesystem::is_regular_file(from)) write_file_atomically(to, read_file(from));
 }
 
-nlohmann::ordered_json protocol_json(const EvaluationOptions& options) {
+nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const BundleOptions& bundle) {
+  const bool geometry = bundle.has_geometry();
   nlohmann::ordered_json protocol{
       {"samples", options.samples},
       {"poses", pose_estimator_names().at(static_cast<size_t>(options.poses))},
-      {"poses_from", options.pose_model.empty() ? "the model's own geometry head" : options.pose_model},
+      {"poses_from", !options.pose_model.empty() ? options.pose_model
+                     : geometry                  ? "the model's own geometry head"
+                                                 : "nothing: the model has no geometry head"},
       {"lpips", options.lpips.lpips_backbone.empty() ? nlohmann::ordered_json()
                                                      : nlohmann::ordered_json(options.lpips.lpips_backbone)},
       {"true_depth", "measured"},
-      {"pseudo_depth", "of the model's own head on the true pictures"}};
+      {"pseudo_depth", geometry ? "of the model's own head on the true pictures"
+                                : "nothing: the model has no geometry head"}};
   if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
   return protocol;
 }
@@ -170,8 +162,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);
   visitor.integers({"source_counts",
-                    "numbers of sources to evaluate each scene with, targets the same; empty: "
-                    "once, as views says"},
+                    "numbers of sources to evaluate each scene with, targets the same; "
+                    "empty: once, as views says"},
                    source_counts, {1, 1000});
   visitor.integers({"source_frames", "frames that are sources in every scene; empty: views chooses"},
                    source_frames, {0, 1'000'000});
@@ -328,12 +320,13 @@ std::string evaluate(const EvaluationOptions& options) {
   use_threads(options.threads);
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "eval", earlier);
-  if (options.resume) refuse_to_resume_others(options);
+  if (options.resume) refuse_other_options(options.out, options);
   const auto bundle = ModelBundle::open(options.model);
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {
     if (bundle.has(part)) parts.push_back(part);
   }
+  print_warnings(thread_warnings(options.threads));
   print_warnings(mixed_parts(bundle, parts, options.allow_mixed));
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
@@ -376,7 +369,7 @@ std::string evaluate(const EvaluationOptions& options) {
                                    {"model_hash", bundle.content_hash()},
                                    {"precision", precision_text(options.precision)},
                                    {"methods", methods_json(method, options)},
-                                   {"protocol", protocol_json(options)}};
+                                   {"protocol", protocol_json(options, bundle.options())}};
   const auto summary = summaries(by_count);
   report.update(summary);
   folder.write_report(report);

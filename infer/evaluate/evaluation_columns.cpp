@@ -20,16 +20,11 @@ bool is_trivial(Predictor predictor) {
 }
 
 const std::vector<Predictor>& all_predictors() {
-  static const std::vector<Predictor> predictors{Predictor::kSample,
-                                                 Predictor::kMeanPrediction,
-                                                 Predictor::kNearestSource,
-                                                 Predictor::kMeanSource,
-                                                 Predictor::kMeanColor,
-                                                 Predictor::kReconstruction,
-                                                 Predictor::kReconstructionLevel0,
-                                                 Predictor::kReconstructionLevel1,
-                                                 Predictor::kReconstructionLevel2,
-                                                 Predictor::kReconstructionLevel3};
+  static const std::vector<Predictor> predictors = [] {
+    std::vector<Predictor> all = main_predictors();
+    all.insert(all.end(), level_predictors().begin(), level_predictors().end());
+    return all;
+  }();
   return predictors;
 }
 
@@ -40,6 +35,13 @@ const std::vector<Predictor>& main_predictors() {
   return predictors;
 }
 
+const std::vector<Predictor>& level_predictors() {
+  static const std::vector<Predictor> predictors{
+      Predictor::kReconstructionLevel0, Predictor::kReconstructionLevel1, Predictor::kReconstructionLevel2,
+      Predictor::kReconstructionLevel3};
+  return predictors;
+}
+
 const std::vector<Predictor>& trivial_predictors() {
   static const std::vector<Predictor> predictors{Predictor::kNearestSource, Predictor::kMeanSource,
                                                  Predictor::kMeanColor};
@@ -47,17 +49,11 @@ const std::vector<Predictor>& trivial_predictors() {
 }
 
 std::string predictor_name(Predictor predictor) {
-  static const std::vector<std::string> names{"sample",
-                                              "mean_prediction",
-                                              "nearest_source",
-                                              "mean_source",
-                                              "mean_color",
-                                              "reconstruction",
-                                              "reconstruction_level0",
-                                              "reconstruction_level1",
-                                              "reconstruction_level2",
-                                              "reconstruction_level3"};
-  return names.at(static_cast<size_t>(predictor));
+  static const std::vector<std::string> names{"sample",      "mean_prediction", "nearest_source",
+                                              "mean_source", "mean_color",      "reconstruction"};
+  const auto number = static_cast<size_t>(predictor);
+  if (number < names.size()) return names[number];
+  return "reconstruction_level" + std::to_string(number - names.size());
 }
 
 const std::vector<EvaluationColumn>& evaluation_columns() {

@@ -406,10 +406,9 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     set(predictor, std::move(inputs));
   };
   set_reconstruction(Predictor::kReconstruction, std::nullopt);
-  set_reconstruction(Predictor::kReconstructionLevel0, 0);
-  set_reconstruction(Predictor::kReconstructionLevel1, 1);
-  set_reconstruction(Predictor::kReconstructionLevel2, 2);
-  set_reconstruction(Predictor::kReconstructionLevel3, 3);
+  for (size_t level = 0; level < level_predictors().size(); ++level) {
+    set_reconstruction(level_predictors()[level], static_cast<int64_t>(level));
+  }
 
   const auto& columns = evaluation_columns();
   std::vector<std::vector<MetricValue>> values(columns.size());

@@ -16,8 +16,4 @@ std::string view_name(int64_t view, int64_t num_views);
 void export_image(const std::filesystem::path& file, const Image& image, const Provenance& provenance,
                   const TextItems& more = {});
 
-// 8-bit pixels of planar values, (3, height, width), 0 black and 1 white: rounded, clamped, and black where a value is
-// not a number.
-Image image_from_planes(const float* planes, int64_t width, int64_t height);
-
 }  // namespace gld

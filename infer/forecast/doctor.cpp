@@ -12,6 +12,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/method/sampling_method.h"
 #include "models/bundle/bundle.h"
 
 #include <optional>
@@ -76,12 +77,7 @@ std::vector<std::string> complaints(const Machine& machine) {
         "configure the build anew, which links the one that LibTorch brings.",
         machine.openmp.size()));
   }
-  if (machine.threads > machine.cores) {
-    list.push_back(
-        fmt::format("{} threads share {} cores, which makes the figures above those of no machine: "
-                    "lower --threads.",
-                    machine.threads, machine.cores));
-  }
+  for (auto& warning : thread_warnings(machine.threads)) list.push_back(std::move(warning));
   if (machine.threads < machine.cores) {
     list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
   }
@@ -103,17 +99,17 @@ std::string memory_problem_of(const SamplingPlan& plan, const Machine& machine) 
 
 std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options) {
   std::vector<std::string> advice;
-  int64_t guided = 0, evaluations = 0;
+  int64_t guided = 0, evaluations = 0;  // of flows: other stages run once, without guidance
   for (const auto& stage : plan.stages) {
+    if (stage.kind != StageKind::kFlow) continue;
     guided += stage.with_unconditional;
     evaluations += stage.evaluations;
   }
   if (guided > 0) {
     advice.push_back(
         fmt::format("Guidance doubles {} of {} evaluations: --guidance-scale 1 removes it, "
-                    "--guidance-interval 0.9,1 keeps it "
-                    "where it matters most.",
-                    guided, evaluations - static_cast<int64_t>(plan.stages.size()) + 2));
+                    "--guidance-interval 0.9,1 keeps it where it matters most.",
+                    guided, evaluations));
   }
   if (options.solver.evaluations > 16 && !is_adaptive(options.solver.solver)) {
     advice.emplace_back(
@@ -134,11 +130,11 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.outputs.image = true;
   request.outputs.depth = request.outputs.points =
       bundle.options().has_geometry() && bundle.options().dpt_head.predicts_rays();
-  for (const auto& part : bundle.options().generators) {
-    request.flow.solvers.push_back(options.solver);
-    request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
-  }
-  request.flow.guidance = options.guidance;
+  SamplingMethod method;
+  method.solver = options.solver;
+  method.guidance_interval = options.guidance.guidance_interval;
+  method.guidance_tolerance = options.guidance.guidance_tolerance;
+  request.flow = flow_settings(method, options.guidance, bundle.options());
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, machine.speed);

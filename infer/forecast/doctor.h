@@ -28,9 +28,9 @@ struct DoctorOptions : OptionsGroup {
 };
 
 // gld doctor: what LibTorch, BLAS, processor and memory this program found, how fast they are, what is wrong with
-// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The machine's rates are
-// measured where none are kept, and with measure always; they are kept for other commands (infer/forecast/machine_rates.h).
-// process_engines: what several processes of this build train by.
+// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The
+// machine's rates are measured where none are kept, and with measure always; they are kept for other commands
+// (infer/forecast/machine_rates.h). process_engines: what several processes of this build train by.
 ReportText doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines = {});
 
 }  // namespace gld

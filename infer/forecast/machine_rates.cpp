@@ -14,6 +14,7 @@
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/transposed_product.h"
 #include "infer/forecast/dit_speed.h"
+#include "models/layers/operation_cost.h"
 
 #include <algorithm>
 #include <array>
@@ -31,7 +32,6 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kFloatBytes = 4;
 // The factors where they were not measured, from machines that were.
 constexpr double kUsualSmallModel = 1.8, kUsualLargeModel = 1.15;
 
@@ -85,7 +85,8 @@ DitOptions small_model() {
 }
 const LatentGrid kSmallGrid{4, 8, 8}, kLargeGrid{1, 12, 15};
 
-// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement of.
+// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement
+// of.
 constexpr double kPlainUnit = 0.1;
 
 void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, MachineSpeed& speed) {

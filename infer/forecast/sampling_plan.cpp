@@ -8,6 +8,7 @@
 #include "infer/forecast/stage_speed.h"
 #include "models/cost/branch_choice.h"
 #include "models/dit/encoder_nodes.h"
+#include "models/dit/extrapolated_field.h"
 
 #include <algorithm>
 #include <array>
@@ -17,11 +18,6 @@
 
 namespace gld {
 namespace {
-
-bool guided_at(double t, const GuidanceOptions& guidance) {
-  return guidance.guidance_scale != 1 && t >= guidance.guidance_interval[0] &&
-         t <= guidance.guidance_interval[1];
-}
 
 // The flow time that each evaluation starts its step from.
 std::vector<double> evaluation_times(const SolverOptions& solver) {
@@ -36,20 +32,18 @@ std::vector<double> evaluation_times(const SolverOptions& solver) {
 
 int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& guidance) {
   const auto times = evaluation_times(solver);
-  return std::count_if(times.begin(), times.end(), [&](double t) { return guided_at(t, guidance); });
+  return std::count_if(times.begin(), times.end(), [&](double t) { return guidance.acts_at(t); });
 }
 
-// The runs of ExtrapolatedField (models/dit/extrapolated_field.h).
 int64_t extrapolated_runs(const SolverOptions& solver, const GuidanceOptions& guidance, int64_t every) {
   const auto times = evaluation_times(solver);
   int64_t runs = 0;
-  std::array<int64_t, 2> newest{-1, -1};  // evaluation that a branch was last computed at
+  std::array<int64_t, 2> newest{kNeverRun, kNeverRun};  // evaluation that a branch was last computed at
   for (int64_t i = 0; i < static_cast<int64_t>(times.size()); ++i) {
-    const bool refresh = i == 0 || (i - 1) % every == 0;
-    const int64_t branches = guided_at(times[static_cast<size_t>(i)], guidance) ? 2 : 1;
+    const int64_t branches = guidance.acts_at(times[static_cast<size_t>(i)]) ? 2 : 1;
     for (int64_t branch = 0; branch < branches; ++branch) {
       auto& last = newest[static_cast<size_t>(branch)];
-      if (!refresh && last >= 0 && i - last < every) continue;
+      if (!extrapolated_encoder_runs_at(i, last, every)) continue;
       last = i;
       ++runs;
     }
@@ -113,8 +107,8 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   }
 }
 
-// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise and
-// latents of the generated levels, source features, levels to decode.
+// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise
+// and latents of the generated levels, source features, levels to decode.
 struct StageNeeds {
   BundlePart part;
   int64_t latents = 0;
@@ -173,15 +167,6 @@ Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
                                   : bundle.backbone.architecture().decoding_cost(grid);
 }
 
-// The grid of another backbone that looks at pictures of the grid's size: sides rounded to its patches, as the pipeline does.
-LatentGrid geometry_grid(const BundleOptions& geometry, const BundleOptions& bundle, const LatentGrid& grid) {
-  const int64_t side = geometry.backbone.patch_side();
-  const auto tokens = [&](int64_t count) {
-    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
-  };
-  return {grid.views, tokens(grid.height), tokens(grid.width)};
-}
-
 // Of geometry_of_pictures(), whose pictures have that grid.
 Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& grid, GeometryMaps maps) {
   Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
@@ -194,7 +179,7 @@ Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& 
 PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest& request) {
   const BundleOptions& geometry = request.geometry_model ? *request.geometry_model : bundle;
   const LatentGrid pictures = with_views(request.grid, request.photographs);
-  const LatentGrid grid = geometry_grid(geometry, bundle, pictures);
+  const LatentGrid grid = geometry_model_grid(geometry, bundle, pictures);
   PlannedStage stage;
   stage.kind = StageKind::kGeometry;
   stage.name = kPhotoCamerasStage;
@@ -229,9 +214,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
   switch (stage.kind) {
     case StageKind::kSourceEncoding: {
       Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
-      // Leading tokens of new views, which one source alone has given already where all get the same.
-      if (stages.decodes() && backbone.leading_tokens() > 0 && backbone.propagates() &&
-          (request.num_sources > 1 || backbone.carried_rows() > 1)) {
+      if (stages.decodes() && backbone.encodes_carried_tokens(request.num_sources)) {
         cost.add_operations_of(
             backbone.encoding_cost(with_views(request.grid, backbone.carried_rows()), bundle.boundary_level));
       }
@@ -248,7 +231,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
     case StageKind::kGeometry:
       if (request.geometry_model) {
         return geometry_of_pictures_cost(*request.geometry_model,
-                                         geometry_grid(*request.geometry_model, bundle, request.grid),
+                                         geometry_model_grid(*request.geometry_model, bundle, request.grid),
                                          request.outputs.geometry_maps());
       }
       return bundle.dpt_head.cost(with_views(request.grid, stages.decoded_views(stages.geometry_views)),
@@ -267,6 +250,15 @@ StageRequest PlanRequest::stage_request() const {
   stages.geometry_views = outputs.geometry_views();
   stages.view_pairs = flow.approximate.view_pairs;
   return stages;
+}
+
+LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                               const LatentGrid& pictures) {
+  const int64_t side = geometry.backbone.patch_side();
+  const auto tokens = [&](int64_t count) {
+    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
+  };
+  return {pictures.views, tokens(pictures.height), tokens(pictures.width)};
 }
 
 PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow) {

@@ -23,8 +23,8 @@ struct CameraPathOptions : OptionsGroup {
 };
 
 // The target cameras of --path: "orbit", "spline", or a cameras.json file whose cameras are taken as they are (all of
-// them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a file
-// that is not there, and more frames than a file has cameras.
+// them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a
+// file that is not there, and more frames than a file has cameras.
 struct CameraPath {
   std::vector<Camera> cameras;
   std::string

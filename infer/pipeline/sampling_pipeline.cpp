@@ -136,11 +136,11 @@ DecodableViews select_views(const PipelineResult& result, const std::vector<int6
   return selected;
 }
 
-std::vector<int64_t> all_levels(const PipelineResult& result) {
+std::vector<int64_t> all_levels(const PipelineResult& result, const std::string& stage) {
   std::vector<int64_t> levels;
   for (size_t level = 0; level < result.levels.size(); ++level) {
     if (!result.levels[level].defined()) {
-      fail({"geometry", "all levels, which the DPT head takes", fmt::format("no level {}", level),
+      fail({stage, "all levels, which the DPT head takes", fmt::format("no level {}", level),
             "ask for images alone, or use a model that generates it"});
     }
     levels.push_back(static_cast<int64_t>(level));
@@ -224,9 +224,9 @@ CompletedLevels complete_levels(const PipelineModels& models, const PipelineStat
 
 // Depth and rays as another model sees them in the source images and the generated ones.
 GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRequest& request,
-                                  const PipelineResult& result) {
+                                  const PipelineResult& result, const std::string& stage) {
   if (!result.images.defined()) {
-    fail({"geometry", "generated images, which the geometry model looks at", "none",
+    fail({stage, "generated images, which the geometry model looks at", "none",
           "ask for images beside depth, rays or points"});
   }
   auto maps = geometry_of_pictures(models, torch::cat({request.source_images, result.images}),
@@ -295,11 +295,12 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       }
       case StageKind::kGeometry: {
         if (models.geometry_backbone) {
-          result.geometry = geometry_of_images(models, request, result);
+          result.geometry = geometry_of_images(models, request, result, stage.name);
           require_finite_geometry(result.geometry, stage.name);
           return;
         }
-        const auto selected = select_views(result, all_levels(result), request.geometry_views, num_sources);
+        const auto selected =
+            select_views(result, all_levels(result, stage.name), request.geometry_views, num_sources);
         result.geometry = models.dpt_head()->forward(GeometryInputs{selected.levels, result.leading},
                                                      selected.grid, request.geometry_maps);
         require_finite_geometry(result.geometry, stage.name);

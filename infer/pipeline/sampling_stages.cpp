@@ -7,12 +7,35 @@
 namespace gld {
 namespace {
 
-SamplingStage stage(StageKind kind, const std::string& name, const std::string& reason) {
-  return {kind, 0, name, true, reason};
+// Of the stages that run once; a flow has its generator's.
+const char* name_of(StageKind kind) {
+  switch (kind) {
+    case StageKind::kSourceEncoding:
+      return "source encoding";
+    case StageKind::kViewPairs:
+      return "view pairs";
+    case StageKind::kPropagation:
+      return "propagation";
+    case StageKind::kRgbDecoding:
+      return "RGB decoding";
+    case StageKind::kGeometry:
+      return "geometry";
+    case StageKind::kFlow:
+      break;
+  }
+  return "flow";
 }
 
-SamplingStage left_out(StageKind kind, const std::string& name, const std::string& reason) {
-  return {kind, 0, name, false, reason};
+SamplingStage stage(StageKind kind, const std::string& reason) {
+  return {kind, 0, name_of(kind), true, reason};
+}
+
+SamplingStage left_out(StageKind kind, const std::string& reason) {
+  return {kind, 0, name_of(kind), false, reason};
+}
+
+SamplingStage flow_stage(const LevelSet& levels, size_t generator) {
+  return {StageKind::kFlow, generator, generator_stage(levels.generators[generator]), true, ""};
 }
 
 std::string propagation_reason(const LevelSet& levels) {
@@ -30,13 +53,16 @@ int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& reques
   return request.source_depth() ? levels.levels - 1 : std::max(levels.deepest_generated(), levels.boundary);
 }
 
-double flow_seconds(const LevelSet& levels, const StageRecords& records) {
+double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records) {
+  std::vector<std::string> names;
+  if (kind == StageKind::kFlow) {
+    for (const LevelGenerator& generator : levels.generators) names.push_back(generator_stage(generator));
+  } else {
+    names.emplace_back(name_of(kind));
+  }
   double seconds = 0;
   for (const auto& record : records.records()) {
-    const bool flow = std::any_of(
-        levels.generators.begin(), levels.generators.end(),
-        [&](const LevelGenerator& generator) { return generator_stage(generator) == record.name; });
-    if (flow) seconds += record.seconds;
+    if (std::find(names.begin(), names.end(), record.name) != names.end()) seconds += record.seconds;
   }
   return seconds;
 }
@@ -56,38 +82,32 @@ ModelKind model_kind_of(StageKind kind) {
 std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request) {
   std::vector<SamplingStage> stages;
   stages.push_back(
-      stage(StageKind::kSourceEncoding, "source encoding",
+      stage(StageKind::kSourceEncoding,
             request.source_depth()
                 ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
                 : fmt::format("{} source views up to level {}; deeper blocks are not needed",
                               request.num_sources, deepest_encoded_level(levels, request))));
   if (request.view_pairs == ViewPairs::kVisible) {
-    stages.push_back(stage(StageKind::kViewPairs, "view pairs",
-                           request.source_depth()
-                               ? "depth of the source views tells which views see common space"
-                               : "by the cameras alone, one source has no scale"));
+    stages.push_back(
+        stage(StageKind::kViewPairs, request.source_depth()
+                                         ? "depth of the source views tells which views see common space"
+                                         : "by the cameras alone, one source has no scale"));
   }
-  for (size_t i = 0; i < levels.generators.size(); ++i) {
-    SamplingStage flow = stage(StageKind::kFlow, generator_stage(levels.generators[i]), "");
-    flow.generator = i;
-    stages.push_back(std::move(flow));
-  }
-  stages.push_back(request.decodes()
-                       ? stage(StageKind::kPropagation, "propagation", propagation_reason(levels))
-                       : left_out(StageKind::kPropagation, "propagation", "only latents were asked for"));
+  for (size_t i = 0; i < levels.generators.size(); ++i) stages.push_back(flow_stage(levels, i));
+  stages.push_back(request.decodes() ? stage(StageKind::kPropagation, propagation_reason(levels))
+                                     : left_out(StageKind::kPropagation, "only latents were asked for"));
   const auto views_text = [&](DecodedViews which) {
     return which == DecodedViews::kAll ? std::string("all views")
                                        : fmt::format("{} target views", request.decoded_views(which));
   };
   stages.push_back(request.image_views != DecodedViews::kNone
-                       ? stage(StageKind::kRgbDecoding, "RGB decoding", views_text(request.image_views))
-                       : left_out(StageKind::kRgbDecoding, "RGB decoding", "no images were asked for"));
-  stages.push_back(
-      request.geometry_views != DecodedViews::kNone
-          ? stage(StageKind::kGeometry, "geometry",
-                  request.geometry_views == DecodedViews::kAll ? "all views: the sources tell the scale"
-                                                               : "target views")
-          : left_out(StageKind::kGeometry, "geometry", "no depth, rays or points were asked for"));
+                       ? stage(StageKind::kRgbDecoding, views_text(request.image_views))
+                       : left_out(StageKind::kRgbDecoding, "no images were asked for"));
+  stages.push_back(request.geometry_views != DecodedViews::kNone
+                       ? stage(StageKind::kGeometry, request.geometry_views == DecodedViews::kAll
+                                                         ? "all views: the sources tell the scale"
+                                                         : "target views")
+                       : left_out(StageKind::kGeometry, "no depth, rays or points were asked for"));
   return stages;
 }
 

@@ -48,8 +48,8 @@ struct SamplingStage {
 // All stages in their order, also those that this request leaves out.
 std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request);
 
-// What the flows of these records took together.
-double flow_seconds(const LevelSet& levels, const StageRecords& records);
+// What the stages of a kind took together: with kFlow those of all generators.
+double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
 
 // Levels 0..this one of the source views are encoded.
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request);

@@ -26,12 +26,12 @@ struct Photograph {
   int64_t width = 0, height = 0;  // pixels
 };
 
-// Image files, and folders whose image files are taken in natural order. Decodes nothing. Throws Error for no photograph and
-// for two of one name.
+// Image files, and folders whose image files are taken in natural order. Decodes nothing. Throws Error for no
+// photograph and for two of one name.
 std::vector<Photograph> list_photographs(const std::vector<std::string>& files_and_folders);
 
-// What can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The cameras, side by side,
-// only stand in for those that follow; there are no pixels.
+// What can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The cameras, side
+// by side, only stand in for those that follow; there are no pixels.
 Scene scene_before_cameras(const std::vector<Photograph>& photographs);
 
 // Photographs without cameras, made a scene by a geometry model (gld sample --photos).
@@ -42,9 +42,9 @@ struct PhotoScene {
   std::string text;  // what was found and how sure it is, for people
 };
 
-// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Records what
-// the model takes as kPhotoCamerasStage and apart from it the fitting of cameras to what it sees. Throws Error for a photograph
-// that no camera fits.
+// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Records
+// what the model takes as kPhotoCamerasStage and apart from it the fitting of cameras to what it sees. Throws Error for
+// a photograph that no camera fits.
 PhotoScene photo_scene(const std::vector<Photograph>& photographs, PhotoLens lens, const ImageSize& size,
                        const PipelineModels& geometry, const torch::Device& device, StageRecords& stages);
 

@@ -164,7 +164,8 @@ void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, 
       photo_scene(prepared.photographs, options.photos.lens, size,
                   bundle_models(prepared.camera_model(), prepared.device), prepared.device, stages);
   prepared.found = prepared.photos->scene;
-  // One photograph's axis meets no other, and few meet surely: the depth that was seen says how far what they look at is.
+  // One photograph's axis meets no other, and few meet surely: the depth that was seen says how far what they look at
+  // is.
   CameraPathOptions& path = prepared.selection.path;
   if (path.path == "orbit" && path.orbit_center.empty() && path.orbit_distance == 0) {
     path.orbit_distance = prepared.photos->found.median_depth;

@@ -34,8 +34,8 @@ struct PreparedSampling {
   const ModelBundle& camera_model() const { return geometry_model ? *geometry_model : bundle; }
 };
 
-// Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the model or
-// the cameras, or does not fit, is said first, as an Error.
+// Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the
+// model or the cameras, or does not fit, is said first, as an Error.
 PreparedSampling prepare(const SampleOptions& options);
 
 // Of photographs: loads and runs the model that sees their cameras, and chooses the views anew.
@@ -50,7 +50,8 @@ std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const Sa
 // All but the flow.
 PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options);
 
-// Why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is known here.
+// Why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is known
+// here.
 std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options);
 
 }  // namespace gld

@@ -6,6 +6,7 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/printable_text.h"
 #include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
@@ -75,19 +76,6 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
   for (const auto& flow : result.flows) evaluations = std::max(evaluations, flow.evaluations);
   return fmt::format("model {}, seed {}, {} evaluations a level, guidance {}", model, options.seed,
                      evaluations, options.guidance.guidance_scale);
-}
-
-// Only a run of the same options would go on as the one that was interrupted.
-void refuse_other_options(const SampleOptions& options) {
-  const auto file = std::filesystem::path(options.out) / "config.yaml";
-  if (!std::filesystem::is_regular_file(file)) return;
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    const auto& free = options_beside_the_result();
-    if (difference.key == "memory_limit" || std::find(free.begin(), free.end(), difference.key) != free.end())
-      continue;
-    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
-          difference.now, "leave it as it was, or begin again with --overwrite"});
-  }
 }
 
 // One progress line a flow-matching stage.
@@ -197,7 +185,7 @@ void add_new(std::vector<std::string>& warnings, const std::vector<std::string>&
 }
 
 std::string scene_line(const SamplingScene& scene) {
-  return fmt::format("scene {}: {} source and {} target views at {}x{}\n{}", scene.name,
+  return fmt::format("scene {}: {} source and {} target views at {}x{}\n{}", printable_text(scene.name),
                      scene.views.num_sources, scene.views.num_targets(), scene.size.width, scene.size.height,
                      scene.path_note.empty() ? "" : scene.path_note + "\n");
 }
@@ -209,7 +197,8 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
   const PreparedSampling prepared = prepare(options);
   const std::string problem = memory_problem(prepared, options);
   const auto planned = plan_of(prepared, options, timing, [&] { return prepared.bundle.content_hash(); });
-  std::vector<std::string> warnings = planned.choice.notes;
+  std::vector<std::string> warnings = thread_warnings(options.threads);
+  warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
   if (!problem.empty()) warnings.push_back(problem);
   if (options.json) {
@@ -229,7 +218,7 @@ void sample(const SampleOptions& options) {
   use_threads(options.threads);
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "sample", earlier);
-  if (options.resume) refuse_other_options(options);
+  if (options.resume) refuse_other_options(options.out, options, {"memory_limit"});
   PreparedSampling prepared = prepare(options);
   const ModelBundle& bundle = prepared.bundle;
   SamplingScene& scene = prepared.scene;
@@ -259,6 +248,7 @@ void sample(const SampleOptions& options) {
     if (prepared.photos) std::cout << prepared.photos->text;
     std::cout << std::flush;
   }
+  print_warnings(thread_warnings(options.threads));
   print_warnings(planned.choice.notes);
   print_warnings(scene.warnings);
   load_pixels(prepared, options);

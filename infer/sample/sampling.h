@@ -5,8 +5,8 @@
 
 namespace gld {
 
-// Where a plan's seconds come from: operations and the machine's kept or quickly estimated speed, or runs of the model's
-// parts, which takes seconds.
+// Where a plan's seconds come from: operations and the machine's kept or quickly estimated speed, or runs of the
+// model's parts, which takes seconds.
 enum class PlanTiming { kPredicted, kMeasured };
 
 // gld plan: which stages would run for this scene and why, with predicted work, time and memory. Computes and writes

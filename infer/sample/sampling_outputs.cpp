@@ -59,8 +59,7 @@ void SamplingOutputs::compare_with_truth() {
     psnr_.back() = psnr(truth, made).item<double>();
     nlohmann::ordered_json row{{"view", scene_.view_names[static_cast<size_t>(scene_.views.num_sources) + i]},
                                {"psnr", psnr_.back()}};
-    constexpr int64_t kSsimWindow = 11;
-    if (scene_.size.width >= kSsimWindow && scene_.size.height >= kSsimWindow) {
+    if (std::min(scene_.size.width, scene_.size.height) >= kSmallestSsimSide) {
       row["ssim"] = ssim(truth, made).item<double>();
     }
     rows.push_back(row);

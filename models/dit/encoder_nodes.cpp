@@ -48,21 +48,21 @@ std::vector<double> chebyshev_points(double high, double low, int64_t count) {
 EncoderNodes encoder_nodes_on(const std::vector<double>& times, const SolverOptions& solver,
                               const GuidanceOptions& guidance, int64_t count) {
   EncoderNodes nodes;
-  const double low = guidance.guidance_interval[0], high = guidance.guidance_interval[1];
-  const bool guided = guidance.guidance_scale != 1;
   if (one_evaluation_a_step(solver.solver)) {
     const std::vector<double> visited(times.begin(), times.end() - 1);
     nodes[0] = chosen_among(visited, count);
     std::vector<double> inside;
     std::copy_if(visited.begin(), visited.end(), std::back_inserter(inside),
-                 [&](double t) { return guided && t >= low && t <= high; });
+                 [&](double t) { return guidance.acts_at(t); });
     nodes[1] = chosen_among(inside, count);
     return nodes;
   }
   const double first = times.front(), last = times.back();
   nodes[0] = chebyshev_points(first, last, count);
-  const double inner_first = std::min(first, high), inner_last = std::max(last, low);
-  if (guided && inner_first >= inner_last) nodes[1] = chebyshev_points(inner_first, inner_last, count);
+  const double inner_first = std::min(first, guidance.guidance_interval[1]);
+  const double inner_last = std::max(last, guidance.guidance_interval[0]);
+  if (inner_first >= inner_last && guidance.acts_at(inner_first))
+    nodes[1] = chebyshev_points(inner_first, inner_last, count);
   return nodes;
 }
 

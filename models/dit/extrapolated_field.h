@@ -9,8 +9,12 @@
 
 namespace gld {
 
-// How often the condition encoder of one branch runs in that many evaluations, each with this branch.
-int64_t extrapolated_encoder_runs(int64_t evaluations, int64_t every);
+// The last evaluation at which a branch's condition encoder ran, where it has not run yet.
+constexpr int64_t kNeverRun = -1;
+// Whether the condition encoder of a branch runs at this evaluation, counted from 0, or is extrapolated. Evaluations
+// without the branch count too: guidance may have left it out for a while, so that what it last knew is older than
+// `every`.
+bool extrapolated_encoder_runs_at(int64_t evaluation, int64_t last_run, int64_t every);
 
 // The velocity of a DiT^DH whose condition encoder runs at the first two evaluations and then at every `every`th. In
 // between, its output before SiLU and time embedding is extrapolated from the last two, linearly in the log-SNR, in
@@ -25,14 +29,12 @@ class ExtrapolatedField : public DitField {
  private:
   struct Known {
     double log_snr = 0;
-    int64_t evaluation = 0;  // number of the evaluation that it comes from
+    int64_t evaluation = kNeverRun;  // number of the evaluation that it comes from
     torch::Tensor condition;
   };
   struct History {
     Known newest, before;
   };
-
-  bool runs(const History& history) const;
 
   int64_t every_;
   int64_t evaluation_ = -1;  // every evaluation starts with the conditional branch

@@ -196,6 +196,31 @@ TEST_F(CommandLine, OutputThatNobodyTookIsAFailure) {
             "check the disk or the program behind the pipe.\n");
 }
 
+TEST_F(CommandLine, HelpThatNobodyTookIsAFailureToo) {
+  for (const char* asked : {"--help", "--version"}) {
+    RefusingBuffer refusing;
+    auto* const before = std::cout.rdbuf(&refusing);
+    testing::internal::CaptureStderr();
+    const int status = run_command_line({command_}, {asked});
+    std::cout.rdbuf(before);
+    std::cout.clear();
+    EXPECT_EQ(status, 1) << asked;
+    EXPECT_THAT(testing::internal::GetCapturedStderr(), testing::HasSubstr("found a write that failed"))
+        << asked;
+  }
+}
+
+// Which of two was meant cannot be known.
+TEST_F(CommandLine, AnOptionIsGivenOnce) {
+  EXPECT_EQ(run({"paint", "a.png", "--frame-count", "2", "--frame-count", "3"}), 2);
+  EXPECT_THAT(error_text_,
+              testing::HasSubstr("expected --frame-count once, found 2 times; leave out all but one."));
+  EXPECT_EQ(run({"paint", "a.png", "--set", "frame_count=2", "--set", "frame_count=3"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("expected --set frame_count once, found 2 times"));
+  EXPECT_EQ(run({"paint", "a.png", "--frame-count"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("expected a value behind --frame-count, found none"));
+}
+
 TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {
   EXPECT_EQ(run({"--help"}), 0);
   EXPECT_THAT(output_text_, testing::HasSubstr("paint  Paint something"));

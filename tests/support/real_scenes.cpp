@@ -3,7 +3,7 @@
 #include "datasets/check/data_check.h"
 #include "datasets/check/depth_warp.h"
 #include "datasets/formats/colmap_model.h"
-#include "datasets/formats/colmap_reader.h"
+#include "datasets/formats/frame_pixels.h"
 #include "datasets/formats/re10k_reader.h"
 #include "datasets/formats/scene_reader.h"
 #include "tests/support/temporary_folder.h"

@@ -1,5 +1,7 @@
 #include "train/objectives/geometry_loss.h"
 
+#include "gld/cameras/angles.h"
+
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -13,7 +15,6 @@ namespace {
 
 constexpr double kExactOrigin = 0.02;    // of the baseline
 constexpr double kLeastBaseline = 1e-4;  // in units of the scene's size; less is a camera that only turns
-constexpr double kDegrees = 57.29577951308232;
 
 // Mean distance of the later views' centres from the first view's, which is the origin.
 double baseline_of(const torch::Tensor& true_rays) {
@@ -43,6 +44,11 @@ torch::Tensor gradient_error(const torch::Tensor& error, const torch::Tensor& ma
   const int64_t length = error.size(dim) - 1;
   const auto both = mask.narrow(dim, 0, length).logical_and(mask.narrow(dim, 1, length));
   return masked_mean(error.diff(1, dim).abs(), both);
+}
+
+torch::Tensor absolute_relative(const torch::Tensor& error, const torch::Tensor& depth,
+                                const torch::Tensor& mask) {
+  return masked_mean(error.abs() / depth.clamp_min(1e-6), mask);
 }
 
 torch::Tensor origin_error(const torch::Tensor& predicted_rays, const torch::Tensor& true_rays) {
@@ -98,7 +104,7 @@ GeometryLosses geometry_losses(const GeometryOutput& predicted, const GeometryTa
     losses.point_map = confident_mean(error, on_grid(predicted.point_confidence.unsqueeze(1)).squeeze(3),
                                       targets.ray_valid, options.confidence_reward);
   }
-  losses.absolute_relative = masked_mean(depth_error.abs() / targets.depth.clamp_min(1e-6), targets.valid);
+  losses.absolute_relative = absolute_relative(depth_error, targets.depth, targets.valid);
   losses.total = options.depth_weight * losses.depth + options.gradient_weight * losses.gradient +
                  options.ray_weight * losses.ray + options.origin_weight * losses.origin +
                  options.point_weight * losses.point;
@@ -130,7 +136,7 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
   RayErrors errors;
   // By the chord: the arc cosine has no digits left at small angles.
   errors.direction_degrees =
-      kDegrees * (2 * ((from - to).norm(2, 3) / 2).clamp_max(1.0).asin()).mean().item<double>();
+      kDegreesPerRadian * (2 * ((from - to).norm(2, 3) / 2).clamp_max(1.0).asin()).mean().item<double>();
   errors.rotation_degrees = errors.translation_degrees = errors.origin =
       std::numeric_limits<double>::quiet_NaN();
   if (views < 2) return errors;
@@ -162,9 +168,9 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
     origin += (centre - true_centre).norm();
   }
   const auto others = static_cast<double>(views - 1);
-  errors.rotation_degrees = kDegrees * rotation / others;
+  errors.rotation_degrees = kDegreesPerRadian * rotation / others;
   if (baseline > kLeastBaseline) {
-    errors.translation_degrees = kDegrees * translation / others;
+    errors.translation_degrees = kDegreesPerRadian * translation / others;
     errors.origin = origin / others / baseline;
   }
   return errors;
@@ -192,8 +198,7 @@ TokenGeometryLosses token_geometry_losses(const torch::Tensor& read, const Geome
     GeometryTargets of_tokens;
     of_tokens.rays = middle;
     losses.rays = ray_errors(rays, of_tokens);
-    losses.depth_abs_rel =
-        masked_mean((log_depth.exp() - depth).abs() / depth.clamp_min(1e-6), valid).item<double>();
+    losses.depth_abs_rel = absolute_relative(log_depth.exp() - depth, depth, valid).item<double>();
   }
   return losses;
 }

@@ -1,6 +1,7 @@
 #include "gld/flow/solvers/solver_run.h"
 
 #include "gld/base/interrupt.h"
+#include "gld/flow/flow.h"
 
 #include <cmath>
 
@@ -22,7 +23,7 @@ torch::Tensor SolverRun::velocity(const torch::Tensor& state, double time) {
 }
 
 torch::Tensor SolverRun::data(const torch::Tensor& state, double time) {
-  return state - time * velocity(state, time);
+  return data_from_velocity(state, velocity(state, time), time);
 }
 
 void SolverRun::start(const torch::Tensor& state, double time, int64_t steps) {

@@ -22,7 +22,7 @@ class SolverRun {
 
   // The field's velocity, checked. Throws SolveStopped.
   torch::Tensor velocity(const torch::Tensor& state, double time);
-  // The data prediction state - t velocity.
+  // The data that it predicts.
   torch::Tensor data(const torch::Tensor& state, double time);
 
   void start(const torch::Tensor& state, double time, int64_t steps);

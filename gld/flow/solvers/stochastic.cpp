@@ -1,3 +1,4 @@
+#include "gld/flow/flow.h"
 #include "gld/flow/solvers/solver_run.h"
 
 #include <cmath>
@@ -29,10 +30,11 @@ Diffusion diffusion_at(const SolverOptions& options, double t) {
   return {strength * sine * sine, strength * sine * sine / t};
 }
 
-// velocity - w/2 score with the score in closed form: E[noise | x] = x + (1 - t) velocity.
+// velocity - w/2 score, where the score is -E[noise | x]/t and the expectation is what the velocity predicts.
 torch::Tensor drift(SolverRun& run, const torch::Tensor& x, double t) {
   const auto velocity = run.velocity(x, t);
-  return velocity + (diffusion_at(run.options(), t).squared_over_time / 2) * (x + (1 - t) * velocity);
+  return velocity +
+         (diffusion_at(run.options(), t).squared_over_time / 2) * noise_from_velocity(x, velocity, t);
 }
 
 }  // namespace

@@ -236,8 +236,8 @@ TEST_F(StagePlan, CostsAreMeasuredOrUnknown) {
   EXPECT_EQ(cache.state(plan.tasks[0]), StageState::kMissing);
   EXPECT_EQ(expected_cost(plan, 2, cache).source, CostSource::kUnknown);
   EXPECT_THAT(plan_text(plan, cache, 2),
-              testing::HasSubstr("4 stages for 2 runs of variants and seeds: 0 done, 4 to run, 2 "
-                                 "at a time; time left unknown."));
+              testing::HasSubstr("4 stages for 2 runs of variants and seeds: 0 done, 4 to run, 2 at a time; "
+                                 "time left unknown."));
   cache.begin(plan.tasks[0]);
   EXPECT_EQ(cache.state(plan.tasks[0]), StageState::kBegun);
   cache.note_seconds_spent(plan.tasks[0], 2);

@@ -72,11 +72,9 @@ TEST_F(ResultRowsTest, ErrorsSayWhatIsThere) {
   EXPECT_EQ(error([&] { read("scene,psnr\na,1,2\n"); }),
             "eval.csv:2: expected 2 cells, found 3; run the stage again.");
   EXPECT_EQ(error([&] { read("scene,psnr\n\"a,1\n"); }),
-            "eval.csv:2: expected a quote that is closed, found the end of the "
-            "file; write it again.");
+            "eval.csv:2: expected a quote that is closed, found the end of the file; write it again.");
   EXPECT_EQ(error([&] { read(""); }),
-            "eval.csv: expected a line with the names of columns, found an empty file; run the "
-            "stage again.");
+            "eval.csv: expected a line with the names of columns, found an empty file; run the stage again.");
   EXPECT_EQ(error([&] { numbers_by_scene(read("scene,psnr\na,1\n"), "psr", {}); }),
             "eval.csv: expected a column 'psr', found none; did you mean 'psnr'?");
   EXPECT_EQ(

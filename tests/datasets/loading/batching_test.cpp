@@ -3,6 +3,9 @@
 #include "datasets/synthetic/synthetic_scene.h"
 #include "tests/support/error_of.h"
 
+#include <limits>
+#include <vector>
+
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -25,6 +28,14 @@ TEST(Batching, ImagesAndDepthKeepTheirPlaces) {
               to_image(torch::zeros({4, 2, 2}));
             }),
             "image: expected a tensor (3, height, width), found 3 dimensions.");
+}
+
+TEST(Batching, AnImageIsRoundedClampedAndBlackWhereItIsNoNumber) {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const float infinite = std::numeric_limits<float>::infinity();
+  // Two pixels: red plane, green plane, blue plane.
+  const auto planes = torch::tensor({0.5F, nan, -1.0F, infinite, 2.0F, 0.001F}).view({3, 1, 2});
+  EXPECT_EQ(to_image(planes).rgb, (std::vector<uint8_t>{128, 0, 255, 0, 255, 0}));
 }
 
 TEST(Batching, ASceneBecomesTensors) {

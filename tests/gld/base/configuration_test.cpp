@@ -116,6 +116,19 @@ TEST(Configuration, SaysWhatDiffersFromAnEarlierText) {
   EXPECT_EQ(differences[2].key, "title");
 }
 
+TEST(Configuration, ARunGoesOnWithItsOwnOptionsOnly) {
+  const test::TemporaryFolder folder;
+  OuterOptions options;
+  refuse_other_options(folder.path(), options);  // killed before its file was written
+  write_file_atomically(folder.path() / "config.yaml", to_yaml(options));
+  refuse_other_options(folder.path(), options);
+  options.title = "b";
+  refuse_other_options(folder.path(), options, {"title"});
+  EXPECT_EQ(test::error_of([&] { refuse_other_options(folder.path(), options, {"inner.weight"}); }),
+            "--resume: expected the options of the run, which has title " + OuterOptions().title +
+                ", found b; leave it as it was, or begin again with --overwrite.");
+}
+
 TEST(Configuration, SuggestsOnlyWhatIsNear) {
   EXPECT_EQ(nearest_name("ddim", {"euler", "dp54", "unipc3"}), "");
   EXPECT_EQ(nearest_name("--schedule", {"--help", "--size"}), "");
@@ -150,7 +163,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "f.yaml:1, key 'count': expected an integer, found '2.5'; correct the value."},
         Refusal{
             "count: 99999999999999999999\n",
-            "f.yaml:1, key 'count': expected an integer, found '99999999999999999999'; correct the value."},
+            "f.yaml:1, key 'count': expected an integer of 64 bits, found '99999999999999999999'; choose one nearer to 0."},
         Refusal{"inner:\n  weight: .nan\n",
                 "f.yaml:2, key 'inner.weight': expected a number in the range [0, 1], found .nan; "
                 "choose a value inside the range."},

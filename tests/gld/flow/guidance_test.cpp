@@ -52,6 +52,16 @@ TEST(Guidance, ActsInsideTheIntervalBothEndsIncluded) {
   EXPECT_EQ(field.report().outside_interval, 2);
 }
 
+// What a field does is what a plan counts with.
+TEST(Guidance, OptionsSayWhereItActs) {
+  const auto options = guidance_of(2, 0.25, 0.75);
+  EXPECT_TRUE(options.acts_at(0.25));
+  EXPECT_TRUE(options.acts_at(0.75));
+  EXPECT_FALSE(options.acts_at(0.2499));
+  EXPECT_FALSE(options.acts_at(0.7501));
+  EXPECT_FALSE(guidance_of(1, 0, 1).acts_at(0.5));
+}
+
 TEST(Guidance, ScaleOneNeverRunsTheUnconditionalBranch) {
   CountingBranches branches;
   GuidedField field(branches, guidance_of(1, 0, 1));

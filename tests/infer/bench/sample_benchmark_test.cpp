@@ -170,11 +170,11 @@ TEST(SampleBenchmark, MeansAreOverScenesOfEqualVariants) {
   one.evaluations = 12;
   one.quality["ssim"] = 0.25;  // and no psnr
   one.seconds = 1;
-  one.level0_error = 0.1;
+  one.shallowest_error = 0.1;
   one.peak_bytes = 5;
   SampleRow two = one;
   two.scene = "b";
-  two.level0_error = 0.3;
+  two.shallowest_error = 0.3;
   two.quality["ssim"] = 0.75;
   two.peak_bytes = 7;
   SampleRow other = one;
@@ -183,7 +183,7 @@ TEST(SampleBenchmark, MeansAreOverScenesOfEqualVariants) {
   other.seconds = 2;
   const auto means = mean_over_scenes({one, two, other});
   ASSERT_EQ(means.size(), 2u);
-  EXPECT_DOUBLE_EQ(means[0].level0_error, 0.2);
+  EXPECT_DOUBLE_EQ(means[0].shallowest_error, 0.2);
   EXPECT_DOUBLE_EQ(means[0].quality_of("ssim"), 0.5);
   EXPECT_TRUE(std::isnan(means[0].quality_of("psnr")));
   EXPECT_EQ(means[0].evaluations, 12);
@@ -203,7 +203,7 @@ TEST(SampleBenchmark, FrontsAreOfOneSceneAndScale) {
     made.scene = scene;
     made.count = 1;
     made.seconds = seconds;
-    made.level0_error = error;
+    made.shallowest_error = error;
     made.quality["psnr"] = quality;
     return made;
   };

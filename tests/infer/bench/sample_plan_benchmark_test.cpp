@@ -29,7 +29,7 @@ PlanRow row_of(const std::string& family, const std::string& name, double flop, 
   for (const double error : errors) {
     PlanSample sample;
     sample.flop = flop;
-    sample.level0_error = error;
+    sample.shallowest_error = error;
     row.samples.push_back(sample);
   }
   return row;

@@ -7,9 +7,6 @@
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
-#include <cmath>
-#include <limits>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -178,14 +175,6 @@ TEST(PngTexts, NothingReachesTheTerminal) {
     EXPECT_EQ(error.rfind(file.string() + ": expected ", 0), 0U) << i << ": " << error;
   }
   EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
-}
-
-TEST(ImageFromPlanes, RoundsClampsAndBlackensWhatIsNoNumber) {
-  const float nan = std::numeric_limits<float>::quiet_NaN();
-  const float infinite = std::numeric_limits<float>::infinity();
-  // Two pixels: red plane, green plane, blue plane.
-  const float planes[] = {0.5F, nan, -1.0F, infinite, 2.0F, 0.001F};
-  EXPECT_THAT(image_from_planes(planes, 2, 1).rgb, ElementsAre(128, 0, 255, 0, 255, 0));
 }
 
 TEST(ViewName, HasEnoughDigits) {

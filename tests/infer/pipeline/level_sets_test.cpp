@@ -1,13 +1,15 @@
-// Bundles with other sets of generated levels than the published one, sampled by the pipeline and by running the parts one
-// after another here.
+// Bundles with other sets of generated levels than the published one, sampled by the pipeline and by running the parts
+// one after another here.
 
 #include "gld/base/configuration.h"
+#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/flow/flow.h"
 #include "gld/flow/schedule.h"
 #include "gld/latents/noise.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/sampling_pipeline.h"
+#include "infer/pipeline/sampling_stages.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -20,20 +22,6 @@ namespace {
 
 constexpr int64_t kHeight = 28, kWidth = 42;  // pixels
 constexpr int64_t kViews = 3, kSources = 2;
-
-Views views_in_a_row() {
-  Views views;
-  views.num_sources = kSources;
-  for (int64_t i = 0; i < kViews; ++i) {
-    Camera camera;
-    camera.width = kWidth;
-    camera.height = kHeight;
-    camera.intrinsics << 40, 0, 21, 0, 40, 14, 0, 0, 1;
-    camera.world_from_camera.translation().x() = 0.3 * static_cast<double>(i);
-    views.cameras.push_back(camera);
-  }
-  return views;
-}
 
 struct SetCase {
   const char* name;
@@ -66,7 +54,7 @@ BundleOptions options_of(const SetCase& set) {
 
 PipelineRequest request_of(const BundleOptions& options) {
   PipelineRequest request;
-  request.views = views_in_a_row();
+  request.views = cameras_in_a_row({kViews, kSources, {kWidth, kHeight}});
   torch::manual_seed(3);
   request.source_images = torch::rand({kSources, 3, kHeight, kWidth});
   const int64_t tokens = (kHeight / 14) * (kWidth / 14);
@@ -208,8 +196,7 @@ TEST(LevelSetBundle, AModelOfTodayReadsAsThePublishedSetAndAnotherBoundaryIsRefu
   load_yaml_text(options, "boundary_level: 2\n", "model.yaml");
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "generated: expected a part that generates boundary_level 2, which propagation starts from, "
-            "found none in "
-            "generated; add 2 to generated or change boundary_level.");
+            "found none in generated; add 2 to generated or change boundary_level.");
 }
 
 TEST(LevelSetBundle, OptionsOfOtherSetsAreWrittenAndRead) {
@@ -233,8 +220,31 @@ TEST(LevelSetBundle, GeometryOfAModelThatLeavesLevelsOutIsRefused) {
                            stages);
             }),
             "geometry: expected all levels, which the DPT head takes, found no level 0; ask for images "
-            "alone, or use "
-            "a model that generates it.");
+            "alone, or use a model that generates it.");
+}
+
+// Records are found again under the names that stages have.
+TEST(SamplingStages, AreTimedByTheirKind) {
+  LevelSet levels;
+  levels.generators = {level_model(1), cascade(1, 0)};
+  StageRequest request;
+  request.views = 4;
+  request.num_sources = 2;
+  request.geometry_views = DecodedViews::kAll;
+  request.view_pairs = ViewPairs::kVisible;
+  const auto stages = sampling_stages(levels, request);
+  ASSERT_EQ(stages.size(), 7U);
+  StageRecords records;
+  for (const SamplingStage& stage : stages) records.run(stage.name, [] {});
+  records.run("writing", [] {});
+  const auto seconds = [&](size_t number) { return records.records()[number].seconds; };
+  EXPECT_EQ(stages[0].kind, StageKind::kSourceEncoding);
+  EXPECT_EQ(stage_seconds(levels, StageKind::kSourceEncoding, records), seconds(0));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kViewPairs, records), seconds(1));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kFlow, records), seconds(2) + seconds(3));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kPropagation, records), seconds(4));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kRgbDecoding, records), seconds(5));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kGeometry, records), seconds(6));
 }
 
 }  // namespace

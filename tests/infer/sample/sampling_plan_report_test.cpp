@@ -26,6 +26,7 @@
 #include <algorithm>
 #include <cmath>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <limits>
@@ -181,6 +182,29 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   EXPECT_EQ(
       test::error_of([&] { asked.check(); }),
       "--source-views: expected fewer source views than views, found 1000 of 1000; leave at least one target view.");
+}
+
+// The geometry stage that a bundle without a head leaves out is no evaluation, and the grid is that of --solver.shift.
+TEST_F(Sampling, TheDoctorCountsTheEvaluationsOfFlows) {
+  auto headless = small_bundle_options();
+  headless.dpt_head = GeometryHeadOptions::none();
+  DoctorOptions asked;
+  asked.model = (folder_->path() / "headless").string();
+  write_random_bundle(asked.model, headless, 7);
+  asked.size = "112x56";
+  asked.json = true;
+  asked.threads = 1;
+  asked.guidance.guidance_interval = {0.9, 1};
+  const auto guided = [&] {
+    const auto advice = nlohmann::json::parse(doctor_report(asked)).at("advice").at(0).get<std::string>();
+    int doubled = 0, evaluations = 0;
+    EXPECT_EQ(std::sscanf(advice.c_str(), "Guidance doubles %d of %d", &doubled, &evaluations), 2) << advice;
+    EXPECT_EQ(evaluations, 32);
+    return doubled;
+  };
+  const int with_the_models_shift = guided();
+  asked.solver.schedule.shift = 1;
+  EXPECT_LT(guided(), with_the_models_shift);
 }
 
 }  // namespace

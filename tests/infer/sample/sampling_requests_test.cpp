@@ -258,7 +258,7 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
             "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.size = "big"; }),
-      "--size: expected WIDTHxHEIGHT in pixels, or auto, found 'big'; write for example --size 504x280.");
+      "--size: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found 'big'; write for example 504x280.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
       "--outputs: expected image, depth, rays, points or latents, found 'imagse'; did you mean 'image'?");
@@ -330,6 +330,17 @@ TEST_F(Sampling, FramesAreChosenByNumberOrName) {
               HasSubstr("--targets: expected frames of scene 'scene', found 'nobody', which is none"));
 }
 
+TEST_F(Sampling, AScenesNameIsPrintedHarmless) {
+  const auto scene = folder_->path() / "red\x1b[31m\nroom";
+  std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
+  auto asked = options("harmless");
+  asked.scene = scene.string();
+  asked.outputs = {"latents"};
+  run(asked);
+  EXPECT_EQ(printed_.find('\x1b'), std::string::npos);
+  EXPECT_THAT(printed_, HasSubstr("scene red\\x1b[31m\\nroom: 2 source"));
+}
+
 TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
   const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
     SampleOptions asked = options("refused");
@@ -341,7 +352,31 @@ TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
               asked.named = {"preset", "solver.evaluations"};
             }),
             "--preset published: expected no solver option beside it, the preset decides about all of them, "
-            "found 'solver.evaluations'; leave out one of the two.");
+            "found --evaluations; leave out one of the two.");
+  // Each alone, with the defaults and images only.
+  for (const char* key :
+       {"solver.schedule_file", "solver.shift", "solver.last_time", "solver.tolerance",
+        "solver.max_evaluations", "solver.diffusion", "solver.diffusion_strength", "solver.noise_seed",
+        "points.max_points", "points.lifting", "scale_from", "geometry_model"}) {
+    EXPECT_THAT(sentence([&](SampleOptions& asked) {
+                  asked.outputs = {"image"};
+                  asked.named = {key};
+                }),
+                HasSubstr(", without which nothing looks at it, found none; add it, or leave --"))
+        << key;
+  }
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.guidance.guidance_scale = 1;
+        asked.named = {"guidance.guidance_interval"};
+      }),
+      "--guidance-interval: expected a --guidance-scale other than 1, without which nothing looks at it, found "
+      "none; add it, or leave --guidance-interval out.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.named = {"points.max_points", "scale_from", "guidance.guidance_interval", "solver.first_time"};
+      }),
+      "");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) {
         asked.named = {"views.targets", "views.frames"};

@@ -73,8 +73,8 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
 }
 
-// The shipped model's ray origins do not tell the scale, and nothing else is asked. Then files belong to each other, and what was given
-// is not lost.
+// The shipped model's ray origins do not tell the scale, and nothing else is asked. Then files belong to each other,
+// and what was given is not lost.
 TEST_F(Sampling, WithoutAScaleCamerasAndDepthAreOfOneUnit) {
   auto asked = with_shipped_model(options("no_scale"));
   asked.outputs = {"image", "depth", "points"};

@@ -59,25 +59,20 @@ TEST(LevelSet, WhatCannotBeSampledIsRefusedWithTheReason) {
   const std::vector<Case> cases = {
       {set_of({level_model(1), cascade(1, 0)}, 2),
        "generated: expected a part that generates boundary_level 2, which propagation starts from, found "
-       "none in "
-       "generated; add 2 to generated or change boundary_level."},
+       "none in generated; add 2 to generated or change boundary_level."},
       {set_of({level_model(1)}, 1),
        "generated: expected a part that generates level 0, which the RGB decoder takes, found none, and "
-       "propagation "
-       "from level 1 only makes deeper ones; add 0 or a cascade to it to generated, or leave it out of "
-       "decoded_levels."},
+       "propagation from level 1 only makes deeper ones; add 0 or a cascade to it to generated, "
+       "or leave it out of decoded_levels."},
       {set_of({level_model(1), level_model(0), cascade(1, 0)}, 1),
        "generated: expected one part that generates level 0, found two, the second is 1->0; leave one of "
-       "them out of "
-       "generated."},
+       "them out of generated."},
       {set_of({level_model(2), level_model(0), level_model(1)}, 1),
        "generated: expected levels behind boundary_level 1 to come by propagation, found level 2 generated "
-       "by 2; "
-       "raise boundary_level or leave the part out of generated."},
+       "by 2; raise boundary_level or leave the part out of generated."},
       {set_of({cascade(1, 0), level_model(1)}, 1),
        "generated: expected level 1 generated before the cascade 1->0, found no part that does; put 1 in "
-       "front of it "
-       "in generated."},
+       "front of it in generated."},
       {set_of({level_model(4)}, 4),
        "boundary_level: expected a level below 4, found 4; choose one of the backbone's levels."},
       {unknown, "decoded_levels: expected levels below 4, found 4; choose the backbone's levels."},
