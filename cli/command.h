@@ -37,8 +37,8 @@ struct Command {
   Arguments arguments;
   // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other field of the
   // command ends like that; underscores are dashes. Booleans are --name and --no-name. All commands have
-  // --config FILE.yaml, --set key=value and --quiet as well. A flag's value is its text, YAML is only what stands in the
-  // file and right of --set's "=".
+  // --config FILE.yaml, --set key=value and --quiet as well. A flag's value is its text, YAML is only what stands in
+  // the file and right of --set's "=".
   std::shared_ptr<OptionsGroup> options;
   // Reads what --config names where that is more than a file of options; empty: it is one.
   std::function<void(const std::string& file)> read_config;
@@ -50,7 +50,8 @@ struct Command {
 };
 
 // Runs the command that arguments (without the program's name) ask for. Returns the exit status: 0 done, 1
-// failed, 2 wrong usage (an Error about a flag, whenever it is found), 130 interrupted. Messages go to standard error, help to standard output.
+// failed, 2 wrong usage (an Error about a flag, whenever it is found), 130 interrupted. Messages go to standard error,
+// help to standard output.
 int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments);
 
 }  // namespace gld

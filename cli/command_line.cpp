@@ -72,11 +72,13 @@ void add_outermost_types(const std::vector<Command>& commands, OutermostTypes& t
   }
 }
 
+constexpr const char* kSetFlag = "--set";
+
 void add_flags(CLI::App& app, const OptionsGroup& options, const OutermostTypes& outermost,
                Collected& collected) {
   app.add_option("--config", collected.config_file, "YAML file of options, applied before --set and flags")
       ->type_name("FILE");
-  app.add_option("--set", collected.settings, "set one option, applied after --config; may be repeated")
+  app.add_option(kSetFlag, collected.settings, "set one option, applied after --config; may be repeated")
       ->type_name("KEY=VALUE")
       ->allow_extra_args(false);
   app.add_flag("--quiet", collected.quiet, "print warnings and errors only");
@@ -128,7 +130,27 @@ std::vector<std::string> known_flags(const CLI::App& app) {
   return names;
 }
 
-// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else the nearest name.
+// The shortest of those that begin so, "--model" for "--mod"; empty where the beginning is a letter or none begins so.
+std::string begun_name(const std::string& beginning, const std::vector<std::string>& known) {
+  constexpr size_t kFewestLetters = 2;
+  std::string shortest;
+  if (beginning.size() - std::min(beginning.find_first_not_of('-'), beginning.size()) < kFewestLetters)
+    return "";
+  for (const auto& name : known) {
+    if (name.compare(0, beginning.size(), beginning) != 0) continue;
+    if (shortest.empty() || name.size() < shortest.size()) shortest = name;
+  }
+  return shortest;
+}
+
+// What a wrong name was perhaps meant to be: one that begins so, or else the nearest.
+std::string meant_name(const std::string& name, const std::vector<std::string>& known) {
+  const std::string begun = begun_name(name, known);
+  return begun.empty() ? nearest_name(name, known) : begun;
+}
+
+// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else as of any
+// name.
 std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
   if (flag.rfind("--", 0) == 0) {
     const std::string end = "." + flag.substr(2);
@@ -137,11 +159,11 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
         return name;
     }
   }
-  return nearest_name(flag, known);
+  return meant_name(flag, known);
 }
 
-// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what follows it up
-// to the next flag. Not in commands that take arguments without a flag.
+// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what
+// follows it up to the next flag. Not in commands that take arguments without a flag.
 std::vector<std::string> with_lists_joined(const CLI::App& app, const Command& command,
                                            const std::vector<std::string>& arguments) {
   if (!command.options || command.arguments.maximum > 0) return arguments;
@@ -183,15 +205,34 @@ void refuse_unknown(const Command& command, const CLI::App& app, const std::vect
   }
 }
 
-void require_argument_count(const Command& command, size_t count) {
+// Which of two values is meant cannot be known; --set takes many, each for another key.
+void refuse_repeated(const Command& command, const CLI::App& app, const Collected& collected) {
+  const auto refuse = [&](const std::string& what, size_t times) {
+    fail({"gld " + command.name, what + " once", std::to_string(times) + " times", "leave out all but one"});
+  };
+  for (const auto* option : app.get_options()) {
+    if (option->count() > 1 && !option->check_name(kSetFlag)) {
+      refuse("--" + option->get_lnames().front(), option->count());
+    }
+  }
+  std::map<std::string, size_t> keys;
+  for (const auto& setting : collected.settings) {
+    const std::string key = setting.substr(0, setting.find('='));
+    if (++keys[key] > 1) refuse("--set " + key, keys[key]);
+  }
+}
+
+void require_argument_count(const Command& command, const std::vector<std::string>& given) {
   const Arguments& arguments = command.arguments;
+  const size_t count = given.size();
   if (count >= arguments.minimum && count <= arguments.maximum) return;
   const std::string expected =
       arguments.maximum == 0 ? "no argument without a flag"
       : arguments.minimum == arguments.maximum
           ? std::to_string(arguments.minimum) + " argument(s): " + arguments.usage
           : "at least " + std::to_string(arguments.minimum) + " argument(s): " + arguments.usage;
-  fail({"gld " + command.name, expected, std::to_string(count), "see gld " + command.name + " --help"});
+  const std::string found = arguments.maximum == 0 ? "'" + given.front() + "'" : std::to_string(count);
+  fail({"gld " + command.name, expected, found, "see gld " + command.name + " --help"});
 }
 
 void apply(const Collected& collected, const Command& command) {
@@ -262,12 +303,17 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   } catch (const CLI::CallForHelp&) {
     std::cout << app.help();
     return std::nullopt;
+  } catch (const CLI::ArgumentMismatch& error) {  // "--out: 1 required text missing"
+    const std::string text = error.what();
+    fail({"gld " + command.name, "a value behind " + text.substr(0, text.find(':')), "none",
+          "see gld " + command.name + " --help"});
   } catch (const CLI::ParseError& error) {
     fail({"gld " + command.name, "", error.what(), "see gld " + command.name + " --help"});
   }
   const std::vector<std::string> left_over = app.remaining();
   refuse_unknown(command, app, left_over);
-  require_argument_count(command, left_over.size());
+  require_argument_count(command, left_over);
+  refuse_repeated(command, app, collected);
   if (command.options) {
     apply(collected, command);
     if (command.on_named) command.on_named(named_keys(collected));
@@ -336,7 +382,7 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     }
     return parse(command, rest, outermost);
   }
-  const auto near = nearest_name(arguments[0], names);
+  const auto near = meant_name(arguments[0], names);
   fail({program, "a command", "'" + arguments[0] + "'",
         near.empty() ? "see " + program + " --help" : "did you mean '" + near + "'?"});
 }
@@ -350,9 +396,9 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
     OutermostTypes outermost;
     add_outermost_types(commands, outermost);
     const auto invocation = find_and_parse({"gld", "", commands, outermost}, arguments);
-    if (!invocation) return 0;
+    if (invocation) status_of_error = kFailed;
+    const int status = invocation ? run_invocation(*invocation) : 0;
     status_of_error = kFailed;
-    const int status = run_invocation(*invocation);
     // What a full disk or a closed pipe did not take must not look like success.
     if (!std::cout.flush()) {
       fail({"standard output", "to take the result", "a write that failed",

@@ -13,7 +13,7 @@ Command make_convert_command() {
   command.name = "convert";
   command.summary = "Convert the published weight files into a model bundle";
   command.description =
-      "Takes DA3-Base's safetensors, GLD's .pt files and the latent statistics. "
+      "Takes the published files of backbones (DA3, VGGT, DINOv2, autoencoders), GLD's .pt files and latent statistics. "
       "Every tensor must be known and of the right shape. "
       "Parts can be converted one after the other into the same folder.";
   command.options = options;

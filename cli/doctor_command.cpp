@@ -1,9 +1,8 @@
 #include "cli/doctor_command.h"
 
+#include "gld/report/report_text.h"
 #include "infer/forecast/doctor.h"
 #include "train/distributed/process_team.h"
-
-#include <iostream>
 
 namespace gld {
 
@@ -14,7 +13,7 @@ Command make_doctor_command() {
   command.summary = "Examine this machine, and forecast time and memory for a model";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
-    std::cout << doctor_report(*options, process_engines());
+    print_report(doctor_report(*options, process_engines()));
     return 0;
   };
   return command;

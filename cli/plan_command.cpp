@@ -1,10 +1,10 @@
 #include "cli/plan_command.h"
 
 #include "gld/base/error.h"
+#include "gld/report/report_text.h"
 #include "infer/sample/sampling.h"
 
 #include <algorithm>
-#include <iostream>
 
 namespace gld {
 namespace {
@@ -42,8 +42,8 @@ Command make_plan_command() {
   command.options = options;
   command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {
-    std::cout << sampling_plan_report(*options,
-                                      options->measure ? PlanTiming::kMeasured : PlanTiming::kPredicted);
+    print_report(
+        sampling_plan_report(*options, options->measure ? PlanTiming::kMeasured : PlanTiming::kPredicted));
     return 0;
   };
   return command;

@@ -1,5 +1,7 @@
 # cmake -P cmake/check_rooms.cmake: every #include of a source of ours, however it is spaced and quoted, must be of its own
 # room or of one that the table in docs/ARCHITECTURE.md allows. -DROOT=DIR checks another tree.
+# Families of backbones are named in their room and in the table of published files alone: everything else goes through
+# backbone.h and backbone_registry.h.
 cmake_minimum_required(VERSION 3.25)
 get_filename_component(here ${CMAKE_CURRENT_LIST_DIR}/.. ABSOLUTE)
 if(NOT ROOT)
@@ -24,6 +26,11 @@ foreach(folder gld models datasets train infer ablate cli)
       get_filename_component(other ${included} DIRECTORY)
       if(NOT other STREQUAL room AND NOT other IN_LIST GLD_ROOM_${room})
         list(APPEND problems "${source}: expected includes of ${room} and of the rooms it may include, found \"${included}\"")
+      endif()
+      if(other STREQUAL models/backbones AND NOT room STREQUAL models/backbones
+         AND NOT source STREQUAL models/bundle/published_backbones.cpp
+         AND NOT included MATCHES "^models/backbones/(backbone|backbone_registry)\\.h$")
+        list(APPEND problems "${source}: expected backbone.h or backbone_registry.h of models/backbones, which name no family, found \"${included}\"")
       endif()
     endforeach()
   endforeach()

@@ -55,8 +55,8 @@ struct ExpectedCost {
   int64_t like = 0;  // how many they are
 };
 
-// Of a finished stage what it took; of another one the mean of the finished ones of its name in this plan: other variants and
-// seeds. Never a guess.
+// Of a finished stage what it took; of another one the mean of the finished ones of its name in this plan: other
+// variants and seeds. Never a guess.
 ExpectedCost expected_cost(const AblationPlan& plan, size_t task, const StageCache& cache);
 
 // What is to be run and what that takes, for people: a table with a line a stage and command, then totals.

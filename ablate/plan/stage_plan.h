@@ -19,8 +19,8 @@ struct StageTask {
   std::string stage;    // name in the description
   std::string command;  // "train level", "assemble"
   std::string depends;  // the text whose hash the key is
-  // YAML of all options of the command but those that only say how it runs; ${STAGE} stands for the folder of the run of an
-  // earlier stage. Of assemble: model.yaml.
+  // YAML of all options of the command but those that only say how it runs; ${STAGE} stands for the folder of the run
+  // of an earlier stage. Of assemble: model.yaml.
   std::string options;
   std::vector<size_t> needs;  // tasks that must be done before, by their number
   bool takes_model = false;
@@ -47,16 +47,18 @@ struct AblationPlan {
   std::vector<VariantRun> runs;
 };
 
-// What an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's version, the command,
-// its options after all settings, its seed among them, and the keys of the stages before it or the content of the bundle.
-// Files and folders that options name count by their name, not by their content.
-// Throws Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is missing.
+// What an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's version, the
+// command, its options after all settings, its seed among them, and the keys of the stages before it or the content of
+// the bundle. Files and folders that options name count by their name, not by their content.
+// Throws Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
+// missing.
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);
 
 // Whether text looks like StageTask::key.
 bool is_stage_key(const std::string& text);
 
-// How far seeds of stages lie apart: evaluations give each next scene the next seed, and each next sample the next million.
+// How far seeds of stages lie apart: evaluations give each next scene the next seed, and each next sample the next
+// million.
 constexpr int64_t kSeedStride = 1'000'000'000;
 
 }  // namespace gld

@@ -30,8 +30,8 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
 // Finite numbers averaged over each scene's views.
 NumbersBySeed scene_means(const MeasuredNumbers& numbers);
 
-// By how much the first is better, of scenes and views that both have, averaged over each scene's views: variants with more
-// target views than others are compared on those that both were asked for.
+// By how much the first is better, of scenes and views that both have, averaged over each scene's views: variants with
+// more target views than others are compared on those that both were asked for.
 NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const MeasuredNumbers& second);
 
 struct ClaimResult {

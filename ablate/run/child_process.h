@@ -17,13 +17,13 @@ struct FinishedProcess {
   int64_t peak_bytes = 0;  // largest resident memory
 };
 
-// A command that runs beside this one, its output in a file. It has a process group of its own, so that Ctrl-C reaches it through
-// stop() alone and once: a second signal would end a training before its checkpoint. When this process dies, however, it
-// gets SIGTERM from the system, and stops as if asked to.
+// A command that runs beside this one, its output in a file. It has a process group of its own, so that Ctrl-C reaches
+// it through stop() alone and once: a second signal would end a training before its checkpoint. When this process dies,
+// however, it gets SIGTERM from the system, and stops as if asked to.
 class ChildProcess {
  public:
-  // Appends standard output and standard error to log. keep_open: a file descriptor that the child holds as long as it runs
-  // (a lock), or -1. Throws Error where the process cannot be started.
+  // Appends standard output and standard error to log. keep_open: a file descriptor that the child holds as long as it
+  // runs (a lock), or -1. Throws Error where the process cannot be started.
   ChildProcess(const std::vector<std::string>& command, const std::filesystem::path& log, int keep_open);
   // Stops it and waits for its end.
   ~ChildProcess();

@@ -29,16 +29,16 @@ struct BootstrapOptions {
   uint64_t seed = 1;
 };
 
-// Percentile interval of mean_of_seed_means by the hierarchical bootstrap: each replicate draws seeds, then scenes. The scenes
-// are drawn once a replicate and stand for all of its seeds, because the same scenes were measured under every seed (Owen
-// 2007, "The pigeonhole bootstrap"): scenes drawn anew under each seed would count a scene's difficulty as independent
-// evidence once a seed, and the interval would be too narrow by up to the root of the number of seeds. With as few seeds as
-// three the interval covers less than its name says where seeds differ more than scenes; a verdict therefore also asks
-// that seeds agree (verdict.h). NaN without numbers.
+// Percentile interval of mean_of_seed_means by the hierarchical bootstrap: each replicate draws seeds, then scenes. The
+// scenes are drawn once a replicate and stand for all of its seeds, because the same scenes were measured under every
+// seed (Owen 2007, "The pigeonhole bootstrap"): scenes drawn anew under each seed would count a scene's difficulty as
+// independent evidence once a seed, and the interval would be too narrow by up to the root of the number of seeds. With
+// as few seeds as three the interval covers less than its name says where seeds differ more than scenes; a verdict
+// therefore also asks that seeds agree (verdict.h). NaN without numbers.
 Interval bootstrap_interval(const NumbersBySeed& numbers, const BootstrapOptions& options = {});
 
-// The exact two-sided binomial test of "positive and negative are equally likely". Each scene counts once, with the sign of
-// its mean over seeds; ties are left out.
+// The exact two-sided binomial test of "positive and negative are equally likely". Each scene counts once, with the
+// sign of its mean over seeds; ties are left out.
 struct SignTest {
   int64_t positive = 0;
   int64_t negative = 0;

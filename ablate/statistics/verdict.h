@@ -30,9 +30,9 @@ struct Comparison {
   std::string reason;  // of an undecided one: one phrase
 };
 
-// gain: by how much the claimed one is better, for each seed and scene. Reproduced (or opposite) where the 95 % interval lies
-// above (below) 0 and the mean of every seed too; undecided, with the reason, where it does not, and whatever the interval
-// with fewer scenes or seeds than a verdict needs. Seeds that gave the same numbers count as one.
+// gain: by how much the claimed one is better, for each seed and scene. Reproduced (or opposite) where the 95 %
+// interval lies above (below) 0 and the mean of every seed too; undecided, with the reason, where it does not, and
+// whatever the interval with fewer scenes or seeds than a verdict needs. Seeds that gave the same numbers count as one.
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options = {});
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #include "datasets/check/data_check.h"
 
 #include "datasets/check/depth_warp.h"
+#include "datasets/images/image_format.h"
 #include "datasets/images/image_probe.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -8,6 +9,7 @@
 #include "gld/cameras/angles.h"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <map>
@@ -117,6 +119,32 @@ void measure_overlap(const Scene& scene, const DataCheckOptions& options, DataCh
   check.mean_overlap = sum / static_cast<double>(pairs);
 }
 
+bool is_image_file(const std::filesystem::path& file) {
+  std::string extension = file.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char letter) { return std::tolower(letter); });
+  const auto& known = image_extensions();
+  return std::find(known.begin(), known.end(), extension) != known.end();
+}
+
+// Of all frames, without decoding them.
+void look_for_cut_images(const Scene& scene, DataCheck& check) {
+  constexpr int64_t kMostNamed = 3;
+  int64_t cut = 0;
+  for (const Frame& frame : scene.frames) {
+    if (!is_image_file(frame.image_file)) continue;
+    ++check.image_files;
+    try {
+      check_image_end(frame.image_file);
+    } catch (const Error& error) {
+      if (++cut <= kMostNamed) check.problems.emplace_back(error.what());
+    }
+  }
+  if (cut > kMostNamed) {
+    check.problems.push_back(fmt::format("{} more image files are broken.", cut - kMostNamed));
+  }
+}
+
 // Decodes some frames evenly spread over the scene.
 void load_some(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
   const size_t count = scene.frames.size();
@@ -136,7 +164,12 @@ void load_some(const Scene& scene, const DataCheckOptions& options, DataCheck& c
         any_depth = true;
       }
     } catch (const Error& error) {
-      check.problems.emplace_back(error.what());
+      // A file that ends early has been named.
+      const std::string file = frame.image_file.string();
+      const bool named = !file.empty() &&
+                         std::any_of(check.problems.begin(), check.problems.end(),
+                                     [&](const std::string& problem) { return problem.rfind(file, 0) == 0; });
+      if (!named) check.problems.emplace_back(error.what());
     }
   }
 }
@@ -211,7 +244,9 @@ void look_at_principal_point(const Scene& scene, DataCheck& check) {
                   camera.height));
 }
 
-void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
+bool stands_still(const DataCheck& check) { return check.frames > 1 && check.extent < 1e-9; }
+
+void look_at_places(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
   const int64_t outliers = std::count_if(scene.frames.begin(), scene.frames.end(), [&](const Frame& frame) {
     return position(frame).norm() > options.max_translation_norm;
   });
@@ -221,11 +256,14 @@ void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataChec
                     "the farthest at {:.4g}; training refuses them.",
                     outliers, check.frames, options.max_translation_norm, check.largest_norm));
   }
-  if (check.frames > 1 && check.extent < 1e-9) {
+  if (stands_still(check)) {
     check.problems.emplace_back(
         "All cameras are at the same place: without parallax there is no geometry to learn.");
-    return;
   }
+}
+
+void look_at_poses(const Scene& scene, const DataCheckOptions& options, DataCheck& check) {
+  if (stands_still(check)) return;
   check.poses = test_pose_meanings(scene, options.most_pairs);
   const PoseMeaning best = check.poses.best();
   if (best == PoseMeaning::kAsRead) return;
@@ -244,15 +282,18 @@ void DataCheckOptions::visit(FieldVisitor& visitor) {
   visitor.group({"reading", "how scenes are read"}, reading);
   visit_out(visitor, out, overwrite);
   visit_json(visitor, json);
-  visitor.integer({"most_scenes", "checked in a folder of scenes"}, most_scenes, {1, 1'000'000});
+  visitor.integer({"most_scenes",
+                   "of a folder of scenes, checked to their pixels; the others by cameras and image files"},
+                  most_scenes, {1, 1'000'000});
   visitor.integer({"most_images", "decoded in each scene"}, most_images, {0, 1'000'000});
   visitor.integer({"most_pairs", "of neighbouring frames compared"}, most_pairs, {1, 1000});
   visitor.real({"max_translation_norm", "cameras farther from the origin are reported"}, max_translation_norm,
                {0});
 }
 
-DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
+DataCheck check_scene(const Scene& scene, const DataCheckOptions& options, CheckDepth depth) {
   DataCheck check;
+  check.depth_of_check = depth;
   check.scene = scene.name;
   check.format = scene.format;
   check.frames = static_cast<int64_t>(scene.frames.size());
@@ -265,7 +306,8 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
   check.frames_with_depth = std::count_if(scene.frames.begin(), scene.frames.end(),
                                           [](const Frame& frame) { return frame.has_depth(); });
   measure_cameras(scene, check);
-  load_some(scene, options, check);
+  look_for_cut_images(scene, check);
+  if (depth == CheckDepth::kPixels) load_some(scene, options, check);
   const bool pictures = std::any_of(scene.frames.begin(), scene.frames.end(),
                                     [](const Frame& frame) { return frame.has_image(); });
   if (!pictures) {
@@ -275,6 +317,8 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options) {
   look_for_links(scene, check);
   look_at_principal_point(scene, check);
   if (!check.problems.empty()) return check;  // comparing pixels of images that cannot be loaded helps nobody
+  look_at_places(scene, options, check);
+  if (depth == CheckDepth::kFiles) return check;
   look_at_poses(scene, options, check);
   measure_overlap(scene, options, check);
   if (check.mean_overlap >= 0 && check.mean_overlap < 0.3 && check.poses.best() == PoseMeaning::kAsRead) {
@@ -298,15 +342,16 @@ void name_first_broken_frame(const SceneLocation& location, SceneReading reading
 
 }  // namespace
 
-DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options) {
+DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options, CheckDepth depth) {
   SceneReading reading = options.reading;
   reading.part = location.part;
   try {
-    DataCheck check = check_scene(open_scene(location.path, reading), options);
+    DataCheck check = check_scene(open_scene(location.path, reading), options, depth);
     if (check.broken_frames > 0) name_first_broken_frame(location, reading, check);
     return check;
   } catch (const Error& error) {
     DataCheck check;
+    check.depth_of_check = depth;
     check.scene = location.path.string();
     check.format = "unreadable";
     check.problems.emplace_back(error.what());

@@ -19,13 +19,19 @@ struct DataCheckOptions : OptionsGroup {
   std::string out;  // run folder; empty: only text
   bool overwrite = false;
   bool json = false;
-  int64_t most_scenes = 5;  // of a folder of scenes
+  int64_t most_scenes = 5;  // of a folder of scenes, those that are checked to their pixels
   int64_t most_images = 8;  // decoded to see whether they can be
   int64_t most_pairs = 6;   // of frames compared
   double max_translation_norm = 100;
 
   DataCheckOptions();
   void visit(FieldVisitor& visitor) override;
+};
+
+// How closely a scene is looked at.
+enum class CheckDepth {
+  kFiles,   // cameras, and header and end of every image file: what a folder of thousands of scenes allows
+  kPixels,  // some images are decoded and compared as well
 };
 
 struct Span {
@@ -42,9 +48,11 @@ struct CheckedFrame {
 struct DataCheck {
   std::string scene;
   std::string format;
+  CheckDepth depth_of_check = CheckDepth::kPixels;
   int64_t frames = 0;
   std::vector<CheckedFrame> list;  // in the order of their numbers
   int64_t decoded_images = 0;
+  int64_t image_files = 0;  // whose header and end were looked at
   int64_t missing_files = 0;
   int64_t broken_frames = 0;
   int64_t frames_with_depth = 0;
@@ -64,16 +72,20 @@ struct DataCheck {
 };
 
 // Looks at a scene that could be read.
-DataCheck check_scene(const Scene& scene, const DataCheckOptions& options);
+DataCheck check_scene(const Scene& scene, const DataCheckOptions& options,
+                      CheckDepth depth = CheckDepth::kPixels);
 
 // Opens and checks; a scene that cannot be read is one problem, its sentence.
-DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options);
+DataCheck check_scene(const SceneLocation& location, const DataCheckOptions& options,
+                      CheckDepth depth = CheckDepth::kPixels);
 
 std::string data_check_text(const DataCheck& check);
 nlohmann::ordered_json data_check_json(const DataCheck& check);
 
-// The command: prints the check of every scene at or below path, writes report.json and a picture of the cameras of
-// each when there is a run folder. Exit status 1 when there are problems.
+// The command: checks every scene at or below path, options.most_scenes of them, evenly spread, to their pixels and the
+// others by their files. Prints the checks of the first kind and of scenes with problems, then what was looked at, and
+// which scenes have problems as a warning. Where there is a run folder, writes report.json and a picture of the cameras
+// of each scene that was checked to its pixels. Exit status 1 when there are problems.
 int run_data_check(const std::filesystem::path& path, const DataCheckOptions& options);
 
 }  // namespace gld

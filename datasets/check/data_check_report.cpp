@@ -3,6 +3,8 @@
 #include "datasets/pictures/camera_layout_picture.h"
 #include "gld/base/json_text.h"
 #include "gld/base/printable_text.h"
+#include "gld/report/progress.h"
+#include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
@@ -43,6 +45,17 @@ std::string frame_lines(const std::vector<CheckedFrame>& frames) {
   return text;
 }
 
+std::string problem_summary(const std::vector<std::string>& scenes, size_t checked) {
+  constexpr size_t kMostNamed = 10;
+  std::string text = fmt::format("{} of {} scenes {} problems: ", scenes.size(), checked,
+                                 scenes.size() == 1 ? "has" : "have");
+  for (size_t i = 0; i < std::min(scenes.size(), kMostNamed); ++i) {
+    text += (i == 0 ? "" : ", ") + printable_text(scenes[i]);
+  }
+  if (scenes.size() > kMostNamed) text += fmt::format(" and {} more", scenes.size() - kMostNamed);
+  return text;
+}
+
 }  // namespace
 
 std::string data_check_text(const DataCheck& check) {
@@ -74,8 +87,11 @@ std::string data_check_text(const DataCheck& check) {
     }
   }
   text += frame_lines(check.list);
-  if (check.decoded_images > 0 && check.decoded_images < check.frames) {
-    line("decoded", fmt::format("{} of {} images (--most-images)", check.decoded_images, check.frames));
+  const bool by_files = check.depth_of_check == CheckDepth::kFiles;
+  if (check.decoded_images < check.frames && (check.decoded_images > 0 || by_files)) {
+    line("decoded",
+         fmt::format("{} of {} images ({}); of {} files the header and the end", check.decoded_images,
+                     check.frames, by_files ? "--most-scenes" : "--most-images", check.image_files));
   }
   for (const std::string& note : check.notes) line("note", note);
   for (const std::string& problem : check.problems) line("PROBLEM", problem);
@@ -87,14 +103,20 @@ nlohmann::ordered_json data_check_json(const DataCheck& check) {
   nlohmann::ordered_json object;
   object["scene"] = check.scene;
   object["format"] = check.format;
+  const bool by_files = check.depth_of_check == CheckDepth::kFiles;
+  object["checked"] = by_files ? "files" : "pixels";
   object["frames"] = check.frames;
-  object["list"] = nlohmann::ordered_json::array();
-  for (size_t i = 0; i < check.list.size(); ++i) {
-    const CheckedFrame& frame = check.list[i];
-    object["list"].push_back(
-        {{"number", i}, {"name", frame.name}, {"width", frame.width}, {"height", frame.height}});
+  // There may be thousands of scenes that nobody has to look at.
+  if (!by_files || !check.problems.empty()) {
+    object["list"] = nlohmann::ordered_json::array();
+    for (size_t i = 0; i < check.list.size(); ++i) {
+      const CheckedFrame& frame = check.list[i];
+      object["list"].push_back(
+          {{"number", i}, {"name", frame.name}, {"width", frame.width}, {"height", frame.height}});
+    }
   }
   object["decoded_images"] = check.decoded_images;
+  object["image_files"] = check.image_files;
   object["missing_files"] = check.missing_files;
   object["broken_frames"] = check.broken_frames;
   object["frames_with_depth"] = check.frames_with_depth;
@@ -120,29 +142,42 @@ nlohmann::ordered_json data_check_json(const DataCheck& check) {
 }
 
 int run_data_check(const std::filesystem::path& path, const DataCheckOptions& options) {
-  auto scenes = scenes_at(path, options);
-  const size_t found = scenes.size();
-  scenes.resize(std::min<size_t>(found, static_cast<size_t>(options.most_scenes)));
+  const auto scenes = scenes_at(path, options);
+  const size_t to_pixels = std::min<size_t>(scenes.size(), static_cast<size_t>(options.most_scenes));
   std::unique_ptr<RunFolder> run;
   if (!options.out.empty())
     run = std::make_unique<RunFolder>(options.out, "check-data", options, earlier_run(options.overwrite));
   nlohmann::ordered_json report;
   report["scenes"] = nlohmann::ordered_json::array();
-  size_t with_problems = 0;
+  std::vector<std::string> with_problems;
+  int64_t files_alone = 0;
+  size_t seen_to_pixels = 0;
+  std::unique_ptr<Progress> progress;  // checks that are printed show it themselves
+  if (scenes.size() > to_pixels) {
+    progress = std::make_unique<Progress>("checking scenes", static_cast<int64_t>(scenes.size()));
+  }
   for (size_t i = 0; i < scenes.size(); ++i) {
-    const DataCheck check = check_scene(scenes[i], options);
-    if (!options.json) std::cout << data_check_text(check) << std::flush;
-    with_problems += check.problems.empty() ? 0 : 1;
+    // Evenly spread: neighbours in a folder are alike.
+    const bool pixels = i == seen_to_pixels * scenes.size() / to_pixels && seen_to_pixels < to_pixels;
+    if (pixels) ++seen_to_pixels;
+    const DataCheck check =
+        check_scene(scenes[i], options, pixels ? CheckDepth::kPixels : CheckDepth::kFiles);
+    if (!pixels) files_alone += check.image_files;
+    const bool shown = pixels || !check.problems.empty();
+    if (!options.json && shown) std::cout << data_check_text(check) << std::flush;
+    if (!check.problems.empty()) with_problems.push_back(check.scene);
     report["scenes"].push_back(data_check_json(check));
-    if (run == nullptr || check.frames == 0) continue;
+    if (progress) progress->update(static_cast<int64_t>(i + 1));
+    if (run == nullptr || check.frames == 0 || !pixels) continue;
     SceneReading reading = options.reading;
     reading.part = scenes[i].part;
     const std::string name = fmt::format("cameras_{:03}.png", i);
     write_png(run->path() / name, draw_camera_layout(open_scene(scenes[i].path, reading)));
     run->note("cameras of " + check.scene, name);
   }
-  report["scenes_found"] = found;
-  report["scenes_checked"] = scenes.size();
+  if (progress) progress->finish();
+  report["scenes_found"] = scenes.size();
+  report["scenes_checked_to_pixels"] = to_pixels;
   if (run != nullptr) {
     run->write_report(report);
     run->note("report", "report.json");
@@ -150,13 +185,16 @@ int run_data_check(const std::filesystem::path& path, const DataCheckOptions& op
   if (options.json) {
     std::cout << json_text(report, 2) << "\n";
   } else {
-    if (scenes.size() < found) {
-      std::cout << fmt::format("{} of {} scenes were checked; --most-scenes {} checks all\n", scenes.size(),
-                               found, found);
+    if (scenes.size() > to_pixels) {
+      std::cout << fmt::format(
+          "{0} scenes were checked: {1} to their pixels (--most-scenes {0} takes all), {2} by their cameras and "
+          "the headers and ends of their {3} image files\n",
+          scenes.size(), to_pixels, scenes.size() - to_pixels, files_alone);
     }
     if (run != nullptr) std::cout << run->closing_box();
   }
-  return with_problems == 0 ? 0 : 1;
+  if (!with_problems.empty()) print_warnings({problem_summary(with_problems, scenes.size())});
+  return with_problems.empty() ? 0 : 1;
 }
 
 }  // namespace gld

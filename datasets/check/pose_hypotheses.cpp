@@ -96,8 +96,8 @@ std::vector<std::pair<Vector2d, Vector2d>> matched(const Features& a, const Feat
 
 constexpr double kVeryFar = 1e12;
 
-// The depth in a of the point that two pixels show, or 0 when they cannot be one point: off the epipolar line, or behind
-// a camera.
+// The depth in a of the point that two pixels show, or 0 when they cannot be one point: off the epipolar line, or
+// behind a camera.
 class EpipolarTest {
  public:
   EpipolarTest(const Camera& a, const Camera& b) {

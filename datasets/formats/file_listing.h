@@ -9,7 +9,8 @@ namespace gld {
 // "frame_2" before "frame_10": runs of digits compare as numbers.
 bool natural_less(const std::string& a, const std::string& b);
 
-// Image files (datasets/images/image_format.h) directly in folder, in natural order; empty when there is no such folder.
+// Image files (datasets/images/image_format.h) directly in folder, in natural order; empty when there is no such
+// folder.
 std::vector<std::filesystem::path> list_images(const std::filesystem::path& folder);
 
 // Files with that extension (".txt") directly in folder, in natural order.

@@ -28,8 +28,8 @@ struct FrameRecord {
 // undistortion table between frames of one camera.
 class FrameMaker {
  public:
-  // Depth and masks are brought to the image's size (nearest) where a format stores them in another one. A picture whose
-  // distortion is undone is cropped to what the lens saw: it has no borders without pixels.
+  // Depth and masks are brought to the image's size (nearest) where a format stores them in another one. A picture
+  // whose distortion is undone is cropped to what the lens saw: it has no borders without pixels.
   Frame make(const FrameRecord& record);
 
   // What was cropped, a sentence for the scene's warnings; empty where nothing was.

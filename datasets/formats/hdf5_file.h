@@ -8,8 +8,8 @@
 
 namespace gld {
 
-// Reads a file with parse_hdf5_array (gld/files/hdf5_array.h), from any number of threads. Throws Error when it is missing,
-// damaged or truncated, has no such dataset, or the dataset has more elements than what it is for can have.
+// Reads a file with parse_hdf5_array (gld/files/hdf5_array.h), from any number of threads. Throws Error when it is
+// missing, damaged or truncated, has no such dataset, or the dataset has more elements than what it is for can have.
 Hdf5Array read_hdf5(const std::filesystem::path& file, const std::string& dataset, int64_t most_elements);
 
 // Writes one float32 dataset with libhdf5, one call at a time; the file appears whole or not at all.

@@ -74,7 +74,8 @@ Scene SceneBuilder::finish() {
         std::to_string(scene_.missing_files + static_cast<int64_t>(scene_.frames.size())) +
         " listed files do not exist, the first is " + first_missing_ + ".");
   }
-  // The number of the next copy is kept for each name: ten thousand frames of one image are not compared with each other.
+  // The number of the next copy is kept for each name: ten thousand frames of one image are not compared with each
+  // other.
   std::set<std::string> names;
   std::map<std::string, int64_t> next_copy;
   for (Frame& frame : scene_.frames) {

@@ -21,11 +21,12 @@ struct BmpHeader {
   uint32_t masks[4] = {};  // of red, green, blue and alpha in pixels of 16 and 32 bits; 0 without that colour
 };
 
-// Error where the bytes are too few or the file is of a kind that is not read: compressed ones are not, as no camera and few
-// programs write them.
+// Error where the bytes are too few or the file is of a kind that is not read: compressed ones are not, as no camera
+// and few programs write them.
 BmpHeader read_bmp_header(std::string_view bytes, const std::string& where);
 
-// 3 channels, or 4 where the file says that it has alpha. A size that the file cannot hold is refused before memory is taken.
+// 3 channels, or 4 where the file says that it has alpha. A size that the file cannot hold is refused before memory is
+// taken.
 DecodedPixels decode_bmp(std::string_view bytes, const std::string& where);
 
 }  // namespace gld

@@ -16,16 +16,16 @@ struct DecodedPixels {
   std::vector<uint8_t> bytes;
 };
 
-// The most pixels that a picture or a map of depth may have: 16384 x 16384, more than any camera's photograph. A file of
-// some hundred kilobytes can hold that many, so a size is compared before memory is taken for it.
+// The most pixels that a picture or a map of depth may have: 16384 x 16384, more than any camera's photograph. A file
+// of some hundred kilobytes can hold that many, so a size is compared before memory is taken for it.
 constexpr int64_t kMostPixels = int64_t{1} << 28;
 constexpr int64_t kLargestSide = 65535;
 
 // Error unless 1 <= sides <= kLargestSide and there are at most kMostPixels; where names the file.
 void check_picture_size(int64_t width, int64_t height, const std::string& where);
 
-// The same for files whose few bytes may stand for any number of equal pixels: beyond 2^24 pixels a file must have a byte for
-// 4096 of them, of which photographs have a thousand times as many.
+// The same for files whose few bytes may stand for any number of equal pixels: beyond 2^24 pixels a file must have a
+// byte for 4096 of them, of which photographs have a thousand times as many.
 void check_compressed_picture_size(int64_t width, int64_t height, size_t file_bytes,
                                    const std::string& where);
 

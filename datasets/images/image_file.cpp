@@ -24,8 +24,8 @@ namespace {
 
 constexpr uint64_t kLargestImageFile = uint64_t{1} << 30;
 
-// The file is decoded from memory so that what was probed is what is decoded. OpenCV's decoders print what is wrong with a
-// file and go on where they can; ours refuse it.
+// The file is decoded from memory so that what was probed is what is decoded. OpenCV's decoders print what is wrong
+// with a file and go on where they can; ours refuse it.
 DecodedPixels decode(const std::string& bytes, const std::string& where) {
   switch (image_format(bytes).value_or(ImageFormat::kPng)) {
     case ImageFormat::kJpeg:

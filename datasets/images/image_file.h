@@ -13,8 +13,9 @@ enum class ImageOrientation {
   kUpright,   // turn as EXIF says
 };
 
-// An image file of any format of datasets/images/image_format.h as 8-bit RGB. 16-bit values are divided by 257, grey is repeated, transparent pixels are laid
-// over white. Throws Error when the file is missing, damaged, ends early or is one pixel wide or high.
+// An image file of any format of datasets/images/image_format.h as 8-bit RGB. 16-bit values are divided by 257, grey is
+// repeated, transparent pixels are laid over white. Throws Error when the file is missing, damaged, ends early or is
+// one pixel wide or high.
 Image read_image(const std::filesystem::path& file,
                  ImageOrientation orientation = ImageOrientation::kAsStored);
 

@@ -47,9 +47,9 @@ class Bytes {
   const std::string& where_;
 };
 
-// The orientation that EXIF metadata ("Exif", two zeros, a TIFF structure) ask for; 1 when they have none or are damaged:
-// a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but cameras may
-// belong to the picture as stored.
+// The orientation that EXIF metadata ("Exif", two zeros, a TIFF structure) ask for; 1 when they have none or are
+// damaged: a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but cameras
+// may belong to the picture as stored.
 int exif_orientation(const std::string& metadata) {
   const std::unique_ptr<ExifData, decltype(&exif_data_unref)> exif(exif_data_new(), exif_data_unref);
   if (!exif) return 1;
@@ -167,10 +167,28 @@ ImageFileInfo probe(std::string_view bytes, Extent extent, const std::string& wh
   return info;
 }
 
+bool ends_with(std::string_view bytes, std::string_view end) {
+  return bytes.size() >= end.size() && bytes.substr(bytes.size() - end.size()) == end;
+}
+
+// Whether the last bytes are those of a whole file; where not, more may stand behind its end.
+bool has_usual_end(std::string_view bytes) {
+  const auto format = image_format(bytes);
+  if (format == ImageFormat::kPng) return ends_with(bytes, {"\0\0\0\0IEND\xAE\x42\x60\x82", 12});
+  return format == ImageFormat::kJpeg && ends_with(bytes, "\xFF\xD9");
+}
+
 }  // namespace
 
 ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where) {
   return probe(bytes, Extent::kWhole, where);
+}
+
+void check_image_end(const std::filesystem::path& file) {
+  const auto mapped = MappedFile::open(file);
+  const ByteView view = mapped->bytes();
+  const std::string_view bytes(reinterpret_cast<const char*>(view.data), view.size);
+  if (!has_usual_end(bytes)) probe(bytes, Extent::kWhole, file.string());
 }
 
 ImageFileInfo probe_image_file(const std::filesystem::path& file) {

@@ -20,7 +20,12 @@ struct ImageFileInfo {
 // is missing, is no image, ends within the header, or is one pixel wide or high.
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
-// The same for a whole file in memory, and an Error when it ends early anywhere; where names it in errors.
+// Throws Error where the file ends early, as far as its structure tells without decoding: by the last bytes of a PNG,
+// JPEG or WebP file, or what leads to them. Of TIFF and BMP files it looks at the header.
+void check_image_end(const std::filesystem::path& file);
+
+// The same as probe_image_file for a whole file in memory, and an Error when it
+// ends early anywhere; where names it in errors.
 ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where);
 
 }  // namespace gld

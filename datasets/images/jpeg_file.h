@@ -8,13 +8,13 @@
 namespace gld {
 
 // Decodes a whole JPEG file in memory as OpenCV does (the same bits), but takes nothing that libjpeg had to repair: the
-// library goes on after broken data with grey or shifted blocks and says so on the terminal only. Here its first complaint
-// ends up in the Error. What it cannot notice stays unnoticed, for JPEG files have no checksum. CMYK becomes blue, green,
-// red.
+// library goes on after broken data with grey or shifted blocks and says so on the terminal only. Here its first
+// complaint ends up in the Error. What it cannot notice stays unnoticed, for JPEG files have no checksum. CMYK becomes
+// blue, green, red.
 DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where);
 
-// The bytes of a JPEG file of that quality, 1 to 100, with half the resolution in colour. Equal input gives equal bytes. Throws
-// Error when the image has no pixels or more in a row than the format holds.
+// The bytes of a JPEG file of that quality, 1 to 100, with half the resolution in colour. Equal input gives equal
+// bytes. Throws Error when the image has no pixels or more in a row than the format holds.
 std::string encode_jpeg(const Image& image, int quality, const std::string& where);
 
 }  // namespace gld

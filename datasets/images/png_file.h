@@ -19,16 +19,17 @@ struct Grey16 {
 };
 
 // The bytes of a lossless PNG file with the texts as chunks behind its header (tEXt, or iTXt where a text is not
-// ASCII). Equal input gives equal bytes. Throws Error when the pixels are not width x height, or there are none, or a name
-// or text cannot stand in a PNG file as it is.
+// ASCII). Equal input gives equal bytes. Throws Error when the pixels are not width x height, or there are none, or a
+// name or text cannot stand in a PNG file as it is.
 std::string encode_png(const Image& image, const TextItems& texts);
 std::string encode_png(const Grey16& image, const TextItems& texts);
 
 // All text chunks of a PNG file, in its order. Throws Error when it is no PNG, ends early, or is damaged anywhere.
 TextItems read_png_texts(const std::filesystem::path& file);
 
-// Decodes a whole PNG file in memory: palettes and grey of few bits become 8 bits, transparency becomes a fourth channel
-// (with grey repeated). Throws Error with libpng's words where a checksum is wrong anywhere, or anything is damaged.
+// Decodes a whole PNG file in memory: palettes and grey of few bits become 8 bits, transparency becomes a fourth
+// channel (with grey repeated). Throws Error with libpng's words where a checksum is wrong anywhere, or anything is
+// damaged.
 DecodedPixels decode_png(const std::string& bytes, const std::string& where);
 
 }  // namespace gld

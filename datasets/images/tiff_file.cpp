@@ -139,8 +139,8 @@ int64_t checked_bytes(TIFF* tiff, const TiffHeader& header, size_t file_bytes, c
 // What the channel behind the colours is in libtiff's packed pixels.
 enum class TiffAlpha { kNone, kMultiplied, kNotMultiplied };
 
-// A file may have a channel that it says nothing about, near infrared for instance, which libtiff takes for alpha. It multiplies
-// colours with their alpha where the file has not, but not greys.
+// A file may have a channel that it says nothing about, near infrared for instance, which libtiff takes for alpha. It
+// multiplies colours with their alpha where the file has not, but not greys.
 TiffAlpha alpha_of(TIFF* tiff) {
   uint16_t count = 0, photometric = PHOTOMETRIC_RGB;
   uint16_t* kinds = nullptr;

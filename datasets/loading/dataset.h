@@ -23,8 +23,8 @@ class Dataset {
   virtual Scene scene(int64_t index) const = 0;
 };
 
-// All scenes below some folders, folder by folder, in any of the layouts. The cameras of the last thousand scenes that were read are kept,
-// pixels are not: all cameras of RealEstate10K would take gigabytes.
+// All scenes below some folders, folder by folder, in any of the layouts. The cameras of the last thousand scenes that
+// were read are kept, pixels are not: all cameras of RealEstate10K would take gigabytes.
 class FolderDataset : public Dataset {
  public:
   FolderDataset(const std::filesystem::path& root, const SceneReading& reading)

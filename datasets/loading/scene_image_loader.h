@@ -14,8 +14,8 @@ namespace gld {
 struct BatchLoading : OptionsGroup {
   int64_t batch_size = 8;  // scenes
   int64_t seed = 0;
-  // Of a camera's position, from the scene's origin and from the sample's last view (the frame that the diffusion models
-  // see the cameras in), in the scene's unit.
+  // Of a camera's position, from the scene's origin and from the sample's last view (the frame that the diffusion
+  // models see the cameras in), in the scene's unit.
   double max_translation_norm = 100;
   int64_t most_attempts = 20;  // per sample, before loading gives up
   FrameParts parts = FrameParts::kImage;
@@ -24,8 +24,8 @@ struct BatchLoading : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// A scene on its way from the disk: the pixels of V of its views, sources first, all of the batch's size. As tensors it is
-// SceneTensors (datasets/loading/batching.h).
+// A scene on its way from the disk: the pixels of V of its views, sources first, all of the batch's size. As tensors it
+// is SceneTensors (datasets/loading/batching.h).
 struct SceneImages {
   std::string dataset;
   std::string scene;

@@ -34,8 +34,8 @@ void paste(Image& image, const Image& picture, int64_t x, int64_t y);
 // The picture at another size: averaged when smaller, cubic when larger.
 Image resized(const Image& picture, int64_t width, int64_t height);
 
-// Paints with cairo on the part of the image inside rect; the context's unit is a pixel, its origin the image's top left
-// corner. paint must not fail.
+// Paints with cairo on the part of the image inside rect; the context's unit is a pixel, its origin the image's top
+// left corner. paint must not fail.
 void paint_with_cairo(Image& image, const PixelRect& rect, const std::function<void(cairo_t*)>& paint);
 void set_source(cairo_t* cairo, const Rgb& colour);
 

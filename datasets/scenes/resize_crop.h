@@ -14,12 +14,12 @@ namespace gld {
 ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
 
 // What stays in the middle of a crop. About the principal point, as the release trains: the largest window with the
-// principal point (rounded to whole pixels) at its centre is cut out first, and the lens looks along the middle of every
-// picture; what lies outside is lost.
+// principal point (rounded to whole pixels) at its centre is cut out first, and the lens looks along the middle of
+// every picture; what lies outside is lost.
 enum class CropCentre { kImage, kPrincipalPoint };
 
-// A window cut out of the source, a uniform resize that covers the target (up to rounding the other side to whole pixels),
-// then a centred crop.
+// A window cut out of the source, a uniform resize that covers the target (up to rounding the other side to whole
+// pixels), then a centred crop.
 struct ResizeCrop {
   int64_t source_width = 0;
   int64_t source_height = 0;

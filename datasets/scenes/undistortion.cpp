@@ -181,7 +181,8 @@ Camera cropped_to_source(const Camera& ideal, const LensCamera& source) {
     }
     return true;
   };
-  // Each side moves out as far as its line stays inside, by bisection within a cell; then the corners lie on lines tested.
+  // Each side moves out as far as its line stays inside, by bisection within a cell; then the corners lie on lines
+  // tested.
   const auto moved = [&](int64_t from, int64_t to, const auto& line_at) {
     if (line_inside(line_at(to))) return to;
     while (std::abs(to - from) > 1) {

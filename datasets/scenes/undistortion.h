@@ -54,9 +54,9 @@ struct LensCamera {
 };
 std::shared_ptr<const Undistorter> make_undistorter(const Camera& ideal, const LensCamera& source);
 
-// The part of the ideal camera's picture, a rectangle as large as possible, that the source has pixels for everywhere: the same
-// camera with a smaller picture, its principal point moved with the corner. Found from samples along lines, to a pixel or two.
-// Error where not even 2x2 pixels are left.
+// The part of the ideal camera's picture, a rectangle as large as possible, that the source has pixels for everywhere:
+// the same camera with a smaller picture, its principal point moved with the corner. Found from samples along lines, to
+// a pixel or two. Error where not even 2x2 pixels are left.
 Camera cropped_to_source(const Camera& ideal, const LensCamera& source);
 
 }  // namespace gld

@@ -19,8 +19,8 @@ struct SynthOptions : OptionsGroup {
   void check() const override;
 };
 
-// Writes generated scenes under OUT/scenes/NAME in the layout, with report.json. Stops between scenes on Ctrl-C; what is
-// written is whole.
+// Writes generated scenes under OUT/scenes/NAME in the layout, with report.json. Stops between scenes on Ctrl-C; what
+// is written is whole.
 void run_synth(const SynthOptions& options);
 
 }  // namespace gld

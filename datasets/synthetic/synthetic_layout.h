@@ -18,8 +18,8 @@ struct ObjectCount {
 // tables, stacks) standing on the floor without touching each other.
 SyntheticWorld draw_world(SeededRandom& random, const ObjectCount& objects);
 
-// Makes a world of draw_world less tidy: chairs, sofas, shelves, floor lamps and plants beside what stands there already,
-// some surfaces glossy and some dark.
+// Makes a world of draw_world less tidy: chairs, sofas, shelves, floor lamps and plants beside what stands there
+// already, some surfaces glossy and some dark.
 void vary_world(SeededRandom& random, SyntheticWorld& world);
 
 // How a hand holds the camera: slow sways about the smooth path, their largest sizes.

@@ -6,8 +6,9 @@
 
 namespace gld {
 
-// Draws a generated scene by ray casting: matte surfaces and glossy ones (reflections of lamps), one ray a pixel, nine where surfaces meet, soft shadows from
-// round lamps, darker corners. The camera must be inside the room. Deterministic; safe from several threads.
+// Draws a generated scene by ray casting: matte surfaces and glossy ones (reflections of lamps), one ray a pixel, nine
+// where surfaces meet, soft shadows from round lamps, darker corners. The camera must be inside the room.
+// Deterministic; safe from several threads.
 Image render_image(const SyntheticWorld& world, const Camera& camera);
 
 // Exact planar depth of the pixel centres, metres.

@@ -27,8 +27,9 @@ struct AttentionInputs {
   ComputePrecision precision = ComputePrecision::kFloat32;
 };
 
-// What one block's attention multiplies with each other, for a loss on it (train/objectives/correspondence.h): queries and keys after
-// normalisation and camera or rotary encoding, (1, tokens of all views, heads, head_dim), with their gradients.
+// What one block's attention multiplies with each other, for a loss on it (train/objectives/correspondence.h): queries
+// and keys after normalisation and camera or rotary encoding, (1, tokens of all views, heads, head_dim), with their
+// gradients.
 struct AttentionTap {
   int64_t block = 0;  // counted over the whole model
   torch::Tensor query;

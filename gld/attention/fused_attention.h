@@ -8,8 +8,8 @@
 
 namespace gld {
 
-// Attention through the CPU kernels (gld/kernels/attention_kernel.h), for float32 tensors on the CPU and 1 to 256 channels a
-// head; arguments and result as attention(), which checks them. Differentiable once: backward recomputes the
+// Attention through the CPU kernels (gld/kernels/attention_kernel.h), for float32 tensors on the CPU and 1 to 256
+// channels a head; arguments and result as attention(), which checks them. Differentiable once: backward recomputes the
 // probabilities from the stored log-sum-exp.
 torch::Tensor fused_attention(const AttentionInputs& inputs);
 

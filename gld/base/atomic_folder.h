@@ -5,8 +5,8 @@
 
 namespace gld {
 
-// A folder that appears whole or not at all: filled below a hidden folder beside its place and renamed. Nothing is replaced
-// but an empty folder. Without commit() nothing is left.
+// A folder that appears whole or not at all: filled below a hidden folder beside its place and renamed. Nothing is
+// replaced but an empty folder. Without commit() nothing is left.
 class AtomicFolder {
  public:
   // The parent must exist, and under the target's name nothing or an empty folder; throws Error otherwise.

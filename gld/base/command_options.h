@@ -18,8 +18,8 @@ void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite);
 // Throws Error for an empty one; example is such a folder, "runs/sample".
 void check_out(const std::string& out, const std::string& example);
 
-// Options that say where a command writes, how it goes about it and what it prints, but not what comes out: they are not part
-// of what identifies a result.
+// Options that say where a command writes, how it goes about it and what it prints, but not what comes out: they are
+// not part of what identifies a result.
 const std::vector<std::string>& options_beside_the_result();
 
 // --threads, 0 to kMostThreads. 0 is one a core: threads_to_use() says how many that is.

@@ -189,7 +189,12 @@ class Assigner : public FieldVisitor {
       // yaml-cpp also takes octal and hexadecimal numbers; only plain decimal integers are meant here.
       const std::string text = right ? node.Scalar() : std::string();
       const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
-      right = right && parsed.ec == std::errc() && parsed.ptr == text.data() + text.size();
+      const bool whole = right && parsed.ptr == text.data() + text.size();
+      if (whole && parsed.ec == std::errc::result_out_of_range) {
+        fail({place(source_, node, prefix_ + field.name), expected + " of 64 bits", shown(node),
+              "choose one nearer to 0"});
+      }
+      right = whole && parsed.ec == std::errc();
     } else {
       right = right && YAML::convert<Value>::decode(node, value);
     }

@@ -23,8 +23,8 @@ void stop_if_interrupted(const std::string& done);
 
 constexpr int kInterruptedStatus = 130;  // exit status: the shell's convention for SIGINT
 
-// An unfinished file, which is removed when the deadline ends the process, until finished() is called with the same name. Names
-// longer than 1000 bytes, and more than 64 files at once, are left lying.
+// An unfinished file, which is removed when the deadline ends the process, until finished() is called with the same
+// name. Names longer than 1000 bytes, and more than 64 files at once, are left lying.
 void remove_if_unfinished(const std::string& file);
 void finished(const std::string& file);
 

@@ -11,7 +11,8 @@
 namespace gld {
 namespace {
 
-// yaml-cpp takes a key that is there twice, and gives the first value. Aliases make a graph of a document, with circles too: options are no deeper than this, nor more.
+// yaml-cpp takes a key that is there twice, and gives the first value. Aliases make a graph of a document, with circles
+// too: options are no deeper than this, nor more.
 constexpr int kDeepestYaml = 64;
 constexpr int64_t kMostYamlNodes = 1'000'000;
 
@@ -38,8 +39,8 @@ bool is_marker(const std::string& line, const char* marker) {
   return line.rfind(marker, 0) == 0 && (line.size() == 3 || std::strchr(" \t\r", line[3]) != nullptr);
 }
 
-// A line that begins with "---" begins a document wherever it stands, "..." ends one, and what stands behind begins another
-// (YAML 1.2, 9.1.2). Looked for in the text, because YAML::LoadAll does not end on some damaged ones, such as
+// A line that begins with "---" begins a document wherever it stands, "..." ends one, and what stands behind begins
+// another (YAML 1.2, 9.1.2). Looked for in the text, because YAML::LoadAll does not end on some damaged ones, such as
 // ",1[ 2]: 3".
 int64_t documents_in(const std::string& text) {
   int64_t documents = 0;

@@ -212,8 +212,8 @@ class WindowComparison {
     if (first_is_fixed_) warp_first(1);
   }
 
-  // The correlation of each window at that scale, below -1 where one of the photographs does not show all of it or it has
-  // no texture.
+  // The correlation of each window at that scale, below -1 where one of the photographs does not show all of it or it
+  // has no texture.
   void correlate(double scale, Plane& correlation) {
     if (!first_is_fixed_) warp_first(scale);
     second_.warp(scale);

@@ -21,8 +21,8 @@ struct Similarity {
 
 struct PoseAlignment {
   Similarity b_from_a;
-  // False: the cameras stand at one place in a or b (or contradict), and scale is 1. True says only that there is a scale
-  // that fits best; how well it explains the cameras is for gld/cameras/depth_scale.h to judge.
+  // False: the cameras stand at one place in a or b (or contradict), and scale is 1. True says only that there is a
+  // scale that fits best; how well it explains the cameras is for gld/cameras/depth_scale.h to judge.
   bool scale_known = false;
   double scale_deviation = 0;  // standard error of the scale by what is left between the centres
   double rotation_error = 0;   // mean angle left between the cameras, degrees

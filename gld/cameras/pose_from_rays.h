@@ -25,12 +25,13 @@ struct KnownIntrinsics {
 };
 
 // The pinhole camera whose rays fit the map best; size is that of the picture that the map covers. The directions'
-// lengths do not matter. First a linear fit of direction ~ M (u, v, 1), M = rotation * intrinsics^-1 up to scale, by the
-// smallest eigenvector of the normal equations of direction x M (u, v, 1) = 0, reweighted with Cauchy weights against
-// outliers; a QR decomposition parts M. Then Gauss-Newton on the angles with zero skew. The principal point is recovered
-// too, which trades off against a turn of the camera and so needs good rays; what is known is kept. The centre is a robust mean of the origins. Rays that are not finite, or whose confidence is not positive and finite, are left out; an empty
-// confidence weighs all alike. Throws Error for fewer than 16 usable rays, for rays that do not spread, and for mirrored
-// ones.
+// lengths do not matter. First a linear fit of direction ~ M (u, v, 1), M = rotation * intrinsics^-1 up to scale, by
+// the smallest eigenvector of the normal equations of direction x M (u, v, 1) = 0, reweighted with Cauchy weights
+// against outliers; a QR decomposition parts M. Then Gauss-Newton on the angles with zero skew. The principal point is
+// recovered too, which trades off against a turn of the camera and so needs good rays; what is known is kept. The
+// centre is a robust mean of the origins. Rays that are not finite, or whose confidence is not positive and finite, are
+// left out; an empty confidence weighs all alike. Throws Error for fewer than 16 usable rays, for rays that do not
+// spread, and for mirrored ones.
 RecoveredCamera camera_from_rays(const RayMap& rays, const ConfidenceMap& confidence, const ImageSize& size,
                                  const std::optional<KnownIntrinsics>& known = std::nullopt);
 

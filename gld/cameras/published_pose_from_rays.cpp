@@ -60,8 +60,8 @@ std::vector<PlanePair> plane_pairs(const RayGrid& grid) {
   return pairs;
 }
 
-// The direct linear transform, each equation times the square root of its weight: the eigenvector of the least eigenvalue of
-// the normal equations is the least right singular vector.
+// The direct linear transform, each equation times the square root of its weight: the eigenvector of the least
+// eigenvalue of the normal equations is the least right singular vector.
 Eigen::Matrix3d homography(const std::vector<PlanePair>& pairs) {
   Eigen::Matrix<double, 9, 9> normal = Eigen::Matrix<double, 9, 9>::Zero();
   for (const PlanePair& pair : pairs) {

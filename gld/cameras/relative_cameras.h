@@ -12,7 +12,8 @@
 namespace gld {
 
 // What a translation of 1 is: the largest absolute component, as in the release, or the largest distance from the
-// reference view, which does not change when the reference camera is turned (the paper: "the largest camera distance is 1").
+// reference view, which does not change when the reference camera is turned (the paper: "the largest camera distance is
+// 1").
 enum class TranslationUnit { kLargestComponent, kLargestDistance };
 
 // The cameras of one scene as the diffusion models see them (DESIGN.md section 4, "Cameras"): poses relative to

@@ -20,8 +20,8 @@ struct ScaleCandidates {
   double log_scale(double index) const { return log_first + index * log_step; }
 };
 
-// Which part of a view an observation is of. Observations of one block are likely to be wrong together, and those of one
-// view to be off together.
+// Which part of a view an observation is of. Observations of one block are likely to be wrong together, and those of
+// one view to be off together.
 struct ObservedPart {
   size_t view = 0;
   size_t block = 0;
@@ -48,9 +48,9 @@ class ScaleConsensus {
 
   int64_t observations() const { return observations_; }
 
-  // Nothing of fewer than 20 observations in fewer than 2 blocks. The interval covers where the maximum lies when blocks are
-  // drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never narrower than
-  // smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over the
+  // Nothing of fewer than 20 observations in fewer than 2 blocks. The interval covers where the maximum lies when
+  // blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never narrower
+  // than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over the
   // observations that are decided by themselves.
   std::optional<DepthScale> estimate(const std::string& estimator, double smallest_deviation) const;
 

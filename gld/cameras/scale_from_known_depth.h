@@ -17,9 +17,9 @@ struct DepthView {
   PlanarDepth depth;
 };
 
-// "sparse_points": the points of a reconstruction, in the world, beside the predicted depth of the pixels that they fall
-// on. Which views saw a point is not asked: points behind a surface are wrong observations of a ScaleConsensus, those on
-// it agree. Nothing where fewer than 20 fall into the views.
+// "sparse_points": the points of a reconstruction, in the world, beside the predicted depth of the pixels that they
+// fall on. Which views saw a point is not asked: points behind a surface are wrong observations of a ScaleConsensus,
+// those on it agree. Nothing where fewer than 20 fall into the views.
 std::optional<DepthScale> scale_from_sparse_points(const std::vector<DepthView>& views,
                                                    const std::vector<Eigen::Vector3d>& points_in_world);
 

@@ -35,12 +35,13 @@ struct ViewVisibility {
 // a far depth; two views attend when their spaces intersect. In doubt they do:
 // - With cameras alone the space ends so far away (100 times the largest distance between camera centres) that only
 //   views which look apart share nothing. Walls are not known.
-// - source_depth, one map a source view in order, ends a source's space a quarter behind its surfaces, cell by cell, and
+// - source_depth, one map a source view in order, ends a source's space a quarter behind its surfaces, cell by cell,
+// and
 //   a target's at twice the farthest surface of any source. Views in different rooms then share nothing. It must be in
 //   the unit of the poses.
 // Every view attends to itself and every target to at least one source view, so that none is without evidence. World
-// offset and unit do not matter. The cameras must have passed check_cameras (gld/cameras/camera_checks.h). Throws Error where
-// source_depth is neither empty nor one map a source view.
+// offset and unit do not matter. The cameras must have passed check_cameras (gld/cameras/camera_checks.h). Throws Error
+// where source_depth is neither empty nor one map a source view.
 ViewVisibility view_visibility(const Views& views, const std::vector<PlanarDepth>& source_depth = {});
 
 // For people: one line, and where pairs are left out one line a view with a mark under every view it attends to.

@@ -19,12 +19,12 @@ struct Hdf5Array {
 // filters deflate, shuffle and fletcher32, integers and IEEE floats of either byte order. Everything else is refused by
 // name, links, data in other files and unwritten chunks included.
 //
-// It is our own because libhdf5 1.10.8 writes and reads outside its memory on damaged files, which no check around a call
-// can prevent. A child process for each read would contain the crash, but not what a crafted file makes it run, would have
-// to fork a process with LibTorch's threads (a child may then call next to nothing that takes a lock), and cost
-// milliseconds per gigabyte of the parent for each of a training's files. This reader keeps no state: any number of
-// threads read at the same time. Every position is checked against the file, and memory against most_elements and against
-// what the stored bytes can give. Throws Error naming `where`.
+// It is our own because libhdf5 1.10.8 writes and reads outside its memory on damaged files, which no check around a
+// call can prevent. A child process for each read would contain the crash, but not what a crafted file makes it run,
+// would have to fork a process with LibTorch's threads (a child may then call next to nothing that takes a lock), and
+// cost milliseconds per gigabyte of the parent for each of a training's files. This reader keeps no state: any number
+// of threads read at the same time. Every position is checked against the file, and memory against most_elements and
+// against what the stored bytes can give. Throws Error naming `where`.
 // Source: HDF5 File Format Specification, version 2.0 (The HDF Group).
 Hdf5Array parse_hdf5_array(ByteView file, const std::string& dataset, int64_t most_elements,
                            const std::string& where);

@@ -46,8 +46,8 @@ class NpzFile {
   static NpzFile open(const std::filesystem::path& file);
   const std::vector<std::string>& names() const { return names_; }  // without ".npy", sorted
   bool has(const std::string& name) const;
-  // Error naming the file, the array and the arrays that exist. most_bytes as for read_npy: a few kilobytes of a file can
-  // hold gigabytes of zeros.
+  // Error naming the file, the array and the arrays that exist. most_bytes as for read_npy: a few kilobytes of a file
+  // can hold gigabytes of zeros.
   NpyArray read(const std::string& name, uint64_t most_bytes = uint64_t{1} << 36) const;
 
  private:

@@ -28,7 +28,8 @@ torch::Tensor scaled_score_from_velocity(const torch::Tensor& x, const torch::Te
 // grad log p_t(x) = -(x + (1 - t) v) / t. Throws Error at t = 0; at t = 1 it is -x.
 torch::Tensor score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 
-// The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al. 2024):
+// The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al.
+// 2024):
 // 62.4 for DA3-Base at 504 x 504 with 8 views.
 double time_shift_of(const LatentGrid& grid, int64_t channels);
 // The shift that a model was given, or, where that is 0, time_shift_of its latent.

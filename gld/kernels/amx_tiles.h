@@ -1,8 +1,8 @@
 #pragma once
 
 // The tile registers of AMX. Linux gives a process leave to use them (gld/machine/matrix_unit.cpp); their shape is
-// state of each thread, set at the start of every kernel call and given back at its end, so that no thread carries 8 KiB
-// of tiles through its context switches for longer.
+// state of each thread, set at the start of every kernel call and given back at its end, so that no thread carries 8
+// KiB of tiles through its context switches for longer.
 
 #include "gld/kernels/tile_unit.h"
 

@@ -6,7 +6,8 @@
 #include <cstdint>
 
 // Softmax attention on the CPU, forward and backward, on plain pointers: blocks of keys, online softmax, no
-// matrix of logits, scratch independent of the product of the token counts. gld/attention/attention.h is the interface for tensors.
+// matrix of logits, scratch independent of the product of the token counts. gld/attention/attention.h is the interface
+// for tensors.
 namespace gld {
 
 struct AttentionShape {
@@ -26,8 +27,8 @@ struct StridedHeads {
   int64_t head_stride = 0;
 };
 
-// The tables of gld/cameras/prope.h as pointers. Tokens are views x (prefix_tokens + grid_height * grid_width); head_dim is a
-// multiple of 8.
+// The tables of gld/cameras/prope.h as pointers. Tokens are views x (prefix_tokens + grid_height * grid_width);
+// head_dim is a multiple of 8.
 struct PropePointers {
   int64_t views = 0;
   int64_t prefix_tokens = 0;

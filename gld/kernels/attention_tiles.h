@@ -139,8 +139,8 @@ GLD_INLINE void forward_step(const AttentionForwardTile& tile, int64_t first_key
   }
 }
 
-// Online softmax (Milakov and Gimelshein 2018) over blocks of keys, as in FlashAttention (Dao 2022, algorithm 1). Several
-// groups of queries share a block while it is in the second-level cache.
+// Online softmax (Milakov and Gimelshein 2018) over blocks of keys, as in FlashAttention (Dao 2022, algorithm 1).
+// Several groups of queries share a block while it is in the second-level cache.
 void attention_forward_tile(const AttentionForwardTile& tile) {
   const int64_t head_dim = tile.head_dim;
   const int64_t group_floats = forward_group_floats(head_dim);

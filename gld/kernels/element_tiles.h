@@ -123,8 +123,8 @@ void gated_sum_rows(const GatedSumRows& rows) {
 }
 
 double multiply_add_rounds(int64_t rounds) {
-  // As many independent chains as hide the latency of two multiply-add units and fit the registers. Every loop over them
-  // is unrolled, or the compiler would keep them in memory.
+  // As many independent chains as hide the latency of two multiply-add units and fit the registers. Every loop over
+  // them is unrolled, or the compiler would keep them in memory.
   constexpr int chains = Simd::tile_rows * Simd::tile_vectors;
   Vector c[chains];
 #pragma GCC unroll 32

@@ -5,7 +5,8 @@
 #include <cstdint>
 
 // Linear layers on the CPU in float32, on plain pointers. Weights are packed as they are used, which costs little
-// beside some dozens of rows, or were packed before (packed_product.h); there is no thread pool of its own to fight with the others (a BLAS brings one).
+// beside some dozens of rows, or were packed before (packed_product.h); there is no thread pool of its own to fight
+// with the others (a BLAS brings one).
 namespace gld {
 
 struct LinearProduct {

@@ -9,8 +9,8 @@
 // gld/kernels/packed_product.h and gld/kernels/attention_kernel.h are what other code calls.
 //
 // A matrix unit multiplies words of 4 bytes, 2 bfloat16 or 4 int8 numbers that are multiplied one by one with those of
-// another word and summed: c[m][n] += sum over words k of a[m][k] . b[k][n]. The left operand has its rows one after the
-// other, as the tile registers want them and as vectors broadcast them; the right operand has the lanes of one word
+// another word and summed: c[m][n] += sum over words k of a[m][k] . b[k][n]. The left operand has its rows one after
+// the other, as the tile registers want them and as vectors broadcast them; the right operand has the lanes of one word
 // side by side.
 namespace gld {
 

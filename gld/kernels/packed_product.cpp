@@ -18,8 +18,8 @@
 namespace gld {
 namespace {
 
-// How rows of one precision lie in words: one run, or for bfloat16x3 three, of which the left operand has [high | high |
-// low] and the right one [high | low | high], so that one product gives the three terms.
+// How rows of one precision lie in words: one run, or for bfloat16x3 three, of which the left operand has [high | high
+// | low] and the right one [high | low | high], so that one product gives the three terms.
 struct WordLayout {
   int64_t run;  // words of a run, whole steps
   int64_t words;

@@ -190,9 +190,9 @@ GLD_INLINE void multiply_step(const float* a, int64_t a_row, const float* b, Vec
 }
 
 // c[m][n] += sum over k of a[k * a_step + m * a_row] * b[k * b_step + lanes of n]: the one product that attention
-// and linear layers are made of. Everything stays in registers: accumulate() names the form of the instruction that adds
-// in place, because g++ 12 otherwise moves sums between registers and, with AVX2's sixteen, through memory (14 % of the
-// time). Four steps a turn, because integer additions take slots of the very ports that multiply.
+// and linear layers are made of. Everything stays in registers: accumulate() names the form of the instruction that
+// adds in place, because g++ 12 otherwise moves sums between registers and, with AVX2's sixteen, through memory (14 %
+// of the time). Four steps a turn, because integer additions take slots of the very ports that multiply.
 template <int rows, int vectors>
 GLD_INLINE void multiply_tile(int64_t depth, const float* a, int64_t a_step, int64_t a_row, const float* b,
                               int64_t b_step, Vector (&c)[rows][vectors]) {

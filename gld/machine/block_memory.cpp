@@ -41,7 +41,8 @@ size_t rounded_capacity(size_t bytes) {
 }
 
 // Memory of its own for a large block, so that all of it goes back when the block does: malloc's heap kept a tenth of a
-// model in the gaps between its weights. capacity: whole pages, of which `used` bytes will be written. Null when refused.
+// model in the gaps between its weights. capacity: whole pages, of which `used` bytes will be written. Null when
+// refused.
 void* map_block(size_t used, size_t capacity) {
   void* mapped =
       mmap(nullptr, capacity + kHugePage, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -51,8 +52,8 @@ void* map_block(size_t used, size_t capacity) {
   char* memory = begin + in_front;
   if (in_front > 0) munmap(begin, in_front);
   munmap(memory + capacity, kHugePage - in_front);
-  // A huge page for the last piece only where that fills half of one: 16 MiB of numbers behind their header would take 18,
-  // and all weights of a model an eighth more than they are.
+  // A huge page for the last piece only where that fills half of one: 16 MiB of numbers behind their header would take
+  // 18, and all weights of a model an eighth more than they are.
   const size_t huge = std::min((used + kHugePage / 2) / kHugePage * kHugePage, capacity);
   madvise(memory, huge, MADV_HUGEPAGE);
   if (huge < capacity) madvise(memory + huge, capacity - huge, MADV_NOHUGEPAGE);

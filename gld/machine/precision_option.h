@@ -15,7 +15,8 @@ void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice);
 // The precision that a choice other than kAutomatic names.
 ComputePrecision precision_of(PrecisionChoice choice);
 
-// Throws Error, one sentence, where the device ("cpu", "cuda:0") has no kernels of ours for it: only float32 runs on a GPU.
+// Throws Error, one sentence, where the device ("cpu", "cuda:0") has no kernels of ours for it: only float32 runs on a
+// GPU.
 void check_precision_on(const std::string& device, ComputePrecision precision);
 
 // "bfloat16 on AVX512-BF16"; "float32".

@@ -20,8 +20,8 @@ struct DepthErrors {
 DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& prediction);
 
 // One factor for all views of a scene that brings predictions to the truth's unit; predictions are known
-// only up to scale. Multiply the predictions with it before depth_errors. Both throw Error when no pixel has a valid truth
-// and a positive finite prediction.
+// only up to scale. Multiply the predictions with it before depth_errors. Both throw Error when no pixel has a valid
+// truth and a positive finite prediction.
 // The median of truth / prediction: robust against outliers.
 double median_depth_scale(const torch::Tensor& truth, const torch::Tensor& prediction);
 // argmin over s of sum (s prediction - truth)^2.

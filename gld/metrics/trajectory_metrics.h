@@ -25,15 +25,15 @@ struct TrajectoryErrors {
   double scale = 0;  // truth units in one of the estimate's
 };
 
-// world_from_camera of the same views, any frame and unit for the estimate. Degenerate with fewer than 3 poses and where
-// the centres of either stand at one place or on a line, which leave the rotation open (relative tolerance 1e-6). Throws
-// Error unless there are as many of both.
+// world_from_camera of the same views, any frame and unit for the estimate. Degenerate with fewer than 3 poses and
+// where the centres of either stand at one place or on a line, which leave the rotation open (relative tolerance 1e-6).
+// Throws Error unless there are as many of both.
 TrajectoryErrors trajectory_errors(const std::vector<Eigen::Isometry3d>& truth,
                                    const std::vector<Eigen::Isometry3d>& estimate);
 
-// Shares of the pairs of views whose relative poses agree, in percent, as GLD's release computes them: for i < j the angle
-// between R_i R_j^T of both, and between the directions t_j - t_i. Both sides are seen from their own first view, because
-// R_i R_j^T of world_from_camera depends on the frame.
+// Shares of the pairs of views whose relative poses agree, in percent, as GLD's release computes them: for i < j the
+// angle between R_i R_j^T of both, and between the directions t_j - t_i. Both sides are seen from their own first view,
+// because R_i R_j^T of world_from_camera depends on the frame.
 struct PairAccuracy {
   // Area under the share of pairs whose larger error is below a threshold, up to 3 and 30 degrees: 0 to 100.
   double auc_3 = 0;
@@ -43,9 +43,9 @@ struct PairAccuracy {
   double direction_15 = 0;  // pairs whose direction is
 };
 
-// One camera a view; only pairs of views from `first_view` on count. Nothing where there is no pair, or where two of the
-// true cameras of a pair stand at one place, which leaves their direction open. A pair whose estimated cameras stand at one
-// place counts as 180 degrees off.
+// One camera a view; only pairs of views from `first_view` on count. Nothing where there is no pair, or where two of
+// the true cameras of a pair stand at one place, which leaves their direction open. A pair whose estimated cameras
+// stand at one place counts as 180 degrees off.
 std::optional<PairAccuracy> pair_accuracy(const std::vector<Camera>& truth,
                                           const std::vector<Camera>& estimate, int64_t first_view);
 

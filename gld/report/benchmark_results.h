@@ -20,8 +20,8 @@ struct BenchmarkResults {
   std::vector<std::pair<std::string, std::string>> notes;  // lines of the closing box: what it is, where
 };
 
-// The end of every benchmark: writes the files, figures and report, prints the text and the closing box, whose last line
-// names the report.
+// The end of every benchmark: writes the files, figures and report, prints the text and the closing box, whose last
+// line names the report.
 void finish_benchmark(RunFolder& folder, const BenchmarkResults& results);
 
 }  // namespace gld

@@ -26,8 +26,8 @@ struct Provenance {
 // "gld 0.1.0": this build.
 std::string program_version();
 
-// program is this build's; options are those that identify a result (options_beside_the_result): an output's bytes must not
-// depend on where it lies.
+// program is this build's; options are those that identify a result (options_beside_the_result): an output's bytes must
+// not depend on where it lies.
 Provenance make_provenance(const std::string& command, const OptionsGroup& options);
 
 // "Software", "gld:command", "gld:options", "gld:model", "gld:seed", "gld:precision"; empty texts are left out.

@@ -9,7 +9,12 @@
 #include "gld/base/printable_text.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <fstream>
+#include <system_error>
+
+#include <fcntl.h>
+#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -36,6 +41,22 @@ bool holds_nothing(const std::filesystem::path& folder) {
   return !error;
 }
 
+// Nobody can write below a file, and not everybody into every folder.
+void refuse_unwritable(const std::filesystem::path& folder) {
+  std::error_code error;
+  std::filesystem::path there = std::filesystem::absolute(folder, error).lexically_normal();
+  if (!there.has_filename()) there = there.parent_path();  // "runs/one/"
+  while (!std::filesystem::exists(there, error) && there.has_relative_path()) there = there.parent_path();
+  if (!std::filesystem::is_directory(there, error)) {
+    fail({folder.string(), "a folder to write into", "the file " + there.string() + " on the way to it",
+          "choose another --out"});
+  }
+  if (faccessat(AT_FDCWD, there.c_str(), W_OK | X_OK, AT_EACCESS) == 0) return;
+  const std::string reason = std::generic_category().message(errno);
+  fail({folder.string(), "a folder that can be written into", there.string() + " (" + reason + ")",
+        "choose another --out, or change its permissions"});
+}
+
 std::filesystem::path made_folder(const std::filesystem::path& folder, const std::string& command,
                                   EarlierRun earlier) {
   check_run_folder(folder, command, earlier);
@@ -57,10 +78,11 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
     fail({"--out", "a folder to write into", "nothing", "add for example --out runs/" + command});
   }
   std::error_code error;
-  if (!std::filesystem::exists(folder, error)) return;
-  if (!std::filesystem::is_directory(folder, error)) {
+  if (std::filesystem::exists(folder, error) && !std::filesystem::is_directory(folder, error)) {
     fail({folder.string(), "a folder to write into", "a file", "choose another --out"});
   }
+  refuse_unwritable(folder);
+  if (!std::filesystem::exists(folder, error)) return;
   RunJournal::refuse_running(folder);
   if (holds_nothing(folder)) return;
   const std::string found = first_line(folder / kConfigurationFile);

@@ -26,12 +26,12 @@ EarlierRun earlier_run(bool overwrite);
 void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier);
 
 // The folder a command writes into: the resolved configuration first, then results, report.json and a closing
-// box that says where things are (DESIGN.md section 5). As long as it is open no other run can write there; where several
-// processes work at one run, one of them opens it for all.
+// box that says where things are (DESIGN.md section 5). As long as it is open no other run can write there; where
+// several processes work at one run, one of them opens it for all.
 class RunFolder {
  public:
-  // Creates the folder and writes config.yaml, without the options that say what becomes of an earlier run. A folder that holds
-  // something is refused unless it is a run of the same command, for which `earlier` says what to do.
+  // Creates the folder and writes config.yaml, without the options that say what becomes of an earlier run. A folder
+  // that holds something is refused unless it is a run of the same command, for which `earlier` says what to do.
   RunFolder(const std::filesystem::path& folder, const std::string& command, const OptionsGroup& options,
             EarlierRun earlier);
 

@@ -11,4 +11,11 @@ int use_threads(int64_t threads) {
   return count;
 }
 
+std::vector<std::string> thread_warnings(int64_t threads) {
+  const int64_t count = threads_to_use(threads), cores = threads_to_use(0);
+  if (count <= cores) return {};
+  return {std::to_string(count) + " threads share " + std::to_string(cores) + " core" +
+          (cores == 1 ? "" : "s") + ", which makes them slower, not faster: lower --threads."};
+}
+
 }  // namespace gld

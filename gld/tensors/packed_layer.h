@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// The weights of a linear layer, packed once for one precision (gld/kernels/packed_product.h), for float32 tensors on the
-// CPU while no gradients are recorded. In float32 its results are those of times_transposed, bit for bit.
+// The weights of a linear layer, packed once for one precision (gld/kernels/packed_product.h), for float32 tensors on
+// the CPU while no gradients are recorded. In float32 its results are those of times_transposed, bit for bit.
 class PackedLayer {
  public:
   // weight: (outputs, inputs), float32 on the CPU. parts: equal shares of the outputs that can be computed apart.
@@ -19,8 +19,8 @@ class PackedLayer {
   // Whether packing such weights is worth anything: in float32 not for few inputs, which LibTorch multiplies.
   static bool applies(const torch::Tensor& weight, ComputePrecision precision);
 
-  // x weight^T + bias for parts first .. first + count - 1: (..., inputs) -> (..., count shares of outputs). bias: of all
-  // outputs, or undefined.
+  // x weight^T + bias for parts first .. first + count - 1: (..., inputs) -> (..., count shares of outputs). bias: of
+  // all outputs, or undefined.
   torch::Tensor times(const torch::Tensor& x, const torch::Tensor& bias, int64_t first, int64_t count) const;
   int64_t parts() const { return static_cast<int64_t>(parts_.size()); }
   int64_t bytes() const;

@@ -9,8 +9,8 @@ namespace gld {
 // Their paths, in the order in which they were loaded.
 std::vector<std::string> loaded_libraries();
 
-// Paths of the OpenMP runtimes among them (libgomp, libomp, libiomp5). LibTorch and our kernels must share one: two have a
-// pool of threads each, which wait for each other's cores.
+// Paths of the OpenMP runtimes among them (libgomp, libomp, libiomp5). LibTorch and our kernels must share one: two
+// have a pool of threads each, which wait for each other's cores.
 std::vector<std::string> openmp_runtimes();
 
 }  // namespace gld

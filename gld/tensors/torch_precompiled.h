@@ -1,7 +1,7 @@
 #pragma once
 
-// The one precompiled header of everything that includes LibTorch: its headers cost 25 s a file otherwise. The headers of
-// other libraries that most of these files include are in it too. Sources still include what they use.
+// The one precompiled header of everything that includes LibTorch: its headers cost 25 s a file otherwise. The headers
+// of other libraries that most of these files include are in it too. Sources still include what they use.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>

@@ -34,8 +34,9 @@ std::map<std::string, torch::Tensor> read_all(const std::filesystem::path& file,
 void save_safetensors(const std::filesystem::path& file, const std::map<std::string, torch::Tensor>& tensors,
                       const std::map<std::string, std::string>& metadata = {});
 
-// The same for tensors that are made one after the other, so that only one is in memory. Of `entries` only names, dtypes
-// and shapes are used; `make` is called once for each, in the order of the file, and must return that dtype and shape.
+// The same for tensors that are made one after the other, so that only one is in memory. Of `entries` only names,
+// dtypes and shapes are used; `make` is called once for each, in the order of the file, and must return that dtype and
+// shape.
 void save_safetensors(const std::filesystem::path& file, std::vector<TensorEntry> entries,
                       const std::function<torch::Tensor(const TensorEntry&)>& make,
                       const std::map<std::string, std::string>& metadata = {});

@@ -32,8 +32,8 @@ struct ForwardBenchmarkRow {
   double seconds_low = 0;
   double seconds_high = 0;
   double tflop = 0;  // by the cost model
-  // Median over repeats of operations / seconds / peak of float32 multiply-adds measured just before. Above 1 where a faster
-  // unit multiplies: rows of all precisions are fractions of the same.
+  // Median over repeats of operations / seconds / peak of float32 multiply-adds measured just before. Above 1 where a
+  // faster unit multiplies: rows of all precisions are fractions of the same.
   double fraction_of_peak = 0;
   double relative_difference = 0;  // max |difference| / max |value| from the composition's result
   double relative_rms = 0;         // RMS of the difference over that of the composition's result

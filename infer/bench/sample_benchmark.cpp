@@ -133,7 +133,8 @@ class SceneSampler {
     try {
       result = run_pipeline(models_.models, request_, stages);
     } catch (const Error& error) {
-      // Every stage words it like this (gld/flow/solvers/solver.h, infer/pipeline/sampling_pipeline.h); other errors end the report.
+      // Every stage words it like this (gld/flow/solvers/solver.h, infer/pipeline/sampling_pipeline.h); other errors
+      // end the report.
       if (error.parts().expected != "finite numbers") throw;
       row.non_finite = 1;
     }

@@ -21,8 +21,8 @@ struct BenchmarkViews : ViewSelection {
   void check() const override {}
 };
 
-// gld bench sample: latent error, image quality and time of sampling by solver, schedule, evaluations and guidance, of a
-// scene's views or of generated scenes that training has not seen.
+// gld bench sample: latent error, image quality and time of sampling by solver, schedule, evaluations and guidance, of
+// a scene's views or of generated scenes that training has not seen.
 struct SampleBenchmarkOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::vector<std::string> scenes;  // folders
@@ -65,8 +65,8 @@ struct SampleRow {
   std::string guidance;     // where and when the unconditional branch runs: "everywhere", "from t = 0.9", ...
   int64_t evaluations = 0;  // of both levels together
   int64_t unconditional = 0;  // of them with the unconditional branch
-  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the shallowest
-  // one; in tables level1_error and level0_error, what they are of the published model.
+  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the
+  // shallowest one; in tables level1_error and level0_error, what they are of the published model.
   double boundary_error = 0;
   double shallowest_error = 0;
   // Every metric of images by its name, means over the target views; one that is absent is left out.

@@ -38,8 +38,8 @@ std::vector<PlanVariant> of_families(std::vector<PlanVariant> variants,
 // One scene sampled one way.
 struct PlanSample {
   std::string scene;
-  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the shallowest
-  // one; in tables level1_error and level0_error, what they are of the published model.
+  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the
+  // shallowest one; in tables level1_error and level0_error, what they are of the published model.
   double boundary_error = 0;
   double shallowest_error = 0;
   double precision_error = 0;    // the worse of both against the same method in float32; 0 in float32
@@ -64,8 +64,8 @@ struct PlanRow {
   // Of M1 and the cascade, of one scene alone on all threads; the shortest of the repeats.
   double seconds = 0;
   int64_t peak_bytes = 0;  // the largest of the repeats
-  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself, or in another
-  // precision, which saves time and not work.
+  // Error of the default solver with as many evaluations as the same flop pay for; 0 where it is that itself, or in
+  // another precision, which saves time and not work.
   double error_of_fewer_evaluations = 0;
 };
 

@@ -17,8 +17,8 @@ namespace gld {
 struct SolverBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
-  // A problem file (gld/flow/problems/exact_flows.h); its rows are named "mixture" whatever the file is called. Empty: the
-  // built-in mixture of 48 dimensions, solved to 1e-9 before the sweep.
+  // A problem file (gld/flow/problems/exact_flows.h); its rows are named "mixture" whatever the file is called. Empty:
+  // the built-in mixture of 48 dimensions, solved to 1e-9 before the sweep.
   std::string problem;
   std::vector<int64_t> counts{4, 6, 8, 12, 16, 20, 32, 49};
   std::vector<double> tolerances{1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};

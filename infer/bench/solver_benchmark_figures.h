@@ -7,8 +7,8 @@
 
 namespace gld {
 
-// Error of the mixture against evaluations and against seconds: every solver on its log-SNR grid, the published sampler,
-// the adaptive solvers, the targets and the Pareto front over all rows.
+// Error of the mixture against evaluations and against seconds: every solver on its log-SNR grid, the published
+// sampler, the adaptive solvers, the targets and the Pareto front over all rows.
 Figure work_precision_figure(const std::vector<SolverRow>& rows);
 // Error of the mixture against evaluations by schedule, for Euler and for the default solver.
 Figure schedule_figure(const std::vector<SolverRow>& rows);

@@ -22,9 +22,9 @@ struct AttentionCorrespondence {
       0;  // percent (gld/metrics/correspondence_metrics.h), mean over the pairs of the first view with the others
 };
 
-// Of every generator and block at each time: queries and keys as attention multiplies them (after normalisation and PRoPE),
-// heads one after the other, of the patch tokens; the state is the scene's own latent on the straight path to the noise of that
-// seed. Empty where a target has no picture, a view no true depth, or no pair of views a point.
+// Of every generator and block at each time: queries and keys as attention multiplies them (after normalisation and
+// PRoPE), heads one after the other, of the patch tokens; the state is the scene's own latent on the straight path to
+// the noise of that seed. Empty where a target has no picture, a view no true depth, or no pair of views a point.
 std::vector<AttentionCorrespondence> attention_correspondence(const EvaluationModels& models,
                                                               const SamplingScene& scene,
                                                               const std::vector<double>& times,

@@ -23,9 +23,9 @@ struct EvaluatedViews {
 // Throws Error for counts that the sampling or the given frames have not, or that leave no target.
 void check_evaluated_views(const EvaluatedViews& views);
 
-// One selection a number of sources, in the order of source_counts. Fewer sources than there are at most are spread evenly over
-// those, the first one always among them: of sources 0, 3, 6, 9 one is 0 and two are 0, 9. Throws Error where the scene has too
-// few frames.
+// One selection a number of sources, in the order of source_counts. Fewer sources than there are at most are spread
+// evenly over those, the first one always among them: of sources 0, 3, 6, 9 one is 0 and two are 0, 9. Throws Error
+// where the scene has too few frames.
 std::vector<ViewSelection> evaluated_views(const EvaluatedViews& views, const Scene& scene,
                                            const SampleKey& key);
 

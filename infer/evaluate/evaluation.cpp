@@ -11,6 +11,7 @@
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/report/progress.h"
+#include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
@@ -20,11 +21,11 @@
 #include "infer/evaluate/scene_record.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/part_lineage.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
-#include <iostream>
 #include <optional>
 #include <vector>
 
@@ -121,15 +122,19 @@ void copy_file_atomically(const std::filesystem::path& from, const std::filesyst
   if (std::filesystem::is_regular_file(from)) write_file_atomically(to, read_file(from));
 }
 
-nlohmann::ordered_json protocol_json(const EvaluationOptions& options) {
+nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const BundleOptions& bundle) {
+  const bool geometry = bundle.has_geometry();
   nlohmann::ordered_json protocol{
       {"samples", options.samples},
       {"poses", pose_estimator_names().at(static_cast<size_t>(options.poses))},
-      {"poses_from", options.pose_model.empty() ? "the model's own geometry head" : options.pose_model},
+      {"poses_from", !options.pose_model.empty() ? options.pose_model
+                     : geometry                  ? "the model's own geometry head"
+                                                 : "nothing: the model has no geometry head"},
       {"lpips", options.lpips.lpips_backbone.empty() ? nlohmann::ordered_json()
                                                      : nlohmann::ordered_json(options.lpips.lpips_backbone)},
       {"true_depth", "measured"},
-      {"pseudo_depth", "of the model's own head on the true pictures"}};
+      {"pseudo_depth", geometry ? "of the model's own head on the true pictures"
+                                : "nothing: the model has no geometry head"}};
   if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
   return protocol;
 }
@@ -235,16 +240,18 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   models.lpips = load_lpips(options.lpips);
   models.device = device;
   models.poses = options.poses;
-  std::string head =
-      bundle.options().dpt_head.exists() ? bundle.options().dpt_head.architecture().kind() : "";
+  const auto seeing_head = [](const BundleOptions& model) {
+    return predicts_rays(model.dpt_head) ? model.dpt_head.architecture().kind() : "";
+  };
+  std::string head = seeing_head(bundle.options());
   if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {
     const auto pose_model = ModelBundle::open(options.pose_model);
-    if (!pose_model.options().dpt_head.exists() || !pose_model.has(BundlePart::dpt_head())) {
-      fail({"--pose-model", "a bundle with a geometry head",
+    if (!predicts_rays(pose_model.options().dpt_head) || !pose_model.has(BundlePart::dpt_head())) {
+      fail({"--pose-model", "a bundle with a geometry head that sees cameras",
             pose_model.folder().string() + ", which has none", "choose a DA3 or VGGT model"});
     }
     models.pose_model = kept_bundle_models(pose_model, device);
-    head = pose_model.options().dpt_head.architecture().kind();
+    head = seeing_head(pose_model.options());
   }
   if (options.poses == PoseEstimator::kVggt && head != "vggt") {
     fail({"--poses vggt", "a model with VGGT's camera head",
@@ -320,9 +327,8 @@ std::string evaluate(const EvaluationOptions& options) {
   for (const auto& part : bundle_parts(bundle.options())) {
     if (bundle.has(part)) parts.push_back(part);
   }
-  for (const auto& warning : mixed_parts(bundle, parts, options.allow_mixed)) {
-    std::cerr << "warning: " << warning << "\n";
-  }
+  print_warnings(thread_warnings(options.threads));
+  print_warnings(mixed_parts(bundle, parts, options.allow_mixed));
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   const EvaluationModels models = load_models(options, bundle);
@@ -364,7 +370,7 @@ std::string evaluate(const EvaluationOptions& options) {
                                    {"model_hash", bundle.content_hash()},
                                    {"precision", precision_text(options.precision)},
                                    {"methods", methods_json(method, options)},
-                                   {"protocol", protocol_json(options)}};
+                                   {"protocol", protocol_json(options, bundle.options())}};
   const auto summary = summaries(by_count);
   report.update(summary);
   folder.write_report(report);

@@ -16,8 +16,8 @@
 
 namespace gld {
 
-// gld eval: novel views of scenes with known truth. Samples and the prediction of the mean are measured side by side; the
-// prediction of the mean is fixed, solver and guidance are those of the samples.
+// gld eval: novel views of scenes with known truth. Samples and the prediction of the mean are measured side by side;
+// the prediction of the mean is fixed, solver and guidance are those of the samples.
 struct EvaluationOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string out;

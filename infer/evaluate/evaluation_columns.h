@@ -17,8 +17,8 @@ enum class Predictor {
   kMeanColor,      // the mean colour of the sources
   // All views, sources too, encoded and decoded: what the decoder can do at best.
   kReconstruction,
-  // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says something of
-  // the level only where the decoder was trained with levels left out.
+  // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says
+  // something of the level only where the decoder was trained with levels left out.
   kReconstructionLevel0,
   kReconstructionLevel1,
   kReconstructionLevel2,
@@ -32,9 +32,9 @@ const std::vector<Predictor>& trivial_predictors();
 bool is_trivial(Predictor predictor);
 std::string predictor_name(Predictor predictor);  // "mean_prediction"
 
-// A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr", "mean_prediction_psnr",
-// "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the metric's own name
-// ("depth_abs_rel_unscaled").
+// A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
+// "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the
+// metric's own name ("depth_abs_rel_unscaled").
 struct EvaluationColumn {
   std::string name;
   Metric metric;

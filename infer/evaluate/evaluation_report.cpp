@@ -80,7 +80,8 @@ std::string name_with_unit(const Metric& metric) {
   return metric.unit.empty() ? metric.name : metric.name + " (" + metric.unit + ")";
 }
 
-// A line a reason: "depth_abs_rel_unscaled, depth_rmse_unscaled: absent in 52 of 64 scenes, the cameras do not tell ...".
+// A line a reason: "depth_abs_rel_unscaled, depth_rmse_unscaled: absent in 52 of 64 scenes, the cameras do not tell
+// ...".
 std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
   std::vector<std::pair<std::string, std::string>> names_by_reason;
   for (const Metric& metric : metric_list()) {

@@ -8,6 +8,7 @@
 #include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/scene_request.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <algorithm>
 #include <limits>
@@ -55,7 +56,7 @@ TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& 
   for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
     pictures.levels.push_back(backbone->decodable(level).patches);
   }
-  if (models.bundle.dpt_head.exists()) {
+  if (predicts_rays(models.bundle.dpt_head)) {
     pictures.geometry =
         geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
   }
@@ -294,7 +295,7 @@ class SceneMetrics {
     }
   }
 
-  inline static const std::string kNoHead = "the model has no geometry head";
+  inline static const std::string kNoHead = "the model has no geometry head that sees cameras";
   const EvaluationModels& models_;
   const SamplingScene& scene_;
   MetricInputs truth_;
@@ -413,8 +414,9 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   const auto& columns = evaluation_columns();
   std::vector<std::vector<MetricValue>> values(columns.size());
   for (const int64_t seed : noise_seeds) {
-    PipelineResult sample = run(models, scene, sampling, seed,
-                                models.bundle.dpt_head.exists() ? DecodedViews::kAll : DecodedViews::kNone);
+    PipelineResult sample =
+        run(models, scene, sampling, seed,
+            predicts_rays(models.bundle.dpt_head) ? DecodedViews::kAll : DecodedViews::kNone);
     set(Predictor::kSample, metrics.of_images(sample.images));
     const MetricInputs geometry = metrics.of_geometry(sample);
     for (size_t i = 0; i < columns.size(); ++i) {

@@ -23,8 +23,8 @@ struct SceneNumber {
   double value = 0;            // NaN where absent; a perfect prediction's PSNR is infinite
   std::string absent;          // in every sample
   int64_t absent_samples = 0;  // samples without a value, of several, where others have one
-  // By sample, one value a target, NaN for a target without one; empty where the metric is of the whole scene. Numbers that do
-  // not depend on the sample have one.
+  // By sample, one value a target, NaN for a target without one; empty where the metric is of the whole scene. Numbers
+  // that do not depend on the sample have one.
   std::vector<std::vector<double>> of_targets = {};
 };
 
@@ -60,8 +60,8 @@ struct EvaluationModels {
   std::optional<PipelineModels> pose_model;
 };
 
-// Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling: how
-// samples are drawn. At least one seed.
+// Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling:
+// how samples are drawn. At least one seed.
 EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScene& scene,
                               const FlowSettings& sampling, const std::vector<int64_t>& noise_seeds);
 

@@ -6,12 +6,12 @@
 
 namespace gld {
 
-// What gld eval keeps of a scene that is done, so that a later run goes on with the next one: every number with its reason
-// and what it is of each target. Numbers keep all their digits.
+// What gld eval keeps of a scene that is done, so that a later run goes on with the next one: every number with its
+// reason and what it is of each target. Numbers keep all their digits.
 nlohmann::ordered_json scene_record(const SceneEvaluation& scene);
 
-// The same back. A column that the record does not have, because another version wrote it, is absent. Throws Error naming
-// `where` for text that is no record.
+// The same back. A column that the record does not have, because another version wrote it, is absent. Throws Error
+// naming `where` for text that is no record.
 SceneEvaluation scene_from_record(const nlohmann::json& record, const std::string& where);
 
 // The number; "inf" and "-inf" as text and null for NaN, which JSON does not have.

@@ -12,7 +12,9 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/method/sampling_method.h"
 #include "models/bundle/bundle.h"
+#include "models/decoders/predicted_rays.h"
 
 #include <optional>
 #include <vector>
@@ -76,12 +78,7 @@ std::vector<std::string> complaints(const Machine& machine) {
         "configure the build anew, which links the one that LibTorch brings.",
         machine.openmp.size()));
   }
-  if (machine.threads > machine.cores) {
-    list.push_back(
-        fmt::format("{} threads share {} cores, which makes the figures above those of no machine: "
-                    "lower --threads.",
-                    machine.threads, machine.cores));
-  }
+  for (auto& warning : thread_warnings(machine.threads)) list.push_back(std::move(warning));
   if (machine.threads < machine.cores) {
     list.push_back(fmt::format("{} of {} cores are used: raise --threads.", machine.threads, machine.cores));
   }
@@ -90,28 +87,30 @@ std::vector<std::string> complaints(const Machine& machine) {
 
 struct Forecast {
   SamplingPlan plan;
+  std::string memory_problem;  // empty where it fits
   std::vector<std::string> advice;
 };
 
-std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options,
-                                    const Machine& machine) {
+std::string memory_problem_of(const SamplingPlan& plan, const Machine& machine) {
+  if (machine.available_memory <= 0 || plan.peak_bytes() <= machine.available_memory) return "";
+  return fmt::format(
+      "The forecast needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
+      bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory));
+}
+
+std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOptions& options) {
   std::vector<std::string> advice;
-  if (plan.peak_bytes() > machine.available_memory && machine.available_memory > 0) {
-    advice.push_back(
-        fmt::format("It needs {} and {} are free: use fewer views, a smaller --size, or close programs.",
-                    bytes_text(plan.peak_bytes()), bytes_text(machine.available_memory)));
-  }
-  int64_t guided = 0, evaluations = 0;
+  int64_t guided = 0, evaluations = 0;  // of flows: other stages run once, without guidance
   for (const auto& stage : plan.stages) {
+    if (stage.kind != StageKind::kFlow) continue;
     guided += stage.with_unconditional;
     evaluations += stage.evaluations;
   }
   if (guided > 0) {
     advice.push_back(
         fmt::format("Guidance doubles {} of {} evaluations: --guidance-scale 1 removes it, "
-                    "--guidance-interval 0.9,1 keeps it "
-                    "where it matters most.",
-                    guided, evaluations - static_cast<int64_t>(plan.stages.size()) + 2));
+                    "--guidance-interval 0.9,1 keeps it where it matters most.",
+                    guided, evaluations));
   }
   if (options.solver.evaluations > 16 && !is_adaptive(options.solver.solver)) {
     advice.emplace_back(
@@ -130,16 +129,18 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.grid = bundle.options().backbone.grid_of(options.views, size.height, size.width);
   request.num_sources = options.sources;
   request.outputs.image = true;
-  request.outputs.depth = request.outputs.points = bundle.options().has_geometry();
-  for (const auto& part : bundle.options().generators) {
-    request.flow.solvers.push_back(options.solver);
-    request.flow.solvers.back().schedule.shift = part.time_shift.evaluation;
-  }
-  request.flow.guidance = options.guidance;
+  request.outputs.depth = request.outputs.points =
+      bundle.options().has_geometry() && predicts_rays(bundle.options().dpt_head);
+  SamplingMethod method;
+  method.solver = options.solver;
+  method.guidance_interval = options.guidance.guidance_interval;
+  method.guidance_tolerance = options.guidance.guidance_tolerance;
+  request.flow = flow_settings(method, options.guidance, bundle.options());
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
   predict_seconds(result.plan, machine.speed);
-  result.advice = advice_for(result.plan, options, machine);
+  result.memory_problem = memory_problem_of(result.plan, machine);
+  result.advice = advice_for(result.plan, options);
   return result;
 }
 
@@ -229,30 +230,34 @@ void DoctorOptions::check() const {
   }
 }
 
-std::string doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
+ReportText doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
   use_threads(options.threads);
   Machine machine = examine_machine(options);
   machine.process_engines = process_engines;
   const auto wrong = complaints(machine);
+  std::vector<std::string> warnings = wrong;
+  std::optional<Forecast> made;
+  if (!options.model.empty()) {
+    made = forecast(options, machine);
+    if (!made->memory_problem.empty()) warnings.push_back(made->memory_problem);
+  }
   if (options.json) {
     nlohmann::ordered_json report{{"machine", machine_json(machine)}, {"complaints", wrong}};
-    if (!options.model.empty()) {
-      const Forecast made = forecast(options, machine);
-      report["forecast"] = plan_json(made.plan);
-      report["advice"] = made.advice;
+    if (made) {
+      report["forecast"] = plan_json(made->plan);
+      report["advice"] = made->advice;
     }
-    return json_text(report, 2) + "\n";
+    report["warnings"] = warnings;
+    return {json_text(report, 2) + "\n", warnings};
   }
   std::string text = machine_text(machine);
-  for (const auto& complaint : wrong) text += "warning: " + complaint + "\n";
   if (wrong.empty()) text += "Nothing is wrong.\n";
-  if (options.model.empty()) return text;
-  const Forecast made = forecast(options, machine);
+  if (!made) return {text, warnings};
   text += fmt::format("\nForecast for {} with {} views ({} sources) at {}:\n", options.model, options.views,
                       options.sources, options.size);
-  text += plan_text(made.plan);
-  for (const auto& line : made.advice) text += "- " + line + "\n";
-  return text;
+  text += plan_text(made->plan);
+  for (const auto& line : made->advice) text += "- " + line + "\n";
+  return {text, warnings};
 }
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
+#include "gld/report/report_text.h"
 
 #include <cstdint>
 #include <string>
@@ -27,9 +28,9 @@ struct DoctorOptions : OptionsGroup {
 };
 
 // gld doctor: what LibTorch, BLAS, processor and memory this program found, how fast they are, what is wrong with
-// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The machine's rates are
-// measured where none are kept, and with measure always; they are kept for other commands (infer/forecast/machine_rates.h).
-// process_engines: what several processes of this build train by.
-std::string doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines = {});
+// them, and with a model a forecast of sampling's time and memory with what would lower them. Text or JSON. The
+// machine's rates are measured where none are kept, and with measure always; they are kept for other commands
+// (infer/forecast/machine_rates.h). process_engines: what several processes of this build train by.
+ReportText doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines = {});
 
 }  // namespace gld

@@ -85,7 +85,8 @@ DitOptions small_model() {
 }
 const LatentGrid kSmallGrid{4, 8, 8}, kLargeGrid{1, 12, 15};
 
-// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement of.
+// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement
+// of.
 constexpr double kPlainUnit = 0.1;
 
 void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, MachineSpeed& speed) {

@@ -34,8 +34,8 @@ struct MachineSpeed {
 // Runs each kind of work for a while, with the present thread setting: some seconds. It waits until the scheduler has
 // spread the threads, so it belongs to gld doctor and never before other work.
 MachineSpeed measure_machine_speed();
-// One short run of each kind, at most about 0.1 s on an idle processor and never repeated: may be half of the truth on a
-// busy machine, where threads start on one core.
+// One short run of each kind, at most about 0.1 s on an idle processor and never repeated: may be half of the truth on
+// a busy machine, where threads start on one core.
 MachineSpeed estimate_machine_speed();
 
 // What these operations take at these speeds, element-wise work left out.
@@ -59,8 +59,8 @@ std::filesystem::path machine_rates_file();
 
 // The rates kept under that key; none where the file is missing, damaged or holds other keys only.
 std::optional<MachineSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key);
-// Adds them to the file in the place of earlier ones of that key. A damaged file is replaced. Throws Error where it cannot
-// be written.
+// Adds them to the file in the place of earlier ones of that key. A damaged file is replaced. Throws Error where it
+// cannot be written.
 void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, const MachineSpeed& speed);
 
 // The speeds that a forecast is made with, and a sentence about where they come from.

@@ -27,9 +27,9 @@ double seconds_of_method(const SamplingMethod& method, const SampleOptions& opti
   return plan.seconds();
 }
 
-// What each method takes for this request, in seconds. A small model spends its time on more than operations, so that time
-// and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds are compared,
-// else those that this machine is expected to take.
+// What each method takes for this request, in seconds. A small model spends its time on more than operations, so that
+// time and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds
+// are compared, else those that this machine is expected to take.
 std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions& options,
                                    const ModelBundle& bundle, const PlanRequest& request,
                                    const MachineSpeed& speed) {

@@ -14,6 +14,7 @@
 #include <array>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
@@ -106,8 +107,8 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   }
 }
 
-// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise and
-// latents of the generated levels, source features, levels to decode.
+// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise
+// and latents of the generated levels, source features, levels to decode.
 struct StageNeeds {
   BundlePart part;
   int64_t latents = 0;
@@ -166,24 +167,43 @@ Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
                                   : bundle.backbone.architecture().decoding_cost(grid);
 }
 
-// The grid of another backbone that looks at the generated images: sides rounded to its patches, as the pipeline does.
-LatentGrid geometry_grid(const BundleOptions& geometry, const BundleOptions& bundle,
-                         const PlanRequest& request) {
-  const int64_t side = geometry.backbone.patch_side();
-  const auto tokens = [&](int64_t count) {
-    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
-  };
-  return {request.grid.views, tokens(request.grid.height), tokens(request.grid.width)};
-}
-
-Cost geometry_model_cost(const BundleOptions& geometry, const BundleOptions& bundle,
-                         const PlanRequest& request) {
-  const LatentGrid grid = geometry_grid(geometry, bundle, request);
+// Of geometry_of_pictures(), whose pictures have that grid.
+Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& grid, GeometryMaps maps) {
   Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
-  const Cost head = geometry.dpt_head.cost(grid, request.outputs.geometry_maps());
+  const Cost head = geometry.dpt_head.cost(grid, maps);
   cost.add_operations_of(head);
   cost.working_bytes = std::max(cost.working_bytes, head.working_bytes);
   return cost;
+}
+
+PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest& request) {
+  const BundleOptions& geometry = request.geometry_model ? *request.geometry_model : bundle;
+  const LatentGrid pictures = with_views(request.grid, request.photographs);
+  const LatentGrid grid = geometry_model_grid(geometry, bundle, pictures);
+  PlannedStage stage;
+  stage.kind = StageKind::kGeometry;
+  stage.name = kPhotoCamerasStage;
+  stage.before_pipeline = true;
+  stage.reason = fmt::format("{} photograph{}, whose cameras {} sees", request.photographs,
+                             request.photographs == 1 ? "" : "s", geometry.name);
+  stage.precision = layer_precision(ComputePrecision::kFloat32, model_kind_of(stage.kind));
+  stage.cost = geometry_of_pictures_cost(geometry, grid, GeometryMaps::kDepthAndRays);
+  stage.memory.loaded =
+      weight_bytes_of(BundlePart::backbone(), geometry) + weight_bytes_of(BundlePart::dpt_head(), geometry);
+  stage.memory.weights = stage.memory.loaded;
+  stage.memory.working = stage.cost.working_bytes;
+  // All levels, raw and as the head takes them, and the pictures: bytes, tensors, and what the backbone was given.
+  const int64_t side = bundle.backbone.patch_side();
+  const int64_t pixels = pictures.views * pictures.tokens_per_view() * side * side;
+  stage.memory.held =
+      2 * geometry.backbone.levels() * latent_bytes(geometry.backbone.level_channels(), grid) +
+      pixels * 3 * (1 + 2 * kFloatBytes);
+  // Before any of it, the photographs one after another as they were taken: bytes of the file's order and of ours.
+  StageMemory reading;
+  reading.held = pixels * 3;
+  reading.loaded = 2 * 3 * request.photograph_pixels;
+  stage.peak_bytes = std::max(predicted_peak_bytes(stage.memory), predicted_peak_bytes(reading));
+  return stage;
 }
 
 // Of the stages that run once.
@@ -194,9 +214,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
   switch (stage.kind) {
     case StageKind::kSourceEncoding: {
       Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
-      // Leading tokens of new views, which one source alone has given already where all get the same.
-      if (stages.decodes() && backbone.leading_tokens() > 0 && backbone.propagates() &&
-          (request.num_sources > 1 || backbone.carried_rows() > 1)) {
+      if (stages.decodes() && backbone.encodes_carried_tokens(request.num_sources)) {
         cost.add_operations_of(
             backbone.encoding_cost(with_views(request.grid, backbone.carried_rows()), bundle.boundary_level));
       }
@@ -211,7 +229,11 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
     case StageKind::kRgbDecoding:
       return image_decoding_cost(bundle, with_views(request.grid, stages.decoded_views(stages.image_views)));
     case StageKind::kGeometry:
-      if (request.geometry_model) return geometry_model_cost(*request.geometry_model, bundle, request);
+      if (request.geometry_model) {
+        return geometry_of_pictures_cost(*request.geometry_model,
+                                         geometry_model_grid(*request.geometry_model, bundle, request.grid),
+                                         request.outputs.geometry_maps());
+      }
       return bundle.dpt_head.cost(with_views(request.grid, stages.decoded_views(stages.geometry_views)),
                                   request.outputs.geometry_maps());
   }
@@ -228,6 +250,15 @@ StageRequest PlanRequest::stage_request() const {
   stages.geometry_views = outputs.geometry_views();
   stages.view_pairs = flow.approximate.view_pairs;
   return stages;
+}
+
+LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                               const LatentGrid& pictures) {
+  const int64_t side = geometry.backbone.patch_side();
+  const auto tokens = [&](int64_t count) {
+    return std::max<int64_t>(1, (count * bundle.backbone.patch_side() + side / 2) / side);
+  };
+  return {pictures.views, tokens(pictures.height), tokens(pictures.width)};
 }
 
 PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow) {
@@ -266,6 +297,7 @@ int64_t SamplingPlan::peak_bytes() const {
 
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request) {
   SamplingPlan plan;
+  if (request.photographs > 0) plan.stages.push_back(photo_cameras_stage(bundle, request));
   for (auto& listed : sampling_stages(bundle.level_set(), request.stage_request())) {
     PlannedStage stage;
     static_cast<SamplingStage&>(stage) = std::move(listed);
@@ -302,19 +334,15 @@ std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageReq
 }
 
 std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& request, int64_t available_bytes) {
-  const auto peak = [&](const LatentGrid& grid) {
-    PlanRequest other = request;
-    other.grid = grid;
-    return plan_sampling(bundle, other).peak_bytes();
-  };
-  const int64_t needed = peak(request.grid);
+  const auto peak = [&](const PlanRequest& other) { return plan_sampling(bundle, other).peak_bytes(); };
+  const int64_t needed = peak(request);
   if (needed <= available_bytes) return "";
-  const auto fits = [&](const LatentGrid& grid) { return peak(grid) <= available_bytes; };
-  // Memory grows with views and with the size, so that the most that fits is found by halving.
-  const auto most = [&](int64_t low, int64_t high, const auto& grid_of) {
+  const auto fits = [&](const PlanRequest& other) { return peak(other) <= available_bytes; };
+  // Memory grows with photographs, views and the size, so that the most that fits is found by halving.
+  const auto most = [&](int64_t low, int64_t high, const auto& request_of) {
     while (low < high) {
       const int64_t middle = low + (high - low + 1) / 2;
-      if (fits(grid_of(middle))) {
+      if (fits(request_of(middle))) {
         low = middle;
       } else {
         high = middle - 1;
@@ -322,29 +350,43 @@ std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& reque
     }
     return low;
   };
-  const auto with_width = [&](int64_t width) {
-    LatentGrid grid = request.grid;
-    grid.width = width;
-    grid.height = std::max<int64_t>(1, request.grid.height * width / request.grid.width);
-    return grid;
+  const auto with_photographs = [&](int64_t count) {
+    PlanRequest other = request;
+    other.photographs = count;
+    other.num_sources = std::min(request.num_sources, count);
+    other.grid.views -= request.num_sources - other.num_sources;
+    return other;
   };
-  std::string would_fit;
+  const auto with_all_views = [&](int64_t count) {
+    PlanRequest other = request;
+    other.grid.views = count;
+    return other;
+  };
+  const auto with_width = [&](int64_t width) {
+    PlanRequest other = request;
+    other.grid.width = width;
+    other.grid.height = std::max<int64_t>(1, request.grid.height * width / request.grid.width);
+    return other;
+  };
+  std::vector<std::string> would_fit;
+  if (request.photographs > 1 && fits(with_photographs(1))) {
+    would_fit.push_back(fmt::format("{} photographs", most(1, request.photographs - 1, with_photographs)));
+  }
   const int64_t fewest = request.num_sources + 1;
-  if (request.grid.views > fewest && fits(with_views(request.grid, fewest))) {
-    const int64_t views =
-        most(fewest, request.grid.views - 1, [&](int64_t count) { return with_views(request.grid, count); });
-    would_fit = fmt::format("{} views of this size", views);
+  if (request.grid.views > fewest && fits(with_all_views(fewest))) {
+    would_fit.push_back(
+        fmt::format("{} views of this size", most(fewest, request.grid.views - 1, with_all_views)));
   }
   if (request.grid.width > 1 && fits(with_width(1))) {
-    const LatentGrid grid = with_width(most(1, request.grid.width - 1, with_width));
+    const LatentGrid grid = with_width(most(1, request.grid.width - 1, with_width)).grid;
     const int64_t side = bundle.backbone.patch_side();
-    would_fit += fmt::format("{}{} views at --size {}x{}", would_fit.empty() ? "" : ", or ", grid.views,
-                             grid.width * side, grid.height * side);
+    would_fit.push_back(
+        fmt::format("{} views at --size {}x{}", grid.views, grid.width * side, grid.height * side));
   }
   return fmt::format("This takes {} of memory by the forecast and {} may be taken; {}.", bytes_text(needed),
                      bytes_text(available_bytes),
                      would_fit.empty() ? "no fewer views and no smaller size of this model would fit"
-                                       : "what would fit: " + would_fit);
+                                       : fmt::format("what would fit: {}", fmt::join(would_fit, ", or ")));
 }
 
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
@@ -369,7 +411,7 @@ void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
                       static_cast<double>(stage.parts.velocity_decoder) * parts.velocity_decoder;
     } else {
       stage.seconds = computing_seconds(stage.cost, speed, stage.precision);
-      if (stage.seconds < kShort && stage.cost.flop() > 0)
+      if (stage.seconds < kShort && stage.cost.flop() > 0 && !stage.before_pipeline)
         stage.seconds = measure_stage_seconds(stage, bundle, request);
     }
     stage.seconds += static_cast<double>(stage.memory.loaded) / speed.loading;

@@ -30,6 +30,10 @@ struct PlanRequest {
   FlowSettings flow;
   // Of the bundle that geometry comes from, where that is another one looking at the generated images; null where not.
   std::shared_ptr<const BundleOptions> geometry_model;
+  // Photographs whose cameras are estimated before all else, by that bundle or the model itself; 0 for a scene with
+  // cameras.
+  int64_t photographs = 0;
+  int64_t photograph_pixels = 0;  // of the largest, as it was taken
   double visible_share =
       1;  // of view pairs: those that attend where flow.approximate.view_pairs says visible
 
@@ -40,6 +44,11 @@ struct PlanRequest {
   }
 };
 
+// The grid of another backbone that looks at pictures of the bundle's grid: sides rounded to its patches, as the
+// pipeline does.
+LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
+                               const LatentGrid& pictures);
+
 // How often each part of a model runs in a flow, over both branches of guidance.
 struct PlannedRuns {
   int64_t condition_encoder = 0;
@@ -49,8 +58,12 @@ struct PlannedRuns {
 // counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
 PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow);
 
+// The stage that estimates the cameras of photographs, in plans and records.
+inline constexpr const char* kPhotoCamerasStage = "photo cameras";
+
 // A stage with what it takes.
 struct PlannedStage : SamplingStage {
+  bool before_pipeline = false;    // kPhotoCamerasStage, which is none of sampling_stages()
   int64_t evaluations = 1;         // forward passes of the conditional branch
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
   PlannedRuns parts;               // how often a flow's parts run
@@ -69,17 +82,18 @@ struct SamplingPlan {
   int64_t peak_bytes() const;  // of the largest stage
 };
 
-// The stages that this request needs, with their cost. Adaptive solvers are counted with options.evaluations.
+// The stages that this request needs, with their cost, that of the cameras of photographs first. Adaptive solvers are
+// counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
 // The parts of the model that the stages of a request load, statistics included, each once.
 std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageRequest& request);
-// A sentence about what this request takes, that it does not fit into so many bytes, and which number of views or which
-// image size would; empty where it fits.
+// A sentence about what this request takes, that it does not fit into so many bytes, and which number of photographs or
+// views or which image size would; empty where it fits.
 std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& request, int64_t available_bytes);
 // Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. Runs nothing.
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
-// The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where they are
-// short from a run (infer/forecast/stage_speed.h). Takes a few seconds at full size: for gld plan --measure.
+// The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where
+// they are short from a run (infer/forecast/stage_speed.h). Takes a few seconds at full size: for gld plan --measure.
 void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed);
 

@@ -17,8 +17,8 @@ struct StageMemory {
 };
 
 // Resident memory of the process at the stage's peak: these, the program itself, the kernels' scratch, and freed blocks
-// that wait for the next tensor of their size (gld/machine/block_memory.h). Within a quarter of what was measured with the
-// published sizes at 112x112 to 504x504 and with configs/tiny.
+// that wait for the next tensor of their size (gld/machine/block_memory.h). Within a quarter of what was measured with
+// the published sizes at 112x112 to 504x504 and with configs/tiny.
 int64_t predicted_peak_bytes(const StageMemory& memory);
 
 // All parameters and buffers of that part in float32. Computes nothing and takes no memory.

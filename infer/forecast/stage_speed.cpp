@@ -38,10 +38,13 @@ double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request)
   const int64_t side = bundle.backbone.patch_side();
   const auto images =
       torch::randn({request.num_sources, 3, request.grid.height * side, request.grid.width * side});
-  const int64_t deepest = deepest_encoded_level(bundle.level_set(), request.stage_request());
+  const StageRequest stages = request.stage_request();
+  const int64_t deepest = deepest_encoded_level(bundle.level_set(), stages);
+  const bool carries =
+      stages.decodes() && bundle.backbone.architecture().encodes_carried_tokens(request.num_sources);
   return seconds_of([&] {
     backbone->encode(images, deepest);
-    if (request.num_sources > 1) backbone->carried_tokens(images.narrow(0, 0, 1), bundle.boundary_level);
+    if (carries) backbone->carried_tokens(images.narrow(0, 0, 1), bundle.boundary_level);
   });
 }
 
@@ -80,6 +83,18 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
   return seconds_of([&] { head->forward(inputs, grid, maps); });
 }
 
+// Of another backbone and its head, which look at the generated images.
+double geometry_model_seconds(const BundleOptions& geometry, const BundleOptions& bundle,
+                              const PlanRequest& request) {
+  const LatentGrid grid = geometry_model_grid(geometry, bundle, request.grid);
+  const auto backbone = geometry.backbone.make(ParameterPlacement{});
+  fill(*backbone);
+  const int64_t side = geometry.backbone.patch_side();
+  const auto images = torch::randn({grid.views, 3, grid.height * side, grid.width * side});
+  return seconds_of([&] { backbone->encode(images, geometry.backbone.levels() - 1); }) +
+         geometry_seconds(geometry, grid, request.outputs.geometry_maps());
+}
+
 }  // namespace
 
 double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bundle,
@@ -99,6 +114,7 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
     case StageKind::kRgbDecoding:
       return decoding_seconds(bundle, with_views(request.grid, stages.decoded_views(stages.image_views)));
     case StageKind::kGeometry:
+      if (request.geometry_model) return geometry_model_seconds(*request.geometry_model, bundle, request);
       return geometry_seconds(bundle, with_views(request.grid, stages.decoded_views(stages.geometry_views)),
                               request.outputs.geometry_maps());
   }

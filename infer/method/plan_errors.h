@@ -30,10 +30,10 @@ struct MethodErrors {
 double largest_automatic_error(ComputePrecision precision);
 
 // An upper bound for a scene that was not measured, which one in a thousand exceeds: the predictive bound of a
-// log-normal distribution, mean of the logarithms + Student's quantile * sqrt(1 + 1/n) * their deviation, and at least a
-// quarter above the largest error. To the measured deviation (mostly 0.15) comes an expected one of 0.4 with the weight
-// of 8 scenes: at some numbers of evaluations a single scene's error is 3.7 times the others'. errors: at least one, none
-// negative; 0 where all are.
+// log-normal distribution, mean of the logarithms + Student's quantile * sqrt(1 + 1/n) * their deviation, and at least
+// a quarter above the largest error. To the measured deviation (mostly 0.15) comes an expected one of 0.4 with the
+// weight of 8 scenes: at some numbers of evaluations a single scene's error is 3.7 times the others'. errors: at least
+// one, none negative; 0 where all are.
 double error_bound(const std::vector<double>& errors);
 
 // The measured error model of one bundle: plan_errors.json in its folder.

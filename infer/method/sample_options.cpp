@@ -34,12 +34,60 @@ std::string method_field_asked_for(const SampleOptions& options) {
 
 bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
 
+// "--orbit-center" for "views.orbit_center".
+std::string flag_of(const std::string& key) {
+  std::string flag = "--" + key.substr(key.find('.') + 1);
+  std::replace(flag.begin(), flag.end(), '_', '-');
+  return flag;
+}
+
+// When something looks at an option: all whose key begins so need `given`.
+struct Use {
+  std::string key;
+  bool given = false;
+  std::string what;  // must be given
+};
+
+std::vector<Use> uses_of_options(const SampleOptions& options) {
+  const SolverOptions& solver = options.solver;
+  const ScheduleKind schedule = solver.schedule.schedule;
+  const bool logsnr_or_karras = schedule == ScheduleKind::kLogSnr || schedule == ScheduleKind::kKarras;
+  const bool geometry = options.requested().needs_geometry();
+  const bool guided = options.guidance.guidance_scale != 1;
+  const std::string adaptive = "an adaptive --solver", stochastic = "a stochastic --solver",
+                    guidance = "a --guidance-scale other than 1", grids = "--schedule logsnr or karras";
+  return {
+      {"solver.schedule_file", schedule == ScheduleKind::kFile, "--schedule file"},
+      {"solver.shift", schedule == ScheduleKind::kPublished || schedule == ScheduleKind::kShifted,
+       "--schedule published or shifted"},
+      {"solver.last_time", schedule == ScheduleKind::kPublished, "--schedule published"},
+      {"solver.first_time", logsnr_or_karras, grids},
+      {"solver.final_time", logsnr_or_karras, grids},
+      {"solver.tolerance", is_adaptive(solver.solver), adaptive},
+      {"solver.max_evaluations", is_adaptive(solver.solver), adaptive},
+      {"solver.diffusion", is_stochastic(solver.solver), stochastic},  // and diffusion_strength
+      {"solver.noise_seed", is_stochastic(solver.solver), stochastic},
+      {"guidance.guidance_interval", guided, guidance},
+      {"guidance.guidance_tolerance", guided, guidance},
+      {"guidance.guidance_b", guided, guidance},  // branches, and the memory up to which they are batched
+      {"points.", options.requested().points, "points among --outputs"},
+      {"scale_from", geometry, "depth, rays or points among --outputs"},
+      {"geometry_model", geometry || !options.photos.files.empty(), "depth, rays or points among --outputs"},
+  };
+}
+
 // What the command line asks for and nothing would look at.
 void refuse_without_effect(const SampleOptions& options) {
+  const auto uses = uses_of_options(options);
   for (const auto& key : options.named) {
+    for (const Use& use : uses) {
+      if (use.given || !begins_with(key, use.key)) continue;
+      fail({flag_of(key), use.what + ", without which nothing looks at it", "none",
+            "add it, or leave " + flag_of(key) + " out"});
+    }
     if (options.preset == SamplingPreset::kPublished && begins_with(key, "solver.")) {
       fail({"--preset published", "no solver option beside it, the preset decides about all of them",
-            "'" + key + "'", "leave out one of the two"});
+            flag_of(key), "leave out one of the two"});
     }
     if (key == "photo_lens" && options.photos.files.empty()) {
       fail({"--photo-lens", "--photos, which it is an option of", "--scene", "leave out one of the two"});
@@ -50,10 +98,10 @@ void refuse_without_effect(const SampleOptions& options) {
     const bool has_path =
         !options.views.path.path.empty() || (!options.photos.files.empty() && options.views.targets.empty());
     if (!has_path && of_a_path) {
-      fail({"--" + key.substr(key.find('.') + 1), "--path, which it is an option of", "--targets",
-            "leave out one of the two"});
+      fail({flag_of(key), "--path, which it is an option of", "--targets", "leave out one of the two"});
     }
   }
+  if (!options.views.path.path.empty()) refuse_orbit_options_of(options, options.views.path.path);
 }
 
 void refuse_two_methods(const SampleOptions& options) {
@@ -67,6 +115,15 @@ void refuse_two_methods(const SampleOptions& options) {
 }
 
 }  // namespace
+
+void refuse_orbit_options_of(const SampleOptions& options, const std::string& path) {
+  if (path == "orbit") return;
+  for (const auto& key : options.named) {
+    if (!begins_with(key, "views.orbit_")) continue;
+    fail({flag_of(key), "--path orbit, which it is an option of", "--path " + path,
+          "leave out one of the two"});
+  }
+}
 
 SampleOptions::SampleOptions() {
   reading.broken_frames = BrokenFrames::kSkip;  // a frame that nobody chose does not stand in the way

@@ -70,4 +70,8 @@ struct SampleOptions : OptionsGroup {
   SamplingMethod method(const BundleOptions& bundle) const;
 };
 
+// Error where the command line names options of an orbit (views.orbit_*) and the targets lie on that other path.
+// Options say what their own path is; which one photographs without --path get is known when they are counted.
+void refuse_orbit_options_of(const SampleOptions& options, const std::string& path);
+
 }  // namespace gld

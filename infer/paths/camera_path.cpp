@@ -50,9 +50,15 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
 }
 
 void CameraPathOptions::check() const {
-  if (orbit_center.empty() || orbit_center.size() == 3) return;
-  fail({"--orbit-center", "three numbers, x,y,z in the scene", std::to_string(orbit_center.size()),
-        "write for example --orbit-center 0,0,2.5"});
+  if (orbit_center.empty()) return;
+  if (orbit_center.size() != 3) {
+    fail({"--orbit-center", "three numbers, x,y,z in the scene", std::to_string(orbit_center.size()),
+          "write for example --orbit-center 0,0,2.5"});
+  }
+  if (orbit_distance > 0) {
+    fail({"--orbit-center, --orbit-distance", "one of the two", "both",
+          "leave out the distance, which is only for finding the centre"});
+  }
 }
 
 CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,

@@ -19,12 +19,12 @@ struct CameraPathOptions : OptionsGroup {
   double orbit_radius = 0;
 
   void visit(FieldVisitor& visitor) override;
-  void check() const override;  // orbit_center is a point or nothing
+  void check() const override;  // orbit_center is a point or nothing, and not beside a distance to find it by
 };
 
 // The target cameras of --path: "orbit", "spline", or a cameras.json file whose cameras are taken as they are (all of
-// them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a file
-// that is not there, and more frames than a file has cameras.
+// them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a
+// file that is not there, and more frames than a file has cameras.
 struct CameraPath {
   std::vector<Camera> cameras;
   std::string

@@ -28,10 +28,10 @@ struct PathSurroundings {
   double typical_depth = 0;     // of what the sources see, in the unit of the poses; 0 where it is not known
 };
 
-// What an orbit around the sources' scene turns about, and how that was found, in words: the point nearest to the axes of
-// all cameras (least absolute distances, so that cameras that look elsewhere do not move it), or to those of the sources;
-// either only where it lies in front of every source and at 1/3 to 3 times the typical depth, where that is known. Else a
-// point on the sources' mean axis, at the typical depth or at an assumed one.
+// What an orbit around the sources' scene turns about, and how that was found, in words: the point nearest to the axes
+// of all cameras (least absolute distances, so that cameras that look elsewhere do not move it), or to those of the
+// sources; either only where it lies in front of every source and at 1/3 to 3 times the typical depth, where that is
+// known. Else a point on the sources' mean axis, at the typical depth or at an assumed one.
 struct OrbitCentre {
   Eigen::Vector3d x_in_world = Eigen::Vector3d::Zero();
   std::string found_by;
@@ -47,8 +47,8 @@ struct OrbitShape {
 };
 
 // Cameras on a circle around the vertical axis through the look-at point, each looking exactly at it. Up is the mean
-// of the sources' up directions. The circle has the sources' mean distance from the axis (or the shape's radius) and mean height; size and
-// intrinsics are the first source's, with the principal point kept.
+// of the sources' up directions. The circle has the sources' mean distance from the axis (or the shape's radius) and
+// mean height; size and intrinsics are the first source's, with the principal point kept.
 std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const OrbitShape& shape);
 
 // The rotation (columns x, y, z of the camera in the world) that looks along forward with up in the upper half of the

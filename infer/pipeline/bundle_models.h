@@ -9,8 +9,8 @@
 namespace gld {
 
 // The modules of a bundle, each loaded from its file when the pipeline asks for it. bundle is copied. On the CPU their
-// weights are packed for that precision and not kept beside (models/layers/layer_precision.h); float32 computes the same
-// bits as weights that are packed whenever they are used.
+// weights are packed for that precision and not kept beside (models/layers/layer_precision.h); float32 computes the
+// same bits as weights that are packed whenever they are used.
 PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& device,
                              ComputePrecision precision = ComputePrecision::kFloat32);
 

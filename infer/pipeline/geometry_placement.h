@@ -22,8 +22,8 @@ namespace gld {
 // What may tell the scale of predicted depth beside the given cameras. What is left empty says nothing.
 struct ScaleEvidence {
   bool camera_poses = true;  // the distances between the predicted cameras
-  // (photographs, 3, height, width) in [0, 1], of the first views: they match where the scale is right. Pictures that were
-  // generated do not, to a pixel, so they are no evidence.
+  // (photographs, 3, height, width) in [0, 1], of the first views: they match where the scale is right. Pictures that
+  // were generated do not, to a pixel, so they are no evidence.
   torch::Tensor photographs;
   std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
   // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
@@ -56,16 +56,16 @@ struct GeometryPlacement {
 GeometryPlacement place_geometry(const GeometryOutput& geometry, const std::vector<Camera>& given,
                                  const ScaleEvidence& evidence = {});
 
-// What every kind of evidence said, for report.json: estimator, scale, interval, residual and, where it is not believed,
-// the doubt.
+// What every kind of evidence said, for report.json: estimator, scale, interval, residual and, where it is not
+// believed, the doubt.
 nlohmann::ordered_json depth_scale_json(const DepthScale& estimate);
 nlohmann::ordered_json estimates_json(const std::vector<DepthScale>& estimates);
 // The same in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of what it is fitted to; ...".
 std::string estimates_text(const std::vector<DepthScale>& estimates);
 
-// The cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the views line up:
-// the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the given ones are.
-// Nothing where there are none.
+// The cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the views line
+// up: the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the given ones
+// are. Nothing where there are none.
 std::vector<Camera> cameras_of_depth(const GeometryPlacement& placement, const std::vector<Camera>& given);
 
 // The cloud of all views, images one a view, in the frame of cameras_of_depth(). Where there are none, rays lift.

@@ -48,11 +48,11 @@ struct PhotoCameras {
   std::vector<std::string> doubts() const;
 };
 
-// Of depth and rays of photographs, (views, 3, height, width) in [0, 1] (geometry_of_pictures.h). The principal points are the
-// pictures' middles, as of photographs that were not cut off to one side. lenses: one a photograph, or none: then each has a
-// lens of its own. Photographs of one lens get one focal length, with square pixels: the median over them of the geometric mean
-// of the two that each one's rays ask for, after which each camera is turned to fit again. Throws Error naming the photograph
-// where no camera fits its rays.
+// Of depth and rays of photographs, (views, 3, height, width) in [0, 1] (geometry_of_pictures.h). The principal points
+// are the pictures' middles, as of photographs that were not cut off to one side. lenses: one a photograph, or none:
+// then each has a lens of its own. Photographs of one lens get one focal length, with square pixels: the median over
+// them of the geometric mean of the two that each one's rays ask for, after which each camera is turned to fit again.
+// Throws Error naming the photograph where no camera fits its rays.
 PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& photographs,
                            const std::vector<PhotographLens>& lenses = {});
 

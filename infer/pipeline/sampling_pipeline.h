@@ -36,8 +36,8 @@ struct PipelineModels {
   std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
   std::function<std::shared_ptr<ImageDecoder>()> rgb_decoder;
   std::function<std::shared_ptr<GeometryHead>()> dpt_head;
-  // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read off
-  // the model's own levels by dpt_head.
+  // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read
+  // off the model's own levels by dpt_head.
   std::function<std::shared_ptr<Backbone>()> geometry_backbone;
   std::function<std::shared_ptr<GeometryHead>()> geometry_head;
   std::vector<LevelStatistics> statistics;  // of what each generator makes
@@ -92,8 +92,8 @@ struct PipelineResult {
   LatentGrid grid;  // of all views
   // Generated levels by number: normalised latents, (views, special + patch tokens, channels), on the CPU.
   std::map<int64_t, torch::Tensor> latents;
-  // All levels as decoders take them, (views, patch tokens, channels); empty when nothing is decoded, and a level that is
-  // neither generated nor propagated is undefined.
+  // All levels as decoders take them, (views, patch tokens, channels); empty when nothing is decoded, and a level that
+  // is neither generated nor propagated is undefined.
   std::vector<torch::Tensor> levels;
   torch::Tensor
       leading;  // of the last level and all views (CompletedLevels); undefined when nothing is decoded
@@ -105,8 +105,8 @@ struct PipelineResult {
   std::vector<std::string> warnings;
 };
 
-// Runs sampling_stages() (docs/DESIGN.md section 1). Each stage is recorded, and can be interrupted between steps. Throws Error naming the stage, and
-// for flows the step and time, where a number is not finite.
+// Runs sampling_stages() (docs/DESIGN.md section 1). Each stage is recorded, and can be interrupted between steps.
+// Throws Error naming the stage, and for flows the step and time, where a number is not finite.
 PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
                             StageRecords& stages);
 

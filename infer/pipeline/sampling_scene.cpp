@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/cameras/camera_checks.h"
+#include "models/bundle/bundle_options.h"
 
 #include <algorithm>
 #include <charconv>
@@ -62,15 +63,6 @@ void add_target_path(const Scene& scene, const ViewSelection& selection, Samplin
     sampling.view_names.push_back(fmt::format("path_{:02}", i));
   }
 }
-
-bool read_side(const std::string& text, int64_t& side) {
-  const auto result = std::from_chars(text.data(), text.data() + text.size(), side);
-  return result.ec == std::errc() && result.ptr == text.data() + text.size() && side > 0;
-}
-
-}  // namespace
-
-namespace {
 
 void visit_frames(FieldVisitor& visitor, const Field& field, std::vector<FrameChoice>& frames) {
   std::vector<std::string> texts;
@@ -230,12 +222,7 @@ ImageSize choose_size(const std::string& text, const Scene& scene,
     const Camera& camera = scene.frames.front().camera;
     size = nearest_trained_size(camera.width, camera.height, trained_sizes);
   } else {
-    const auto cross = text.find('x');
-    if (cross == std::string::npos || !read_side(text.substr(0, cross), size.width) ||
-        !read_side(text.substr(cross + 1), size.height)) {
-      fail({"--size", "WIDTHxHEIGHT in pixels, or auto", "'" + text + "'",
-            "write for example --size 504x280"});
-    }
+    size = image_size_from_text(text, "--size");
   }
   if (size.width % patch_size != 0 || size.height % patch_size != 0) {
     fail({"--size", fmt::format("sides that are multiples of the patch size {}", patch_size),

@@ -55,8 +55,8 @@ struct SamplingScene {
   std::vector<std::string> warnings;  // what is unusual about the cameras, one sentence each
 };
 
-// The selection with the numbers of all frames. "7" is a number, also where a frame has that name; "007" is a name. Throws
-// Error for a name that the scene does not have, and for a frame that is chosen twice under two names.
+// The selection with the numbers of all frames. "7" is a number, also where a frame has that name; "007" is a name.
+// Throws Error for a name that the scene does not have, and for a frame that is chosen twice under two names.
 ViewSelection looked_up(const ViewSelection& selection, const Scene& scene);
 
 // The selected frames and views without their pixels, for which no image file is decoded: images and depths are empty.

@@ -3,11 +3,12 @@
 #include "datasets/formats/cameras_json.h"
 #include "datasets/formats/file_listing.h"
 #include "datasets/images/image_file.h"
+#include "datasets/images/image_probe.h"
 #include "datasets/scenes/resize_crop.h"
 #include "gld/base/error.h"
 #include "infer/export/image_export.h"
+#include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
-#include "infer/pipeline/sampling_scene.h"
 #include "infer/pipeline/scene_request.h"
 
 #include <algorithm>
@@ -41,7 +42,7 @@ std::vector<std::filesystem::path> photograph_files(const std::vector<std::strin
 class LensNumbers {
  public:
   explicit LensNumbers(PhotoLens lens) : lens_(lens) {}
-  int64_t of(const Image& photograph) {
+  int64_t of(const Photograph& photograph) {
     if (lens_ == PhotoLens::kShared) return 0;
     if (lens_ == PhotoLens::kOwn) return next_++;
     // A camera held upright turns its pictures.
@@ -66,42 +67,70 @@ std::vector<std::string> names_of(const Scene& scene) {
 
 }  // namespace
 
-PhotoScene photo_scene(const PhotoSelection& selection, const std::string& size, const BundleOptions& bundle,
-                       const PipelineModels& geometry, const torch::Device& device) {
-  PhotoScene made;
-  Scene& scene = made.scene;
+std::vector<Photograph> list_photographs(const std::vector<std::string>& files_and_folders) {
+  std::vector<Photograph> photographs;
+  std::set<std::string> names;
+  for (const auto& file : photograph_files(files_and_folders)) {
+    Photograph photograph;
+    photograph.name = file.stem().string();
+    photograph.file = file;
+    if (!names.insert(photograph.name).second) {
+      fail({"--photos", "photographs of different names", "'" + photograph.name + "' twice",
+            "rename one of them"});
+    }
+    const ImageFileInfo header = probe_image_file(file);
+    photograph.width = header.turned() ? header.height : header.width;
+    photograph.height = header.turned() ? header.width : header.height;
+    photographs.push_back(std::move(photograph));
+  }
+  return photographs;
+}
+
+Scene scene_before_cameras(const std::vector<Photograph>& photographs) {
+  Scene scene;
   scene.name = "photographs";
   scene.format = "photos";
-  std::vector<Image> originals;
-  std::set<std::string> names;
-  for (const auto& file : photograph_files(selection.files)) {
+  for (const Photograph& photograph : photographs) {
     Frame frame;
-    frame.name = file.stem().string();
-    frame.image_file = file;
-    if (!names.insert(frame.name).second) {
-      fail(
-          {"--photos", "photographs of different names", "'" + frame.name + "' twice", "rename one of them"});
-    }
-    originals.push_back(read_image(file, ImageOrientation::kUpright));
-    frame.camera.width = originals.back().width;
-    frame.camera.height = originals.back().height;
+    frame.name = photograph.name;
+    frame.image_file = photograph.file;
+    frame.camera.width = photograph.width;
+    frame.camera.height = photograph.height;
+    const auto width = static_cast<double>(photograph.width), height = static_cast<double>(photograph.height);
+    frame.camera.intrinsics(0, 0) = frame.camera.intrinsics(1, 1) = std::max(width, height);
+    frame.camera.intrinsics(0, 2) = width / 2;
+    frame.camera.intrinsics(1, 2) = height / 2;
+    frame.camera.world_from_camera.translation().x() = static_cast<double>(scene.frames.size());
     scene.frames.push_back(std::move(frame));
   }
-  const ImageSize wanted = choose_size(size, scene, bundle.image_sizes(), bundle.backbone.patch_side());
+  return scene;
+}
+
+PhotoScene photo_scene(const std::vector<Photograph>& taken, PhotoLens lens, const ImageSize& size,
+                       const PipelineModels& geometry, const torch::Device& device, StageRecords& stages) {
+  PhotoScene made;
+  made.scene = scene_before_cameras(taken);
+  Scene& scene = made.scene;
   std::vector<PhotographLens> lenses;
-  LensNumbers numbers(selection.lens);
-  for (const Image& original : originals) {
-    const ResizeCrop plan = plan_resize_crop(original.width, original.height, wanted);
-    made.images.push_back(resize_crop(original, plan));
-    lenses.push_back({numbers.of(original), static_cast<double>(std::max(original.width, original.height)) *
-                                                static_cast<double>(plan.resized_width) /
-                                                static_cast<double>(plan.window_width)});
-  }
-  const auto photographs = stacked(made.images);
-  const GeometryOutput seen =
-      geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
-  require_finite_geometry(seen, "the geometry of the photographs");
-  made.found = photo_cameras(seen, photographs, lenses);
+  torch::Tensor photographs;
+  GeometryOutput seen;
+  stages.run(kPhotoCamerasStage, [&] {
+    LensNumbers numbers(lens);
+    // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
+    for (const Photograph& photograph : taken) {
+      const Image original = read_image(photograph.file, ImageOrientation::kUpright);
+      const ResizeCrop plan = plan_resize_crop(original.width, original.height, size);
+      made.images.push_back(resize_crop(original, plan));
+      lenses.push_back(
+          {numbers.of(photograph), static_cast<double>(std::max(original.width, original.height)) *
+                                       static_cast<double>(plan.resized_width) /
+                                       static_cast<double>(plan.window_width)});
+    }
+    photographs = stacked(made.images);
+    seen = geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
+    require_finite_geometry(seen, "the geometry of the photographs");
+  });
+  stages.run("fitting cameras", [&] { made.found = photo_cameras(seen, photographs, lenses); });
   for (size_t i = 0; i < scene.frames.size(); ++i) {
     scene.frames[i].camera = made.found.cameras[i];
     scene.frames[i].load_image = [image = made.images[i]] { return image; };

@@ -1,18 +1,17 @@
 #pragma once
 
+#include "gld/report/report_text.h"
 #include "infer/method/sample_options.h"
-
-#include <string>
 
 namespace gld {
 
-// Where a plan's seconds come from: operations and the machine's kept or quickly estimated speed, or runs of the model's
-// parts, which takes seconds.
+// Where a plan's seconds come from: operations and the machine's kept or quickly estimated speed, or runs of the
+// model's parts, which takes seconds.
 enum class PlanTiming { kPredicted, kMeasured };
 
 // gld plan: which stages would run for this scene and why, with predicted work, time and memory. Computes and writes
 // nothing; options.out is not used.
-std::string sampling_plan_report(const SampleOptions& options, PlanTiming timing);
+ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing);
 
 // gld sample: reads the bundle and the scene, runs the pipeline and writes the run folder (docs/FILES.md). Prints the
 // plan's first lines, warnings and the closing box.

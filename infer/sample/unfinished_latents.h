@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// Generated levels of a run that is not finished, in its folder: gld sample --resume goes on from them. A level appears whole
-// or not at all.
+// Generated levels of a run that is not finished, in its folder: gld sample --resume goes on from them. A level appears
+// whole or not at all.
 class UnfinishedLatents {
  public:
   explicit UnfinishedLatents(const std::filesystem::path& run_folder) : folder_(run_folder / "unfinished") {}
@@ -21,7 +21,8 @@ class UnfinishedLatents {
     std::string method;  // its options as JSON
   };
 
-  // As PipelineRequest::kept_latents takes them; those of another origin are not taken. Throws Error for a damaged file.
+  // As PipelineRequest::kept_latents takes them; those of another origin are not taken. Throws Error for a damaged
+  // file.
   std::map<int64_t, torch::Tensor> read(const Origin& origin) const;
   void write(int64_t level, const torch::Tensor& latent, const Origin& origin) const;
   // When everything that is made of them is written.

@@ -4,7 +4,8 @@
 
 namespace gld {
 
-// One runner a kind; each stands in a file of its own (infer/verify/reference_<kind>.cpp; the DPT heads of both families in one).
+// One runner a kind; each stands in a file of its own (infer/verify/reference_<kind>.cpp; the DPT heads of both
+// families in one).
 NamedTensors run_backbone_case(const ReferenceCase& reference);     // kind "backbone"
 NamedTensors run_dpt_head_case(const ReferenceCase& reference);     // kind "dpt_head"
 NamedTensors run_camera_head_case(const ReferenceCase& reference);  // kind "camera_head"

@@ -45,7 +45,8 @@ struct CaseVerification {
   bool passed() const;
 };
 
-// What a case's tolerance is in a precision: itself in float32, ten times that in bfloat16x3; in bfloat16 and int8 0.05 and
+// What a case's tolerance is in a precision: itself in float32, ten times that in bfloat16x3; in bfloat16 and int8 0.05
+// and
 // 0.1 of the largest value at least, beyond which something else than rounding is wrong. What they deviate by is in the
 // comparisons.
 double tolerance_in(ComputePrecision precision, double relative_tolerance);
@@ -58,8 +59,8 @@ CaseVerification verify_case(const std::filesystem::path& folder, const Referenc
 // One line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
 std::string case_text(const CaseVerification& result);
 std::string summary_text(const std::vector<CaseVerification>& cases);
-// {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]}; numbers that are
-// not finite are null.
+// {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]};
+// numbers that are not finite are null.
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases);
 
 }  // namespace gld

@@ -147,8 +147,8 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHa
   }
   if (encodes) middle(width);
   add_convolution(cost, pixels, width, encodes ? latents : 3, 3);
-  // One view at a time, at full size: a block's input, its normalised copies and its result, and what LibTorch lays out for a
-  // convolution; then the images of all views.
+  // One view at a time, at full size: a block's input, its normalised copies and its result, and what LibTorch lays out
+  // for a convolution; then the images of all views.
   const double full_size = latent_pixels / static_cast<double>(grid.views) * reduction * reduction;
   const auto widest = static_cast<double>(
       std::max(options.block_out_channels.front(),
@@ -157,8 +157,8 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHa
   return cost;
 }
 
-// Of the picture's 8-bit pixels: the image takes part in the seed of its noise, so that views differ and none depends on
-// the others, and what was computed does not, so that every device and precision draws the same.
+// Of the picture's 8-bit pixels: the image takes part in the seed of its noise, so that views differ and none depends
+// on the others, and what was computed does not, so that every device and precision draws the same.
 uint64_t picture_bits(const torch::Tensor& image) {
   const auto pixels =
       (image.detach().to(torch::kCPU, torch::kFloat64) * 255).round().clamp(0, 255).to(torch::kUInt8);

@@ -43,9 +43,10 @@ struct AutoencoderKlOptions : AutoencoderArchitecture {
 
 class AutoencoderKlHalf;
 
-// The convolutional autoencoder of latent diffusion (Rombach et al. 2022) under the names of diffusers' AutoencoderKL. Its one
-// level is the latent of scaling_factor, in tokens of latent_patch x latent_patch latent pixels; views are worked on one
-// by one, so that memory is that of one. A sample of the posterior depends on posterior_seed and the image alone.
+// The convolutional autoencoder of latent diffusion (Rombach et al. 2022) under the names of diffusers' AutoencoderKL.
+// Its one level is the latent of scaling_factor, in tokens of latent_patch x latent_patch latent pixels; views are
+// worked on one by one, so that memory is that of one. A sample of the posterior depends on posterior_seed and the
+// image alone.
 class AutoencoderKl : public Autoencoder {
  public:
   AutoencoderKl(const AutoencoderKlOptions& options, const ParameterPlacement& placement);
@@ -57,8 +58,8 @@ class AutoencoderKl : public Autoencoder {
   Autoencoding autoencode(const torch::Tensor& images, const torch::Generator& generator) const override;
   void initialise(const torch::Generator& generator) override;
 
-  // What the encoder gives for images (views, 3, height, width), RGB in [0, 1]: mean and logarithm of the variance, clamped
-  // to [-30, 20], (views, 2 latent_channels, height', width'), before scaling.
+  // What the encoder gives for images (views, 3, height, width), RGB in [0, 1]: mean and logarithm of the variance,
+  // clamped to [-30, 20], (views, 2 latent_channels, height', width'), before scaling.
   torch::Tensor moments(const torch::Tensor& images) const;
   // Latents before scaling -> images, RGB in about [0, 1].
   torch::Tensor images_of(const torch::Tensor& latents) const;

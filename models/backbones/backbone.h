@@ -36,8 +36,14 @@ class BackboneArchitecture : public OptionsGroup {
   virtual int64_t level_channels() const = 0;  // C
   // Tokens in front of the patch tokens of a level: class, camera and register tokens.
   virtual int64_t leading_tokens() const = 0;
-  // Rows of Backbone::carried_tokens: 1 where all views get the same leading tokens, 2 where the first view's are others.
+  // Rows of Backbone::carried_tokens: 1 where all views get the same leading tokens, 2 where the first view's are
+  // others.
   virtual int64_t carried_rows() const { return 1; }
+  // Whether Backbone::carried_tokens runs the backbone once more, for so many source views: a source alone has been
+  // encoded alone already, and without leading tokens there are none to carry.
+  bool encodes_carried_tokens(int64_t num_sources) const {
+    return propagates() && leading_tokens() > 0 && (num_sources > 1 || carried_rows() > 1);
+  }
   // Whether Backbone::propagate makes deeper levels of a level.
   virtual bool propagates() const { return true; }
 
@@ -75,9 +81,10 @@ struct PropagationStart {
   LatentGrid grid;
 };
 
-// What latents are of: a frozen geometric foundation model (DA3, docs/DESIGN.md section 4, "Backbone"), another network of
-// image features, or an autoencoder; all register themselves.
-// Nothing outside models/backbones names one of them. View 0 is the reference view; views are never reordered.
+// What latents are of: a frozen geometric foundation model (DA3, docs/DESIGN.md section 4, "Backbone"), another network
+// of image features, or an autoencoder; all register themselves.
+// Outside models/backbones only the table of published files names one of them (models/bundle/published_backbones.h).
+// View 0 is the reference view; views are never reordered.
 class Backbone : public torch::nn::Module {
  public:
   virtual const BackboneArchitecture& architecture() const = 0;
@@ -91,8 +98,8 @@ class Backbone : public torch::nn::Module {
   virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                             std::vector<AttentionTap>* taps) const = 0;
 
-  // The leading tokens that propagation from that level gives to the views, (carried_rows, leading tokens, C) raw, the last
-  // row for all views that have none of their own: new views have no image to take them from, so they get those of
+  // The leading tokens that propagation from that level gives to the views, (carried_rows, leading tokens, C) raw, the
+  // last row for all views that have none of their own: new views have no image to take them from, so they get those of
   // `first_source` (1, 3, height, width), RGB in [0, 1]; with one row, encoded alone.
   virtual torch::Tensor carried_tokens(const torch::Tensor& first_source, int64_t level) const;
 
@@ -102,8 +109,8 @@ class Backbone : public torch::nn::Module {
   // (views, tokens, C) raw -> what the DPT head and the RGB decoder take.
   virtual torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const = 0;
 
-  // Of architectures with decodes_images(): (views, tokens, C), decodable -> images (views, 3, height, width), RGB in about
-  // [0, 1], not clamped. Error of others.
+  // Of architectures with decodes_images(): (views, tokens, C), decodable -> images (views, 3, height, width), RGB in
+  // about [0, 1], not clamped. Error of others.
   virtual torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const;
 
   // Of the same, for training: latents may be drawn with the generator. Error of others.

@@ -33,15 +33,15 @@ struct Dinov2Sizes {
   Cost blocks_cost(const LatentGrid& grid, int64_t count) const;
 };
 
-// The layers of DINOv2 with registers (Oquab et al. 2023, Darcet et al. 2023), for the module that owns them: register tokens
-// stand behind the class token and have no position; block and final norms have epsilon 1e-6. They are registered on the
-// owner itself, under the names of the published files; mask_token is only kept.
+// The layers of DINOv2 with registers (Oquab et al. 2023, Darcet et al. 2023), for the module that owns them: register
+// tokens stand behind the class token and have no position; block and final norms have epsilon 1e-6. They are
+// registered on the owner itself, under the names of the published files; mask_token is only kept.
 class Dinov2Layers {
  public:
   Dinov2Layers(torch::nn::Module& owner, const Dinov2Sizes& sizes, const ParameterPlacement& placement);
 
-  // images: (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns what each of those blocks (ascending)
-  // gives, through the final norm: (views, class + register + patch tokens, embed_dim).
+  // images: (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns what each of those blocks
+  // (ascending) gives, through the final norm: (views, class + register + patch tokens, embed_dim).
   std::vector<torch::Tensor> forward(const torch::Tensor& images, const std::vector<int64_t>& blocks) const;
 
  private:
@@ -54,9 +54,9 @@ class Dinov2Layers {
   torch::Tensor position_table_;   // (1, 1 + pos_embed_grid^2, embed_dim)
 };
 
-// Defaults are DINOv2-Base with registers and its last layer, as RAE (Zheng et al. 2025) uses it. Small: embed_dim 384, 6
-// heads. Large: 1024, depth 24, 16 heads. Without registers the published models have num_register_tokens 0, antialias
-// false and interpolate_offset 0.1.
+// Defaults are DINOv2-Base with registers and its last layer, as RAE (Zheng et al. 2025) uses it. Small: embed_dim 384,
+// 6 heads. Large: 1024, depth 24, 16 heads. Without registers the published models have num_register_tokens 0,
+// antialias false and interpolate_offset 0.1.
 struct Dinov2Options : BackboneArchitecture {
   Dinov2Sizes sizes;
   std::vector<int64_t> out_layers;  // blocks after which the levels are taken; the last block when empty
@@ -83,9 +83,9 @@ struct Dinov2Options : BackboneArchitecture {
   }
 };
 
-// A level is what a block gives through the final norm, class and register tokens first; the norm's gain and shift vanish in
-// the latent statistics. Views do not see each other, and nothing is propagated: every level that decoders take is
-// generated.
+// A level is what a block gives through the final norm, class and register tokens first; the norm's gain and shift
+// vanish in the latent statistics. Views do not see each other, and nothing is propagated: every level that decoders
+// take is generated.
 class Dinov2Backbone : public Backbone {
  public:
   Dinov2Backbone(const Dinov2Options& options, const ParameterPlacement& placement);

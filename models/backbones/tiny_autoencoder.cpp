@@ -64,7 +64,8 @@ class TinyBlock : public torch::nn::Module {
   torch::Tensor gain_, shift_;
 };
 
-// Registers the layers of a half under their numbers in the published sequence, which counts layers without weights too.
+// Registers the layers of a half under their numbers in the published sequence, which counts layers without weights
+// too.
 class TinySequence {
  public:
   TinySequence(std::shared_ptr<torch::nn::Module> parent, const TinyAutoencoderOptions& options,

@@ -13,7 +13,8 @@
 
 namespace gld {
 
-// Defaults are TAEF2, the tiny autoencoder of FLUX.2's latents. TAESD and TAESDXL: latent_channels 4, middle_norm false.
+// Defaults are TAEF2, the tiny autoencoder of FLUX.2's latents. TAESD and TAESDXL: latent_channels 4, middle_norm
+// false.
 struct TinyAutoencoderOptions : AutoencoderArchitecture {
   int64_t latent_channels = 32;
   int64_t width = 64;        // channels of every map between image and latent
@@ -33,8 +34,9 @@ struct TinyAutoencoderOptions : AutoencoderArchitecture {
   Cost decoding_cost(const LatentGrid& grid) const override;
 };
 
-// The tiny autoencoders of O. B. Bohan (taesd.py of the published code), encoder. and decoder. in front of the published
-// names. Images and latents are taken as they are, without scaling; the decoder bounds latents by 3 tanh(z / 3).
+// The tiny autoencoders of O. B. Bohan (taesd.py of the published code), encoder. and decoder. in front of the
+// published names. Images and latents are taken as they are, without scaling; the decoder bounds latents by 3 tanh(z /
+// 3).
 class TinyAutoencoder : public Autoencoder {
  public:
   TinyAutoencoder(const TinyAutoencoderOptions& options, const ParameterPlacement& placement);

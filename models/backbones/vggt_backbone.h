@@ -13,8 +13,8 @@
 
 namespace gld {
 
-// The transformer that makes VGGT's patch tokens, patch_embed in model.yaml; patch_size, embed_dim, num_heads, mlp_ratio
-// and pos_embed_grid are the model's.
+// The transformer that makes VGGT's patch tokens, patch_embed in model.yaml; patch_size, embed_dim, num_heads,
+// mlp_ratio and pos_embed_grid are the model's.
 struct VggtPatchEmbedOptions : OptionsGroup {
   Dinov2Sizes sizes;
   VggtPatchEmbedOptions() { sizes.depth = 24; }
@@ -56,16 +56,16 @@ struct VggtBackboneOptions : BackboneArchitecture {
   Dinov2Sizes patch_embed_sizes() const;
 };
 
-// The aggregator of VGGT (Wang et al. 2025): patch tokens of DINOv2 with registers, in front of them a learned camera token
-// and register tokens, of which the first view has its own and all others share another; then pairs of a block within a
-// view and a block over all views. Block norms have epsilon 1e-5, queries and keys are normalised and turn with the token's
-// row and column + 1, in both kinds of blocks; leading tokens have position 0. A level is [output of the pair's frame block |
-// output of its global block], raw, leading tokens first; the second half alone is the state that the next pair starts
-// from. Decoders take levels raw: VGGT's heads have norms of their own.
+// The aggregator of VGGT (Wang et al. 2025): patch tokens of DINOv2 with registers, in front of them a learned camera
+// token and register tokens, of which the first view has its own and all others share another; then pairs of a block
+// within a view and a block over all views. Block norms have epsilon 1e-5, queries and keys are normalised and turn
+// with the token's row and column + 1, in both kinds of blocks; leading tokens have position 0. A level is [output of
+// the pair's frame block | output of its global block], raw, leading tokens first; the second half alone is the state
+// that the next pair starts from. Decoders take levels raw: VGGT's heads have norms of their own.
 //
-// New views get their leading tokens from the first source view, as DA3's do, encoded beside itself: the first view's own
-// tokens for the first view, and those that its copy got as a second view for all others. Only so do new views get tokens of
-// the kind that views behind the first have; the published code leaves those of its last encoder call.
+// New views get their leading tokens from the first source view, as DA3's do, encoded beside itself: the first view's
+// own tokens for the first view, and those that its copy got as a second view for all others. Only so do new views get
+// tokens of the kind that views behind the first have; the published code leaves those of its last encoder call.
 class VggtBackbone : public Backbone {
  public:
   VggtBackbone(const VggtBackboneOptions& options, const ParameterPlacement& placement);
@@ -82,7 +82,8 @@ class VggtBackbone : public Backbone {
   void initialise(const torch::Generator& generator) override;
 
  private:
-  // Pairs first_pair up to that of last_level, on (views, leading + patch tokens, embed_dim). Every level that is reached.
+  // Pairs first_pair up to that of last_level, on (views, leading + patch tokens, embed_dim). Every level that is
+  // reached.
   std::vector<torch::Tensor> run_pairs(torch::Tensor tokens, int64_t first_pair, int64_t last_level,
                                        const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   // (1, 2, n, embed_dim) -> (views, n, embed_dim)

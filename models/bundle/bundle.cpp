@@ -48,6 +48,18 @@ std::filesystem::path found_bundle(const std::filesystem::path& folder) {
   return folder;
 }
 
+// What fields say of each other is told without a file; here it is one.
+void check_description(const BundleOptions& options, const std::filesystem::path& yaml) {
+  try {
+    check_options(options, yaml.string());
+  } catch (const Error& error) {
+    ErrorParts parts = error.parts();
+    if (parts.where.compare(0, yaml.string().size(), yaml.string()) == 0) throw;
+    parts.where = yaml.string() + ", " + parts.where;
+    fail(parts);
+  }
+}
+
 }  // namespace
 
 std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
@@ -108,13 +120,15 @@ ModelBundle ModelBundle::open(const std::filesystem::path& asked) {
   const auto yaml = folder / kOptionsFile;
   if (!std::filesystem::is_regular_file(yaml)) {
     fail({folder.string(), "a model bundle, a folder with " + kOptionsFile,
-          std::filesystem::is_directory(folder) ? "a folder without it" : "no such folder",
+          std::filesystem::is_directory(folder) ? "a folder without it"
+          : std::filesystem::exists(folder)     ? "a file; name its folder"
+                                                : "no such folder",
           "make one with gld convert or gld train, or check the path"});
   }
   ModelBundle bundle;
   bundle.folder_ = folder;
   load_yaml(bundle.options_, yaml);
-  check_options(bundle.options_, yaml.string());
+  check_description(bundle.options_, yaml);
   return bundle;
 }
 
@@ -203,7 +217,7 @@ std::string ModelBundle::content_hash() const {
 }
 
 void save_bundle_options(const std::filesystem::path& folder, const BundleOptions& options) {
-  check_options(options, (folder / kOptionsFile).string());
+  check_description(options, folder / kOptionsFile);
   const std::string text = to_yaml(options);
   const auto yaml = folder / kOptionsFile;
   std::error_code problem;

@@ -17,8 +17,8 @@
 
 namespace gld {
 
-// A file of a model bundle beside model.yaml. Each holds one module's tensors, under the module's own names, or a level's
-// statistics.
+// A file of a model bundle beside model.yaml. Each holds one module's tensors, under the module's own names, or a
+// level's statistics.
 struct BundlePart {
   enum class Kind { kBackbone, kDptHead, kRgbDecoder, kGenerator, kStatistics, kSpecialStatistics };
   Kind kind = Kind::kBackbone;

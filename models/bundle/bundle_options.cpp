@@ -1,8 +1,6 @@
 #include "models/bundle/bundle_options.h"
 
 #include "gld/base/error.h"
-#include "models/backbones/vggt_backbone.h"
-#include "models/decoders/vggt_heads.h"
 
 #include <algorithm>
 #include <charconv>
@@ -51,7 +49,9 @@ ImageSize image_size_from_text(const std::string& text, const std::string& where
   const char* end = position + text.size();
   const bool good = read_side(position, end, size.width) && position != end && *position++ == 'x' &&
                     read_side(position, end, size.height) && position == end;
-  if (!good) fail({where, "WIDTHxHEIGHT in pixels", "'" + text + "'", "write for example 504x280"});
+  if (!good)
+    fail({where, fmt::format("WIDTHxHEIGHT in pixels, sides from 1 to {}", kLargestSide), "'" + text + "'",
+          "write for example 504x280"});
   return size;
 }
 
@@ -201,40 +201,6 @@ std::vector<ImageSize> BundleOptions::image_sizes() const {
   return sizes;
 }
 
-BundleOptions released_da3_options() {
-  BundleOptions options;
-  options.name = "GLD DA3-Base, released";
-  options.rgb_decoder.hidden_size = 1152;
-  options.rgb_decoder.num_layers = 28;
-  options.rgb_decoder.num_heads = 16;
-  options.rgb_decoder.intermediate_size = 4096;
-  DitOptions& released_cascade = options.generator(cascade(1, 0)).dit;
-  released_cascade.split_embedders = false;
-  released_cascade.prope_image_size = "504";
-  released_cascade.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
-  for (auto& part : options.generators) apply_published_conventions(part.dit);
-  return options;
-}
-
-BundleOptions released_vggt_options() {
-  BundleOptions options;
-  options.name = "GLD VGGT-1B, released";
-  options.backbone = VggtBackboneOptions();
-  options.dpt_head = VggtHeadsOptions();
-  const int64_t channels = options.backbone.level_channels();
-  options.rgb_decoder.in_channels = options.backbone.levels() * channels;
-  options.rgb_decoder.hidden_size = 1152;
-  options.rgb_decoder.num_layers = 28;
-  options.rgb_decoder.num_heads = 16;
-  options.rgb_decoder.intermediate_size = 4096;
-  for (auto& part : options.generators) {
-    part.dit.in_channels = channels;
-    part.dit.num_special_tokens = options.backbone.leading_tokens();
-    apply_published_conventions(part.dit);
-  }
-  return options;
-}
-
 BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone) {
   BundleOptions options;
   options.name = name;
@@ -256,6 +222,7 @@ BundleOptions single_level_options(const std::string& name, const BackboneOption
   for (auto& part : options.generators) {
     part.dit.in_channels = channels;
     part.dit.camera_patch_size = side;
+    part.time_shift.training = part.time_shift.evaluation = 0;
   }
   return options;
 }

@@ -19,8 +19,8 @@ namespace gld {
 ImageSize image_size_from_text(const std::string& text, const std::string& where);
 
 // s of t' = s t / (1 + (s - 1) t), which training draws with and sampling runs with (DESIGN.md section 4, "Flow").
-// Defaults are those of the released checkpoints; 0 is the paper's rule, from the shape of each latent (time_shift_of in
-// gld/flow/flow.h), for new models.
+// Defaults are those of the released checkpoints; 0 is the paper's rule, from the shape of each latent (time_shift_of
+// in gld/flow/flow.h), for new models.
 struct TimeShiftOptions : OptionsGroup {
   double training = 19.60;
   double evaluation = 31.18;
@@ -35,9 +35,9 @@ struct GeneratorOptions {
   TimeShiftOptions time_shift;
 };
 
-// Everything about a model that its weights cannot tell: model.yaml of a bundle. `generated` lists the generators, and each
-// has groups of its own there: its name (generator_name), and <name>_time_shift. A model.yaml without `generated` is the
-// published set, [1, 1->0].
+// Everything about a model that its weights cannot tell: model.yaml of a bundle. `generated` lists the generators, and
+// each has groups of its own there: its name (generator_name), and <name>_time_shift. A model.yaml without `generated`
+// is the published set, [1, 1->0].
 struct BundleOptions : OptionsGroup {
   std::string name = "unnamed";
   BackboneOptions backbone;
@@ -49,10 +49,11 @@ struct BundleOptions : OptionsGroup {
   double latent_epsilon = 1e-5;              // added to the variance of latent statistics
   std::vector<std::string> trained_sizes = {"504x504", "504x378", "504x336", "504x280"};
 
-  // A new DA3-Base model as in the paper.
+  // DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
   BundleOptions();
   void visit(FieldVisitor& visitor) override;
-  // The parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that are whole patches.
+  // The parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that are whole
+  // patches.
   void check() const override;
   std::vector<ImageSize> image_sizes() const;
 
@@ -68,13 +69,8 @@ struct BundleOptions : OptionsGroup {
   bool has_rgb_decoder() const { return !backbone.architecture().decodes_images(); }
 };
 
-// What the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published
-// conventions of cameras.
-BundleOptions released_da3_options();
-// The same for the released VGGT checkpoints: 5 special tokens generated with the
-// patches (num_special_tokens: 0 leaves them to propagation, as the paper's final experiments do).
-BundleOptions released_vggt_options();
-// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder.
+// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder. Its
+// time shift is the paper's.
 BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone);
 
 }  // namespace gld

@@ -6,13 +6,12 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/tensors/weight_tensors.h"
-#include "models/backbones/dinov2_backbone.h"
 #include "models/bundle/published_backbones.h"
-#include "models/decoders/vggt_heads.h"
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>
 #include <map>
+#include <set>
 #include <utility>
 #include <vector>
 
@@ -37,6 +36,7 @@ struct Source {
   std::string file;
   std::vector<SourcePart> parts;
   std::vector<IgnoredName> ignored;
+  std::string network = {};  // "M1", where it is none of the backbones
 };
 
 std::string checkpoint_prefix(CheckpointWeights weights) {
@@ -65,24 +65,34 @@ std::vector<IgnoredName> ignored_in_checkpoint(CheckpointWeights weights) {
   return ignored;
 }
 
-std::vector<std::pair<std::string, std::string>> backbone_files(const ConversionOptions& options) {
-  return {{"da3", options.da3},
-          {"vggt", options.vggt},
-          {"dinov2", options.dinov2},
-          {"autoencoder_kl", options.autoencoder_kl},
-          {"tiny_autoencoder_encoder", options.tiny_autoencoder_encoder},
-          {"tiny_autoencoder_decoder", options.tiny_autoencoder_decoder}};
+// A file of a backbone that was given.
+struct BackboneFile {
+  const PublishedBackbone& published;
+  std::string path;
+};
+
+// In the table's order.
+std::vector<BackboneFile> backbone_files(const ConversionOptions& options) {
+  std::vector<BackboneFile> files;
+  for (const auto& published : published_backbones()) {
+    const auto found = options.backbones.find(published.option);
+    if (found != options.backbones.end() && !found->second.empty())
+      files.push_back({published, found->second});
+  }
+  return files;
 }
 
 std::vector<Source> sources_of(const ConversionOptions& options, const BundleOptions& bundle) {
   const std::string prefix = checkpoint_prefix(options.weights);
   const auto ignored = ignored_in_checkpoint(options.weights);
   std::vector<Source> sources;
-  for (const auto& [option, file] : backbone_files(options)) {
-    const auto& published = published_backbone(option);
-    if (file.empty() || !published.with_head) continue;
+  for (const auto& [published, file] : backbone_files(options)) {
+    if (!published.with_head) continue;
     const auto& backbone_prefix = bundle.backbone.architecture().published_prefix();
     Source source = {file, {{BundlePart::backbone(), backbone_prefix, {}}}, published.ignored};
+    if (published.left_out) {
+      for (auto& name : published.left_out(bundle)) source.ignored.push_back(std::move(name));
+    }
     SourcePart head = {BundlePart::dpt_head(), bundle.dpt_head.architecture().published_prefix(), {}};
     if (head.prefix.empty()) head.ignored = {{backbone_prefix + "*", "the backbone, a part of its own"}};
     if (bundle.dpt_head.exists()) source.parts.push_back(head);
@@ -91,13 +101,15 @@ std::vector<Source> sources_of(const ConversionOptions& options, const BundleOpt
   if (!options.rgb_decoder.empty()) {
     auto unused = ignored;
     unused.push_back({prefix + "encoder.*", "the frozen backbone, which comes from the DA3 file"});
-    sources.push_back(
-        {options.rgb_decoder, {{BundlePart::rgb_decoder(), prefix + RgbDecoder::kPrefix, {}}}, unused});
+    sources.push_back({options.rgb_decoder,
+                       {{BundlePart::rgb_decoder(), prefix + RgbDecoder::kPrefix, {}}},
+                       unused,
+                       "an RGB decoder"});
   }
   if (!options.level1.empty())
-    sources.push_back({options.level1, {{BundlePart::of(level_model(1)), prefix, {}}}, ignored});
+    sources.push_back({options.level1, {{BundlePart::of(level_model(1)), prefix, {}}}, ignored, "M1"});
   if (!options.cascade.empty())
-    sources.push_back({options.cascade, {{BundlePart::of(cascade(1, 0)), prefix, {}}}, ignored});
+    sources.push_back({options.cascade, {{BundlePart::of(cascade(1, 0)), prefix, {}}}, ignored, "a cascade"});
   const std::vector<IgnoredName> derived = {{"std", "the square root of var"}};
   const auto statistics = [&](const std::string& file, const BundlePart& part) {
     if (!file.empty()) sources.push_back({file, {{part, "", {}}}, derived});
@@ -253,27 +265,26 @@ ordered_json convert_tensors(const BundlePart& part, const std::map<std::string,
           {"bytes", std::filesystem::file_size(ModelBundle::open(options.out).file(part))}};
 }
 
-// Backbones without a head: the names of their files may be others than the module's, and two files may hold one half each.
+// Backbones without a head: the names of their files may be others than the module's, and two files may hold one half
+// each.
 void convert_renamed_backbone(const ConversionOptions& options, const BundleOptions& bundle,
                               ordered_json& report) {
   const auto module = make_bundle_module(BundlePart::backbone(), bundle, on_meta());
   const auto shapes = named_tensors(*module);
   std::map<std::string, torch::Tensor> tensors;
   std::string where;
-  for (const auto& [option, path] : backbone_files(options)) {
-    const auto& published = published_backbone(option);
-    if (path.empty() || published.with_head) continue;
+  for (const auto& [published, path] : backbone_files(options)) {
+    if (published.with_head) continue;
     where += (where.empty() ? "" : " and ") + path;
     const auto file = WeightFile::open(path);
     std::map<std::string, int64_t> ignored;
     for (const auto& entry : file->entries()) {
-      if (const auto* reason = ignored_name(published.ignored, entry.name)) {
+      std::string name = inner_name(published, entry.name);
+      const auto* reason = ignored_name(published.ignored, entry.name);
+      if (reason == nullptr) reason = ignored_name(published.ignored, name);
+      if (reason != nullptr) {
         ++ignored[reason->name];
         continue;
-      }
-      std::string name = entry.name;
-      for (const auto& prefix : published.outer_prefixes) {
-        if (name.compare(0, prefix.size(), prefix) == 0) name.erase(0, prefix.size());
       }
       name = published.module_prefix + (published.renamed ? published.renamed(name, bundle) : name);
       auto tensor = converted(*file, entry, stored_dtype(options.precision));
@@ -295,11 +306,16 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
   report["parts"]["backbone"] = convert_tensors(BundlePart::backbone(), tensors, where, options, bundle);
 }
 
-// GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the published
-// head's; the others stay.
+// GLD's dpt_decoder.pt holds, under model.decoder. and model.pred., tensors of a DA3 head that take the place of the
+// published head's; the others stay.
 void replace_head(const ConversionOptions& options, const BundleOptions& bundle, ordered_json& report) {
   const auto file = WeightFile::open(options.dpt_decoder);
   const auto there = ModelBundle::open(options.out);
+  if (const auto kind = bundle.dpt_head.architecture().kind(); kind != DptHeadOptions().kind()) {
+    fail({options.dpt_decoder, "a model with DA3's head, of which it replaces tensors",
+          bundle.dpt_head.exists() ? "one with a head of type " + kind : "one without a geometry head",
+          "choose another --out or --description"});
+  }
   std::map<std::string, torch::Tensor> tensors;
   if (there.has(BundlePart::dpt_head())) {
     const auto head = WeightFile::open(there.file(BundlePart::dpt_head()));
@@ -329,52 +345,27 @@ BundleOptions described_bundle(const ConversionOptions& options) {
     load_yaml(bundle, options.description);
     return bundle;
   }
+  const auto files = backbone_files(options);
   if (std::filesystem::exists(std::filesystem::path(options.out) / "model.yaml")) {
     return ModelBundle::open(options.out).options();
   }
-  for (const auto& [option, file] : backbone_files(options)) {
-    if (!file.empty()) return published_backbone(option).options();
-  }
+  if (!files.empty()) return files.front().published.options();
   return released_da3_options();
 }
 
 void check_backbone_files(const ConversionOptions& options, const BundleOptions& bundle) {
-  for (const auto& [option, path] : backbone_files(options)) {
-    if (path.empty()) continue;
-    const auto& published = published_backbone(option);
+  for (const auto& [published, path] : backbone_files(options)) {
     if (bundle.backbone.architecture().kind() != published.kind) {
       fail({path, "weights of the model's backbone, of kind " + bundle.backbone.architecture().kind(),
             "weights of " + published.name, "choose another --out or --description"});
     }
-    const auto file = WeightFile::open(path);
-    const auto has = [&](const std::string& beginning) {
-      return std::any_of(file->entries().begin(), file->entries().end(), [&](const TensorEntry& entry) {
-        return entry.name.compare(0, beginning.size(), beginning) == 0;
-      });
-    };
-    if (option == "vggt" && bundle.dpt_head.architecture().kind() == option) {
-      const auto& heads = bundle.dpt_head.as<VggtHeadsOptions>();
-      for (const auto& [head, wanted] : std::vector<std::pair<std::string, bool>>{
-               {"depth_head", true}, {"point_head", heads.point_head}, {"camera_head", heads.camera_head}}) {
-        if (!wanted || has(head + ".")) continue;
-        fail({path, "VGGT's " + head + ", tensors " + head + ".*", "none",
-              "get the whole file, or say in --description what the model has (dpt_head." + head + ")"});
-      }
-    }
-    if (option == "dinov2" && bundle.backbone.as<Dinov2Options>().sizes.num_register_tokens > 0 &&
-        !has("register_tokens")) {
-      fail({path, "DINOv2 with registers, a tensor register_tokens", "none",
-            "give a model with registers, or say num_register_tokens: 0, antialias: false and "
-            "interpolate_offset: 0.1 in --description"});
-    }
+    if (published.require_whole) published.require_whole(*WeightFile::open(path), bundle);
   }
 }
 
 bool gives_anything(const ConversionOptions& options) {
-  const auto files = backbone_files(options);
-  const bool backbone =
-      std::any_of(files.begin(), files.end(), [](const auto& file) { return !file.second.empty(); });
-  return backbone || !options.dpt_decoder.empty() || !sources_of(options, BundleOptions()).empty();
+  return !backbone_files(options).empty() || !options.dpt_decoder.empty() ||
+         !sources_of(options, BundleOptions()).empty();
 }
 
 // Parts are added to a bundle one after the other, but none is taken away without a word.
@@ -385,54 +376,33 @@ void refuse_part_that_is_there(const ConversionOptions& options, const BundlePar
         "choose another --out, or add --overwrite to replace it"});
 }
 
-}  // namespace
-
-void ConversionOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"da3", "DA3-Base safetensors: gives the backbone and the DPT head"}, da3);
-  visitor.text({"vggt", "VGGT-1B safetensors or .pt: gives the backbone and its heads"}, vggt);
-  visitor.text({"dinov2", "DINOv2's .pth, with or without registers: gives the backbone"}, dinov2);
-  visitor.text({"autoencoder_kl", "autoencoder of Stable Diffusion or SDXL, diffusers' or original names"},
-               autoencoder_kl);
-  visitor.text({"tiny_autoencoder_encoder", "encoder of a tiny autoencoder, taef2_encoder.pth"},
-               tiny_autoencoder_encoder);
-  visitor.text({"tiny_autoencoder_decoder", "its decoder, taef2_decoder.pth"}, tiny_autoencoder_decoder);
-  visitor.text({"dpt_decoder", "GLD's dpt_decoder.pt: replaces tensors of the DA3 head"}, dpt_decoder);
-  visitor.text({"rgb_decoder", "GLD's .pt file of the RGB decoder"}, rgb_decoder);
-  visitor.text({"level1", "GLD's .pt file of M1"}, level1);
-  visitor.text({"cascade", "GLD's .pt file of the cascade"}, cascade);
-  visitor.text({"statistics_level0", ".pt file with mean and var of level 0"}, statistics_level0);
-  visitor.text({"statistics_level1", ".pt file with mean and var of level 1"}, statistics_level1);
-  visitor.text({"special_statistics_level0", "the same of special tokens"}, special_statistics_level0);
-  visitor.text({"special_statistics_level1", "the same of special tokens"}, special_statistics_level1);
-  visitor.text({"description", "model.yaml that describes the weights; empty: the released DA3-Base model"},
-               description);
-  visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
-               weights, {"ema", "model", "plain"});
-  visit_choice(visitor, {"precision", "how floating-point weights are stored"}, precision,
-               {"fp32", "fp16", "bf16"});
-  visit_out(visitor, out, overwrite);
-}
-
-void ConversionOptions::check() const {
-  check_out(out, "models/gld");
-  if (!gives_anything(*this)) {
-    fail({"gld convert", "at least one file to convert", "none",
-          "give --da3, --level1, ... (see gld convert --help)"});
+// Files that a conversion makes in its folder: taken away again where it fails, so that the corrected command finds
+// what the mistaken one found.
+class MadeFiles {
+ public:
+  explicit MadeFiles(std::filesystem::path folder) : folder_(std::move(folder)) {
+    std::error_code none;
+    folder_was_there_ = std::filesystem::exists(folder_, none);
+    for (const auto& file : std::filesystem::directory_iterator(folder_, none)) before_.insert(file.path());
   }
-}
+  void remove() const {
+    std::error_code ignored;
+    std::vector<std::filesystem::path> made;
+    for (const auto& file : std::filesystem::directory_iterator(folder_, ignored)) {
+      if (before_.count(file.path()) == 0 && file.is_regular_file(ignored)) made.push_back(file.path());
+    }
+    for (const auto& file : made) std::filesystem::remove(file, ignored);
+    if (!folder_was_there_) std::filesystem::remove(folder_, ignored);  // only when it is empty
+  }
 
-ordered_json convert(const ConversionOptions& options) {
-  for (const auto& [option, file] : backbone_files(options)) {
-    if (!file.empty()) require_published(*WeightFile::open(file), option);
-  }
-  const BundleOptions bundle = described_bundle(options);
-  check_backbone_files(options, bundle);
-  const auto sources = sources_of(options, bundle);
-  // Everything that can be told beforehand, so that a mistake leaves nothing behind.
-  for (const auto& source : sources) {
-    WeightFile::open(source.file);
-    for (const auto& part : source.parts) refuse_part_that_is_there(options, part.part);
-  }
+ private:
+  std::filesystem::path folder_;
+  bool folder_was_there_ = false;
+  std::set<std::filesystem::path> before_;
+};
+
+ordered_json convert_files(const ConversionOptions& options, const BundleOptions& bundle,
+                           const std::vector<Source>& sources) {
   save_bundle_options(options.out, bundle);
   ordered_json report = {
       {"bundle", options.out}, {"parts", ordered_json::object()}, {"ignored", ordered_json::array()}};
@@ -452,6 +422,61 @@ ordered_json convert(const ConversionOptions& options) {
   }
   write_file_atomically(std::filesystem::path(options.out) / kReportFile, json_text(report, 2) + "\n");
   return report;
+}
+
+}  // namespace
+
+void ConversionOptions::visit(FieldVisitor& visitor) {
+  for (const auto& published : published_backbones()) {
+    visitor.text({published.option, published.help}, backbones[published.option]);
+  }
+  visitor.text({"dpt_decoder", "GLD's dpt_decoder.pt: replaces tensors of the DA3 head"}, dpt_decoder);
+  visitor.text({"rgb_decoder", "GLD's .pt file of the RGB decoder"}, rgb_decoder);
+  visitor.text({"level1", "GLD's .pt file of M1"}, level1);
+  visitor.text({"cascade", "GLD's .pt file of the cascade"}, cascade);
+  visitor.text({"statistics_level0", ".pt file with mean and var of level 0"}, statistics_level0);
+  visitor.text({"statistics_level1", ".pt file with mean and var of level 1"}, statistics_level1);
+  visitor.text({"special_statistics_level0", "the same of special tokens"}, special_statistics_level0);
+  visitor.text({"special_statistics_level1", "the same of special tokens"}, special_statistics_level1);
+  visitor.text(
+      {"description",
+       "model.yaml that describes the weights; empty: that of --out, or the published model of the backbone"},
+      description);
+  visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
+               weights, {"ema", "model", "plain"});
+  visit_choice(visitor, {"precision", "how floating-point weights are stored"}, precision,
+               {"fp32", "fp16", "bf16"});
+  visit_out(visitor, out, overwrite);
+}
+
+void ConversionOptions::check() const {
+  check_out(out, "models/gld");
+  if (!gives_anything(*this)) {
+    fail({"gld convert", "at least one file to convert", "none",
+          "give --da3, --level1, ... (see gld convert --help)"});
+  }
+}
+
+ordered_json convert(const ConversionOptions& options) {
+  for (const auto& [published, path] : backbone_files(options)) {
+    require_published(*WeightFile::open(path), published.option);
+  }
+  const BundleOptions bundle = described_bundle(options);
+  check_backbone_files(options, bundle);
+  const auto sources = sources_of(options, bundle);
+  // Everything that can be told beforehand, so that a mistake leaves nothing behind.
+  for (const auto& source : sources) {
+    const auto file = WeightFile::open(source.file);
+    if (!source.network.empty()) require_no_backbone(*file, source.network);
+    for (const auto& part : source.parts) refuse_part_that_is_there(options, part.part);
+  }
+  const MadeFiles made(options.out);
+  try {
+    return convert_files(options, bundle, sources);
+  } catch (const Error&) {
+    made.remove();
+    throw;
+  }
 }
 
 std::string conversion_text(const ordered_json& report) {

@@ -4,6 +4,7 @@
 #include "models/bundle/bundle.h"
 
 #include <filesystem>
+#include <map>
 #include <string>
 
 #include <nlohmann/json.hpp>
@@ -19,13 +20,8 @@ enum class StoredPrecision { kFloat32, kFloat16, kBFloat16 };
 // gld convert: the published files into a model bundle. Parts whose file is not given are left out and can be added
 // later by converting again into the same folder.
 struct ConversionOptions : OptionsGroup {
-  // Files of backbones, one a family; published_backbones.h says what each holds.
-  std::string da3;   // backbone and geometry head
-  std::string vggt;  // the same
-  std::string dinov2;
-  std::string autoencoder_kl;
-  std::string tiny_autoencoder_encoder;
-  std::string tiny_autoencoder_decoder;
+  // Files of backbones by their options in published_backbones.h, which says what each holds: {"vggt", "model.pt"}.
+  std::map<std::string, std::string> backbones;
   std::string dpt_decoder;        // GLD .pt of a DA3 head that takes the place of the backbone's own
   std::string rgb_decoder;        // GLD .pt
   std::string level1;             // GLD .pt of M1
@@ -34,8 +30,8 @@ struct ConversionOptions : OptionsGroup {
   std::string statistics_level1;
   std::string special_statistics_level0;  // the same of special tokens
   std::string special_statistics_level1;
-  // model.yaml of the weights; empty for that of the bundle that is there already, the released model of the backbone that
-  // is given, or the released DA3-Base model.
+  // model.yaml of the weights; empty for that of the bundle that is there already, the released model of the backbone
+  // that is given, or the released DA3-Base model.
   std::string description;
   CheckpointWeights weights = CheckpointWeights::kEma;
   StoredPrecision precision = StoredPrecision::kFloat32;

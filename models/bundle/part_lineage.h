@@ -7,20 +7,20 @@
 
 namespace gld {
 
-// A part belongs to the parts that it was trained on: M1 of another backbone samples noise. So each carries, in the metadata
-// of its file, the SHA-256 of their files ("gld:trained_on", JSON by part name).
+// A part belongs to the parts that it was trained on: M1 of another backbone samples noise. So each carries, in the
+// metadata of its file, the SHA-256 of their files ("gld:trained_on", JSON by part name).
 
 // What that part is trained on: the backbone, and for generators the statistics that their latents are normalised with.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
-// Writes into the part's file what its bundle has of those parts now. For each part right after it was made, and for parts
-// that were made together in the order of bundle_parts().
+// Writes into the part's file what its bundle has of those parts now. For each part right after it was made, and for
+// parts that were made together in the order of bundle_parts().
 void note_trained_on(const ModelBundle& bundle, const BundlePart& part);
 
-// Throws Error naming the part that must be trained again where one of `parts` was trained on another file than the bundle has;
-// with allow_mixed that is a warning. Returns warnings, a sentence each: also for parts that do not say what they were trained on,
-// because a program of before wrote them. In a bundle of gld convert (it has a conversion.json) those are taken to belong
-// together.
+// Throws Error naming the part that must be trained again where one of `parts` was trained on another file than the
+// bundle has; with allow_mixed that is a warning. Returns warnings, a sentence each: also for parts that do not say
+// what they were trained on, because a program of before wrote them. In a bundle of gld convert (it has a
+// conversion.json) those are taken to belong together.
 std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vector<BundlePart>& parts,
                                      bool allow_mixed);
 

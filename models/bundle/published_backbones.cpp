@@ -4,6 +4,8 @@
 #include "models/backbones/autoencoder_kl.h"
 #include "models/backbones/dinov2_backbone.h"
 #include "models/backbones/tiny_autoencoder.h"
+#include "models/backbones/vggt_backbone.h"
+#include "models/decoders/vggt_heads.h"
 
 #include <algorithm>
 #include <regex>
@@ -16,10 +18,69 @@ bool starts_with(const std::string& text, const std::string& beginning) {
   return text.compare(0, beginning.size(), beginning) == 0;
 }
 
-bool has_signature(const WeightFile& file, const std::string& signature) {
+bool any_name(const WeightFile& file, const std::function<bool(const std::string&)>& matches) {
   const auto& entries = file.entries();
   return std::any_of(entries.begin(), entries.end(),
-                     [&](const TensorEntry& entry) { return starts_with(entry.name, signature); });
+                     [&](const TensorEntry& entry) { return matches(entry.name); });
+}
+
+bool has_signature(const WeightFile& file, const std::string& signature) {
+  return any_name(file, [&](const std::string& name) { return starts_with(name, signature); });
+}
+
+bool holds(const WeightFile& file, const PublishedBackbone& published) {
+  return any_name(file, [&](const std::string& name) {
+    return starts_with(inner_name(published, name), published.signature);
+  });
+}
+
+// What of the table a file holds; null for nothing of it.
+const PublishedBackbone* held_backbone(const WeightFile& file) {
+  const auto& table = published_backbones();
+  const auto found = std::find_if(table.begin(), table.end(),
+                                  [&](const PublishedBackbone& entry) { return holds(file, entry); });
+  return found == table.end() ? nullptr : &*found;
+}
+
+std::string flag_of(const PublishedBackbone& published) {
+  std::string flag = "--" + published.option;
+  std::replace(flag.begin(), flag.end(), '_', '-');
+  return flag;
+}
+
+constexpr const char* kNotInTheDescription = "a head that the model's description leaves out";
+
+std::vector<IgnoredName> vggt_heads_left_out(const BundleOptions& bundle) {
+  VggtHeadsOptions none;
+  none.point_head = none.camera_head = false;
+  const bool own = bundle.dpt_head.architecture().kind() == none.kind();
+  const auto& heads = own ? bundle.dpt_head.as<VggtHeadsOptions>() : none;
+  std::vector<IgnoredName> left_out;
+  if (!own) left_out.push_back({"depth_head.*", kNotInTheDescription});
+  if (!heads.point_head) left_out.push_back({"point_head.*", kNotInTheDescription});
+  if (!heads.camera_head) left_out.push_back({"camera_head.*", kNotInTheDescription});
+  return left_out;
+}
+
+void require_vggt_heads(const WeightFile& file, const BundleOptions& bundle) {
+  if (bundle.dpt_head.architecture().kind() != VggtHeadsOptions().kind()) return;
+  const auto& heads = bundle.dpt_head.as<VggtHeadsOptions>();
+  for (const auto& [head, wanted] : std::vector<std::pair<std::string, bool>>{
+           {"depth_head", true}, {"point_head", heads.point_head}, {"camera_head", heads.camera_head}}) {
+    if (!wanted || has_signature(file, head + ".")) continue;
+    fail({file.path().string(), "VGGT's " + head + ", tensors " + head + ".*", "none",
+          "get the whole file, or say in --description what the model has (" +
+              (head == "depth_head" ? "dpt_head: {type: none}" : "dpt_head." + head + ": false") + ")"});
+  }
+}
+
+void require_registers(const WeightFile& file, const BundleOptions& bundle) {
+  if (bundle.backbone.as<Dinov2Options>().sizes.num_register_tokens == 0 ||
+      has_signature(file, "register_tokens"))
+    return;
+  fail({file.path().string(), "DINOv2 with registers, a tensor register_tokens", "none",
+        "give a model with registers, or say num_register_tokens: 0, antialias: false and "
+        "interpolate_offset: 0.1 in --description"});
 }
 
 std::string autoencoder_name(const std::string& name, const BundleOptions& bundle) {
@@ -27,9 +88,10 @@ std::string autoencoder_name(const std::string& name, const BundleOptions& bundl
   return diffusers_autoencoder_name(name, static_cast<int64_t>(options.block_out_channels.size()));
 }
 
-PublishedBackbone tiny_half(const std::string& half, const std::string& signature) {
+PublishedBackbone tiny_half(const std::string& half, const std::string& signature, const std::string& help) {
   PublishedBackbone published;
   published.option = "tiny_autoencoder_" + half;
+  published.help = help;
   published.name = "the " + half + " of a tiny autoencoder";
   published.kind = "tiny_autoencoder";
   published.signature = signature;
@@ -44,6 +106,7 @@ std::vector<PublishedBackbone> make_table() {
   std::vector<PublishedBackbone> table;
   PublishedBackbone da3;
   da3.option = "da3";
+  da3.help = "DA3-Base safetensors: gives the backbone and the DPT head";
   da3.name = "DA3";
   da3.kind = "da3";
   da3.signature = "model.backbone.pretrained.";
@@ -55,45 +118,104 @@ std::vector<PublishedBackbone> make_table() {
 
   PublishedBackbone vggt;
   vggt.option = "vggt";
+  vggt.help = "VGGT-1B safetensors or .pt: gives the backbone and its heads";
   vggt.name = "VGGT";
   vggt.kind = "vggt";
   vggt.signature = "aggregator.";
   vggt.with_head = true;
   vggt.ignored = {{"track_head.*", "VGGT's head for point tracks, which GLD does not use"}};
   vggt.options = released_vggt_options;
+  vggt.left_out = vggt_heads_left_out;
+  vggt.require_whole = require_vggt_heads;
   table.push_back(std::move(vggt));
 
   PublishedBackbone dinov2;
   dinov2.option = "dinov2";
+  dinov2.help = "DINOv2's .pth, with or without registers: gives the backbone";
   dinov2.name = "DINOv2";
   dinov2.kind = "dinov2";
   dinov2.signature = "cls_token";
   dinov2.options = [] { return single_level_options("DINOv2-Base with registers", Dinov2Options()); };
+  dinov2.other_layouts = {{"embeddings.cls_token",
+                           "DINOv2 under Hugging Face's names, which are not read: give the original .pth"}};
+  dinov2.require_whole = require_registers;
   table.push_back(std::move(dinov2));
 
   PublishedBackbone autoencoder;
   autoencoder.option = "autoencoder_kl";
+  autoencoder.help = "autoencoder of Stable Diffusion, diffusers' or original names";
   autoencoder.name = "an AutoencoderKL";
   autoencoder.kind = "autoencoder_kl";
   autoencoder.signature = "quant_conv.";
-  autoencoder.outer_prefixes = {"first_stage_model."};
+  autoencoder.outer_prefixes = {"state_dict.", "first_stage_model."};
   autoencoder.ignored = {{"loss.*", "the losses it was trained with"},
                          {"model_ema*", "another copy of the weights"},
                          {"model.diffusion_model.*", "Stable Diffusion's own network"},
+                         {"denoiser.*", "SDXL's noise schedule"},
                          {"cond_stage_model.*", "Stable Diffusion's text encoder"},
-                         {"conditioner.*", "Stable Diffusion's text encoders"}};
+                         {"conditioner.*", "Stable Diffusion's text encoders"},
+                         {"optimizer*", "state of the optimiser"}};
+  for (const char* buffer : {"betas", "alphas_cumprod*", "sqrt_*", "log_one_minus_*", "posterior_*", "lvlb_*",
+                             "logvar", "scale_factor"}) {
+    autoencoder.ignored.push_back({buffer, "Stable Diffusion's noise schedule"});
+  }
   autoencoder.renamed = autoencoder_name;
   autoencoder.options = [] {
     return single_level_options("Stable Diffusion's autoencoder", AutoencoderKlOptions());
   };
+  // The same network and names, so that no file tells which of the two it is of.
+  PublishedBackbone sdxl = autoencoder;
   table.push_back(std::move(autoencoder));
+  sdxl.option = "sdxl_autoencoder";
+  sdxl.help = "autoencoder of SDXL, whose latents have another scale";
+  sdxl.name = "SDXL's AutoencoderKL";
+  sdxl.options = [] {
+    AutoencoderKlOptions of_sdxl;
+    of_sdxl.scaling_factor = 0.13025;
+    return single_level_options("SDXL's autoencoder", of_sdxl);
+  };
+  table.push_back(std::move(sdxl));
 
-  table.push_back(tiny_half("encoder", "1.conv.0."));
-  table.push_back(tiny_half("decoder", "19."));
+  table.push_back(tiny_half("encoder", "1.conv.0.", "encoder of a tiny autoencoder, taef2_encoder.pth"));
+  table.push_back(tiny_half("decoder", "19.", "its decoder, taef2_decoder.pth"));
   return table;
 }
 
 }  // namespace
+
+BundleOptions released_da3_options() {
+  BundleOptions options;
+  options.name = "GLD DA3-Base, released";
+  options.rgb_decoder.hidden_size = 1152;
+  options.rgb_decoder.num_layers = 28;
+  options.rgb_decoder.num_heads = 16;
+  options.rgb_decoder.intermediate_size = 4096;
+  DitOptions& released_cascade = options.generator(cascade(1, 0)).dit;
+  released_cascade.split_embedders = false;
+  released_cascade.prope_image_size = "504";
+  released_cascade.unconditional_intrinsics = UnconditionalIntrinsics::kKeep;
+  for (auto& part : options.generators) apply_published_conventions(part.dit);
+  return options;
+}
+
+BundleOptions released_vggt_options() {
+  BundleOptions options;
+  options.name = "GLD VGGT-1B, released";
+  options.backbone = VggtBackboneOptions();
+  options.dpt_head = VggtHeadsOptions();
+  const int64_t channels = options.backbone.level_channels();
+  options.rgb_decoder.in_channels = options.backbone.levels() * channels;
+  options.rgb_decoder.hidden_size = 1152;
+  options.rgb_decoder.num_layers = 28;
+  options.rgb_decoder.num_heads = 16;
+  options.rgb_decoder.intermediate_size = 4096;
+  for (auto& part : options.generators) {
+    part.dit.in_channels = channels;
+    part.dit.num_special_tokens = options.backbone.leading_tokens();
+    apply_published_conventions(part.dit);
+  }
+  return options;
+}
 
 const std::vector<PublishedBackbone>& published_backbones() {
   static const std::vector<PublishedBackbone> table = make_table();
@@ -108,25 +230,36 @@ const PublishedBackbone& published_backbone(const std::string& option) {
   return *found;
 }
 
+std::string inner_name(const PublishedBackbone& published, const std::string& name) {
+  std::string inner = name;
+  for (const auto& prefix : published.outer_prefixes) {
+    if (starts_with(inner, prefix)) inner.erase(0, prefix.size());
+  }
+  return inner;
+}
+
 void require_published(const WeightFile& file, const std::string& option) {
   const auto& wanted = published_backbone(option);
-  const auto matches = [&](const PublishedBackbone& entry) {
-    if (has_signature(file, entry.signature)) return true;
-    return std::any_of(
-        entry.outer_prefixes.begin(), entry.outer_prefixes.end(),
-        [&](const std::string& prefix) { return has_signature(file, prefix + entry.signature); });
-  };
-  if (matches(wanted)) return;
-  std::string flag, name = "weights of another model";
-  for (const auto& entry : published_backbones()) {
-    if (!matches(entry)) continue;
-    name = "weights of " + entry.name;
-    flag = entry.option;
-    break;
+  if (holds(file, wanted)) return;
+  const std::string expected = "weights of " + wanted.name;
+  for (const auto& [beginning, layout] : wanted.other_layouts) {
+    if (has_signature(file, beginning)) fail({file.path().string(), expected, layout, ""});
   }
-  std::replace(flag.begin(), flag.end(), '_', '-');
-  fail({file.path().string(), "weights of " + wanted.name, name,
-        flag.empty() ? "check that the file is the one meant" : "give it as --" + flag});
+  if (const auto* held = held_backbone(file)) {
+    fail({file.path().string(), expected, "weights of " + held->name, "give it as " + flag_of(*held)});
+  }
+  fail({file.path().string(), expected, "weights of another model", "check that the file is the one meant"});
+}
+
+void require_no_backbone(const WeightFile& file, const std::string& wanted) {
+  if (const auto* held = held_backbone(file)) {
+    fail({file.path().string(), "weights of " + wanted, "weights of " + held->name,
+          "give it as " + flag_of(*held)});
+  }
+  if (has_signature(file, "mean") && has_signature(file, "var")) {
+    fail({file.path().string(), "weights of " + wanted, "latent statistics",
+          "give it as --statistics-level0 or --statistics-level1"});
+  }
 }
 
 std::string diffusers_autoencoder_name(const std::string& name, int64_t stages) {

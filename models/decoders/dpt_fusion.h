@@ -11,7 +11,8 @@
 
 namespace gld {
 
-// What the unit's result is added to: x, or relu(x), which is what published code whose activations work in place adds it to.
+// What the unit's result is added to: x, or relu(x), which is what published code whose activations work in place adds
+// it to.
 enum class FusionResidual { kRaw, kRectified };
 
 // x + conv2(relu(conv1(relu(x)))), 3x3 convolutions; parameters "conv1", "conv2".

@@ -37,8 +37,8 @@ struct DptHeadOptions : GeometryHeadArchitecture, DptSizes {
 
 // Depth Anything 3's dual DPT head: one pyramid of the four levels, one decoder for depth and one for rays
 // (depth_anything_3/model/dualdpt.py of the published code). Parameters have the published names behind
-// kPrefix. Depth and confidences come from exponentials whose logits are clamped to +-DptTrunk::kLargestLogit, so they are
-// finite and depth is positive for any finite features.
+// kPrefix. Depth and confidences come from exponentials whose logits are clamped to +-DptTrunk::kLargestLogit, so they
+// are finite and depth is positive for any finite features.
 class DptHead : public GeometryHead {
  public:
   static constexpr const char* kPrefix = "model.head.";

@@ -29,9 +29,9 @@ struct DptSizes {
   void check() const;
 };
 
-// What the DPT heads of DA3 and VGGT have in common (Ranftl et al. 2021, section 3): a pyramid of maps of the four levels,
-// fused from coarse to fine, and a decoder of full size. It is registered on the head that owns it, under the published
-// names.
+// What the DPT heads of DA3 and VGGT have in common (Ranftl et al. 2021, section 3): a pyramid of maps of the four
+// levels, fused from coarse to fine, and a decoder of full size. It is registered on the head that owns it, under the
+// published names.
 class DptTrunk {
  public:
   // exp(+-80) is inside float32's normal range, with room for products with coordinates; no trained head

@@ -25,7 +25,8 @@ struct GeometryOutput {
   torch::Tensor
       rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/cameras/view_maps.h)
   torch::Tensor ray_confidence;  // (views, 8 grid height, 8 grid width), >= 1
-  // Of heads that predict points apart from depth and cameras, with depth; undefined of others. In the frame of the rays.
+  // Of heads that predict points apart from depth and cameras, with depth; undefined of others. In the frame of the
+  // rays.
   torch::Tensor points;            // (views, height, width, 3)
   torch::Tensor point_confidence;  // (views, height, width), >= 1
 };
@@ -33,8 +34,8 @@ struct GeometryOutput {
 struct GeometryInputs {
   // All decodable levels of the views whose maps are wanted: (views, tokens, channels) each, patch tokens only.
   std::vector<torch::Tensor> levels;
-  // The last level's leading tokens of all views of the scene, (views, leading tokens, channels) raw, of which the last ones
-  // are those of `levels`. Undefined for heads that take none.
+  // The last level's leading tokens of all views of the scene, (views, leading tokens, channels) raw, of which the last
+  // ones are those of `levels`. Undefined for heads that take none.
   torch::Tensor leading;
 };
 

@@ -10,8 +10,8 @@ namespace gld {
 // What makes images of the levels that decoders take: a trained RGB decoder, or an autoencoder's own half.
 class ImageDecoder : public torch::nn::Module {
  public:
-  // features: (views, tokens, channels), the decoded levels concatenated on channels -> images (views, 3, height, width), RGB
-  // in about [0, 1], not clamped.
+  // features: (views, tokens, channels), the decoded levels concatenated on channels -> images (views, 3, height,
+  // width), RGB in about [0, 1], not clamped.
   virtual torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const = 0;
 };
 

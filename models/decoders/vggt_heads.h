@@ -14,8 +14,8 @@
 
 namespace gld {
 
-// What a DPT head of VGGT predicts for each pixel, a confidence beside it: a depth, exp of its logit, or a point, of which
-// each coordinate is sign(y) (exp|y| - 1).
+// What a DPT head of VGGT predicts for each pixel, a confidence beside it: a depth, exp of its logit, or a point, of
+// which each coordinate is sign(y) (exp|y| - 1).
 enum class VggtDptOutput { kDepth, kPoints };
 
 // A DPT head of VGGT: DA3's depth half, except that the fusion's residuals are added to rectified maps, because the
@@ -54,8 +54,9 @@ struct VggtCameras {
   torch::Tensor camera_from_world() const;  // (views, 3, 4)
   // (views, 3, 3) in pixels of images of that size, the principal point in the middle.
   torch::Tensor intrinsics(int64_t height, int64_t width) const;
-  // (views, rows, columns, 6): direction K^-1 [u, v, 1] turned to the world, and the camera's centre, of rays through the
-  // middles of the cells that cover the image evenly. Finite for any finite encoding: fields of view are kept below pi.
+  // (views, rows, columns, 6): direction K^-1 [u, v, 1] turned to the world, and the camera's centre, of rays through
+  // the middles of the cells that cover the image evenly. Finite for any finite encoding: fields of view are kept below
+  // pi.
   torch::Tensor rays(int64_t rows, int64_t columns) const;
 };
 
@@ -99,8 +100,8 @@ struct VggtHeadsOptions : GeometryHeadArchitecture, DptSizes {
   Cost cost(const LatentGrid& grid, GeometryMaps maps) const override;
 };
 
-// VGGT's depth, point and camera heads. Rays are those of the camera head's cameras, equally sure (2) everywhere, so that
-// whatever takes DA3's rays takes these.
+// VGGT's depth, point and camera heads. Rays are those of the camera head's cameras, equally sure (2) everywhere, so
+// that whatever takes DA3's rays takes these.
 class VggtHeads : public GeometryHead {
  public:
   static constexpr double kRayConfidence = 2;

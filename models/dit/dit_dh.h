@@ -18,16 +18,16 @@
 namespace gld {
 
 // What the backward pass of training finds: every intermediate tensor, or only the outputs of attention and the input
-// of every second block, from which the rest is computed again (models/layers/activation_checkpoint.h; without the CPU kernels
-// the input of every block alone). The same gradients.
+// of every second block, from which the rest is computed again (models/layers/activation_checkpoint.h; without the CPU
+// kernels the input of every block alone). The same gradients.
 enum class ActivationStorage { kKeep, kRecompute };
 
-// DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of a scene. A condition encoder turns source
-// features, cameras and the noisy latent (or a deeper level) into one condition a token, which modulates a wide and
-// shallow velocity decoder. Parameters have the names of the published checkpoints.
+// DiT^DH (DESIGN.md section 4): the velocity of the joint latent of all views of a scene. A condition encoder turns
+// source features, cameras and the noisy latent (or a deeper level) into one condition a token, which modulates a wide
+// and shallow velocity decoder. Parameters have the names of the published checkpoints.
 //
-// An evaluation takes passes (DitPasses): scenes x branches of guidance. Views attend within their pass; all else is one
-// product over the tokens of all. One scene in one branch is the case of one.
+// An evaluation takes passes (DitPasses): scenes x branches of guidance. Views attend within their pass; all else is
+// one product over the tokens of all. One scene in one branch is the case of one.
 //
 // Latents are (views, tokens, channels), special tokens first. Every function records gradients unless the caller
 // holds a NoGradGuard.
@@ -51,14 +51,14 @@ class DitDh : public torch::nn::Module {
   DitNoisyTokens embed_noisy(const DitScene& scene, const torch::Tensor& noisy) const;
   // Of several scenes: noisy (scenes * views, tokens, channels).
   DitNoisyTokens embed_noisy(const DitPasses& passes, const torch::Tensor& noisy) const;
-  // The condition of every token before flow time and SiLU, (passes * views, tokens, encoder width). Tokens are those of
-  // each pass, or of one that all share (the branches of one scene).
+  // The condition of every token before flow time and SiLU, (passes * views, tokens, encoder width). Tokens are those
+  // of each pass, or of one that all share (the branches of one scene).
   torch::Tensor condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const;
   // What the last linear layer gets, (passes * views, tokens, decoder width), from the condition of each pass.
   torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
                                   const torch::Tensor& condition) const;
-  // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time, is
-  // where the velocity of a model that predicts the data starts from; branches mixed before need it once.
+  // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time,
+  // is where the velocity of a model that predicts the data starts from; branches mixed before need it once.
   torch::Tensor velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
                                        double time) const;
 

@@ -70,15 +70,15 @@ struct DitTimeRow {
       encoder_modulation;  // one a block of the condition encoder, (1 or views, 6 width)
 };
 
-// One of the passes that an evaluation computes together: a scene, in one branch of guidance, at its flow time. Scenes of
-// a training batch are passes, and so are the two branches of a sample.
+// One of the passes that an evaluation computes together: a scene, in one branch of guidance, at its flow time. Scenes
+// of a training batch are passes, and so are the two branches of a sample.
 struct DitPass {
   const DitScene* scene = nullptr;
   const DitTimeRow* time = nullptr;
   DitBranch branch = DitBranch::kConditional;
 };
-// Tensors of an evaluation hold the views of one pass after those of the other: (passes * views, tokens, channels). Every
-// pass has as many views, of as many tokens; sources, cameras, masks and times are its own. At least one.
+// Tensors of an evaluation hold the views of one pass after those of the other: (passes * views, tokens, channels).
+// Every pass has as many views, of as many tokens; sources, cameras, masks and times are its own. At least one.
 using DitPasses = std::vector<DitPass>;
 
 }  // namespace gld

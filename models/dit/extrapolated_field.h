@@ -11,8 +11,9 @@ namespace gld {
 
 // The last evaluation at which a branch's condition encoder ran, where it has not run yet.
 constexpr int64_t kNeverRun = -1;
-// Whether the condition encoder of a branch runs at this evaluation, counted from 0, or is extrapolated. Evaluations without
-// the branch count too: guidance may have left it out for a while, so that what it last knew is older than `every`.
+// Whether the condition encoder of a branch runs at this evaluation, counted from 0, or is extrapolated. Evaluations
+// without the branch count too: guidance may have left it out for a while, so that what it last knew is older than
+// `every`.
 bool extrapolated_encoder_runs_at(int64_t evaluation, int64_t last_run, int64_t every);
 
 // The velocity of a DiT^DH whose condition encoder runs at the first two evaluations and then at every `every`th. In

@@ -39,12 +39,14 @@ SourceLatents GeometricLatentSpace::encode_sources(const torch::Tensor& images,
   sources.grid = grid_of(images.size(0), images.size(2), images.size(3));
   sources.levels = backbone_->encode(images, wanted.deepest);
   if (!wanted.carried) return sources;
-  // With one source view the joint encoding is the view alone already.
+  // The encoding of all source views says it already.
   const bool alone =
-      images.size(0) == 1 && wanted.deepest >= boundary_ && backbone_->architecture().carried_rows() == 1;
-  sources.carried =
-      alone ? sources.levels[static_cast<size_t>(boundary_)].narrow(1, 0, leading_tokens()).contiguous()
-            : backbone_->carried_tokens(images.slice(0, 0, 1), boundary_);
+      wanted.deepest >= boundary_ && !backbone_->architecture().encodes_carried_tokens(images.size(0));
+  sources.carried = alone ? sources.levels[static_cast<size_t>(boundary_)]
+                                .slice(0, 0, 1)
+                                .narrow(1, 0, leading_tokens())
+                                .contiguous()
+                          : backbone_->carried_tokens(images.slice(0, 0, 1), boundary_);
   return sources;
 }
 

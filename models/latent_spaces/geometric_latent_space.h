@@ -7,8 +7,9 @@
 
 namespace gld {
 
-// The levels of a frozen backbone (docs/DESIGN.md section 4, "Propagation"): the boundary level goes through the remaining
-// blocks, which gives the levels behind it; backbones that propagate none have the deepest level as their boundary.
+// The levels of a frozen backbone (docs/DESIGN.md section 4, "Propagation"): the boundary level goes through the
+// remaining blocks, which gives the levels behind it; backbones that propagate none have the deepest level as their
+// boundary.
 class GeometricLatentSpace : public LatentSpace {
  public:
   // boundary: level that propagation starts from.

@@ -15,7 +15,8 @@ struct SourceLatents {
   LatentGrid grid;  // of the source views
   // Raw features of levels 0, 1, ..., (sources, leading + patch tokens, C).
   std::vector<torch::Tensor> levels;
-  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw (Backbone::carried_tokens).
+  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw
+  // (Backbone::carried_tokens).
   torch::Tensor carried;
 };
 
@@ -33,10 +34,10 @@ struct SourceEncoding {
   bool carried = true;  // whether views will be propagated
 };
 
-// What flow models generate and decoders get. The latent of a level is what is generated of it, normalised with the level's
-// statistics (gld/latents/level_statistics.h): its patch tokens, with the leading tokens in front of them where the model
-// generates those too. A pipeline, a trainer, statistics, the planner and the forecast ask this; none holds a level's
-// number.
+// What flow models generate and decoders get. The latent of a level is what is generated of it, normalised with the
+// level's statistics (gld/latents/level_statistics.h): its patch tokens, with the leading tokens in front of them where
+// the model generates those too. A pipeline, a trainer, statistics, the planner and the forecast ask this; none holds a
+// level's number.
 class LatentSpace {
  public:
   virtual ~LatentSpace() = default;

@@ -7,8 +7,8 @@
 
 namespace gld {
 
-// A part of a model that generates one level: M_l from noise and the source features, or a cascade m -> l, which is also
-// given the deeper level m. The published model is {M_1, cascade 1 -> 0}.
+// A part of a model that generates one level: M_l from noise and the source features, or a cascade m -> l, which is
+// also given the deeper level m. The published model is {M_1, cascade 1 -> 0}.
 struct LevelGenerator {
   int64_t level = 0;
   std::optional<int64_t> deeper;  // a cascade's
@@ -26,15 +26,16 @@ LevelGenerator cascade(int64_t deeper, int64_t level);
 std::string generator_text(const LevelGenerator& generator);
 // Error naming where otherwise.
 LevelGenerator generator_from_text(const std::string& text, const std::string& where);
-// Of its file, its options and the field of its time shift: "level1"; "cascade" for 1 -> 0, "cascade_2_to_1" for others.
+// Of its file, its options and the field of its time shift: "level1"; "cascade" for 1 -> 0, "cascade_2_to_1" for
+// others.
 std::string generator_name(const LevelGenerator& generator);
 // For people and reports: "M1"; "cascade" for 1 -> 0, "cascade 2->1" for others.
 std::string generator_stage(const LevelGenerator& generator);
 // The stream that the noise of a level is drawn from (gld/latents/noise.h).
 std::string level_noise_stream(int64_t level);
 
-// Which levels a model generates, and how the others come about: shallower ones than the boundary level must be generated
-// where decoders take them, deeper ones come by propagation from it.
+// Which levels a model generates, and how the others come about: shallower ones than the boundary level must be
+// generated where decoders take them, deeper ones come by propagation from it.
 struct LevelSet {
   std::vector<LevelGenerator> generators;  // in the order of sampling
   int64_t boundary = 1;
@@ -50,8 +51,8 @@ struct LevelSet {
   int64_t deepest_generated() const;
 };
 
-// Throws Error with the reason where the set cannot be sampled: no part generates the boundary level, a level is generated
-// twice or behind the boundary, a cascade comes before its deeper level, or a decoded level is not known.
+// Throws Error with the reason where the set cannot be sampled: no part generates the boundary level, a level is
+// generated twice or behind the boundary, a cascade comes before its deeper level, or a decoded level is not known.
 void check_level_set(const LevelSet& set);
 
 }  // namespace gld

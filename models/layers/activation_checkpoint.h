@@ -41,7 +41,8 @@ struct AttentionBlock {
 };
 // Blocks one after the other, each x = finish(x, attention(inputs(x, conditioning)), conditioning). Kept are the input
 // of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small. Where
-// the CPU kernels cannot take the inputs, every block's input is kept and all else is computed again. blocks: at least one.
+// the CPU kernels cannot take the inputs, every block's input is kept and all else is computed again. blocks: at least
+// one.
 torch::Tensor checkpointed(const std::vector<AttentionBlock>& blocks, const torch::Tensor& x);
 
 }  // namespace gld

@@ -22,8 +22,8 @@ ArchitectureKind<Architecture> architecture_kind(const std::string& name) {
   return {name, []() -> std::unique_ptr<Architecture> { return std::make_unique<Options>(); }};
 }
 
-// One of the registered families, and that family's fields. Architecture has kind() and copy(). Copies hold architectures of
-// their own.
+// One of the registered families, and that family's fields. Architecture has kind() and copy(). Copies hold
+// architectures of their own.
 template <class Architecture>
 class ChosenArchitecture : public OptionsGroup {
  public:

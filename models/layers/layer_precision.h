@@ -37,8 +37,8 @@ class PrecisionLayer {
   virtual void use_precision(const LayerPrecision& precision) = 0;
 };
 
-// All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once a
-// model: released weights cannot be packed again.
+// All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once
+// a model: released weights cannot be packed again.
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
 
 }  // namespace gld

@@ -17,9 +17,10 @@
 namespace gld {
 namespace {
 
-// Weights that were read in place are pages of a mapped file, which stay with the process as long as any tensor of the file does:
-// beside the packed weights they would double what a model takes. Pages of a file that nobody wrote to go, to come again
-// when they are read (MADV_PAGEOUT; a kernel before 5.4 keeps them). Memory of our own is left alone: it is given back anyway.
+// Weights that were read in place are pages of a mapped file, which stay with the process as long as any tensor of the
+// file does: beside the packed weights they would double what a model takes. Pages of a file that nobody wrote to go,
+// to come again when they are read (MADV_PAGEOUT; a kernel before 5.4 keeps them). Memory of our own is left alone: it
+// is given back anyway.
 void page_out(const torch::Tensor& tensor) {
 #ifdef MADV_PAGEOUT
   if (tensor.storage().data_ptr().get_deleter() == &give_block) return;

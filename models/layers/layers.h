@@ -11,7 +11,8 @@
 namespace gld {
 
 // Where and how parameters are allocated. On the meta device only names and shapes exist. Parameters are
-// UNINITIALISED after construction: load weights strictly (models/weights/weight_loading.h) or call an initialise function.
+// UNINITIALISED after construction: load weights strictly (models/weights/weight_loading.h) or call an initialise
+// function.
 struct ParameterPlacement {
   torch::Device device = torch::kCPU;
   torch::Dtype dtype = torch::kFloat32;
@@ -19,8 +20,8 @@ struct ParameterPlacement {
   torch::TensorOptions options() const { return torch::TensorOptions().device(device).dtype(dtype); }
 };
 
-// Whether a linear layer's weights are packed when its model is given a precision. Layers whose weights others read, and
-// those that stay float32 (models/layers/layer_precision.h), never are.
+// Whether a linear layer's weights are packed when its model is given a precision. Layers whose weights others read,
+// and those that stay float32 (models/layers/layer_precision.h), never are.
 enum class LinearPacking { kOnce, kNever };
 
 struct LinearSizes {

@@ -5,7 +5,8 @@
 namespace gld {
 
 // Floating point operations (a multiplication and an addition are two) and memory of one forward pass of a part
-// (docs/NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work is not.
+// (docs/NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work is
+// not.
 struct Cost {
   double linear_flop = 0;       // matrix products with weights
   double convolution_flop = 0;  // those that LibTorch runs as such

@@ -13,8 +13,8 @@ torch::Tensor sincos_positions(const LatentGrid& grid, int64_t channels, const t
 
 // How DINOv2 and what is built from it brings a learned table of positions to another grid, bicubically.
 struct PositionResizing {
-  // Published models differ: with an offset the sampling points are those of the scale (size + offset) / side, without one
-  // those of size / side.
+  // Published models differ: with an offset the sampling points are those of the scale (size + offset) / side, without
+  // one those of size / side.
   double offset = 0.1;
   bool antialias = false;
 };

@@ -38,8 +38,9 @@ struct LoadReport {
 // Sets every parameter and buffer of the module by name. A tensor that is missing, has another shape, cannot
 // be converted, or is left over and not listed as ignored is an Error naming it. Floating-point tensors take
 // the module's dtype; where it is the file's already, the parameter uses the file's memory
-// (gld/tensors/weight_tensors.h); of other tensors that memory is given back, and with it what a module that shares it has
-// written there: open the file again for another module. The module's dtype, device and requires_grad stay as they are.
+// (gld/tensors/weight_tensors.h); of other tensors that memory is given back, and with it what a module that shares it
+// has written there: open the file again for another module. The module's dtype, device and requires_grad stay as they
+// are.
 LoadReport load_strict(torch::nn::Module& module, const WeightFile& file,
                        const WeightSelection& selection = {});
 // The same from tensors in memory; `where` names them in errors. Parameters share them where no conversion is

@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <streambuf>
 #include <system_error>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -111,6 +112,22 @@ TEST_F(CommandLine, WrongUsageGetsOneSentence) {
             "write for example --set solver.evaluations=16.\n");
 }
 
+// What lacks more letters than it has is near to nothing, but begins a name.
+TEST_F(CommandLine, ABeginningSuggestsTheNameThatItBegins) {
+  for (const auto& [typed, meant] : {std::pair{"--fra", "--frame-count"},
+                                     {"--frame", "--frame-count"},
+                                     {"--js=1", "--json"},
+                                     {"--guid", "--guidance.scale"},
+                                     {"--no-j", "--no-json"}}) {
+    EXPECT_EQ(run({"paint", "x", typed}), 2);
+    EXPECT_THAT(error_text_, testing::HasSubstr(std::string("; did you mean ") + meant + "?\n")) << typed;
+  }
+  EXPECT_EQ(run({"paint", "x", "--f"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("; see gld paint --help.\n"));
+  EXPECT_EQ(run({"pa"}), 2);
+  EXPECT_EQ(error_text_, "error: gld: expected a command, found 'pa'; did you mean 'paint'?\n");
+}
+
 TEST_F(CommandLine, AFlagIsNamedAsItIsTypedAndItsValueIsText) {
   EXPECT_EQ(run({"paint", "x", "--scale", "#2"}), 2);
   EXPECT_EQ(error_text_, "error: --scale: expected a number, found '#2'; correct the value.\n");
@@ -177,6 +194,31 @@ TEST_F(CommandLine, OutputThatNobodyTookIsAFailure) {
   EXPECT_EQ(testing::internal::GetCapturedStderr(),
             "error: standard output: expected to take the result, found a write that failed; "
             "check the disk or the program behind the pipe.\n");
+}
+
+TEST_F(CommandLine, HelpThatNobodyTookIsAFailureToo) {
+  for (const char* asked : {"--help", "--version"}) {
+    RefusingBuffer refusing;
+    auto* const before = std::cout.rdbuf(&refusing);
+    testing::internal::CaptureStderr();
+    const int status = run_command_line({command_}, {asked});
+    std::cout.rdbuf(before);
+    std::cout.clear();
+    EXPECT_EQ(status, 1) << asked;
+    EXPECT_THAT(testing::internal::GetCapturedStderr(), testing::HasSubstr("found a write that failed"))
+        << asked;
+  }
+}
+
+// Which of two was meant cannot be known.
+TEST_F(CommandLine, AnOptionIsGivenOnce) {
+  EXPECT_EQ(run({"paint", "a.png", "--frame-count", "2", "--frame-count", "3"}), 2);
+  EXPECT_THAT(error_text_,
+              testing::HasSubstr("expected --frame-count once, found 2 times; leave out all but one."));
+  EXPECT_EQ(run({"paint", "a.png", "--set", "frame_count=2", "--set", "frame_count=3"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("expected --set frame_count once, found 2 times"));
+  EXPECT_EQ(run({"paint", "a.png", "--frame-count"}), 2);
+  EXPECT_THAT(error_text_, testing::HasSubstr("expected a value behind --frame-count, found none"));
 }
 
 TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {

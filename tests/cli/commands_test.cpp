@@ -4,6 +4,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "tests/support/data_folders.h"
+#include "train/stages/feature_stages.h"
 
 #include <algorithm>
 #include <filesystem>
@@ -44,8 +45,8 @@ std::vector<std::string> words_of(const Command& command) {
   return {command.name.substr(0, space), command.name.substr(space + 1)};
 }
 
-// The options of a run that is kept here, or of a model that was trained so, still mean what they say: a figure can be made anew
-// by the command and the file beside it.
+// The options of a run that is kept here, or of a model that was trained so, still mean what they say: a figure can be
+// made anew by the command and the file beside it.
 TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
   const auto runnable = runnable_commands();
   const std::string before = "# gld ", behind = ": the options of this run";
@@ -64,6 +65,54 @@ TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
     }
   }
   EXPECT_GT(read, 15);
+}
+
+// Each file of configs/train names its command in its head, and says of the paper's recipe what it has to say.
+TEST(Commands, ReadTheRecipesOfThePaper) {
+  int read = 0;
+  for (const auto& item : std::filesystem::directory_iterator(test::source_root() / "configs/train")) {
+    const std::string text = read_file(item.path()), file = item.path().filename().string();
+    if (file == "model.yaml") continue;
+    const auto at = text.find("# gld "), end = text.find(" --config configs/train/" + file);
+    ASSERT_NE(at, std::string::npos) << file;
+    ASSERT_LT(at, end) << file;
+    const std::string name = text.substr(at + 6, end - at - 6);
+    const auto runnable = runnable_commands();
+    const auto command = std::find_if(runnable.begin(), runnable.end(),
+                                      [&](const Command& candidate) { return candidate.name == name; });
+    ASSERT_NE(command, runnable.end()) << file << " is of " << name;
+    ASSERT_NO_THROW(load_yaml(*command->options, item.path())) << file;
+    ++read;
+    auto* train = dynamic_cast<TrainOptions*>(command->options.get());
+    if (train == nullptr || name == "train backbone") continue;
+    const bool decoder = name == "train decoder";
+    const auto& loop = train->loop;
+    EXPECT_EQ(loop.steps, decoder ? 170000 : 175000) << file;
+    EXPECT_EQ(loop.micro_batches * train->data.loading.batch_size * (decoder ? train->data.views.views : 1),
+              decoder ? 128 : 48)
+        << file;
+    EXPECT_EQ(train->data.longest_intervals,
+              decoder ? (std::vector<int64_t>{128, 20}) : (std::vector<int64_t>{128, 20, 4, 20}))
+        << file;
+    EXPECT_EQ(train->data.weights, decoder ? (std::vector<double>{1, 1}) : (std::vector<double>{4, 4, 1, 1}))
+        << file;
+    EXPECT_EQ(train->data.loading.crop_centre, CropCentre::kPrincipalPoint) << file;
+    EXPECT_EQ(loop.optimiser.ema_decay, decoder ? 0.9978 : 0.9995) << file;
+    if (decoder) {
+      EXPECT_EQ(dynamic_cast<TrainDecoderOptions*>(train)->objective.level_dropout, 0.5);
+    } else {
+      EXPECT_EQ(loop.learning_rate.peak, 5e-5) << file;
+      EXPECT_EQ(train->data.views.order, ViewOrder::kShuffled) << file;
+    }
+  }
+  EXPECT_EQ(read, 5);
+  BundleOptions model;
+  load_yaml(model, test::source_root() / "configs/train/model.yaml");
+  check_options(model, "configs/train/model.yaml");
+  for (const auto& part : model.generators) {
+    EXPECT_EQ(part.time_shift.training, 0);
+    EXPECT_EQ(part.dit.translation_unit, TranslationUnit::kLargestDistance);
+  }
 }
 
 // A folder, a file or a number has one name and one declaration, whichever command takes it.
@@ -97,6 +146,20 @@ TEST(Commands, SharedOptionsAreTheSameEverywhere) {
     EXPECT_EQ(different.size(), 1U) << name << ": " << testing::PrintToString(different);
     EXPECT_EQ(defaults[name].size(), 1U) << name << ": " << testing::PrintToString(defaults[name]);
   }
+}
+
+// Of a plan the warnings are what matters, as of every command.
+TEST(Commands, QuietShowsWarnings) {
+  const auto scene = test::test_data() / "scenes" / "tartanair_hospital";
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  const int status = run_command_line(
+      all_commands(),
+      {"plan", "--quiet", "--model", (test::source_root() / "configs/tiny").string(), "--scene",
+       scene.string(), "--sources", "0", "--targets", "1", "--size", "112x112", "--memory-limit", "0.001"});
+  EXPECT_EQ(testing::internal::GetCapturedStdout(), "");
+  EXPECT_THAT(testing::internal::GetCapturedStderr(), testing::HasSubstr("warning: This takes "));
+  EXPECT_EQ(status, 0);
 }
 
 // 0 for help, 2 for wrong usage: nothing was begun.

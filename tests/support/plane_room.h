@@ -13,8 +13,8 @@
 
 namespace gld::test {
 
-// Cameras on an arc that look at a slanted wall, n x = d, which fills every view: depth is exact, and so is where each pixel
-// is seen in other views.
+// Cameras on an arc that look at a slanted wall, n x = d, which fills every view: depth is exact, and so is where each
+// pixel is seen in other views.
 struct PlaneRoom {
   Eigen::Vector3d normal = Eigen::Vector3d(0.2, -0.1, 1).normalized();
   double distance = 4;

@@ -1,8 +1,9 @@
-// gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED]: a model bundle with random weights, for
-// measurements and tests. "released" has the published sizes, 7.5 GB written tensor by tensor, "released-vggt" those with
-// VGGT (10 GB).
+// gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED]: a model bundle with random weights,
+// for measurements and tests. "released" has the published sizes, 7.5 GB written tensor by tensor, "released-vggt"
+// those with VGGT (10 GB).
 
 #include "gld/base/configuration.h"
+#include "models/bundle/published_backbones.h"
 #include "models/bundle/random_bundle.h"
 
 #include <exception>

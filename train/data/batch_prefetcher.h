@@ -13,8 +13,8 @@
 
 namespace gld {
 
-// Where the batches of a training run come from (of datasets: DatasetBatches). Batch number `index` is always the same batch, so a run that resumes only needs
-// the number.
+// Where the batches of a training run come from (of datasets: DatasetBatches). Batch number `index` is always the same
+// batch, so a run that resumes only needs the number.
 class TrainingBatchSource {
  public:
   virtual ~TrainingBatchSource() = default;

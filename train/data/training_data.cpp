@@ -139,14 +139,14 @@ TrainingBatch DatasetBatches::batch(int64_t index) const {
 }
 
 TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
-                             FrameParts parts) {
+                             FrameParts parts, CropCentre centre) {
   SceneImages loaded;
   loaded.scene = scene.name;
   loaded.num_sources = views.num_sources;
   for (const int64_t frame : views.frames) {
     const Frame& source = scene.frames[static_cast<size_t>(frame)];
     loaded.frame_names.push_back(source.name);
-    loaded.views.push_back(load_sized(source, size, parts));
+    loaded.views.push_back(load_sized(source, size, parts, centre));
   }
   return to_training_scene(loaded);
 }
@@ -182,7 +182,7 @@ std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options,
       fail({"scene " + scene.name, "at least " + std::to_string(sampling.views) + " frames",
             std::to_string(scene.frames.size()), "validate on longer scenes"});
     }
-    scenes.push_back(training_scene(scene, *views, size, parts));
+    scenes.push_back(training_scene(scene, *views, size, parts, options.loading.crop_centre));
   }
   return scenes;
 }

@@ -51,12 +51,12 @@ class DatasetBatches : public TrainingBatchSource {
 };
 
 // The validation scenes: views spread by views.longest_interval, the first and the last ones are sources
-// (with more than two sources, those evenly between them too).
+// (with more than two sources, those evenly between them too). Cut as the training's are.
 std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
                                              FrameParts parts);
 
-// Views of one scene as tensors: frames[0 .. num_sources) are the sources.
+// Views of one scene as tensors, cut about that point: frames[0 .. num_sources) are the sources.
 TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
-                             FrameParts parts);
+                             FrameParts parts, CropCentre centre);
 
 }  // namespace gld

@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// Which of several processes this one is. What is not given is taken from the environment of the process, as torchrun sets
-// it: RANK, WORLD_SIZE, LOCAL_RANK, MASTER_ADDR, MASTER_PORT.
+// Which of several processes this one is. What is not given is taken from the environment of the process, as torchrun
+// sets it: RANK, WORLD_SIZE, LOCAL_RANK, MASTER_ADDR, MASTER_PORT.
 struct ProcessesOptions : OptionsGroup {
   int64_t count = 0;
   int64_t rank = -1;

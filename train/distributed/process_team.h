@@ -11,9 +11,9 @@
 
 namespace gld {
 
-// Several processes that train one model, each with all of it. All call the same functions in the same order. A process that
-// ends or cannot be reached ends the others within 10 s, wherever they are, each with one sentence that names it; a function that
-// fails for another reason throws Error.
+// Several processes that train one model, each with all of it. All call the same functions in the same order. A process
+// that ends or cannot be reached ends the others within 10 s, wherever they are, each with one sentence that names it;
+// a function that fails for another reason throws Error.
 class ProcessTeam {
  public:
   virtual ~ProcessTeam() = default;
@@ -28,8 +28,8 @@ class ProcessTeam {
 
   // A flat tensor is cut into count() pieces of piece_length(); the last may be shorter. Piece r is owned by rank r.
   int64_t piece_length(int64_t length) const;
-  // Adds this process's piece of every process's `given` to owned_sum (piece_length), in the order of ranks: the same bits as one
-  // process that adds them one after the other. given: float32, the same length everywhere.
+  // Adds this process's piece of every process's `given` to owned_sum (piece_length), in the order of ranks: the same
+  // bits as one process that adds them one after the other. given: float32, the same length everywhere.
   virtual void add_at_owners(const torch::Tensor& given, torch::Tensor& owned_sum) = 0;
   // Puts every owner's piece into whole.
   virtual void gather_pieces(const torch::Tensor& owned, torch::Tensor& whole) = 0;
@@ -46,9 +46,9 @@ class ProcessTeam {
 // The engines of this build: "gloo", or none.
 std::vector<std::string> process_engines();
 
-// Meets the others at the store of rank 0. Throws Error where this build has no engine, the store cannot be made or reached, a
-// rank is there twice, the processes disagree about their number, not all come within join_seconds, they are of different
-// versions, or one of them can only be reached from its own machine.
+// Meets the others at the store of rank 0. Throws Error where this build has no engine, the store cannot be made or
+// reached, a rank is there twice, the processes disagree about their number, not all come within join_seconds, they are
+// of different versions, or one of them can only be reached from its own machine.
 std::unique_ptr<ProcessTeam> join_processes(const ProcessPlacement& placement);
 
 }  // namespace gld

@@ -19,10 +19,10 @@ struct LifePlan {
   double silent_seconds = 6;  // without a sign: a process is gone
 };
 
-// Tells the others that this process lives, and ends it when another does not: a thread counts a number of the store up twice a
-// second and watches that of the next rank; what it finds it leaves in the store, where all look. A second thread watches the
-// first, which waits forever where the network is cut. Whatever this process does meanwhile, it ends within 10 s of the other,
-// with one sentence on standard error.
+// Tells the others that this process lives, and ends it when another does not: a thread counts a number of the store up
+// twice a second and watches that of the next rank; what it finds it leaves in the store, where all look. A second
+// thread watches the first, which waits forever where the network is cut. Whatever this process does meanwhile, it ends
+// within 10 s of the other, with one sentence on standard error.
 class SignsOfLife {
  public:
   // store is used by its thread alone.
@@ -31,8 +31,8 @@ class SignsOfLife {
   SignsOfLife(const SignsOfLife&) = delete;
   SignsOfLife& operator=(const SignsOfLife&) = delete;
 
-  // Before this process ends of its own accord; reason as in "rank 2 ended with an error of its own", empty where all have
-  // finished.
+  // Before this process ends of its own accord; reason as in "rank 2 ended with an error of its own", empty where all
+  // have finished.
   void stop(const std::string& reason);
   // What broke a connection is known within seconds: then this does not return.
   void wait_for_verdict() const;

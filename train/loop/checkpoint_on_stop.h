@@ -9,10 +9,11 @@
 
 namespace gld {
 
-// A step of a large model takes minutes: who asks a run to stop does not wait for it. While the loop is in work that leaves the
-// state of the last complete step alone (Steady), a thread of its own sees that a stop was asked for (gld/base/interrupt.h),
-// gives the loop half a second to come to its own safe point, and then writes that state as a checkpoint and ends the process.
-// What was computed since the last complete step is lost; a resumed run computes it again, to the same bits.
+// A step of a large model takes minutes: who asks a run to stop does not wait for it. While the loop is in work that
+// leaves the state of the last complete step alone (Steady), a thread of its own sees that a stop was asked for
+// (gld/base/interrupt.h), gives the loop half a second to come to its own safe point, and then writes that state as a
+// checkpoint and ends the process. What was computed since the last complete step is lost; a resumed run computes it
+// again, to the same bits.
 class CheckpointOnStop {
  public:
   explicit CheckpointOnStop(const CheckpointFolder& folder);
@@ -20,8 +21,8 @@ class CheckpointOnStop {
   CheckpointOnStop(const CheckpointOnStop&) = delete;
   CheckpointOnStop& operator=(const CheckpointOnStop&) = delete;
 
-  // For as long as it lives, no tensor of the state may change: they are not copied. Its end waits for a checkpoint that is
-  // being written, and so does not return then. One at a time.
+  // For as long as it lives, no tensor of the state may change: they are not copied. Its end waits for a checkpoint
+  // that is being written, and so does not return then. One at a time.
   class Steady {
    public:
     Steady(CheckpointOnStop& owner, Checkpoint state);

@@ -165,7 +165,8 @@ std::vector<MicroBatchOutcome> add_gradients_of_all(ProcessTeam& team, Objective
                                                     const MicroBatchWork& work) {
   const torch::Tensor& gradients = parameters.gradients();
   auto owned_sum = torch::zeros({team.piece_length(gradients.numel())}, gradients.options());
-  // Several workers compute all of this process's micro-batches at once; one takes them in turn, and keeps one gradient.
+  // Several workers compute all of this process's micro-batches at once; one takes them in turn, and keeps one
+  // gradient.
   std::vector<WorkerResult> at_once;
   if (work.workers > 1) at_once = compute_all(objective, parameters, own, work);
   const auto tensors = tensors_of(parameters);

@@ -49,8 +49,8 @@ struct TrainingRun {
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
-  // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are spread
-  // over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
+  // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are
+  // spread over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
   ProcessTeam* team = nullptr;
 };
 
@@ -67,8 +67,8 @@ struct TrainingSummary {
 // Throws the Error of a start that the folder does not allow; touches nothing.
 void check_training_start(const std::filesystem::path& folder, TrainingStart start);
 
-// The one training loop. Writes into run.folder: checkpoints/, metrics.jsonl, loss.svg and .png, validation/, model/ (the
-// exported bundle, at the end). Steps whose loss or gradient is not finite are skipped and counted;
+// The one training loop. Writes into run.folder: checkpoints/, metrics.jsonl, loss.svg and .png, validation/, model/
+// (the exported bundle, at the end). Steps whose loss or gradient is not finite are skipped and counted;
 // stop_after_non_finite of them in a row are an Error, with the last batch saved in non_finite/. On Ctrl-C a
 // checkpoint is written and Interrupted is thrown. On the CPU with one thread count, N steps in one call and in
 // several with kResume give the same bytes.

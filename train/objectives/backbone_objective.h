@@ -51,8 +51,9 @@ struct TrainedGeometry {
 // level one of geometry. They cost next to nothing, whereas the DPT head is most of a step: with head_probability below
 // 1 it sees only that share of the scenes, and the backbone learns from several times as many in the same time.
 //
-// With correspondence_weight the attention of correspondence_blocks is taught where each token is seen in the other views
-// (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be learnt.
+// With correspondence_weight the attention of correspondence_blocks is taught where each token is seen in the other
+// views (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be
+// learnt.
 //
 // A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views
 // alone and single views too.

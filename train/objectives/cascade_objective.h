@@ -12,8 +12,8 @@ struct CascadeObjectiveOptions : OptionsGroup {
 };
 
 // M_L->l: generates level l of all views, given the deeper level L of all views, the source views' level l and the
-// cameras; the published one is 1 -> 0. In training level L comes from the encoder, made noisy as sampling will make it imperfect: (F + sigma e) /
-// sqrt(1 + sigma^2) with sigma ~ |N(0, tau^2)| (DESIGN.md section 4, "Cascade training").
+// cameras; the published one is 1 -> 0. In training level L comes from the encoder, made noisy as sampling will make it
+// imperfect: (F + sigma e) / sqrt(1 + sigma^2) with sigma ~ |N(0, tau^2)| (DESIGN.md section 4, "Cascade training").
 class CascadeObjective : public FlowObjective {
  public:
   CascadeObjective(const BundleOptions& model, const LevelGenerator& cascade,

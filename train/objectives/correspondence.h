@@ -11,9 +11,9 @@ namespace gld {
 
 // Where the surface that a patch token shows is seen in other views, from exact depth and cameras.
 //
-// shares: (views, tokens, views, tokens), float32. Of a token's points (a 4x4 grid of pixels), the share that lands in each
-// token of each other view and is seen there: its depth agrees with that view's own to 3 %, so that occluded points do
-// not count. Zero within a view.
+// shares: (views, tokens, views, tokens), float32. Of a token's points (a 4x4 grid of pixels), the share that lands in
+// each token of each other view and is seen there: its depth agrees with that view's own to 3 %, so that occluded
+// points do not count. Zero within a view.
 struct TokenCorrespondence {
   torch::Tensor shares;
 };
@@ -27,9 +27,10 @@ struct CorrespondenceKeys {
   int64_t views = 0;          // keys are those of the first views only: the sources, or all
 };
 
-// How far a block's attention is from true correspondence (CAMEO): cross-entropy between a token's shares among the keys'
-// views other than its own and the attention's mean over heads among the same keys. The mean leaves it to the heads
-// which of them finds the place. Mean over the tokens that are seen in another view; undefined when there are none.
+// How far a block's attention is from true correspondence (CAMEO): cross-entropy between a token's shares among the
+// keys' views other than its own and the attention's mean over heads among the same keys. The mean leaves it to the
+// heads which of them finds the place. Mean over the tokens that are seen in another view; undefined when there are
+// none.
 torch::Tensor correspondence_loss(const AttentionTap& tap, const TokenCorrespondence& truth,
                                   const CorrespondenceKeys& keys);
 

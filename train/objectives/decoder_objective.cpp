@@ -79,6 +79,20 @@ void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.group({"adversarial", "adversarial loss"}, adversarial);
 }
 
+std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options) {
+  std::vector<std::string> notes;
+  if (options.perceptual.weight > 0 && options.perceptual.lpips_backbone.empty()) {
+    notes.emplace_back(
+        "the perceptual loss is a stand-in of gradients and SSIM; LPIPS needs objective.perceptual.lpips_backbone and "
+        "lpips_heads");
+  }
+  if (options.adversarial.weight > 0 && options.adversarial.dino_weights.empty()) {
+    notes.emplace_back(
+        "the discriminator is a small convolutional one; DINO's features need objective.adversarial.dino_weights");
+  }
+  return notes;
+}
+
 DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
                                    std::shared_ptr<const Backbone> backbone,
                                    const ParameterPlacement& placement, int64_t seed)

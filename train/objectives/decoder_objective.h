@@ -62,6 +62,9 @@ struct DecoderObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
+// What to tell whoever trains without the networks of the published recipe, a line each: which losses are stand-ins.
+std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options);
+
 // Trains the RGB decoder on the features of a frozen backbone (paper, stage 1): absolute error + perceptual loss
 // + adversarial loss whose weight follows the ratio of gradient norms on the decoder's last layer (Esser et al.
 // 2021, eq. 7). Each level of a scene is left out (zeros) with probability level_dropout, never all of them.

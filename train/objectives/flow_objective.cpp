@@ -202,8 +202,8 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
 torch::Tensor FlowObjective::generate(const Prepared& prepared, const torch::Tensor& noise,
                                       double shift) const {
   const auto scene = dit_->prepare_scene(prepared.inputs);
-  // Euler's steps, and no solver of gld/flow/solvers: those throw at Ctrl-C and at values that are not finite, while training
-  // goes on to its checkpoint and reports what validation gave.
+  // Euler's steps, and no solver of gld/flow/solvers: those throw at Ctrl-C and at values that are not finite, while
+  // training goes on to its checkpoint and reports what validation gave.
   const auto steps = options_.validation_evaluations;
   torch::Tensor state = noise;
   for (int64_t i = 0; i < steps; ++i) {

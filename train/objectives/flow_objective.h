@@ -42,9 +42,9 @@ struct FrozenParts {
 // all views, with the parts of source and target views logged apart. With probability camera_dropout a scene is
 // shown without cameras, as the unconditional branch of guidance sees it.
 //
-// With correspondence_weight (scenes with depth) the attention of correspondence_blocks is taught in which tokens of the
-// source views the surface of each token is seen (train/objectives/correspondence.h): novel views are made by fetching it there, and
-// by the flow's loss alone attention finds that out late.
+// With correspondence_weight (scenes with depth) the attention of correspondence_blocks is taught in which tokens of
+// the source views the surface of each token is seen (train/objectives/correspondence.h): novel views are made by
+// fetching it there, and by the flow's loss alone attention finds that out late.
 class FlowObjective : public Objective {
  public:
   torch::Device device() const override { return placement_.device; }

@@ -103,8 +103,8 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
     adam_step(step, 0, parameters_->values().numel());
     return;
   }
-  // Runs of parameters between Muon's matrices are Adam's; the average of the matrices is taken with them, so here it is
-  // Muon's own.
+  // Runs of parameters between Muon's matrices are Adam's; the average of the matrices is taken with them, so here it
+  // is Muon's own.
   const auto& parameters = parameters_->parameters();
   int64_t begin = 0;
   for (size_t i = 0; i < parameters.size(); ++i) {
@@ -168,8 +168,8 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale) {
 }
 
 bool Optimiser::is_block_matrix(const NamedParameter& item) {
-  // The published names: blocks.I of backbones and DiTs, decoder_layers.I of the RGB decoder. AdaLN's matrix makes vectors
-  // from one condition, as an embedding does.
+  // The published names: blocks.I of backbones and DiTs, decoder_layers.I of the RGB decoder. AdaLN's matrix makes
+  // vectors from one condition, as an embedding does.
   const auto contains = [&](const char* part) { return item.name.find(part) != std::string::npos; };
   return item.parameter.dim() == 2 && (contains("blocks.") || contains("decoder_layers.")) &&
          !contains("adaLN_modulation");

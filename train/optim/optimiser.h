@@ -31,8 +31,8 @@ struct OptimiserOptions : OptionsGroup {
 // Adam (Kingma & Ba, algorithm 1) or AdamW (Loshchilov & Hutter, algorithm 2) with clipping by the global
 // gradient norm and an exponential moving average of the values, over flat buffers.
 //
-// Muon (Jordan et al. 2024; update size of Liu et al. 2025, "Muon is scalable for LLM training", section 2.2): a matrix of a
-// block moves by the orthogonal factor of its Nesterov momentum, approximated by five Newton-Schulz steps, times
+// Muon (Jordan et al. 2024; update size of Liu et al. 2025, "Muon is scalable for LLM training", section 2.2): a matrix
+// of a block moves by the orthogonal factor of its Nesterov momentum, approximated by five Newton-Schulz steps, times
 // 0.2 sqrt(larger side), which gives an update the root mean square of AdamW's, so that one learning rate serves both.
 // Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
@@ -69,8 +69,8 @@ class Optimiser {
   torch::Tensor average_;
 };
 
-// The orthogonal factor U V^T of a matrix U S V^T, roughly: singular values come out between about 0.7 and 1.2, whatever
-// they were. Five steps of the quintic Newton-Schulz iteration of Muon.
+// The orthogonal factor U V^T of a matrix U S V^T, roughly: singular values come out between about 0.7 and 1.2,
+// whatever they were. Five steps of the quintic Newton-Schulz iteration of Muon.
 torch::Tensor nearly_orthogonal(const torch::Tensor& matrix);
 
 // Puts the moving average in the place of the parameters for as long as it lives (validation, export).

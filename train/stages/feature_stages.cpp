@@ -2,6 +2,8 @@
 
 #include "gld/base/error.h"
 
+#include <iostream>
+
 namespace gld {
 
 void TrainBackboneOptions::visit(FieldVisitor& visitor) {
@@ -65,6 +67,7 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
     fail({"train decoder", "a model with an RGB decoder", "one whose backbone decodes images itself",
           "train both halves with gld train backbone"});
   }
+  for (const auto& note : stand_in_notes(options.objective)) std::cerr << "note: " << note << ".\n";
   stage.made = {BundlePart::rgb_decoder()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     auto objective = std::make_unique<DecoderObjective>(

@@ -43,8 +43,9 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw);
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw);
 
-// gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene encoded
-// together; of special tokens too where it generates them. model/ in the run folder is a copy of the bundle with them. Returns the closing box as text.
+// gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene
+// encoded together; of special tokens too where it generates them. model/ in the run folder is a copy of the bundle
+// with them. Returns the closing box as text.
 std::string compute_statistics(const StatsOptions& options);
 
 }  // namespace gld

@@ -7,6 +7,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
+#include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
@@ -177,6 +178,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   if (processes.count > 1) team = join_processes(processes);
   const bool leads = team == nullptr || team->rank() == 0;
   use_threads(threads_of_process(options.threads, team.get()));
+  if (leads) print_warnings(thread_warnings(options.threads));
   EarlierRun earlier = earlier_run(options.overwrite);
   if (options.resume) earlier = EarlierRun::kContinue;
   const auto start = options.resume ? TrainingStart::kResume : TrainingStart::kFresh;
@@ -197,7 +199,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
       if (bundle.has(other)) others.push_back(other);
     }
     for (const auto& warning : mixed_parts(bundle, others, options.allow_mixed)) {
-      if (leads) std::cerr << "warning: " << warning << "\n";
+      if (leads) print_warnings({warning});
     }
   }
   const auto objective = stage.objective(bundle, placement);

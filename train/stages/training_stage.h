@@ -50,10 +50,10 @@ struct TrainingStage {
   std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
 };
 
-// Throws Error where `now` differs from the options that the run in the folder was begun with, naming each: the run would go
-// on as something that neither of them describes. What a run may go on with is left out: where it writes, how it computes,
-// how far and how often, the course of its learning rate (not its height), and how its first weights were made; so is what
-// may_change names.
+// Throws Error where `now` differs from the options that the run in the folder was begun with, naming each: the run
+// would go on as something that neither of them describes. What a run may go on with is left out: where it writes, how
+// it computes, how far and how often, the course of its learning rate (not its height), and how its first weights were
+// made; so is what may_change names.
 void refuse_changed_options(const std::filesystem::path& folder, const OptionsGroup& now,
                             const std::vector<std::string>& may_change);
 
@@ -62,7 +62,8 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw);
 
-// Writes into parts that a run made what they were trained on (models/bundle/part_lineage.h); the other parts are there.
+// Writes into parts that a run made what they were trained on (models/bundle/part_lineage.h); the other parts are
+// there.
 void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<BundlePart>& made);
 
 // Copies the parts that a run did not make itself.

@@ -22,8 +22,8 @@ struct GaussianMixture {
 };
 
 // The exact velocity E[noise | x] - E[data | x] of a mixture for t in [0, 1], both ends included. With a = 1 - t and
-// V = a^2 variance + t^2 a component gives E[noise | x] = t (x - a mean)/V and E[data | x] = mean + a variance (x - a mean)/V,
-// weighted by its posterior probability.
+// V = a^2 variance + t^2 a component gives E[noise | x] = t (x - a mean)/V and E[data | x] = mean + a variance (x - a
+// mean)/V, weighted by its posterior probability.
 // state and result: (samples, dimensions), any floating dtype; computed in double.
 class MixtureField : public VelocityField {
  public:

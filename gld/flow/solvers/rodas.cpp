@@ -10,9 +10,9 @@
 namespace gld {
 namespace {
 
-// Sandu et al. 1997, "Benchmarking stiff ODE solvers for atmospheric chemistry problems II": RODAS3, order 3(2), L-stable and stiffly
-// accurate, in the form that needs no product with the Jacobian. Times run down here, so the equation is
-// dx/ds = f(x, s) = -velocity(x, 1 - s).
+// Sandu et al. 1997, "Benchmarking stiff ODE solvers for atmospheric chemistry problems II": RODAS3, order 3(2),
+// L-stable and stiffly accurate, in the form that needs no product with the Jacobian. Times run down here, so the
+// equation is dx/ds = f(x, s) = -velocity(x, 1 - s).
 constexpr int kStages = 4;
 constexpr double kGamma = 0.5;
 constexpr double kA[kStages][kStages] = {{0, 0, 0, 0}, {0, 0, 0, 0}, {2, 0, 0, 0}, {2, 0, 1, 0}};

@@ -82,8 +82,8 @@ NumbersBySeed crossed_numbers(uint64_t trial, int64_t seeds, int64_t scenes, dou
 }
 
 TEST(BootstrapInterval, CoversTheMeanAsOftenAsItSaysWhereSeedsShareTheirScenes) {
-  // 400 trials of 95 %: 380 +- 4.4 covered. 40 scenes lose about one percent to the percentile method. Scenes drawn anew under
-  // each of three seeds would cover about 75 %.
+  // 400 trials of 95 %: 380 +- 4.4 covered. 40 scenes lose about one percent to the percentile method. Scenes drawn
+  // anew under each of three seeds would cover about 75 %.
   BootstrapOptions options;
   options.replicates = 1000;
   int64_t covered = 0;

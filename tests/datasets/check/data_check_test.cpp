@@ -259,7 +259,36 @@ TEST(DataCheck, AFolderWithASceneIsThatScene) {
   EXPECT_EQ(open_scene(folder.path() / "parent").frames.size(), 12U);
 }
 
-TEST(DataCheck, SaysHowManyScenesItLeftOut) {
+// What no image of which is decoded is checked too, as far as its files tell.
+TEST(DataCheck, ACutImageIsFoundInEveryScene) {
+  const TemporaryFolder folder;
+  for (const char* name : {"a", "b", "c", "d"}) {
+    write_scene(rendered_scene(0), "cameras-json", folder.path() / "scenes" / name);
+  }
+  const auto cut = open_scene(folder.path() / "scenes" / "d").frames[7].image_file;
+  std::filesystem::resize_file(cut, std::filesystem::file_size(cut) - 20);
+  DataCheckOptions options;
+  options.most_scenes = 1;
+  options.most_images = 1;
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  EXPECT_EQ(run_data_check(folder.path() / "scenes", options), 1);
+  const std::string text = ::testing::internal::GetCapturedStdout();
+  EXPECT_THAT(text, HasSubstr("PROBLEM        " + cut.string() + ": expected a whole image file"));
+  EXPECT_THAT(text,
+              HasSubstr("decoded        0 of 12 images (--most-scenes); of 12 files the header and the end"));
+  EXPECT_THAT(text,
+              HasSubstr("4 scenes were checked: 1 to their pixels (--most-scenes 4 takes all), 3 by their "
+                        "cameras and the headers and ends of their 36 image files\n"));
+  EXPECT_THAT(::testing::internal::GetCapturedStderr(),
+              HasSubstr("warning: 1 of 4 scenes has problems: d\n"));
+  // And where images are decoded, those that are not.
+  const DataCheck check = check_scene(SceneLocation{folder.path() / "scenes" / "d", ""}, options);
+  ASSERT_EQ(check.problems.size(), 1U);
+  EXPECT_THAT(check.problems[0], StartsWith(cut.string()));
+}
+
+TEST(DataCheck, SaysWhichScenesItDidNotDecode) {
   const TemporaryFolder folder;
   for (const char* name : {"a", "b", "c"}) {
     write_scene(rendered_scene(0), "cameras-json", folder.path() / "scenes" / name);
@@ -270,7 +299,7 @@ TEST(DataCheck, SaysHowManyScenesItLeftOut) {
   ::testing::internal::CaptureStdout();
   EXPECT_EQ(run_data_check(folder.path() / "scenes", options), 0);
   const std::string text = ::testing::internal::GetCapturedStdout();
-  EXPECT_THAT(text, HasSubstr("2 of 3 scenes were checked; --most-scenes 3 checks all\n"));
+  EXPECT_THAT(text, HasSubstr("3 scenes were checked: 2 to their pixels (--most-scenes 3 takes all), 1 by "));
   EXPECT_THAT(text, HasSubstr("1 of 12 images (--most-images)"));
   options.json = true;
   ::testing::internal::CaptureStdout();

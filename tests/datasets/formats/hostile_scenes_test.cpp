@@ -1,5 +1,5 @@
-// Scenes whose files are small and whose numbers are not: each must end in one sentence, soon, and without the memory that
-// the numbers speak of.
+// Scenes whose files are small and whose numbers are not: each must end in one sentence, soon, and without the memory
+// that the numbers speak of.
 
 #include "datasets/formats/depth_files.h"
 #include "datasets/formats/scene_reader.h"

@@ -263,8 +263,8 @@ TEST(ImageFile, JpegHasTheBitsOfOpenCv) {
   }
 }
 
-// JPEG files have no checksum, so that some damage cannot be seen; what libjpeg sees must not pass, and neither library may
-// print anything.
+// JPEG files have no checksum, so that some damage cannot be seen; what libjpeg sees must not pass, and neither library
+// may print anything.
 TEST(ImageFile, DamageThatTheLibrariesSeeIsRefusedWithoutTheirChatter) {
   const TemporaryFolder folder;
   write_jpeg(folder.path() / "whole.jpg", textured(160, 120), 85);

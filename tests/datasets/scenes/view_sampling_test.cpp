@@ -50,6 +50,22 @@ TEST(ViewSampling, IntervalsAreUniformAndIndependent) {
   for (int count : source_positions) EXPECT_NEAR(count, 1250, 130);
 }
 
+// Of a scene, every frame from which the views still fit is the first one as often as any other.
+TEST(ViewSampling, TheFirstFrameIsUniform) {
+  ViewSampling sampling;
+  sampling.views = 3;
+  sampling.fewest_sources = sampling.most_sources = 1;
+  sampling.shortest_interval = sampling.longest_interval = 2;
+  std::map<int64_t, int> starts;
+  for (uint64_t index = 0; index < 4000; ++index) {
+    const auto views = sample_views(sampling, 12, {1, 2, index});
+    ASSERT_TRUE(views);
+    ++starts[*std::min_element(views->frames.begin(), views->frames.end())];
+  }
+  ASSERT_EQ(starts.size(), 8U);
+  for (const auto& [start, count] : starts) EXPECT_NEAR(count, 500, 90) << start;
+}
+
 TEST(ViewSampling, IsAFunctionOfItsKey) {
   const ViewSampling sampling;
   const auto one = sample_views(sampling, 300, {5, 6, 7});

@@ -163,7 +163,7 @@ INSTANTIATE_TEST_SUITE_P(
                 "f.yaml:1, key 'count': expected an integer, found '2.5'; correct the value."},
         Refusal{
             "count: 99999999999999999999\n",
-            "f.yaml:1, key 'count': expected an integer, found '99999999999999999999'; correct the value."},
+            "f.yaml:1, key 'count': expected an integer of 64 bits, found '99999999999999999999'; choose one nearer to 0."},
         Refusal{"inner:\n  weight: .nan\n",
                 "f.yaml:2, key 'inner.weight': expected a number in the range [0, 1], found .nan; "
                 "choose a value inside the range."},

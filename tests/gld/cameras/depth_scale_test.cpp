@@ -104,8 +104,8 @@ TEST(DepthScale, AnEstimateInDoubtIsNoScale) {
   EXPECT_FALSE(combined_depth_scale({unexplained, open}).has_value());
 }
 
-// The shipped model's ray origins were like this: all at one place up to 1e-4, scattered by chance. That a scale fits best
-// is not that it is known.
+// The shipped model's ray origins were like this: all at one place up to 1e-4, scattered by chance. That a scale fits
+// best is not that it is known.
 TEST(DepthScale, ScatteredCentresDoNotTellTheScale) {
   int believed = 0;
   for (uint64_t seed = 0; seed < 200; ++seed) {

@@ -324,9 +324,10 @@ TEST_P(AttentionKernel, NeedsLessThan64MegabytesAtFullSize) {
   }
 }
 
-// bfloat16 on every unit. Operands are rounded to u = 2^-8 relative, so that a logit errs by at most delta = (2 u + u^2)
-// sum |q k| / sqrt(head_dim), a probability by the factor exp(2 delta) and its own rounding u, and a value by u: together
-// exp(2 delta) (1 + u)^2 - 1 of the largest value, whatever the output's own size. 1e-3 for exponentials (9e-5) and sums.
+// bfloat16 on every unit. Operands are rounded to u = 2^-8 relative, so that a logit errs by at most delta = (2 u +
+// u^2) sum |q k| / sqrt(head_dim), a probability by the factor exp(2 delta) and its own rounding u, and a value by u:
+// together exp(2 delta) (1 + u)^2 - 1 of the largest value, whatever the output's own size. 1e-3 for exponentials
+// (9e-5) and sums.
 class BFloat16Attention : public testing::TestWithParam<MatrixUnit> {
  protected:
   KernelSettings settings(int threads = 2) const {
@@ -409,8 +410,8 @@ TEST_P(BFloat16Attention, AgreesWithThePlainUnitToRounding) {
   auto other = settings();
   other.unit = MatrixUnit::kPlain;
   plain.forward(other);
-  // Exponentials of the two differ by up to 9e-5, so that a probability may be rounded the other way, by 2^-7 of itself,
-  // as may a few of the 203 of each query: together below 2^-8 of the largest value.
+  // Exponentials of the two differ by up to 9e-5, so that a probability may be rounded the other way, by 2^-7 of
+  // itself, as may a few of the 203 of each query: together below 2^-8 of the largest value.
   const std::vector<double> expected(plain.output.begin(), plain.output.end());
   EXPECT_LE(relative_error(problem.output, expected), 0x1p-8);
 }

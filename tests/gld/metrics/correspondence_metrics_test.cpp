@@ -52,8 +52,8 @@ TEST(Correspondence, IsChanceForRandomFeatures) {
   EXPECT_LT(correct_keypoints(errors), 1.7 + 1);
 }
 
-// Errors are in units of Probe3D's grid whatever the picture's size: features that show the wall a twentieth of the picture
-// further right are off by 8 of 160, up to the cells of the grid.
+// Errors are in units of Probe3D's grid whatever the picture's size: features that show the wall a twentieth of the
+// picture further right are off by 8 of 160, up to the cells of the grid.
 TEST(Correspondence, ErrorsDoNotDependOnThePicturesSize) {
   for (const int64_t width : {160, 320}) {
     const test::PlaneRoom room(2, width, width * 3 / 4);

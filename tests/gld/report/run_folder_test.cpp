@@ -9,6 +9,7 @@
 #include "tests/support/temporary_folder.h"
 
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -83,6 +84,55 @@ std::string refusal(const std::filesystem::path& path, const std::string& comman
   const auto checked = test::error_of([&] { check_run_folder(path, command, earlier); });
   EXPECT_EQ(test::error_of([&] { RunFolder(path, command, CountOptions(), earlier); }), checked);
   return checked;
+}
+
+// Takes the rights of the superuser from this process while it lives, who may write anywhere.
+class OrdinaryUser {
+ public:
+  OrdinaryUser() {
+    if (is_superuser_) {
+      EXPECT_EQ(seteuid(65534), 0);
+    }
+  }
+  ~OrdinaryUser() {
+    if (is_superuser_) {
+      EXPECT_EQ(seteuid(0), 0);
+    }
+  }
+  OrdinaryUser(const OrdinaryUser&) = delete;
+  OrdinaryUser& operator=(const OrdinaryUser&) = delete;
+
+ private:
+  bool is_superuser_ = geteuid() == 0;
+};
+
+TEST(RunFolder, WhatCannotBeCreatedIsRefusedBeforehand) {
+  test::TemporaryFolder temporary;
+  const auto file = temporary.path() / "file";
+  write_file_atomically(file, "text");
+  for (const char* below : {"run", "runs/one", "runs/one/"}) {
+    EXPECT_EQ(refusal(file / below, "count", EarlierRun::kRefuse),
+              (file / below).string() + ": expected a folder to write into, found the file " + file.string() +
+                  " on the way to it; choose another --out.");
+  }
+  const auto read_only = temporary.path() / "read_only", inside = read_only / "inside";
+  std::filesystem::create_directories(inside);
+  using std::filesystem::perms;
+  constexpr perms kNoWriting = perms::owner_read | perms::owner_exec | perms::group_read | perms::group_exec |
+                               perms::others_read | perms::others_exec;
+  std::filesystem::permissions(temporary.path(), kNoWriting | perms::owner_write);
+  for (const auto& folder : {inside, read_only}) std::filesystem::permissions(folder, kNoWriting);
+  {
+    const OrdinaryUser user;
+    for (const auto& [folder, there] : {std::pair{read_only / "run", read_only}, {inside, inside}}) {
+      EXPECT_EQ(refusal(folder, "count", EarlierRun::kRefuse),
+                folder.string() + ": expected a folder that can be written into, found " + there.string() +
+                    " (Permission denied); choose another --out, or change its permissions.");
+    }
+    EXPECT_THAT(refusal(inside / "x" / "y", "count", EarlierRun::kOverwrite),
+                testing::HasSubstr(inside.string()));
+  }
+  for (const auto& folder : {read_only, inside}) std::filesystem::permissions(folder, perms::owner_all);
 }
 
 TEST(RunFolder, NeverWritesOverSomethingElse) {

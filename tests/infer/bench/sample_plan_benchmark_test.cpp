@@ -132,7 +132,7 @@ TEST(SamplePlanBenchmark, MeasuresATableThatToleranceUses) {
   asked.threads = 1;
   asked.out = (folder.path() / "sample").string();
   asked.tolerance = 5;
-  const auto plan = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto plan = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(plan,
               HasSubstr("measured methods with an error below --tolerance 5; relative latent error at most"));
   testing::internal::CaptureStdout();

@@ -12,6 +12,7 @@
 #include "infer/pipeline/bundle_models.h"
 #include "infer/sample/sampling.h"
 #include "models/bundle/random_bundle.h"
+#include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
@@ -449,6 +450,26 @@ TEST_F(EvaluationProtocol, QueriesAndKeysOfEveryBlockAreMatched) {
     ++rows;
   }
   EXPECT_EQ(rows, 2 * blocks);
+}
+
+// Its images can be measured all the same.
+TEST_F(EvaluationProtocol, AModelWithoutACameraHeadHasNoGeometry) {
+  BundleOptions blind;
+  load_yaml(blind, test::source_root() / "configs/ablations/latents/vggt/model.yaml");
+  apply_setting(blind, "dpt_head.camera_head=false");
+  auto asked = rooms("no_camera_head");
+  asked.model = (folder_->path() / "no_camera_head_model").string();
+  write_random_bundle(asked.model, blind, 7);
+  asked.generator.width = asked.generator.height = 112;
+  asked.solver.evaluations = 1;
+  run(asked);
+  EXPECT_EQ(report(asked).at("means").at("sample_psnr").at("scenes"), 2);
+  EXPECT_THAT(report(asked).dump(), HasSubstr("the model has no geometry head that sees cameras"));
+  asked.pose_model = asked.model;
+  asked.overwrite = true;
+  EXPECT_EQ(test::error_of([&] { evaluate(asked); }),
+            "--pose-model: expected a bundle with a geometry head that sees cameras, found " + asked.model +
+                ", which has none; choose a DA3 or VGGT model.");
 }
 
 TEST_F(EvaluationProtocol, VggtsPosesNeedItsCameraHead) {

@@ -99,7 +99,8 @@ TEST(PointCloud, DepthScaleAndCoarseDepthKeepTheGeometry) {
   EXPECT_EQ(cloud.colours[0], (Rgb{1, 1, 0}));
 }
 
-// Rays linear in the pixel, as a camera's are, give the camera's points, also beyond the middles of the outermost cells.
+// Rays linear in the pixel, as a camera's are, give the camera's points, also beyond the middles of the outermost
+// cells.
 TEST(PointCloud, RaysLiftLikeTheCameraTheyBelongTo) {
   const Camera camera = camera_of(63, 35);
   const Eigen::Vector3d normal =

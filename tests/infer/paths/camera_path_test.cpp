@@ -263,8 +263,8 @@ TEST(CameraPath, TakesEvenlySpreadCamerasOfAFile) {
             "check the name.");
 }
 
-// A phone capture whose neighbouring frames look almost the same way: the axes of two of them meet anywhere, those of all
-// where the thing stands.
+// A phone capture whose neighbouring frames look almost the same way: the axes of two of them meet anywhere, those of
+// all where the thing stands.
 TEST(CameraPath, AnOrbitTurnsAboutWhatAllCamerasLookAt) {
   const Vector3d thing(1, 2, 3);
   std::vector<Camera> all;

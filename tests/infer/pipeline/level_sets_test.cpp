@@ -1,5 +1,5 @@
-// Bundles with other sets of generated levels than the published one, sampled by the pipeline and by running the parts one
-// after another here.
+// Bundles with other sets of generated levels than the published one, sampled by the pipeline and by running the parts
+// one after another here.
 
 #include "gld/base/configuration.h"
 #include "gld/cameras/cameras_in_a_row.h"

@@ -35,9 +35,17 @@ std::filesystem::path description(const std::string& latent) {
   return test::source_root() / "configs/ablations/latents" / latent / "model.yaml";
 }
 
+// VGGT with its camera and register tokens generated beside the patches, as the release has it.
+const std::string kJoint = "vggt_joint";
+
 BundleOptions described(const std::string& latent) {
   BundleOptions options;
-  load_yaml(options, description(latent));
+  load_yaml(options, description(latent == kJoint ? "vggt" : latent));
+  if (latent == kJoint) {
+    DitOptions& dit = options.generators.front().dit;
+    dit.num_special_tokens = options.backbone.leading_tokens();
+    dit.hidden_size = {160, 128};
+  }
   check_options(options, latent);
   return options;
 }
@@ -67,6 +75,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   ::setenv("XDG_CACHE_HOME", path("cache").c_str(), 1);
   const BundleOptions model = described(GetParam());
   const bool geometry = model.has_geometry();
+  const bool vggt = model.backbone.architecture().kind() == "vggt";
   save_bundle_options(path("empty"), model);
   auto backbone = stage<TrainBackboneOptions>("empty", "backbone");
   backbone.objective.pixel_weights = {1.0};
@@ -122,7 +131,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   }
   asked.outputs = {"image", "depth", "rays", "points"};
   asked.points.lifting = PointLifting::kPointMaps;
-  if (GetParam() != "vggt") {
+  if (!vggt) {
     EXPECT_EQ(
         test::error_of([&] { sample(asked); }),
         fmt::format("--points.lifting: expected cameras or rays of a model whose head predicts no points, "
@@ -136,7 +145,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   testing::internal::GetCapturedStdout();
   const auto report = nlohmann::json::parse(read_file(path("sample/report.json")));
   EXPECT_EQ(report.contains("geometry"), !geometry);
-  if (GetParam() == "vggt") {
+  if (vggt) {
     EXPECT_EQ(report["points"]["lifted_by"], "point_maps");
   }
   if (!geometry) {
@@ -159,7 +168,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
     EXPECT_EQ(test::error_of([&] { sample(asked); }).substr(0, 26), "--approximate.view-pairs: ");
   }
 
-  EXPECT_EQ(std::filesystem::exists(path("sample/rays/point_maps.safetensors")), GetParam() == "vggt");
+  EXPECT_EQ(std::filesystem::exists(path("sample/rays/point_maps.safetensors")), vggt);
 
   EvaluationOptions evaluation;
   evaluation.model = asked.model;
@@ -171,15 +180,19 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   evaluate(evaluation);
   const auto evaluated = nlohmann::json::parse(read_file(path("eval/report.json")));
   EXPECT_EQ(evaluated["means"]["sample_psnr"]["scenes"], 2);
+  EXPECT_EQ(evaluated["protocol"]["poses_from"],
+            geometry ? "the model's own geometry head" : "nothing: the model has no geometry head");
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("RGB decoding"));
 
   DoctorOptions doctor;
   doctor.model = asked.model;
   doctor.size = "112x112";
   doctor.threads = 1;
-  EXPECT_THAT(doctor_report(doctor), HasSubstr("RGB decoding"));
+  EXPECT_THAT(doctor_report(doctor).text, HasSubstr("RGB decoding"));
 }
 
-INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces, testing::Values("da3", "vggt", "dinov2", "vae", "taef2"));
+INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces,
+                         testing::Values("da3", "vggt", kJoint, "dinov2", "vae", "taef2"));
 
 TEST(LatentSpaceConfigurations, HaveEqualDits) {
   const BundleOptions first = described("da3");

@@ -26,6 +26,7 @@
 #include <algorithm>
 #include <cmath>
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <limits>
@@ -46,15 +47,14 @@ TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
   auto asked = options("many_views");
   asked.model = (folder_->path() / "of_three").string();
   write_random_bundle(asked.model, small_bundle_options(), 7);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
+  const auto few_views = testing::Not(testing::Contains(HasSubstr("The model was trained on scenes")));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings, few_views);
   const auto bundle = ModelBundle::open(asked.model);
   note_trained_views(bundle, BundlePart::of(level_model(1)), 3);
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              HasSubstr("warning: The model was trained on scenes of 3 views, this one has 4.\n"));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings,
+              testing::Contains("The model was trained on scenes of 3 views, this one has 4."));
   asked.views.targets = {1};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted),
-              testing::Not(HasSubstr("The model was trained on scenes")));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings, few_views);
 }
 
 TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
@@ -68,13 +68,14 @@ TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
       testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what would "
                              "fit: [0-9]+ views of this size"));
   EXPECT_FALSE(std::filesystem::exists(asked.out));
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("warning: This takes "));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings,
+              testing::Contains(HasSubstr("This takes ")));
 }
 
 TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
   auto asked = options("unused");
   asked.outputs = {"image"};
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("3 evaluations, 3 with the unconditional branch"));
   EXPECT_THAT(text,
               testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
@@ -90,16 +91,59 @@ TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
   }
   auto asked = options("unused");
   asked.scene = scene.string();
-  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted);
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("2 source and 2 target views at 112x56"));
   EXPECT_THROW(sample(asked), Error);
+}
+
+// Cut short behind the header, which tells the size: whoever decoded one would fail.
+std::vector<std::string> undecodable_photographs(const std::filesystem::path& picture,
+                                                 const std::filesystem::path& folder, int count) {
+  std::filesystem::create_directories(folder);
+  const std::string header = read_file(picture).substr(0, 200);
+  for (int i = 0; i < count; ++i) write_file_atomically(folder / fmt::format("{:04}.png", i), header);
+  return {folder.string()};
+}
+
+TEST_F(Sampling, ThePlanOfPhotographsReadsTheirSizesAlone) {
+  auto asked = options("unused");
+  const auto picture = open_scene(asked.scene).frames.front().image_file;
+  asked.scene.clear();
+  asked.photos.files = undecodable_photographs(picture, folder_->path() / "few_photographs", 5);
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.size = "auto";
+  asked.approximate.view_pairs = ViewPairs::kVisible;
+  const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
+  EXPECT_THAT(text, HasSubstr("5 source and 6 target views at "));
+  EXPECT_THAT(text, HasSubstr("gld sample estimates the cameras of the photographs"));
+  EXPECT_THAT(text, testing::ContainsRegex("photo cameras .* 5 photographs, whose cameras .* sees"));
+  EXPECT_TRUE(sampling_plan_report(asked, PlanTiming::kPredicted).warnings.empty());
+  asked.views.sources = {5};
+  EXPECT_THAT(test::error_of([&] { sampling_plan_report(asked, PlanTiming::kPredicted); }),
+              HasSubstr("--sources: expected frame numbers from 0 to 4"));
+}
+
+TEST_F(Sampling, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
+  auto asked = options("too_many");
+  const auto picture = open_scene(asked.scene).frames.front().image_file;
+  asked.scene.clear();
+  asked.photos.files = undecodable_photographs(picture, folder_->path() / "many_photographs", 3000);
+  asked.views.sources = {0, 1};
+  asked.views.targets = {2};
+  asked.memory_limit = 0.4;
+  EXPECT_THAT(
+      test::error_of([&] { sample(asked); }),
+      testing::ContainsRegex("This takes .* of memory by the forecast and 400.0 MB may be taken; what "
+                             "would fit: [0-9]+ photographs"));
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
 }
 
 // Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
 TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
   auto asked = options("kept_rates");
   asked.outputs = {"latents"};
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("quick estimate"));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).text, HasSubstr("quick estimate"));
   EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
   MachineSpeed slow;
   slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
@@ -120,19 +164,47 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   asked.size = "112x56";
   asked.json = true;
   asked.threads = 1;
-  const auto report = nlohmann::json::parse(doctor_report(asked));
+  const auto report = nlohmann::json::parse(doctor_report(asked).text);
   EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
   EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
   ASSERT_EQ(report.at("forecast").size(), 6u);
   EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
-  const auto again = nlohmann::json::parse(doctor_report(asked));
+  const auto again = nlohmann::json::parse(doctor_report(asked).text);
   EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
   EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
   for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
+  EXPECT_EQ(again.at("warnings"), nlohmann::json(doctor_report(asked).warnings));
+  asked.views = 1000;
+  asked.size = "10080x10080";
+  asked.json = false;
+  EXPECT_THAT(doctor_report(asked).warnings, testing::Contains(HasSubstr("The forecast needs ")));
   asked.sources = asked.views;
   EXPECT_EQ(
       test::error_of([&] { asked.check(); }),
-      "--source-views: expected fewer source views than views, found 8 of 8; leave at least one target view.");
+      "--source-views: expected fewer source views than views, found 1000 of 1000; leave at least one target view.");
+}
+
+// The geometry stage that a bundle without a head leaves out is no evaluation, and the grid is that of --solver.shift.
+TEST_F(Sampling, TheDoctorCountsTheEvaluationsOfFlows) {
+  auto headless = small_bundle_options();
+  headless.dpt_head = GeometryHeadOptions::none();
+  DoctorOptions asked;
+  asked.model = (folder_->path() / "headless").string();
+  write_random_bundle(asked.model, headless, 7);
+  asked.size = "112x56";
+  asked.json = true;
+  asked.threads = 1;
+  asked.guidance.guidance_interval = {0.9, 1};
+  const auto guided = [&] {
+    const auto advice = nlohmann::json::parse(doctor_report(asked)).at("advice").at(0).get<std::string>();
+    int doubled = 0, evaluations = 0;
+    EXPECT_EQ(std::sscanf(advice.c_str(), "Guidance doubles %d of %d", &doubled, &evaluations), 2) << advice;
+    EXPECT_EQ(evaluations, 32);
+    return doubled;
+  };
+  const int with_the_models_shift = guided();
+  asked.solver.schedule.shift = 1;
+  EXPECT_LT(guided(), with_the_models_shift);
 }
 
 }  // namespace

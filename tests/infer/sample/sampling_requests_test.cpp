@@ -50,6 +50,42 @@ TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
   EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
             "--orbit-center: expected three numbers, x,y,z in the scene, found 2; "
             "write for example --orbit-center 0,0,2.5.");
+  asked.views.path.orbit_center = {1, 2, 3};
+  asked.views.path.orbit_distance = 2;
+  EXPECT_EQ(test::error_of([&] { check_options(asked, "gld sample"); }),
+            "--orbit-center, --orbit-distance: expected one of the two, found both; leave out the distance, "
+            "which is only for finding the centre.");
+}
+
+TEST_F(Sampling, OptionsOfAnOrbitNeedOne) {
+  auto asked = options("no_orbit");
+  asked.views.targets = {};
+  for (const char* key : {"center", "radius", "distance", "degrees"}) {
+    asked.named = {"views.path", std::string("views.orbit_") + key};
+    for (const char* path : {"spline", "path.json"}) {
+      asked.views.path.path = path;
+      EXPECT_EQ(test::error_of([&] { asked.check(); }),
+                fmt::format("--orbit-{}: expected --path orbit, which it is an option of, found --path {}; "
+                            "leave out one of the two.",
+                            key, path));
+    }
+    asked.views.path.path = "orbit";
+    EXPECT_NO_THROW(asked.check());
+  }
+  asked.named = {"views.orbit_radius"};
+  asked.views.path.path = "";
+  asked.views.targets = {1};
+  EXPECT_THAT(test::error_of([&] { asked.check(); }),
+              testing::StartsWith("--orbit-radius: expected --path, "));
+  // What lies between several photographs is a spline.
+  asked.views.targets = {};
+  asked.views.sources = {};
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  EXPECT_NO_THROW(asked.check());
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--orbit-radius: expected --path orbit, which it is an option of, found --path spline; leave out "
+            "one of the two.");
 }
 
 TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
@@ -78,6 +114,43 @@ TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
   EXPECT_EQ(
       test::error_of([&] { asked.check(); }),
       "--photo-lens: expected --photos, which it is an option of, found --scene; leave out one of the two.");
+}
+
+// VGGT's camera head is a part that a bundle may lack; nothing is computed before that is said.
+TEST_F(Sampling, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
+  BundleOptions blind;
+  load_yaml(blind, test::source_root() / "configs/ablations/latents/vggt/model.yaml");
+  apply_setting(blind, "dpt_head.camera_head=false");
+  auto asked = options("no_camera_head");
+  asked.model = (folder_->path() / "no_camera_head_model").string();
+  asked.size = "112x112";
+  save_bundle_options(asked.model, blind);  // without weights, which would be missed next
+  const std::string found = asked.model + ", whose VGGT heads have none for cameras; ";
+  const auto refusal = [&] { return test::error_of([&] { sample(asked); }); };
+  for (const char* output : {"depth", "rays", "points"}) {
+    asked.outputs = {output};
+    EXPECT_EQ(refusal(),
+              "--outputs: expected image or latents of a model without a camera head, found depth, rays or "
+              "points of " +
+                  found + "add --outputs image, or --geometry-model DIR with a model that sees cameras.");
+  }
+  asked.outputs = {"points"};
+  asked.points.lifting = PointLifting::kPointMaps;
+  EXPECT_THAT(refusal(), testing::StartsWith("--outputs: "));
+  asked.geometry_model = asked.model;
+  EXPECT_THAT(refusal(), testing::StartsWith("--geometry-model: "));
+  asked.geometry_model.clear();
+  asked.outputs = {"image"};
+  EXPECT_THAT(refusal(), HasSubstr("expected a file "));  // which it could do with weights
+  asked.approximate.view_pairs = ViewPairs::kVisible;
+  EXPECT_EQ(refusal(),
+            "--approximate.view-pairs: expected all for a model without a camera head, found visible; leave "
+            "it out.");
+  asked.approximate.view_pairs = ViewPairs::kAll;
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  EXPECT_EQ(refusal(), "--photos: expected a model that sees cameras, found " + found +
+                           "add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
 }
 
 // A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
@@ -185,7 +258,7 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
             "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.size = "big"; }),
-      "--size: expected WIDTHxHEIGHT in pixels, or auto, found 'big'; write for example --size 504x280.");
+      "--size: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found 'big'; write for example 504x280.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
       "--outputs: expected image, depth, rays, points or latents, found 'imagse'; did you mean 'image'?");
@@ -257,6 +330,17 @@ TEST_F(Sampling, FramesAreChosenByNumberOrName) {
               HasSubstr("--targets: expected frames of scene 'scene', found 'nobody', which is none"));
 }
 
+TEST_F(Sampling, AScenesNameIsPrintedHarmless) {
+  const auto scene = folder_->path() / "red\x1b[31m\nroom";
+  std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
+  auto asked = options("harmless");
+  asked.scene = scene.string();
+  asked.outputs = {"latents"};
+  run(asked);
+  EXPECT_EQ(printed_.find('\x1b'), std::string::npos);
+  EXPECT_THAT(printed_, HasSubstr("scene red\\x1b[31m\\nroom: 2 source"));
+}
+
 TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
   const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
     SampleOptions asked = options("refused");
@@ -268,7 +352,31 @@ TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
               asked.named = {"preset", "solver.evaluations"};
             }),
             "--preset published: expected no solver option beside it, the preset decides about all of them, "
-            "found 'solver.evaluations'; leave out one of the two.");
+            "found --evaluations; leave out one of the two.");
+  // Each alone, with the defaults and images only.
+  for (const char* key :
+       {"solver.schedule_file", "solver.shift", "solver.last_time", "solver.tolerance",
+        "solver.max_evaluations", "solver.diffusion", "solver.diffusion_strength", "solver.noise_seed",
+        "points.max_points", "points.lifting", "scale_from", "geometry_model"}) {
+    EXPECT_THAT(sentence([&](SampleOptions& asked) {
+                  asked.outputs = {"image"};
+                  asked.named = {key};
+                }),
+                HasSubstr(", without which nothing looks at it, found none; add it, or leave --"))
+        << key;
+  }
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.guidance.guidance_scale = 1;
+        asked.named = {"guidance.guidance_interval"};
+      }),
+      "--guidance-interval: expected a --guidance-scale other than 1, without which nothing looks at it, found "
+      "none; add it, or leave --guidance-interval out.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.named = {"points.max_points", "scale_from", "guidance.guidance_interval", "solver.first_time"};
+      }),
+      "");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) {
         asked.named = {"views.targets", "views.frames"};

@@ -73,8 +73,8 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
 }
 
-// The shipped model's ray origins do not tell the scale, and nothing else is asked. Then files belong to each other, and what was given
-// is not lost.
+// The shipped model's ray origins do not tell the scale, and nothing else is asked. Then files belong to each other,
+// and what was given is not lost.
 TEST_F(Sampling, WithoutAScaleCamerasAndDepthAreOfOneUnit) {
   auto asked = with_shipped_model(options("no_scale"));
   asked.outputs = {"image", "depth", "points"};
@@ -168,6 +168,27 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--photos: expected photographs, or folders of them, found '" + asked.photos.files[0] +
                 "', which has none; check the name.");
+}
+
+// Its axis meets no other, and its unit is the model's: only the predicted depth tells how far away things are.
+TEST_F(Sampling, OnePhotographIsOrbitedAtItsDepth) {
+  auto asked = with_shipped_model(options("one_photograph"));
+  asked.photos.files = {open_scene(asked.scene).frames.front().image_file.string()};
+  asked.scene.clear();
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 2;
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  const double depth = report.at("photo_cameras").at("median_depth");
+  EXPECT_GT(std::abs(std::log(depth)), 0.01);  // not the 1 that is assumed where nothing is known
+  EXPECT_THAT(printed_,
+              HasSubstr(fmt::format(", {:.4g} away: at the depth of what the source cameras see", depth)));
+  asked.views.path.path = "orbit";
+  asked.views.path.orbit_distance = 7;
+  asked.overwrite = true;
+  run(asked);
+  EXPECT_THAT(printed_, HasSubstr(", 7 away: "));
 }
 
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {

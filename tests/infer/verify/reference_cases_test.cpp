@@ -24,8 +24,8 @@ INSTANTIATE_TEST_SUITE_P(Modules, ReferenceCases,
 
 INSTANTIATE_TEST_SUITE_P(OtherLatents, ReferenceCases,
                          testing::Values("backbone_vggt", "dpt_head_vggt", "point_head_vggt",
-                                         "camera_head_vggt", "backbone_dinov2", "vae_sd", "vae_sdxl",
-                                         "vae_taef2"));
+                                         "camera_head_vggt", "rgb_decoder_vggt", "dpt_head_da3_replaced",
+                                         "backbone_dinov2", "vae_sd", "vae_sdxl", "vae_taef2"));
 
 INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
                          testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",

@@ -69,7 +69,8 @@ TEST(VggtBackbone, OnlyTheFirstViewIsSpecial) {
       1e-2);
 }
 
-// New views get the tokens of a view behind the first; the published code's rule for DA3 would make all of them the first.
+// New views get the tokens of a view behind the first; the published code's rule for DA3 would make all of them the
+// first.
 TEST(VggtBackbone, NewViewsGetTheTokensOfAFurtherView) {
   const torch::NoGradGuard no_grad;
   const auto backbone = random_backbone();

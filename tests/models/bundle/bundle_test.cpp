@@ -44,6 +44,29 @@ class Bundles : public testing::Test {
 
 test::TemporaryFolder* Bundles::folder_ = nullptr;
 
+TEST_F(Bundles, AnImpossibleSetOfLevelsIsRefusedWhenItOpens) {
+  const auto folder = copy();
+  const auto yaml = folder / "model.yaml";
+  std::string text = read_file(yaml);
+  const std::string now = "boundary_level: 1";
+  ASSERT_NE(text.find(now), std::string::npos);
+  write_file_atomically(yaml, text.replace(text.find(now), now.size(), "boundary_level: 2"));
+  EXPECT_EQ(
+      error_of([&] { ModelBundle::open(folder); }),
+      yaml.string() +
+          ", generated: expected a part that generates boundary_level 2, which propagation starts from, "
+          "found none in generated; add 2 to generated or change boundary_level.");
+}
+
+TEST_F(Bundles, StatisticsOfAnotherBackboneAreRefused) {
+  const auto bundle = ModelBundle::open(copy());
+  const auto file = bundle.file(BundlePart::statistics(1));
+  save_safetensors(file, {{"mean", torch::zeros({64})}, {"var", torch::ones({64})}});
+  EXPECT_EQ(error_of([&] { bundle.load_statistics(level_model(1)); }),
+            file.string() +
+                ": expected 128 channels, found 64; compute the statistics with this bundle's backbone.");
+}
+
 TEST_F(Bundles, EveryPartLoads) {
   const auto bundle = ModelBundle::open(original());
   EXPECT_EQ(bundle.options().backbone.level_channels(), 128);
@@ -162,9 +185,9 @@ TEST_F(Bundles, PartsMustFitEachOther) {
       {[](BundleOptions& options) { options.trained_sizes = {"504x281"}; },
        "trained_sizes: expected sides that are multiples of 14, found 504x281; choose whole patches."},
       {[](BundleOptions& options) { options.trained_sizes = {"504 x 280"}; },
-       "trained_sizes: expected WIDTHxHEIGHT in pixels, found '504 x 280'; write for example 504x280."},
+       "trained_sizes: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found '504 x 280'; write for example 504x280."},
       {[](BundleOptions& options) { options.trained_sizes = {"-504x280"}; },
-       "trained_sizes: expected WIDTHxHEIGHT in pixels, found '-504x280'; write for example 504x280."},
+       "trained_sizes: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found '-504x280'; write for example 504x280."},
   };
   for (const auto& mismatch : mismatches) {
     auto options = small_bundle_options();

@@ -2,9 +2,13 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/backbones/autoencoder_kl.h"
 #include "models/backbones/dinov2_backbone.h"
+#include "models/bundle/published_backbones.h"
 #include "models/bundle/random_bundle.h"
+#include "models/decoders/vggt_heads.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
@@ -16,6 +20,7 @@
 
 #include <torch/types.h>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -75,7 +80,7 @@ class Conversion : public testing::Test {
         path("level1.pt"),
         checkpoint({{"ema", level1}, {"model", negated(level1)}, {"opt", {{"exp_avg", torch::zeros({2})}}}}));
     write_file_atomically(path("cascade.pt"), checkpoint({{"ema", part(BundlePart::of(cascade(1, 0)))}}));
-    options_.da3 = path("da3.safetensors");
+    options_.backbones["da3"] = path("da3.safetensors");
     options_.rgb_decoder = path("decoder.pt");
     options_.level1 = path("level1.pt");
     options_.cascade = path("cascade.pt");
@@ -140,7 +145,7 @@ TEST_F(Conversion, AddsPartsToAnExistingBundle) {
   first.cascade.clear();
   EXPECT_EQ(convert(first)["missing"].dump(), R"(["level1","cascade"])");
   auto second = options_;
-  second.da3.clear();
+  second.backbones.clear();
   second.rgb_decoder.clear();
   second.statistics_level0.clear();
   // A part that is there is not taken away without a word.
@@ -179,7 +184,7 @@ TEST_F(Conversion, VggtGivesBackboneAndHeads) {
   file["track_head.norm.weight"] = torch::zeros({2});
   save_safetensors(path("vggt.safetensors"), file);
   ConversionOptions options;
-  options.vggt = path("vggt.safetensors");
+  options.backbones["vggt"] = path("vggt.safetensors");
   options.description = path("vggt") / "model.yaml";
   options.out = path("out");
   const auto report = convert(options);
@@ -202,17 +207,30 @@ TEST_F(Conversion, VggtGivesBackboneAndHeads) {
     if (name.rfind("camera_head.", 0) != 0) headless[name] = tensor;
   }
   save_safetensors(path("headless.safetensors"), headless);
-  options.vggt = path("headless.safetensors");
+  options.backbones["vggt"] = path("headless.safetensors");
   EXPECT_EQ(
       error_of([&] { convert(options); }),
-      options.vggt +
+      options.backbones["vggt"] +
           ": expected VGGT's camera_head, tensors camera_head.*, found none; get the whole file, or say "
-          "in --description what the model has (dpt_head.camera_head).");
+          "in --description what the model has (dpt_head.camera_head: false).");
+  // A head that the description leaves out is left out of a whole file, too.
+  BundleOptions without = small;
+  without.dpt_head.as<VggtHeadsOptions>().camera_head = false;
+  save_bundle_options(path("without"), without);
+  ConversionOptions fewer;
+  fewer.backbones["vggt"] = path("vggt.safetensors");
+  fewer.description = path("without") / "model.yaml";
+  fewer.out = path("fewer");
+  convert(fewer);
+  for (const auto& [name, tensor] : read_all(ModelBundle::open(fewer.out).file(BundlePart::dpt_head()))) {
+    EXPECT_NE(name.rfind("camera_head.", 0), 0U) << name;
+  }
   ConversionOptions mistaken;
-  mistaken.da3 = path("vggt.safetensors");
+  mistaken.backbones["da3"] = path("vggt.safetensors");
   mistaken.out = path("mistaken");
-  EXPECT_EQ(error_of([&] { convert(mistaken); }),
-            mistaken.da3 + ": expected weights of DA3, found weights of VGGT; give it as --vggt.");
+  EXPECT_EQ(
+      error_of([&] { convert(mistaken); }),
+      mistaken.backbones["da3"] + ": expected weights of DA3, found weights of VGGT; give it as --vggt.");
   EXPECT_FALSE(std::filesystem::exists(path("mistaken")));
 }
 
@@ -247,15 +265,15 @@ TEST_F(Conversion, DinoNeedsItsRegisters) {
   Tensors file = read_all(ModelBundle::open(path("dino")).file(BundlePart::backbone()));
   save_safetensors(path("dino.safetensors"), file);
   ConversionOptions options;
-  options.dinov2 = path("dino.safetensors");
+  options.backbones["dinov2"] = path("dino.safetensors");
   options.description = path("dino") / "model.yaml";
   options.out = path("out");
   EXPECT_EQ(convert(options)["parts"]["backbone"]["tensors"], file.size());
   file.erase("register_tokens");
   save_safetensors(path("without.safetensors"), file);
-  options.dinov2 = path("without.safetensors");
+  options.backbones["dinov2"] = path("without.safetensors");
   EXPECT_EQ(error_of([&] { convert(options); }),
-            options.dinov2 +
+            options.backbones["dinov2"] +
                 ": expected DINOv2 with registers, a tensor register_tokens, found none; give a model with "
                 "registers, or say num_register_tokens: 0, antialias: false and interpolate_offset: 0.1 in "
                 "--description.");
@@ -298,12 +316,17 @@ TEST_F(Conversion, AutoencodersUnderBothNames) {
     }
     original["first_stage_model." + name] = tensor.contiguous();
   }
-  original["cond_stage_model.logit_scale"] = torch::zeros({1});
+  // What else lies in whole checkpoints of Stable Diffusion and SDXL, as it is or inside a trainer's state_dict.
+  for (const char* name : {"cond_stage_model.logit_scale", "model.diffusion_model.out.2.bias",
+                           "alphas_cumprod_prev", "betas", "sqrt_alphas_cumprod", "denoiser.sigmas"}) {
+    original[name] = torch::zeros({1});
+  }
   save_safetensors(path("diffusers.safetensors"), file);
   save_safetensors(path("original.safetensors"), original);
-  for (const char* name : {"diffusers", "original"}) {
+  save_safetensors(path("trainer.safetensors"), with_prefix(original, "state_dict."));
+  for (const char* name : {"diffusers", "original", "trainer"}) {
     ConversionOptions options;
-    options.autoencoder_kl = path(std::string(name) + ".safetensors");
+    options.backbones["autoencoder_kl"] = path(std::string(name) + ".safetensors");
     options.description = path("vae") / "model.yaml";
     options.out = path(std::string("from_") + name);
     convert(options);
@@ -312,6 +335,63 @@ TEST_F(Conversion, AutoencodersUnderBothNames) {
     for (const auto& [tensor_name, tensor] : file)
       EXPECT_TRUE(written.at(tensor_name).equal(tensor)) << name << ' ' << tensor_name;
   }
+}
+
+// Both have the same names and shapes: only who converts knows which it is.
+TEST_F(Conversion, SdxlsAutoencoderHasItsOwnScale) {
+  EXPECT_EQ(published_backbone("autoencoder_kl").options().backbone.as<AutoencoderKlOptions>().scaling_factor,
+            0.18215);
+  EXPECT_EQ(
+      published_backbone("sdxl_autoencoder").options().backbone.as<AutoencoderKlOptions>().scaling_factor,
+      0.13025);
+}
+
+// The corrected command finds what the mistaken one found.
+TEST_F(Conversion, ARefusedConversionLeavesNothingBehind) {
+  BundleOptions small;
+  load_yaml(small, test::source_root() / "configs/ablations/latents/dinov2/model.yaml");
+  write_random_bundle(path("dinov2"), small, 5);
+  const auto bundle = ModelBundle::open(path("dinov2"));
+  Tensors torn = read_all(bundle.file(BundlePart::backbone()));
+  torn.erase("blocks.0.norm1.weight");
+  save_safetensors(path("torn.safetensors"), torn);
+  ConversionOptions mistaken;
+  mistaken.statistics_level0 = bundle.file(BundlePart::statistics(0));
+  mistaken.backbones["dinov2"] = path("torn.safetensors");
+  mistaken.description = path("dinov2") / "model.yaml";
+  mistaken.out = path("out");
+  EXPECT_THAT(error_of([&] { convert(mistaken); }), testing::HasSubstr("blocks.0.norm1.weight"));
+  EXPECT_FALSE(std::filesystem::exists(path("out")));
+  std::filesystem::create_directory(path("out"));
+  write_file_atomically(path("out") / "notes.txt", "mine");
+  EXPECT_THROW(convert(mistaken), Error);
+  EXPECT_TRUE(std::filesystem::exists(path("out") / "notes.txt"));
+  EXPECT_EQ(std::distance(std::filesystem::directory_iterator(path("out")), {}), 1);
+}
+
+TEST_F(Conversion, WhatAFileHoldsIsNamedWhereverItIsGiven) {
+  save_safetensors(path("vggt.safetensors"), {{"aggregator.camera_token", torch::zeros({1})}});
+  save_safetensors(path("statistics.safetensors"), {{"mean", torch::zeros({4})}, {"var", torch::ones({4})}});
+  ConversionOptions options;
+  options.out = path("out");
+  options.level1 = path("vggt.safetensors");
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.level1 + ": expected weights of M1, found weights of VGGT; give it as --vggt.");
+  options.level1 = path("statistics.safetensors");
+  EXPECT_EQ(error_of([&] { convert(options); }),
+            options.level1 +
+                ": expected weights of M1, found latent statistics; give it as --statistics-level0 or "
+                "--statistics-level1.");
+  save_safetensors(path("hugging.safetensors"), {{"embeddings.cls_token", torch::zeros({1})}});
+  ConversionOptions dinov2;
+  dinov2.out = path("out");
+  dinov2.backbones["dinov2"] = path("hugging.safetensors");
+  EXPECT_EQ(
+      error_of([&] { convert(dinov2); }),
+      path("hugging.safetensors").string() +
+          ": expected weights of DINOv2, found DINOv2 under Hugging Face's names, which are not read: give the "
+          "original .pth.");
+  EXPECT_FALSE(std::filesystem::exists(path("out")));
 }
 
 TEST_F(Conversion, TinyAutoencodersComeInTwoFiles) {
@@ -327,16 +407,16 @@ TEST_F(Conversion, TinyAutoencodersComeInTwoFiles) {
     save_safetensors(path(half + ".safetensors"), file);
   }
   ConversionOptions options;
-  options.tiny_autoencoder_encoder = path("encoder.safetensors");
-  options.tiny_autoencoder_decoder = path("decoder.safetensors");
+  options.backbones["tiny_autoencoder_encoder"] = path("encoder.safetensors");
+  options.backbones["tiny_autoencoder_decoder"] = path("decoder.safetensors");
   options.description = path("taef2") / "model.yaml";
   options.out = path("out");
   EXPECT_EQ(convert(options)["parts"]["backbone"]["tensors"], both.size());
   const auto written = read_all(ModelBundle::open(options.out).file(BundlePart::backbone()));
   for (const auto& [name, tensor] : both) EXPECT_TRUE(written.at(name).equal(tensor)) << name;
-  options.tiny_autoencoder_decoder = path("encoder.safetensors");
+  options.backbones["tiny_autoencoder_decoder"] = path("encoder.safetensors");
   EXPECT_EQ(error_of([&] { convert(options); }),
-            options.tiny_autoencoder_decoder +
+            options.backbones["tiny_autoencoder_decoder"] +
                 ": expected weights of the decoder of a tiny autoencoder, found weights of the encoder of a "
                 "tiny autoencoder; give it as --tiny-autoencoder-encoder.");
 }
@@ -368,8 +448,8 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
                 "dpt_decoder.pt.");
 }
 
-// What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is what
-// that head then predicts.
+// What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is
+// what that head then predicts.
 TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
   const auto reference = test::test_data() / "reference_cases" / "dpt_head_da3_replaced";
   BundleOptions bundle = small_bundle_options();
@@ -386,7 +466,7 @@ TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
   da3.merge(with_prefix(read_all(test::test_data() / "dpt_decoder" / "head.safetensors"), DptHead::kPrefix));
   save_safetensors(path("da3.safetensors"), da3);
   ConversionOptions options;
-  options.da3 = path("da3.safetensors");
+  options.backbones["da3"] = path("da3.safetensors");
   options.dpt_decoder = test::test_data() / "dpt_decoder" / "dpt_decoder.pt";
   options.description = path("description") / "model.yaml";
   options.out = path("replaced");
@@ -404,7 +484,7 @@ TEST_F(Conversion, IsStrict) {
   const auto refusal = [&](const Tensors& level1) {
     write_file_atomically(path("level1.pt"), checkpoint({{"ema", level1}}));
     auto only = options_;
-    only.da3.clear();
+    only.backbones.clear();
     only.overwrite = true;
     return error_of([&] { convert(only); });
   };

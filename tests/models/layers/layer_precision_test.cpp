@@ -92,8 +92,8 @@ TEST(LayerPrecision, PackedFloat32IsTheUnpackedModelBitForBit) {
   }
 }
 
-// The released widths and head sizes (768 with 48, 2048 with 128), one block a part, random weights. What a precision rounds
-// adds up over 20 products like a random walk: 2^-9 rms of an operand in bfloat16, a hundredth in int8.
+// The released widths and head sizes (768 with 48, 2048 with 128), one block a part, random weights. What a precision
+// rounds adds up over 20 products like a random walk: 2^-9 rms of an operand in bfloat16, a hundredth in int8.
 TEST(LayerPrecision, ErrorsAtFullWidthAgainstDouble) {
   DitOptions options;
   options.in_channels = 256;

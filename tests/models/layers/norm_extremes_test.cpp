@@ -93,7 +93,8 @@ TEST(NormExtremes, HalvesDoNotOverflow) {
   EXPECT_LT(relative_error(y, exact_rms_norm(x, 1e-6, norm->weight)), 3e-3);
 }
 
-// Features as large and as uneven as the published statistics say: channel means up to 56, standard deviations 0.12 to 10.
+// Features as large and as uneven as the published statistics say: channel means up to 56, standard deviations 0.12 to
+// 10.
 TEST(NormExtremes, RealStatisticsLoseNoDigits) {
   for (const char* file : {"da3/normalization_stats_level0.pt", "da3/normalization_stats_level1.pt",
                            "vggt/normalization_stats_level0.pt", "vggt/normalization_stats_level1.pt"}) {

@@ -66,8 +66,8 @@ TEST(GeometryLoss, OriginsAreMeasuredInBaselines) {
   predicted.ray_confidence = torch::ones({3, 8, 8});
   GeometryLossOptions options;
   options.ray_weight = options.point_weight = 0;
-  // What a head does that does not know the poses: every origin at the first camera. Centres are 1 and 2 steps away, the
-  // baseline is 1.5 steps.
+  // What a head does that does not know the poses: every origin at the first camera. Centres are 1 and 2 steps away,
+  // the baseline is 1.5 steps.
   predicted.rays = targets.rays.clone();
   predicted.rays.narrow(3, 3, 3).zero_();
   const auto loss = [&](double unit) {

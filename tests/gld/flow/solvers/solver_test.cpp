@@ -48,8 +48,8 @@ std::vector<SolverKind> fixed_step_solvers() {
 
 torch::Tensor doubles(const std::vector<double>& values) { return torch::tensor(values, torch::kFloat64); }
 
-// One point as data: v = (x - data)/t, whose flow is a straight line. Every solver must follow it exactly, also where it
-// starts at t = 1 and ends at t = 0, on every schedule.
+// One point as data: v = (x - data)/t, whose flow is a straight line. Every solver must follow it exactly, also where
+// it starts at t = 1 and ends at t = 0, on every schedule.
 TEST(Solver, StraightFlowsAreExactAtBothEnds) {
   for (const SolverKind solver : fixed_step_solvers()) {
     for (const ScheduleKind schedule :

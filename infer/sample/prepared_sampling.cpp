@@ -1,0 +1,239 @@
+#include "infer/sample/prepared_sampling.h"
+
+#include "datasets/formats/scene_reader.h"
+#include "gld/base/error.h"
+#include "gld/tensors/device.h"
+#include "infer/pipeline/bundle_models.h"
+#include "models/bundle/trained_views.h"
+#include "models/decoders/predicted_rays.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+namespace gld {
+namespace {
+
+// Where more or other views are asked for than the model was trained on, a sentence each.
+std::vector<std::string> unlike_training(const SamplingScene& scene, const ModelBundle& model) {
+  const BundleOptions& bundle = model.options();
+  const int64_t views = trained_views(model);
+  std::vector<std::string> notes;
+  const auto sizes = bundle.image_sizes();
+  const bool trained = std::any_of(sizes.begin(), sizes.end(), [&](const ImageSize& size) {
+    return size.width == scene.size.width && size.height == scene.size.height;
+  });
+  if (!trained) {
+    notes.push_back(fmt::format("The model was trained on images of {}, these are {}x{}.",
+                                fmt::join(bundle.trained_sizes, ", "), scene.size.width, scene.size.height));
+  }
+  if (views > 0 && scene.views.size() > views) {
+    notes.push_back(fmt::format("The model was trained on scenes of {} views, this one has {}.", views,
+                                scene.views.size()));
+  }
+  return notes;
+}
+
+void check_lifting(const SampleOptions& options, const ModelBundle& geometry_model) {
+  const auto& head = geometry_model.options().dpt_head;
+  if (!options.requested().points || options.points.lifting != PointLifting::kPointMaps || !head.exists() ||
+      head.architecture().predicts_points()) {
+    return;
+  }
+  fail({"--points.lifting", "cameras or rays of a model whose head predicts no points",
+        "point_maps of " + geometry_model.options().name,
+        "choose another, or --geometry-model DIR with a head that does (VGGT's)"});
+}
+
+// Only rays tell where depth and points belong. flag: what chose the model.
+void check_rays(const SampleOptions& options, const ModelBundle& geometry_model, const char* flag) {
+  if (!options.requested().needs_geometry() || predicts_rays(geometry_model.options().dpt_head)) return;
+  fail({flag, "image or latents of a model without a camera head",
+        "depth, rays or points of " + geometry_model.folder().string() +
+            ", whose VGGT heads have none for cameras",
+        "add --outputs image, or --geometry-model DIR with a model that sees cameras"});
+}
+
+// Where depth, rays and points come from.
+std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
+  if (!options.geometry_model.empty()) {
+    auto geometry_model = ModelBundle::open(options.geometry_model);
+    require_geometry_head(geometry_model);
+    check_lifting(options, geometry_model);
+    check_rays(options, geometry_model, "--geometry-model");
+    return geometry_model;
+  }
+  check_lifting(options, bundle);
+  if (options.requested().needs_geometry() && !bundle.options().dpt_head.exists()) {
+    fail(
+        {"--outputs", "image or latents of a model without a geometry head",
+         "depth, rays or points of " + options.model,
+         "add --outputs image, or --geometry-model DIR to have a geometry model look at the generated images"});
+  }
+  check_rays(options, bundle, "--outputs");
+  return std::nullopt;
+}
+
+void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& parts) {
+  for (const auto& part : parts) {
+    if (bundle.has(part)) continue;
+    fail({bundle.folder().string(), "a file " + bundle.file(part).filename().string(), "none",
+          "add the part with gld convert or gld train"});
+  }
+}
+
+void check_photo_model(const ModelBundle& bundle) {
+  if (!bundle.options().dpt_head.exists()) {
+    fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
+          "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
+  }
+  if (!predicts_rays(bundle.options().dpt_head)) {
+    fail({"--photos", "a model that sees cameras",
+          bundle.folder().string() + ", whose VGGT heads have none for cameras",
+          "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
+  }
+}
+
+// View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
+void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, int64_t sources) {
+  const bool visible = options.method(bundle.options()).approximate.view_pairs == ViewPairs::kVisible;
+  if (!visible || sources < 2 || predicts_rays(bundle.options().dpt_head)) return;
+  fail({"--approximate.view-pairs",
+        bundle.options().dpt_head.exists() ? "all for a model without a camera head"
+                                           : "all for a model without a geometry head",
+        "visible", "leave it out"});
+}
+
+// Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
+void complete_for_photographs(ViewSelection& selection, int64_t photographs) {
+  if (selection.sources.empty()) {
+    for (int64_t i = 0; i < photographs; ++i) selection.sources.emplace_back(i);
+  }
+  if (selection.targets.empty() && selection.path.path.empty()) {
+    selection.path.path = photographs > 1 ? "spline" : "orbit";
+  }
+}
+
+// The views with the cameras that are known now, and what is unusual about them.
+void choose_views(PreparedSampling& prepared, const ImageSize& size) {
+  prepared.scene = sampling_views(prepared.found, prepared.selection, size);
+  std::vector<std::string>& warnings = prepared.scene.warnings;
+  if (!prepared.cameras_known()) {
+    prepared.scene.path_note =
+        "gld sample estimates the cameras of the photographs; what is said here takes their number and sizes";
+    warnings.clear();
+  }
+  const auto notes = unlike_training(prepared.scene, prepared.bundle);
+  warnings.insert(warnings.end(), notes.begin(), notes.end());
+}
+
+}  // namespace
+
+PreparedSampling::PreparedSampling(const SampleOptions& options)
+    : device(device_from_text(options.device)), bundle(ModelBundle::open(options.model)) {}
+
+PreparedSampling prepare(const SampleOptions& options) {
+  PreparedSampling prepared(options);
+  const ModelBundle& bundle = prepared.bundle;
+  prepared.geometry_model = geometry_model_of(options, bundle);
+  if (options.photos.files.empty()) {
+    prepared.found = open_scene(options.scene, options.reading);
+  } else {
+    check_photo_model(prepared.camera_model());
+    prepared.photographs = list_photographs(options.photos.files);
+    prepared.found = scene_before_cameras(prepared.photographs);
+  }
+  const ImageSize size = choose_size(options.size, prepared.found, bundle.options().image_sizes(),
+                                     bundle.options().backbone.patch_side());
+  prepared.selection = options.views;
+  if (!prepared.photographs.empty()) {
+    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
+    const std::string& path = prepared.selection.path.path;
+    if (!path.empty()) refuse_orbit_options_of(options, path);
+  }
+  choose_views(prepared, size);
+  check_view_pairs(options, bundle, prepared.scene.views.num_sources);
+  return prepared;
+}
+
+void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages) {
+  const ImageSize size = prepared.scene.size;
+  prepared.photos =
+      photo_scene(prepared.photographs, options.photos.lens, size,
+                  bundle_models(prepared.camera_model(), prepared.device), prepared.device, stages);
+  prepared.found = prepared.photos->scene;
+  // One photograph's axis meets no other, and few meet surely: the depth that was seen says how far what they look at
+  // is.
+  CameraPathOptions& path = prepared.selection.path;
+  if (path.path == "orbit" && path.orbit_center.empty() && path.orbit_distance == 0) {
+    path.orbit_distance = prepared.photos->found.median_depth;
+  }
+  choose_views(prepared, size);
+}
+
+PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options) {
+  PlanRequest request;
+  const ImageSize& size = prepared.scene.size;
+  request.grid =
+      prepared.bundle.options().backbone.grid_of(prepared.scene.views.size(), size.height, size.width);
+  request.num_sources = prepared.scene.views.num_sources;
+  request.outputs = options.requested();
+  if (prepared.geometry_model) {
+    request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
+  }
+  request.photographs = static_cast<int64_t>(prepared.photographs.size());
+  for (const Photograph& photograph : prepared.photographs) {
+    request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
+  }
+  return request;
+}
+
+std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const SampleOptions& options) {
+  const BundleOptions& bundle = prepared.bundle.options();
+  PlanRequest request = plan_request(prepared, options);
+  request.flow.approximate = options.method(bundle).approximate;
+  const StageRequest stages = request.stage_request();
+  auto parts = needed_parts(bundle, stages);
+  const std::vector<BundlePart> seeing{BundlePart::backbone(), BundlePart::dpt_head()};
+  if (prepared.geometry_model) {
+    // Its backbone and head look at the generated images; this bundle's head is asked for view pairs alone.
+    const auto head = std::find(parts.begin(), parts.end(), BundlePart::dpt_head());
+    if (head != parts.end() && !stages.source_depth()) parts.erase(head);
+    bundle_has_all(*prepared.geometry_model, seeing);
+  }
+  bundle_has_all(prepared.bundle, parts);
+  if (!prepared.photographs.empty()) bundle_has_all(prepared.camera_model(), seeing);
+  return parts;
+}
+
+void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
+  SamplingScene loaded = load_sampling_scene(prepared.found, prepared.selection, prepared.scene.size);
+  const auto& kinds = options.scale_from;
+  if (std::find(kinds.begin(), kinds.end(), "source_depth") != kinds.end()) {
+    load_source_depths(prepared.found, prepared.selection, loaded);
+    const auto& depths = loaded.source_depths;
+    if (std::all_of(depths.begin(), depths.end(), [](const DepthMap& depth) { return depth.empty(); })) {
+      fail({"--scale-from source_depth", "a source view with measured depth", "none",
+            "leave it out, or choose sources that have depth"});
+    }
+  }
+  loaded.warnings = std::move(prepared.scene.warnings);  // which are more
+  prepared.scene = std::move(loaded);
+}
+
+std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options) {
+  if (!prepared.device.is_cpu()) return "";
+  PlanRequest request = plan_request(prepared, options);
+  request.flow =
+      flow_settings(options.method(prepared.bundle.options()), options.guidance, prepared.bundle.options());
+  constexpr double kGigabyte = 1e9;
+  const auto limit = options.memory_limit > 0 ? static_cast<int64_t>(options.memory_limit * kGigabyte)
+                                              : available_memory_bytes();
+  if (limit <= 0) return "";  // the system does not tell
+  return memory_refusal(prepared.bundle.options(), request, limit);
+}
+
+}  // namespace gld

@@ -1,0 +1,57 @@
+#pragma once
+
+#include "datasets/scenes/scene.h"
+#include "gld/machine/stage_record.h"
+#include "infer/forecast/sampling_plan.h"
+#include "infer/method/sample_options.h"
+#include "infer/pipeline/sampling_scene.h"
+#include "infer/sample/photo_scene.h"
+#include "models/bundle/bundle.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// What sampling needs before anything is computed.
+struct PreparedSampling {
+  torch::Device device;
+  ModelBundle bundle;
+  std::vector<Photograph> photographs;  // instead of a scene with cameras
+  std::optional<PhotoScene> photos;  // once their cameras are estimated; before, stand-ins are in the scene
+  Scene found;
+  ViewSelection selection;  // as asked for, completed for photographs
+  SamplingScene scene;      // without its images
+  std::optional<ModelBundle> geometry_model;
+
+  explicit PreparedSampling(const SampleOptions& options);  // device and bundle alone
+
+  bool cameras_known() const { return photographs.empty() || photos.has_value(); }
+  // A geometry model that is named for the generated images sees the cameras of photographs as well.
+  const ModelBundle& camera_model() const { return geometry_model ? *geometry_model : bundle; }
+};
+
+// Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the
+// model or the cameras, or does not fit, is said first, as an Error.
+PreparedSampling prepare(const SampleOptions& options);
+
+// Of photographs: loads and runs the model that sees their cameras, and chooses the views anew.
+void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages);
+
+// The pixels of the views, which were chosen without them.
+void load_pixels(PreparedSampling& prepared, const SampleOptions& options);
+
+// The parts of the bundle that sampling loads; Error where the file of one, or of the geometry model, is missing.
+std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const SampleOptions& options);
+
+// All but the flow.
+PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options);
+
+// Why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is known
+// here.
+std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options);
+
+}  // namespace gld
