@@ -122,9 +122,10 @@ def replaced_head_case(gld, da3, out):
     torch.manual_seed(7)
     sizes = {"dim_in": 128, "features": 16, "out_channels": [8, 12, 16, 20], "aux_pyramid_levels": 2,
              "aux_out1_conv_num": 1}
-    head, other = DualDPT(**sizes).eval(), DualDPT(**sizes).eval()
+    head = DualDPT(**sizes).eval()
     make_random(head)
     original = {name: tensor.clone() for name, tensor in head.state_dict().items()}
+    other = DualDPT(**sizes).eval()
     make_random(other)
     checkpoint = {"model": {}, "epoch": 3}
     for name, tensor in other.state_dict().items():
