@@ -130,8 +130,8 @@ TEST(Commands, SharedOptionsAreTheSameEverywhere) {
       if (name == "seed") help = help.substr(0, 8) + help.substr(help.find(';'));
       if (name == "scenes") help = help.substr(0, help.find(';'));
       declarations[name].insert(option.type + " " + option.range + " " + help);
-      // A stage of an ablation has one thread, because stages run side by side (the help of --jobs says so), and training
-      // generates other scenes than gld synth does by default.
+      // A stage of an ablation has one thread, because stages run side by side (the help of --jobs says so), and
+      // training generates other scenes than gld synth does by default.
       const bool has_its_own =
           (name == "threads" && command.name == "ablate") || option.key == "data.synthetic.seed";
       if (has_its_own) {
