@@ -144,6 +144,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   sample(asked);
   testing::internal::GetCapturedStdout();
   const auto report = nlohmann::json::parse(read_file(path("sample/report.json")));
+  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).text, HasSubstr("RGB decoding"));
   EXPECT_EQ(report.contains("geometry"), !geometry);
   if (vggt) {
     EXPECT_EQ(report["points"]["lifted_by"], "point_maps");
@@ -182,7 +183,6 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   EXPECT_EQ(evaluated["means"]["sample_psnr"]["scenes"], 2);
   EXPECT_EQ(evaluated["protocol"]["poses_from"],
             geometry ? "the model's own geometry head" : "nothing: the model has no geometry head");
-  EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted), HasSubstr("RGB decoding"));
 
   DoctorOptions doctor;
   doctor.model = asked.model;
