@@ -197,7 +197,8 @@ TEST_F(Sampling, TheDoctorCountsTheEvaluationsOfFlows) {
   asked.guidance.guidance_interval = {0.9, 1};
   asked.solver.schedule.schedule = ScheduleKind::kShifted;
   const auto guided = [&] {
-    const auto advice = nlohmann::json::parse(doctor_report(asked).text).at("advice").at(0).get<std::string>();
+    const auto advice =
+        nlohmann::json::parse(doctor_report(asked).text).at("advice").at(0).get<std::string>();
     int doubled = 0, evaluations = 0;
     EXPECT_EQ(std::sscanf(advice.c_str(), "Guidance doubles %d of %d", &doubled, &evaluations), 2) << advice;
     EXPECT_EQ(evaluations, 32);
