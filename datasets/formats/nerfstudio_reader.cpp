@@ -117,13 +117,13 @@ void set_intrinsics(FrameRecord& record, const Settings& settings) {
 // (DL3DV).
 std::filesystem::path find_listed(const std::filesystem::path& folder, const std::string& listed,
                                   const std::filesystem::path& image_folder, const std::string& where) {
-  const auto file = inside(folder, listed, where);
+  auto file = inside(folder, listed, where);
   if (image_folder.empty()) {
     if (std::filesystem::is_regular_file(file)) return file;
     if (!is_image_name(file)) return find_image(file.parent_path(), file.filename().string());
     return {};
   }
-  const auto moved = image_folder / file.filename();
+  auto moved = image_folder / file.filename();
   if (std::filesystem::is_regular_file(moved)) return moved;
   return find_image(image_folder, file.stem().string());
 }

@@ -95,7 +95,9 @@ std::vector<Re10kRow> read_re10k_rows(const std::filesystem::path& file) {
     row.time = parse_integer(fields[0], row.where);
     const auto n = parse_numbers(fields, 1, kFields - 1, row.where);
     row.relative_intrinsics = {n[0], n[1], n[2], n[3]};
-    for (int k = 0; k < 12; ++k) row.camera_from_world(k / 4, k % 4) = n[static_cast<size_t>(6 + k)];
+    for (size_t k = 0; k < 12; ++k) {
+      row.camera_from_world(static_cast<Eigen::Index>(k / 4), static_cast<Eigen::Index>(k % 4)) = n[6 + k];
+    }
     rows.push_back(row);
   }
   return rows;

@@ -23,7 +23,9 @@ ColmapModel model_of(const Scene& scene, const std::string& image_prefix, const 
     image.rotation = Eigen::Quaterniond(pose.linear());
     image.translation = pose.translation();
     image.camera_id = id;
-    image.name = image_prefix + frame.name + extension;
+    image.name = image_prefix;
+    image.name += frame.name;
+    image.name += extension;
     model.images.push_back(image);
   }
   return model;

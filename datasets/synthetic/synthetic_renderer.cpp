@@ -190,7 +190,7 @@ void store(const Vector3d& light, uint8_t* pixel) {
   static const std::vector<uint8_t> table = screen_table();
   for (int c = 0; c < 3; ++c) {
     const double index = std::clamp(light[c], 0.0, 1.999) * 4095;
-    pixel[c] = table[static_cast<size_t>(index + 0.5)];
+    pixel[c] = table[static_cast<size_t>(std::lround(index))];
   }
 }
 
@@ -230,8 +230,8 @@ Image render_image(const SyntheticWorld& world, const Camera& camera) {
         light = shader.colour(hits[static_cast<size_t>(y * width + x)], ray, rays.pixel_size());
       } else {
         for (int sub = 0; sub < kSubPixels * kSubPixels; ++sub) {
-          const double dx = (sub % kSubPixels + 0.5) / kSubPixels;
-          const double dy = (static_cast<double>(sub / kSubPixels) + 0.5) / kSubPixels;
+          const int row = sub / kSubPixels, column = sub % kSubPixels;
+          const double dx = (column + 0.5) / kSubPixels, dy = (row + 0.5) / kSubPixels;
           const Ray ray = rays.at(static_cast<double>(x) + dx, static_cast<double>(y) + dy);
           light += shader.colour(tracer.first_hit(ray), ray, rays.pixel_size() / kSubPixels).cwiseMin(1.2);
         }

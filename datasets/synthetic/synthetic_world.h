@@ -36,7 +36,7 @@ struct Decal {
 // The space between |x| <= half_x, |y| <= half_y, 0 <= z <= height.
 // Faces: 0 x low, 1 x high, 2 y low, 3 y high, 4 floor, 5 ceiling.
 // Surface coordinates: walls (along the wall, height), floor and ceiling (x, y).
-struct Room {
+struct Room {  // NOLINT(bugprone-reserved-identifier): clang's own copy of the array has such a name
   double half_x = 2;
   double half_y = 2;
   double height = 2.7;

@@ -3,6 +3,9 @@
 #include "gld/base/error.h"
 
 #include <algorithm>
+#include <cctype>
+#include <set>
+#include <vector>
 
 namespace gld {
 namespace {
@@ -56,8 +59,19 @@ bool names_no_number(const std::string& text, size_t error_end) {
 template <class Json>
 Json parse_as(const std::string& text, const std::string& where) {
   check_size(text, where);
+  std::vector<std::set<std::string>> keys;  // of the objects that are open
+  // The parser would take the last of two values of one key.
+  const auto each_key_once = [&](int /*depth*/, typename Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::object_start) keys.emplace_back();
+    if (event == Json::parse_event_t::object_end) keys.pop_back();
+    if (event == Json::parse_event_t::key && !keys.back().insert(parsed.template get<std::string>()).second) {
+      fail({where, "each key of an object once", "\"" + parsed.template get<std::string>() + "\" twice",
+            "remove one of them"});
+    }
+    return true;
+  };
   try {
-    return Json::parse(text);
+    return Json::parse(text, each_key_once);
   } catch (const typename Json::parse_error& error) {
     const size_t end = std::min(error.byte, text.size());
     const bool not_finite = names_no_number(text, end);

@@ -49,15 +49,15 @@ int64_t documents_in(const std::string& text) {
   std::istringstream lines(text.rfind(kByteOrderMark, 0) == 0 ? text.substr(3) : text);
   for (std::string line; std::getline(lines, line);) {
     const size_t first = line.find_first_not_of(" \t\r");
-    if (is_marker(line, "---")) {
-      ++documents;
-      open = true;
-    } else if (is_marker(line, "...")) {
+    if (is_marker(line, "...")) {
       open = false;
-    } else if (!open && first != std::string::npos && line[first] != '#' && line[0] != '%') {
-      ++documents;
-      open = true;
+      continue;
     }
+    const bool text_without_marker =
+        !open && first != std::string::npos && line[first] != '#' && line[0] != '%';
+    if (!is_marker(line, "---") && !text_without_marker) continue;
+    ++documents;
+    open = true;
   }
   return documents;
 }

@@ -68,7 +68,7 @@ std::optional<DepthScale> scale_from_sparse_points(const std::vector<DepthView>&
       if (depth > 0) ratios.push_back({projected.z() / depth, part_of(view, right, down)});
     }
   }
-  return agreed(std::move(ratios), "sparse_points");
+  return agreed(ratios, "sparse_points");
 }
 
 std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>& views,
@@ -88,7 +88,7 @@ std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>
       }
     }
   }
-  return agreed(std::move(ratios), "source_depth");
+  return agreed(ratios, "source_depth");
 }
 
 }  // namespace gld

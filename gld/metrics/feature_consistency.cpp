@@ -82,8 +82,9 @@ torch::Tensor middles(const std::vector<int64_t>& pixels, size_t first, size_t c
   auto* place = places.data_ptr<double>();
   for (size_t i = 0; i < count; ++i) {
     const int64_t pixel = pixels[first + i];
-    place[2 * i] = (static_cast<double>(pixel % camera.width) + 0.5) / static_cast<double>(camera.width);
-    place[2 * i + 1] = (static_cast<double>(pixel / camera.width) + 0.5) / static_cast<double>(camera.height);
+    const int64_t row = pixel / camera.width, column = pixel % camera.width;
+    place[2 * i] = (static_cast<double>(column) + 0.5) / static_cast<double>(camera.width);
+    place[2 * i + 1] = (static_cast<double>(row) + 0.5) / static_cast<double>(camera.height);
   }
   return places;
 }

@@ -37,6 +37,7 @@ void require_one_of_each(const Views& views, const std::vector<Camera>& predicte
 std::vector<Eigen::Isometry3d> seen_from_first(const std::vector<Camera>& cameras) {
   const Eigen::Isometry3d first_from_world = cameras.front().camera_from_world();
   std::vector<Eigen::Isometry3d> poses;
+  poses.reserve(cameras.size());
   for (const Camera& camera : cameras) poses.push_back(first_from_world * camera.world_from_camera);
   return poses;
 }

@@ -50,6 +50,9 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
 }
 
 void CameraPathOptions::check() const {
+  if (orbit_degrees == 0 && frames != 1) {
+    fail({"--orbit-degrees", "an angle other than 0 for several frames", "0", "give one, or --frames 1"});
+  }
   if (orbit_center.empty()) return;
   if (orbit_center.size() != 3) {
     fail({"--orbit-center", "three numbers, x,y,z in the scene", std::to_string(orbit_center.size()),

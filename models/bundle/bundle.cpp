@@ -42,7 +42,7 @@ std::filesystem::path found_bundle(const std::filesystem::path& folder) {
   const auto program = std::filesystem::read_symlink("/proc/self/exe", error);
   if (error) return folder;
   for (const char* from_program : {"../share/gld", "../../.."}) {
-    const auto there = (program.parent_path() / from_program / folder).lexically_normal();
+    auto there = (program.parent_path() / from_program / folder).lexically_normal();
     if (std::filesystem::is_regular_file(there / kOptionsFile, error)) return there;
   }
   return folder;

@@ -95,6 +95,7 @@ void BundleOptions::visit(FieldVisitor& visitor) {
                 texts);
   if (texts != before) {
     std::vector<LevelGenerator> wanted;
+    wanted.reserve(texts.size());
     for (const auto& text : texts) wanted.push_back(generator_from_text(text, "generated"));
     set_generators(wanted);
   }

@@ -135,12 +135,12 @@ DType stored_dtype(StoredPrecision precision) {
 
 torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType dtype) {
   const std::string where = file.path().string() + ": tensor " + printable_name(entry.name);
-  const auto tensor = read_tensor(file, entry);
+  auto tensor = read_tensor(file, entry);
   if (!tensor.is_floating_point()) return tensor;
   if (!tensor.isfinite().all().item<bool>()) {
     fail({where, "finite numbers", "NaN or infinity", "get the file again, its weights are broken"});
   }
-  const auto target = tensor.to(torch_dtype(dtype, where));
+  auto target = tensor.to(torch_dtype(dtype, where));
   if (!target.isfinite().all().item<bool>()) {
     fail({where, "numbers that fit " + dtype_name(dtype),
           fmt::format("{:g}", tensor.abs().max().to(torch::kFloat64).item<double>()),

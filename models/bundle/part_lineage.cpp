@@ -7,6 +7,7 @@
 
 #include <filesystem>
 #include <map>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -87,7 +88,11 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
               "one of another " + other_name,
               "train " + name + " again, or take it as it is with --allow-mixed"});
       }
-      warnings.push_back(name + " was trained on another " + other_name + " than the model has.");
+      std::string warning = name;
+      warning += " was trained on another ";
+      warning += other_name;
+      warning += " than the model has.";
+      warnings.push_back(std::move(warning));
     }
   }
   if (!silent.empty() && !std::filesystem::exists(bundle.folder() / "conversion.json")) {

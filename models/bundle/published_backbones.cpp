@@ -11,6 +11,8 @@
 #include <regex>
 #include <utility>
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -68,9 +70,10 @@ void require_vggt_heads(const WeightFile& file, const BundleOptions& bundle) {
   for (const auto& [head, wanted] : std::vector<std::pair<std::string, bool>>{
            {"depth_head", true}, {"point_head", heads.point_head}, {"camera_head", heads.camera_head}}) {
     if (!wanted || has_signature(file, head + ".")) continue;
-    fail({file.path().string(), "VGGT's " + head + ", tensors " + head + ".*", "none",
-          "get the whole file, or say in --description what the model has (" +
-              (head == "depth_head" ? "dpt_head: {type: none}" : "dpt_head." + head + ": false") + ")"});
+    const std::string without =
+        head == "depth_head" ? "dpt_head: {type: none}" : "dpt_head." + head + ": false";
+    fail({file.path().string(), fmt::format("VGGT's {}, tensors {}.*", head, head), "none",
+          fmt::format("get the whole file, or say in --description what the model has ({})", without)});
   }
 }
 

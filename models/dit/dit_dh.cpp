@@ -318,7 +318,7 @@ torch::Tensor DitDh::velocity_features(const DitPasses& passes, const DitNoisyTo
 }
 
 torch::Tensor DitDh::output_of(const torch::Tensor& features) const {
-  const auto output = final_layer_->project(features);
+  auto output = final_layer_->project(features);
   const int64_t special = options_.num_special_tokens;
   if (special == 0) return output;
   return torch::cat({special_projection_->forward(output.narrow(1, 0, special)),
@@ -328,7 +328,7 @@ torch::Tensor DitDh::output_of(const torch::Tensor& features) const {
 
 torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
                                             double time) const {
-  const auto output = output_of(features);
+  auto output = output_of(features);
   if (options_.prediction == FlowPrediction::kVelocity) return output;
   // x_t = (1 - t) data + t noise, so that v = noise - data = (x_t - data) / t.
   return (noisy - output) * std::min(1.0 / time, options_.largest_inverse_time);

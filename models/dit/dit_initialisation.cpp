@@ -51,8 +51,8 @@ void DitDh::initialise(const torch::Generator& generator) {
       if (ends_with(name, ".bias")) {
         parameter.zero_();
       } else {
-        const auto inputs = static_cast<double>(parameter.numel() / parameter.size(0));
-        uniform(std::sqrt(6.0 / (inputs + static_cast<double>(parameter.size(0)))));
+        const int64_t outputs = parameter.size(0), inputs = parameter.numel() / outputs;
+        uniform(std::sqrt(6.0 / static_cast<double>(inputs + outputs)));
       }
     } else if (parameter.dim() == 1 && ends_with(name, ".weight")) {
       parameter.fill_(1.0);  // norms

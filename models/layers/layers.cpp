@@ -24,11 +24,13 @@ namespace {
 void page_out(const torch::Tensor& tensor) {
 #ifdef MADV_PAGEOUT
   if (tensor.storage().data_ptr().get_deleter() == &give_block) return;
-  const auto page = static_cast<uintptr_t>(::sysconf(_SC_PAGESIZE));
-  const auto begin = reinterpret_cast<uintptr_t>(tensor.data_ptr());
-  const auto end = begin + static_cast<uintptr_t>(tensor.numel() * tensor.element_size());
-  const uintptr_t first = (begin + page - 1) / page * page, last = end / page * page;
-  if (first < last) ::madvise(reinterpret_cast<void*>(first), last - first, MADV_PAGEOUT);
+  const auto page = static_cast<size_t>(::sysconf(_SC_PAGESIZE));
+  const auto bytes = static_cast<size_t>(tensor.numel() * tensor.element_size());
+  auto* begin = static_cast<char*>(tensor.data_ptr());
+  const size_t in_front = (page - reinterpret_cast<uintptr_t>(begin) % page) % page;
+  if (in_front >= bytes) return;
+  const size_t whole_pages = (bytes - in_front) / page * page;
+  if (whole_pages > 0) ::madvise(begin + in_front, whole_pages, MADV_PAGEOUT);
 #else
   (void)tensor;
 #endif

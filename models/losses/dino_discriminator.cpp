@@ -125,7 +125,7 @@ class FrozenDino : public torch::nn::Module {
     norm_ = register_module("norm", std::make_shared<LayerNorm>(options.embed_dim, 1e-6, placement));
   }
 
-  void load(const WeightFile& file) {
+  void load_weights(const WeightFile& file) {
     load_strict(*this, file);
     for (const auto& block : blocks_) block->zero_key_bias();
     for (auto& parameter : parameters()) parameter.set_requires_grad(false);
@@ -228,7 +228,7 @@ DinoDiscriminator::DinoDiscriminator(const DinoDiscriminatorOptions& options,
 
 DinoDiscriminator::~DinoDiscriminator() = default;
 
-void DinoDiscriminator::load_dino(const WeightFile& file) { dino_->load(file); }
+void DinoDiscriminator::load_dino(const WeightFile& file) { dino_->load_weights(file); }
 
 torch::Tensor DinoDiscriminator::logits(const torch::Tensor& images) {
   const auto features = dino_->features(images);

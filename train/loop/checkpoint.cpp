@@ -149,7 +149,7 @@ std::vector<int64_t> CheckpointFolder::steps() const {
 
 std::filesystem::path CheckpointFolder::save(const Checkpoint& checkpoint) const {
   std::filesystem::create_directories(folder_);
-  const auto file = file_of(checkpoint.step);
+  auto file = file_of(checkpoint.step);
   save_checkpoint(file, checkpoint);
   auto present = steps();
   const auto keep = static_cast<size_t>(std::max<int64_t>(options_.keep_last, 1));
@@ -162,7 +162,7 @@ std::filesystem::path CheckpointFolder::save(const Checkpoint& checkpoint) const
 
 std::filesystem::path CheckpointFolder::save_best(const Checkpoint& checkpoint) const {
   std::filesystem::create_directories(folder_);
-  const auto file = folder_ / "best.safetensors";
+  auto file = folder_ / "best.safetensors";
   save_checkpoint(file, checkpoint);
   return file;
 }

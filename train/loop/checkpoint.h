@@ -16,7 +16,7 @@ namespace gld {
 
 // The whole state of a training run at the end of a step: parameters, moving average, optimiser, random
 // numbers, data position and whatever the objective keeps.
-struct Checkpoint {
+struct Checkpoint {  // NOLINT(bugprone-exception-escape): moving JSON throws nothing, whatever clang thinks
   // Names, dtypes, shapes and metadata are under the checksum too; false in files written before they were.
   bool header_is_checked = true;
   int64_t step = 0;                              // optimiser steps done
@@ -46,7 +46,7 @@ class CheckpointFolder {
   std::filesystem::path save(const Checkpoint& checkpoint) const;
   std::filesystem::path save_best(const Checkpoint& checkpoint) const;
 
-  struct Resumable {
+  struct Resumable {  // NOLINT(bugprone-exception-escape): as Checkpoint
     Checkpoint checkpoint;
     std::filesystem::path file;
     std::vector<std::string> damaged;  // newer files that could not be read, one sentence each

@@ -124,6 +124,7 @@ MicroBatchOutcome outcome_from(const std::string& text) {
 std::vector<MicroBatchOutcome> outcomes_in_order(const std::vector<std::string>& of_processes,
                                                  int64_t micro_batches) {
   std::vector<nlohmann::json> lists;
+  lists.reserve(of_processes.size());
   for (const std::string& text : of_processes) lists.push_back(nlohmann::json::parse(text));
   const auto processes = static_cast<int64_t>(lists.size());
   std::vector<MicroBatchOutcome> outcomes;

@@ -133,6 +133,7 @@ std::vector<torch::Tensor> DecoderObjective::levels_of(const torch::Tensor& imag
   std::vector<torch::Tensor> levels;
   const auto decoded = model_.level_set().decoded_levels();
   const auto encoded = backbone_->encode(images, decoded.back());
+  levels.reserve(decoded.size());
   for (const int64_t level : decoded) {
     levels.push_back(backbone_->decodable(encoded.at(static_cast<size_t>(level))).patches);
   }

@@ -225,6 +225,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
     const double shift = training_shift(scene);
     std::vector<Drawn> draws;
+    draws.reserve(kTimes + 1);
     for (int i = 0; i < kTimes; ++i) {
       draws.push_back(
           {prepared, noise, shifted_time((i + 0.5) / kTimes, shift), DitBranch::kConditional, {}});

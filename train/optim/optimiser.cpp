@@ -213,8 +213,7 @@ AverageInPlace::AverageInPlace(FlatParameters& parameters, const Optimiser& opti
   if (!optimiser.has_average()) return;
   const torch::NoGradGuard no_grad;
   trained_ = parameters.values().clone();
-  torch::Tensor values = parameters.values();
-  values.copy_(optimiser.average());
+  parameters.values().copy_(optimiser.average());
 }
 
 AverageInPlace::~AverageInPlace() {

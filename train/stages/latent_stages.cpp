@@ -174,6 +174,7 @@ std::string compute_statistics(const StatsOptions& options) {
   const auto made = folder.path() / "model";
   save_bundle_options(made, model);
   std::vector<BundlePart> parts;
+  parts.reserve(moments.size());
   for (const auto& moment : moments) parts.push_back(moment.part());
   copy_other_parts(bundle, made, parts);
   nlohmann::ordered_json report = {

@@ -36,6 +36,12 @@ TEST(JsonText, RefusesInOneSentence) {
   EXPECT_EQ(refusal(""), "a.json:1: expected JSON, found a syntax error; correct the file.");
 }
 
+TEST(JsonText, AKeyGivenTwiceIsRefused) {
+  EXPECT_EQ(refusal("{\"fx\": 3, \"k\": {\"fx\": 1}, \"fx\": 112}"),
+            "a.json: expected each key of an object once, found \"fx\" twice; remove one of them.");
+  EXPECT_NO_THROW(parse_json("[{\"fx\": 3}, {\"fx\": 3, \"inner\": {\"fx\": 3}}]", "a.json"));
+}
+
 TEST(JsonText, NestingEndsBeforeTheStackDoes) {
   EXPECT_NO_THROW(parse_json(repeated("[", 64) + repeated("]", 64), "a.json"));
   for (const size_t depth : {size_t{65}, size_t{70'000}, size_t{5'000'000}}) {

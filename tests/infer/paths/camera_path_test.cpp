@@ -135,6 +135,17 @@ TEST(Orbit, LooksAtTheCentreAndKeepsRadiusHeightAndLens) {
   }
 }
 
+TEST(Orbit, ThatDoesNotTurnHasOneFrame) {
+  CameraPathOptions options;
+  options.orbit_degrees = 0;
+  options.frames = 3;
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "--orbit-degrees: expected an angle other than 0 for several frames, found 0; give one, or --frames 1.");
+  options.frames = 1;
+  EXPECT_NO_THROW(options.check());
+}
+
 TEST(Orbit, AFullCircleHasNoFrameTwice) {
   OrbitShape shape;
   shape.frames = 8;
