@@ -61,7 +61,7 @@ std::string key_text(const YAML::Node& key, const YamlPlace& place) {
 
 // Names become keys of tables and of further options.
 std::string item_name(const YAML::Node& key, const YamlPlace& place) {
-  const std::string name = key_text(key, place);
+  std::string name = key_text(key, place);
   const bool right = !name.empty() && std::all_of(name.begin(), name.end(), [](char c) {
     return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_';
   });
@@ -167,6 +167,7 @@ std::vector<Item> read_items(const YAML::Node& node, const YamlPlace& place, con
 template <class Item>
 std::vector<std::string> names_of(const std::vector<Item>& items) {
   std::vector<std::string> names;
+  names.reserve(items.size());
   for (const Item& item : items) names.push_back(item.name);
   return names;
 }

@@ -260,7 +260,7 @@ class Planner {
     if (task.resumed) text += "resume: stage " + key(*task.resumed) + "\n";
     std::string options = task.options;
     for (const auto& [name, number] : task.named) {
-      options = replaced(options, "${" + name + "}", "stage " + key(number));
+      options = replaced(options, fmt::format("${{{}}}", name), "stage " + key(number));
     }
     return text + options;
   }

@@ -152,6 +152,7 @@ std::map<std::string, std::map<std::string, double>> numbers_by_scene(
   const std::optional<size_t> scene_column = scene_column_of(rows);
   const auto target = std::find(rows.columns.begin(), rows.columns.end(), "target");
   std::vector<std::pair<size_t, std::string>> conditions;
+  conditions.reserve(where.size());
   for (const auto& [name, text] : where) conditions.emplace_back(column_number(rows, name), text);
   struct Sum {
     double sum = 0;
@@ -177,7 +178,10 @@ std::map<std::string, std::map<std::string, double>> numbers_by_scene(
   if (!any) {
     std::string conditions_text;
     for (const auto& [name, text] : where) {
-      conditions_text += (conditions_text.empty() ? "" : " and ") + name + " " + text;
+      if (!conditions_text.empty()) conditions_text += " and ";
+      conditions_text += name;
+      conditions_text += " ";
+      conditions_text += text;
     }
     fail({rows.file.string(), conditions_text.empty() ? "rows" : "rows with " + conditions_text, "none",
           "see what the file has"});

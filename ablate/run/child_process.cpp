@@ -41,6 +41,7 @@ ChildProcess::ChildProcess(const std::vector<std::string>& command, const std::f
   if (file < 0) fail({log.string(), "a file that can be written", std::strerror(errno), "check the folder"});
   std::vector<std::string> copies = command;
   std::vector<char*> arguments;
+  arguments.reserve(copies.size() + 1);
   for (std::string& argument : copies) arguments.push_back(argument.data());
   arguments.push_back(nullptr);
   const pid_t parent = ::getpid();

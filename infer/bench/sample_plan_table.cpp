@@ -89,6 +89,7 @@ std::vector<PlanVariant> plan_variants(const std::vector<int64_t>& counts, const
 std::vector<PlanVariant> precision_variants(const std::vector<int64_t>& counts, const BundleOptions& bundle,
                                             ComputePrecision precision) {
   std::vector<SamplingMethod> methods;
+  methods.reserve(counts.size() + 2);
   for (const int64_t count : counts) methods.push_back(exact_method(count));
   methods.push_back(quality_method(SamplingQuality::kBalanced, bundle));
   methods.push_back(quality_method(SamplingQuality::kFast, bundle));
@@ -106,6 +107,7 @@ std::vector<PlanVariant> of_families(std::vector<PlanVariant> variants,
                                      const std::vector<std::string>& families) {
   if (families.empty()) return variants;
   std::vector<std::string> names;
+  names.reserve(variants.size());
   for (const auto& variant : variants) names.push_back(variant.family);
   const auto among = [](const std::vector<std::string>& texts, const std::string& text) {
     return std::find(texts.begin(), texts.end(), text) != texts.end();

@@ -100,7 +100,7 @@ std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
     }
   }
   std::string text;
-  for (const auto& [reason, names] : names_by_reason) text += names + ": " + reason + "\n";
+  for (const auto& [reason, names] : names_by_reason) text += fmt::format("{}: {}\n", names, reason);
   return text;
 }
 

@@ -18,8 +18,8 @@ namespace {
 void fill(torch::nn::Module& module) {
   for (auto& parameter : module.parameters()) {
     if (!parameter.is_floating_point()) continue;
-    const double range =
-        parameter.dim() < 2 ? 0.5 : 1 / std::sqrt(static_cast<double>(parameter.numel() / parameter.size(0)));
+    const int64_t inputs = parameter.dim() < 2 ? 4 : parameter.numel() / parameter.size(0);
+    const double range = 1 / std::sqrt(static_cast<double>(inputs));
     parameter.uniform_(-range, range);
   }
 }

@@ -237,6 +237,7 @@ RequestedOutputs SampleOptions::requested() const {
                                   {"points", &RequestedOutputs::points},
                                   {"latents", &RequestedOutputs::latents}};
   std::vector<std::string> names;
+  names.reserve(std::size(known));
   for (const auto& output : known) names.emplace_back(output.name);
   for (const auto& name : outputs) {
     bool found = false;

@@ -66,6 +66,7 @@ void add_target_path(const Scene& scene, const ViewSelection& selection, Samplin
 
 void visit_frames(FieldVisitor& visitor, const Field& field, std::vector<FrameChoice>& frames) {
   std::vector<std::string> texts;
+  texts.reserve(frames.size());
   for (const auto& frame : frames) texts.push_back(frame.text());
   visitor.texts(field, texts);
   frames.clear();

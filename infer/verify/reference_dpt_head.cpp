@@ -55,6 +55,7 @@ NamedTensors run_vggt_dpt_case(const ReferenceCase& reference) {
   grid.width = options.width / options.sizes.patch_size;
   const int64_t tokens = options.num_special_tokens + grid.tokens_per_view();
   std::vector<torch::Tensor> levels;
+  levels.reserve(4);
   for (int level = 0; level < 4; ++level) {
     levels.push_back(reference.input("level" + std::to_string(level), {-1, tokens, options.sizes.dim_in})
                          .slice(1, options.num_special_tokens));
@@ -110,6 +111,7 @@ NamedTensors run_dpt_head_case(const ReferenceCase& reference) {
   grid.height = options.height / options.patch_size;
   grid.width = options.width / options.patch_size;
   std::vector<torch::Tensor> levels;
+  levels.reserve(4);
   for (int level = 0; level < 4; ++level) {
     levels.push_back(
         reference.input("level" + std::to_string(level), {-1, grid.tokens_per_view(), options.dim_in}));
