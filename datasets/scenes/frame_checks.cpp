@@ -37,8 +37,8 @@ Eigen::Isometry3d checked_pose(const Eigen::Matrix4d& matrix, const std::string&
   }
   const Eigen::Matrix3d linear = matrix.topLeftCorner<3, 3>();
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(linear, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  // g++ 12 takes what a reference refers to for uninitialised.
-  const Eigen::Vector3d stretch = svd.singularValues();  // NOLINT(performance-unnecessary-copy-initialization)
+  // NOLINTNEXTLINE(performance-unnecessary-copy-initialization): g++ 12 takes a reference's for uninitialised
+  const Eigen::Vector3d stretch = svd.singularValues();
   if ((stretch.array() - 1).abs().maxCoeff() > kRotationTolerance) {
     fail({where, "a pose with a rotation (axes of length 1)",
           "axes stretched by " + numbers(stretch.transpose()), "check the matrix"});
