@@ -1,7 +1,6 @@
 #include "gld/base/configuration.h"
 
 #include "gld/base/atomic_file.h"
-#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
 #include "gld/base/json_text.h"
@@ -435,21 +434,6 @@ YAML::Node nested(const std::string& key, YAML::Node node) {
   return node;
 }
 
-// The leaves of nested maps under their dotted keys, as YAML on one line.
-void flatten(const YAML::Node& node, const std::string& prefix, std::map<std::string, std::string>& leaves) {
-  for (const auto& entry : node) {
-    if (!entry.first.IsScalar()) continue;
-    const std::string key = prefix + entry.first.Scalar();
-    if (entry.second.IsMap()) {
-      flatten(entry.second, key + ".", leaves);
-      continue;
-    }
-    YAML::Emitter emitter;
-    emitter << YAML::Flow << entry.second;
-    leaves[key] = emitter.c_str();
-  }
-}
-
 }  // namespace
 
 void load_yaml(OptionsGroup& options, const std::filesystem::path& file) {
@@ -491,34 +475,6 @@ std::string to_yaml_without(const OptionsGroup& options, const std::vector<std::
   YamlWriter writer(leave_out);
   visitable(options).visit(writer);
   return writer.yaml();
-}
-
-std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
-                                               const OptionsGroup& options) {
-  std::map<std::string, std::string> before, now;
-  flatten(parse_yaml(yaml, where), "", before);
-  flatten(parse_yaml(to_yaml(options), where), "", now);
-  std::vector<OptionDifference> differences;
-  for (const auto& [key, value] : now) {
-    const auto old = before.find(key);
-    if (old != before.end() && old->second != value) differences.push_back({key, old->second, value});
-  }
-  return differences;
-}
-
-void refuse_other_options(const std::filesystem::path& run, const OptionsGroup& options,
-                          const std::vector<std::string>& may_differ) {
-  const auto file = run / "config.yaml";
-  if (!std::filesystem::is_regular_file(file)) return;
-  const auto contains = [](const std::vector<std::string>& names, const std::string& name) {
-    return std::find(names.begin(), names.end(), name) != names.end();
-  };
-  for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    if (contains(options_beside_the_result(), difference.key) || contains(may_differ, difference.key))
-      continue;
-    fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
-          difference.now, "leave it as it was, or begin again with --overwrite"});
-  }
 }
 
 nlohmann::json to_json(const OptionsGroup& options) {
