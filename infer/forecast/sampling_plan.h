@@ -44,8 +44,8 @@ struct PlanRequest {
   }
 };
 
-// The grid of another backbone that looks at pictures of the bundle's grid: sides rounded to its patches, as the
-// pipeline does.
+// The grid of another backbone that looks at pictures of the bundle's grid: sides in whole patches of its
+// own.
 LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
                                const LatentGrid& pictures);
 
@@ -87,9 +87,6 @@ struct SamplingPlan {
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
 // The parts of the model that the stages of a request load, statistics included, each once.
 std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageRequest& request);
-// A sentence about what this request takes, that it does not fit into so many bytes, and which number of photographs or
-// views or which image size would; empty where it fits.
-std::string memory_refusal(const BundleOptions& bundle, const PlanRequest& request, int64_t available_bytes);
 // Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. Runs nothing.
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
 // The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where

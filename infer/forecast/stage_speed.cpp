@@ -18,8 +18,11 @@ namespace {
 void fill(torch::nn::Module& module) {
   for (auto& parameter : module.parameters()) {
     if (!parameter.is_floating_point()) continue;
-    const int64_t inputs = parameter.dim() < 2 ? 4 : parameter.numel() / parameter.size(0);
-    const double range = 1 / std::sqrt(static_cast<double>(inputs));
+    double range = 0.5;
+    if (parameter.dim() >= 2) {
+      const int64_t inputs = parameter.numel() / parameter.size(0);
+      range = 1 / std::sqrt(static_cast<double>(inputs));
+    }
     parameter.uniform_(-range, range);
   }
 }

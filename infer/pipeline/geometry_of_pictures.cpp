@@ -12,6 +12,10 @@
 
 namespace gld {
 
+int64_t nearest_whole_patches(int64_t pixels, int64_t patch_side) {
+  return std::max<int64_t>(1, (pixels + patch_side / 2) / patch_side);
+}
+
 GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
                                     GeometryMaps wanted, const torch::Device& device) {
   const torch::NoGradGuard no_gradients;
@@ -23,10 +27,8 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
     const auto backbone = models.geometry_backbone ? models.geometry_backbone() : models.backbone();
     const auto& architecture = backbone->architecture();
     const int64_t side = architecture.patch_side();
-    const auto whole = [side](int64_t length) {
-      return std::max<int64_t>(1, (length + side / 2) / side) * side;
-    };
-    const std::vector<int64_t> size = {whole(height), whole(width)};
+    const std::vector<int64_t> size = {nearest_whole_patches(height, side) * side,
+                                       nearest_whole_patches(width, side) * side};
     if (size[0] != height || size[1] != width) {
       images = torch::upsample_bilinear2d(images, size, /*align_corners=*/false);
     }

@@ -3,6 +3,7 @@
 #include "datasets/formats/scene_reader.h"
 #include "gld/base/error.h"
 #include "gld/tensors/device.h"
+#include "infer/forecast/memory_refusal.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/trained_views.h"
 
