@@ -1,5 +1,6 @@
 #include "cli/command.h"
 #include "gld/base/configuration.h"
+#include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 #include "gld/base/flag_values.h"
 #include "gld/base/interrupt.h"
@@ -39,11 +40,6 @@ struct Collected {
   std::vector<FlagValue> flags;
 };
 
-std::string dashed(std::string key) {
-  std::replace(key.begin(), key.end(), '_', '-');
-  return key;
-}
-
 std::string last_part(const std::string& key) { return key.substr(key.rfind('.') + 1); }
 
 bool has_short_form(const std::string& key, const std::map<std::string, int>& uses_of_last_part) {
@@ -54,8 +50,8 @@ bool has_short_form(const std::string& key, const std::map<std::string, int>& us
 // "--solver.evaluations,--evaluations": the short form only where it is unambiguous.
 std::string flag_names(const std::string& key, const std::map<std::string, int>& uses_of_last_part,
                        const std::string& prefix) {
-  std::string names = prefix + dashed(key);
-  if (has_short_form(key, uses_of_last_part)) names += "," + prefix + dashed(last_part(key));
+  std::string names = prefix + dashed_name(key);
+  if (has_short_form(key, uses_of_last_part)) names += "," + prefix + dashed_name(last_part(key));
   return names;
 }
 
@@ -96,7 +92,8 @@ void add_flags(CLI::App& app, const OptionsGroup& options, const OutermostTypes&
   }
   for (const auto& description : descriptions) {
     const std::string key = description.key;
-    const std::string shown = "--" + dashed(has_short_form(key, uses_of_last_part) ? last_part(key) : key);
+    const std::string shown =
+        "--" + dashed_name(has_short_form(key, uses_of_last_part) ? last_part(key) : key);
     std::string type = description.type;
     if (!description.range.empty()) type += " " + description.range;
     if (description.type == "true|false") {
@@ -170,7 +167,7 @@ std::vector<std::string> with_lists_joined(const CLI::App& app, const Command& c
   std::set<std::string> lists;
   for (const auto& description : describe_options(*command.options)) {
     if (description.type.rfind("list", 0) != 0) continue;
-    const auto* option = app.get_option_no_throw("--" + dashed(description.key));
+    const auto* option = app.get_option_no_throw("--" + dashed_name(description.key));
     if (option == nullptr) continue;
     for (const auto& name : option->get_lnames()) lists.insert("--" + name);
   }

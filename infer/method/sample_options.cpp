@@ -2,6 +2,7 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
+#include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
@@ -35,11 +36,7 @@ std::string method_field_asked_for(const SampleOptions& options) {
 bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
 
 // "--orbit-center" for "views.orbit_center".
-std::string flag_of(const std::string& key) {
-  std::string flag = "--" + key.substr(key.find('.') + 1);
-  std::replace(flag.begin(), flag.end(), '_', '-');
-  return flag;
-}
+std::string flag_of(const std::string& key) { return "--" + dashed_name(key.substr(key.find('.') + 1)); }
 
 // When something looks at an option: all whose key begins so need `given`.
 struct Use {
@@ -69,7 +66,8 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"solver.noise_seed", is_stochastic(solver.solver), stochastic},
       {"guidance.guidance_interval", guided, guidance},
       {"guidance.guidance_tolerance", guided, guidance},
-      {"guidance.guidance_b", guided, guidance},  // branches, and the memory up to which they are batched
+      {"guidance.guidance_branches", guided, guidance},
+      {"guidance.guidance_batch_memory", guided, guidance},
       {"points.", options.requested().points, "points among --outputs"},
       {"scale_from", geometry, "depth, rays or points among --outputs"},
       {"geometry_model", geometry || !options.photos.files.empty(), "depth, rays or points among --outputs"},

@@ -1,5 +1,6 @@
 #include "models/bundle/published_backbones.h"
 
+#include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 #include "models/backbones/autoencoder_kl.h"
 #include "models/backbones/dinov2_backbone.h"
@@ -44,11 +45,7 @@ const PublishedBackbone* held_backbone(const WeightFile& file) {
   return found == table.end() ? nullptr : &*found;
 }
 
-std::string flag_of(const PublishedBackbone& published) {
-  std::string flag = "--" + published.option;
-  std::replace(flag.begin(), flag.end(), '_', '-');
-  return flag;
-}
+std::string flag_of(const PublishedBackbone& published) { return "--" + dashed_name(published.option); }
 
 constexpr const char* kNotInTheDescription = "a head that the model's description leaves out";
 
