@@ -1,7 +1,7 @@
 #include "datasets/check/data_check.h"
 
 #include "datasets/check/depth_warp.h"
-#include "datasets/images/image_format.h"
+#include "datasets/formats/file_listing.h"
 #include "datasets/images/image_probe.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -9,7 +9,6 @@
 #include "gld/cameras/angles.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <filesystem>
 #include <map>
@@ -119,20 +118,12 @@ void measure_overlap(const Scene& scene, const DataCheckOptions& options, DataCh
   check.mean_overlap = sum / static_cast<double>(pairs);
 }
 
-bool is_image_file(const std::filesystem::path& file) {
-  std::string extension = file.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char letter) { return std::tolower(letter); });
-  const auto& known = image_extensions();
-  return std::find(known.begin(), known.end(), extension) != known.end();
-}
-
 // Of all frames, without decoding them.
 void look_for_cut_images(const Scene& scene, DataCheck& check) {
   constexpr int64_t kMostNamed = 3;
   int64_t cut = 0;
   for (const Frame& frame : scene.frames) {
-    if (!is_image_file(frame.image_file)) continue;
+    if (!is_image_name(frame.image_file)) continue;
     ++check.image_files;
     try {
       check_image_end(frame.image_file);

@@ -12,9 +12,9 @@
 namespace gld {
 
 // What a benchmark leaves behind.
-struct
-    BenchmarkResults {  // NOLINT(bugprone-exception-escape): moving JSON throws nothing, whatever clang thinks
-  std::string text;     // printed
+// NOLINTNEXTLINE(bugprone-exception-escape): moving JSON throws nothing, whatever clang thinks
+struct BenchmarkResults {
+  std::string text;                                        // printed
   nlohmann::ordered_json report;                           // report.json
   std::vector<std::pair<std::string, std::string>> files;  // name in the run folder, content
   std::vector<std::pair<std::string, Figure>> figures;     // name without ending; drawn as .svg and .png
