@@ -1,11 +1,9 @@
 // gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
-#include "gld/flow/schedule.h"
 #include "gld/latents/latent_statistics.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
-#include "models/dit/flow_matching_loss.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -87,48 +85,6 @@ TEST_F(TrainedChain, SourceAndTargetLossesAreLoggedApart) {
     // The last layer starts at zero, so the first velocity is 0 and its error E (noise - data)^2 = 2.
     EXPECT_NEAR(log.series("loss").front().second, 2.0, 0.3) << kind;
   }
-}
-
-// What `gld verify` replays and benchmarks time is what is trained: the same draw gives the same loss.
-TEST_F(TrainedChain, TheTrainedLossIsTheFlowMatchingLoss) {
-  const auto bundle = ModelBundle::open(path("level/model"));
-  const auto model = bundle.load_generator(level_model(1));
-  {
-    const torch::NoGradGuard no_grad;  // two steps of training leave the last layer at almost nothing
-    auto weights = at::detail::createCPUGenerator(3);
-    for (auto& parameter : model->parameters()) parameter.normal_(0, 0.1, weights);
-  }
-  FlowObjectiveOptions options;
-  options.camera_dropout = 0;
-  LevelObjective objective(bundle.options(), 1, options, frozen_parts(bundle, level_model(1), {}), {}, 1);
-  objective.start_from(*model);
-  const DatasetBatches data(test::small_data(), test::small_model().image_sizes(), FrameParts::kImage);
-  const auto batch = data.batch(0);
-  StepContext context;
-  context.generator = at::detail::createCPUGenerator(11);
-  const auto losses = objective.losses(batch, context);
-
-  const torch::NoGradGuard no_grad;
-  const auto& scene = batch.scenes.front();
-  const auto backbone = bundle.load_backbone();
-  const auto statistics = bundle.load_statistics(level_model(1));
-  const auto latent_of = [&](int64_t views) {
-    const auto level = backbone->encode(scene.images.narrow(0, 0, views), 1)[1];
-    return statistics.normalise(level.narrow(1, 1, level.size(1) - 1));
-  };
-  DitSceneInputs inputs;
-  inputs.views = scene.views;
-  inputs.source_features = latent_of(scene.views.num_sources);
-  auto generator = at::detail::createCPUGenerator(11);
-  FlowMatchingDraw draw;
-  draw.clean = latent_of(scene.views.size());
-  draw.time = shifted_time(torch::rand({2}, generator, torch::kFloat64)[0].item<double>(), 3.0);
-  draw.noise = torch::randn(draw.clean.sizes(), generator, torch::kFloat32);
-  const auto errors = flow_matching_errors(*model, inputs, draw);
-  EXPECT_NEAR(losses.total.item<double>() / errors.all.item<double>(), 1, 1e-5);
-  ASSERT_EQ(losses.parts.size(), 2U);
-  EXPECT_NEAR(losses.parts[0].second.item<double>() / errors.source.item<double>(), 1, 1e-5);
-  EXPECT_NEAR(losses.parts[1].second.item<double>() / errors.target.item<double>(), 1, 1e-5);
 }
 
 TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
