@@ -10,8 +10,8 @@
 
 namespace gld {
 
-// How many patches of that side pictures have along a side of so many pixels, at least one: they are resized to the nearest
-// whole number.
+// How many patches of that side pictures have along a side of so many pixels, at least one: they are resized to the
+// nearest whole number.
 int64_t nearest_whole_patches(int64_t pixels, int64_t patch_side);
 
 // What the geometry model sees in finished pictures, (views, 3, height, width) in [0, 1]: the model that
