@@ -247,7 +247,7 @@ TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
     auto perturbation = at::detail::createCPUGenerator(9);
     {
       const torch::NoGradGuard no_grad;
-      auto values = parameters.values();
+      const auto& values = parameters.values();
       values.add_(0.02 * torch::randn(values.sizes(), perturbation, torch::kFloat32));
     }
     auto draws = at::detail::createCPUGenerator(4);
