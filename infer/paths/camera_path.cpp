@@ -4,7 +4,9 @@
 #include "gld/base/error.h"
 #include "infer/paths/spline_path.h"
 
+#include <algorithm>
 #include <filesystem>
+#include <limits>
 
 #include <fmt/format.h>
 
@@ -31,6 +33,35 @@ std::vector<Camera> path_from_file(const std::string& path, int64_t frames) {
     cameras.push_back(list.records[static_cast<size_t>(record)].camera);
   }
   return cameras;
+}
+
+// The path's cameras may lie anywhere; one that stands beyond anything that the sources can have seen is a slip of the
+// hand or of units.
+void warn_of_distance(const CameraPathOptions& options, const std::vector<Camera>& sources,
+                      const PathSurroundings& surroundings, CameraPath& path) {
+  constexpr double kFarAway = 100;
+  const double reach = known_reach(sources, surroundings);
+  if (reach == 0) return;  // without a baseline or a depth the poses' unit says nothing
+  size_t farthest = 0;
+  double largest = 0;
+  for (size_t i = 0; i < path.cameras.size(); ++i) {
+    double nearest = std::numeric_limits<double>::infinity();
+    for (const Camera& source : sources) {
+      nearest = std::min(
+          nearest,
+          (path.cameras[i].world_from_camera.translation() - source.world_from_camera.translation()).norm());
+    }
+    if (nearest <= largest) continue;
+    largest = nearest;
+    farthest = i;
+  }
+  if (!(largest > kFarAway * reach)) return;
+  path.warnings.push_back(fmt::format(
+      "Camera {} of the path is {:.3g} away from the nearest source, where the scene is known to reach {:.3g}: the "
+      "sources show nothing of what it sees; look at {}.",
+      farthest, largest, reach,
+      options.path == "orbit" ? "--orbit-radius, --orbit-center and --orbit-distance"
+                              : "the unit of " + options.path));
 }
 
 }  // namespace
@@ -86,10 +117,13 @@ CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<
     path.note = fmt::format(
         "orbit about ({:.4g}, {:.4g}, {:.4g}), {:.4g} away: {} (--orbit-center, --orbit-radius)",
         centre.x_in_world.x(), centre.x_in_world.y(), centre.x_in_world.z(), away, centre.found_by);
+    warn_of_distance(options, sources, known, path);
     return path;
   }
-  if (options.path == "spline") return {spline_cameras(sources, frames), ""};
-  return {path_from_file(options.path, options.frames), ""};
+  if (options.path == "spline") return {spline_cameras(sources, frames), "", {}};
+  CameraPath path{path_from_file(options.path, options.frames), "", {}};
+  warn_of_distance(options, sources, surroundings, path);
+  return path;
 }
 
 }  // namespace gld

@@ -27,8 +27,10 @@ struct CameraPathOptions : OptionsGroup {
 // file that is not there, and more frames than a file has cameras.
 struct CameraPath {
   std::vector<Camera> cameras;
-  std::string
-      note;  // a line that says what an orbit turns about and how that was found; empty for other paths
+  // A line that says what an orbit turns about and how that was found; empty for other paths.
+  std::string note;
+  std::vector<std::string>
+      warnings;  // of cameras so far from all sources that nothing known can be seen from them
 };
 CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<Camera>& sources,
                             const PathSurroundings& surroundings);

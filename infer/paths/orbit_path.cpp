@@ -111,6 +111,15 @@ OrbitCentre orbit_centre(const std::vector<Camera>& sources, const PathSurroundi
                     : "at an assumed distance, because no axes meet in front of the source cameras"};
 }
 
+double known_reach(const std::vector<Camera>& sources, const PathSurroundings& surroundings) {
+  std::vector<Camera> cameras = surroundings.cameras;
+  cameras.insert(cameras.end(), sources.begin(), sources.end());
+  const double reach = std::max(surroundings.typical_depth, largest_baseline(cameras));
+  if (reach == 0) return 0;  // what axes of one place meet at is that place, or assumed
+  const OrbitCentre centre = orbit_centre(sources, surroundings);
+  return std::max(reach, (centre.x_in_world - mean_centre(sources)).norm());
+}
+
 LookAtPoint look_at_point(const std::vector<Camera>& cameras, double fallback_distance) {
   const Eigen::Vector3d middle = mean_centre(cameras);
   LookAtPoint point;

@@ -55,6 +55,7 @@ void add_target_path(const Scene& scene, const ViewSelection& selection, Samplin
   surroundings.typical_depth = typical_depth(scene, sources.front());
   CameraPath path = make_camera_path(selection.path, sources, surroundings);
   sampling.path_note = path.note;
+  sampling.warnings.insert(sampling.warnings.end(), path.warnings.begin(), path.warnings.end());
   const std::vector<Camera>& cameras = path.cameras;
   for (size_t i = 0; i < cameras.size(); ++i) {
     // A file's cameras may have another size; those of an orbit or spline have it already.

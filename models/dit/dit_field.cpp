@@ -51,6 +51,8 @@ bool DitField::is_cached(DitBranch branch, double t) const {
   return keeps_conditions() && cached.condition.defined() && cached.time == t;
 }
 
+bool DitField::needs_encoder(double t, DitBranch branch) const { return !is_cached(branch, t); }
+
 torch::Tensor DitField::condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) {
   const auto index = static_cast<size_t>(branch);
   auto& cached = cached_[index];
@@ -60,7 +62,7 @@ torch::Tensor DitField::condition(const DitNoisyTokens& tokens, const DitTimeRow
   }
   torch::Tensor condition;
   const bool batching = batch_ && batch_->time == time.time;
-  if (batching && !batch_->conditions[index].defined() && !is_cached(other_branch(branch), time.time)) {
+  if (batching && !batch_->conditions[index].defined() && needs_encoder(time.time, other_branch(branch))) {
     counts_.condition_encoder += 2;
     const auto both = model_.condition_encoder(both_branches(scene_, time), batch_->tokens).chunk(2);
     batch_->conditions = {both[0], both[1]};

@@ -45,8 +45,13 @@ class DitField : public BranchedField {
 
  protected:
   // The condition encoder's output before flow time and SiLU. Override to approximate it. In a batched evaluation this
-  // implementation, asked for one branch at the evaluation's own time, computes the other with it and has it ready.
+  // implementation, asked for one branch at the evaluation's own time, computes the other with it where that one needs
+  // the encoder too, and has it ready.
   virtual torch::Tensor condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch);
+
+  // Whether condition() asked for this branch in the present evaluation, at flow time t, would run the encoder at t. Goes
+  // with condition(): override both.
+  virtual bool needs_encoder(double t, DitBranch branch) const;
 
   const DitDh& model() const { return model_; }
 

@@ -27,6 +27,12 @@ bool extrapolated_encoder_runs_at(int64_t evaluation, int64_t last_run, int64_t 
 ExtrapolatedField::ExtrapolatedField(const DitDh& model, DitScene scene, int64_t every)
     : DitField(model, std::move(scene)), every_(every) {}
 
+bool ExtrapolatedField::needs_encoder(double t, DitBranch branch) const {
+  const auto& history = histories_[static_cast<size_t>(branch)];
+  return extrapolated_encoder_runs_at(evaluation_, history.newest.evaluation, every_) &&
+         DitField::needs_encoder(t, branch);
+}
+
 torch::Tensor ExtrapolatedField::condition(const DitNoisyTokens& tokens, const DitTimeRow& time,
                                            DitBranch branch) {
   if (branch == DitBranch::kConditional || evaluation_ < 0) ++evaluation_;

@@ -25,6 +25,7 @@ class ExtrapolatedField : public DitField {
 
  protected:
   torch::Tensor condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) override;
+  bool needs_encoder(double t, DitBranch branch) const override;
 
  private:
   struct Known {

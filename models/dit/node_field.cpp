@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 
+#include <algorithm>
 #include <utility>
 
 #include <torch/types.h>
@@ -27,6 +28,15 @@ const torch::Tensor& NodeField::node_condition(const DitNoisyTokens& tokens, Dit
   auto& condition = conditions_[index][node];
   if (!condition.defined()) condition = DitField::condition(tokens, rows_[index][node], branch);
   return condition;
+}
+
+bool NodeField::needs_encoder(double t, DitBranch branch) const {
+  const auto index = static_cast<size_t>(branch);
+  const auto& nodes = nodes_[index];
+  if (nodes.empty()) return DitField::needs_encoder(t, branch);
+  // Between nodes a polynomial stands for the encoder; at one its weight alone is not 0.
+  const auto node = std::find(nodes.begin(), nodes.end(), t);
+  return node != nodes.end() && !conditions_[index][node - nodes.begin()].defined();
 }
 
 torch::Tensor NodeField::condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) {

@@ -21,6 +21,7 @@ class NodeField : public DitField {
 
  protected:
   torch::Tensor condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch) override;
+  bool needs_encoder(double t, DitBranch branch) const override;
 
  private:
   const torch::Tensor& node_condition(const DitNoisyTokens& tokens, DitBranch branch, size_t node);

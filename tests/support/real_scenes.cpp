@@ -95,7 +95,7 @@ void expect_colmap_text_equals_binary(const std::filesystem::path& scenes, const
 
 Scene expect_colmap_points_inside(const std::filesystem::path& path, const ColmapCounts& counts,
                                   int64_t fewest_inside) {
-  const Scene scene = open_scene(path);
+  Scene scene = open_scene(path);
   EXPECT_EQ(scene.format, "colmap");
   EXPECT_EQ(scene.frames.size(), counts.images);
   EXPECT_EQ(scene.points_in_world.size(), counts.points);

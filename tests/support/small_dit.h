@@ -35,8 +35,8 @@ inline std::shared_ptr<DitDh> random_dit(const DitOptions& options, uint64_t see
   for (auto& parameter : model->named_parameters()) {
     auto& value = parameter.value();
     if (value.dim() >= 2) {
-      value.copy_(torch::randn(value.sizes()) /
-                  std::sqrt(static_cast<double>(value.numel() / value.size(0))));
+      const int64_t inputs = value.numel() / value.size(0);
+      value.copy_(torch::randn(value.sizes()) / std::sqrt(static_cast<double>(inputs)));
     } else if (parameter.key().find("norm") != std::string::npos) {
       value.copy_(1.0 + 0.2 * torch::randn(value.sizes()));
     } else if (parameter.key() == "t_embedder.W") {

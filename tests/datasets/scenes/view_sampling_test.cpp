@@ -170,7 +170,7 @@ TEST(Mixing, FollowsTheRatios) {
   EXPECT_NEAR(parts[1], 8000, 250);
   EXPECT_NEAR(parts[2], 2000, 150);
   EXPECT_NEAR(parts[3], 2000, 150);
-  for (int count : scenes) EXPECT_NEAR(count, 20000 / 7, 200);
+  for (int count : scenes) EXPECT_NEAR(count, 20000.0 / 7, 200);
 }
 
 TEST(Mixing, SizesFollowTheRatiosPerBatch) {

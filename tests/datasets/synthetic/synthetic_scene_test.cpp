@@ -64,6 +64,7 @@ TEST(SyntheticScene, FramesMayBeDrawnFromSeveralThreads) {
   const Image expected = scene.frames[0].image();
   std::vector<Image> drawn(4);
   std::vector<std::thread> threads;
+  threads.reserve(drawn.size());
   for (Image& image : drawn) threads.emplace_back([&] { image = scene.frames[0].image(); });
   for (std::thread& thread : threads) thread.join();
   for (const Image& image : drawn) EXPECT_EQ(image.rgb, expected.rgb);

@@ -56,8 +56,8 @@ torch::Tensor naive_encode(const Scene& scene, const torch::Tensor& x, const std
       matrix = scene.layout.inverse == PropeInverse::kTrue ? Eigen::Matrix4d(matrix.inverse())
                                                            : Eigen::Matrix4d(pose.inverse() * k);
     }
-    const double position[2] = {static_cast<double>(patch % scene.grid.width),
-                                static_cast<double>(patch / scene.grid.width)};
+    const int64_t column = patch % scene.grid.width, row = patch / scene.grid.width;
+    const double position[2] = {static_cast<double>(column), static_cast<double>(row)};
     for (int64_t head = 0; head < kHeads; ++head) {
       for (int64_t group = 0; group < kHeadDim / 8; ++group) {
         for (int64_t i = 0; i < 4; ++i) {

@@ -72,6 +72,7 @@ double centre_error(const Camera& a, const Camera& b) {
 TEST(CamerasFromRaysDa3, AreExactForExactRays) {
   const auto truth = cameras();
   std::vector<RayGrid> rays;
+  rays.reserve(truth.size());
   for (const Camera& camera : truth) rays.push_back(exact_rays(camera, Cells::kMiddles));
   const auto found = cameras_from_rays_da3(rays, {kWidth, kHeight});
   for (size_t i = 0; i < truth.size(); ++i) {
@@ -103,6 +104,7 @@ TEST(CamerasFromRaysDa3, ResistOutliersThatTheLinearFitDoesNot) {
 TEST(CamerasFromRaysGld, AreExactForExactRaysOfWholeCells) {
   const auto truth = cameras();
   std::vector<RayGrid> rays;
+  rays.reserve(truth.size());
   for (const Camera& camera : truth) rays.push_back(exact_rays(camera, Cells::kWholeNumbers));
   const auto found = cameras_from_rays_gld(rays, {kWidth, kHeight});
   for (size_t i = 0; i < truth.size(); ++i) {

@@ -210,7 +210,8 @@ TEST(ViewVisibility, TurningOnTheSpotDropsWhatLiesBehind) {
   Views views;
   views.num_sources = 4;
   for (int i = 0; i < 16; ++i) {
-    const double angle = kPi / 8 * (i % 4 * 4 + i / 4);  // the sources look to the four sides
+    const int sixteenth = i % 4 * 4 + i / 4;  // the sources look to the four sides
+    const double angle = kPi / 8 * sixteenth;
     views.cameras.push_back(camera_at({1e5, -3, 7}, {std::sin(angle), 0, std::cos(angle)}));
   }
   const auto visibility = view_visibility(views);
@@ -304,6 +305,7 @@ TEST(ViewVisibility, NothingThatBothSeeIsMissed) {
   int apart = 0, together = 0;
   for (int trial = 0; trial < 300; ++trial) {
     std::vector<Camera> cameras;
+    cameras.reserve(3);
     for (int i = 0; i < 3; ++i) {
       cameras.push_back(camera_at(random.vector(1), random.vector(1), random.uniform(5, 120)));
     }

@@ -80,7 +80,7 @@ TEST(Guidance, DropsTheUnconditionalBranchWhereBranchesAgree) {
     auto options = guidance_of(problem.guidance_scale, 0, 1);
     options.guidance_tolerance = tolerance;
     GuidedField field(branches, options);
-    const auto state = solve(field, problem.noise, solver).state;
+    auto state = solve(field, problem.noise, solver).state;
     report = field.report();
     return state;
   };

@@ -82,6 +82,7 @@ TEST_F(BlockMemory, AlignsEveryBlock) {
 
 TEST_F(BlockMemory, KeepsNoMoreThanTheLimit) {
   std::vector<void*> blocks;
+  blocks.reserve(12);
   for (int i = 0; i < 12; ++i) blocks.push_back(take_block(8 * kMegabyte));
   for (void* block : blocks) give_block(block);
   EXPECT_LE(kept_block_bytes(), int64_t{64} << 20);
@@ -116,6 +117,7 @@ TEST_F(BlockMemory, CountsWhatIsInUse) {
 
 TEST_F(BlockMemory, ServesThreadsAtOnce) {
   std::vector<std::thread> threads;
+  threads.reserve(4);
   for (int t = 0; t < 4; ++t) {
     threads.emplace_back([t] {
       for (int i = 0; i < 200; ++i) {

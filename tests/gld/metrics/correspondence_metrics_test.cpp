@@ -19,8 +19,9 @@ torch::Tensor world_features(const test::PlaneRoom& room) {
     auto* value = map.data_ptr<double>();
     const int64_t pixels = camera.height * camera.width;
     for (int64_t pixel = 0; pixel < pixels; ++pixel) {
-      const Eigen::Vector3d p = room.point(camera, static_cast<double>(pixel % camera.width) + 0.5,
-                                           static_cast<double>(pixel / camera.width) + 0.5);
+      const int64_t column = pixel % camera.width, row = pixel / camera.width;
+      const Eigen::Vector3d p =
+          room.point(camera, static_cast<double>(column) + 0.5, static_cast<double>(row) + 0.5);
       for (int64_t k = 0; k < 3; ++k) value[k * pixels + pixel] = p[k];
       value[3 * pixels + pixel] = 10;
     }

@@ -81,6 +81,7 @@ TEST(PoseErrors, OfCamerasThatWereFittedToExactRaysAreZero) {
   const Views views = scene_views();
   const auto exact = moved(views.cameras, some_motion(), 0.3);
   std::vector<Camera> fitted;
+  fitted.reserve(exact.size());
   for (const Camera& camera : exact) {
     fitted.push_back(camera_from_rays(rays_of_camera(camera, kColumns, kRows), ConfidenceMap(),
                                       {camera.width, camera.height},

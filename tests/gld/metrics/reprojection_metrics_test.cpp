@@ -42,6 +42,7 @@ TEST(PaintedCloud, FollowsThePaintersRuleOnAHundredClouds) {
   for (int cloud = 0; cloud < 100; ++cloud) {
     const Camera camera = random.ordinary(9, 7);
     std::vector<ColouredPoint> points;
+    points.reserve(300);
     for (int i = 0; i < 300; ++i) {
       points.push_back(
           {random.vector(4),

@@ -10,6 +10,7 @@ namespace {
 
 TEST(Bootstrap, HasTheWidthOfTheStandardErrorForManyScenes) {
   std::vector<double> values;
+  values.reserve(400);
   for (int i = 0; i < 400; ++i) values.push_back(10 + (i % 2 == 0 ? 1.0 : -1.0));  // deviation 1
   const MeanInterval interval = bootstrap_mean_interval(values);
   EXPECT_NEAR(interval.high - 10, 1.96 / 20, 0.008);

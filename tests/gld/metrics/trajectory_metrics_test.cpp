@@ -109,6 +109,7 @@ TEST(TrajectoryErrors, SayThatATrajectoryIsDegenerate) {
 std::vector<Camera> cameras_of(uint32_t seed, int count) {
   test::RandomCameras random(seed);
   std::vector<Camera> cameras;
+  cameras.reserve(static_cast<size_t>(count));
   for (int i = 0; i < count; ++i) cameras.push_back(random.ordinary(80, 60));
   return cameras;
 }

@@ -81,7 +81,7 @@ TEST(RunFolder, TheConfigurationDoesNotSayWhatBecameOfAnEarlierRun) {
 }
 
 std::string refusal(const std::filesystem::path& path, const std::string& command, EarlierRun earlier) {
-  const auto checked = test::error_of([&] { check_run_folder(path, command, earlier); });
+  auto checked = test::error_of([&] { check_run_folder(path, command, earlier); });
   EXPECT_EQ(test::error_of([&] { RunFolder(path, command, CountOptions(), earlier); }), checked);
   return checked;
 }

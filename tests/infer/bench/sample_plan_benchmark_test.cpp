@@ -22,7 +22,8 @@ namespace {
 using test::error_of;
 using testing::HasSubstr;
 
-PlanRow row_of(const std::string& family, const std::string& name, double flop, std::vector<double> errors) {
+PlanRow row_of(const std::string& family, const std::string& name, double flop,
+               const std::vector<double>& errors) {
   PlanRow row;
   row.variant.family = family;
   row.variant.method.name = name;

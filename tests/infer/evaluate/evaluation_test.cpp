@@ -241,7 +241,7 @@ class Evaluation : public testing::Test {
   // Without progress on the terminal.
   static std::string run(const EvaluationOptions& options) {
     testing::internal::CaptureStderr();
-    const std::string text = evaluate(options);
+    std::string text = evaluate(options);
     testing::internal::GetCapturedStderr();
     return text;
   }

@@ -61,6 +61,7 @@ TEST(PlanErrors, TheBoundCoversWhatWasMeasuredAndLeavesRoom) {
   const double e = std::exp(1.0);
   EXPECT_NEAR(over({0.1 / e, 0.1, 0.1 * e}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * (8 * 0.16 + 2) / 10), 1e-4);
   std::vector<double> many;
+  many.reserve(4000);
   for (int i = 0; i < 4000; ++i) many.push_back(0.1 * (i % 2 == 0 ? e : 1 / e));
   EXPECT_NEAR(over(many, 0.1), 3.092, 0.01);
   many.push_back(7);

@@ -323,6 +323,28 @@ TEST(CameraPath, AnOrbitTurnsAsAsked) {
             "write for example --orbit-center 0,0,2.5.");
 }
 
+TEST(CameraPath, WarnsOfCamerasThatTheSourcesCannotTellOf) {
+  CameraPathOptions options;
+  const auto warnings = [&](const std::vector<Camera>& sources) {
+    return make_camera_path(options, sources, {}).warnings;
+  };
+  EXPECT_THAT(warnings(ring(Vector3d::Zero())), testing::IsEmpty());
+  options.orbit_radius = 100;
+  EXPECT_THAT(warnings(ring(Vector3d::Zero())), testing::IsEmpty());
+  options.orbit_radius = 1e12;
+  EXPECT_THAT(
+      warnings(ring(Vector3d::Zero())),
+      testing::ElementsAre(testing::AllOf(
+          testing::HasSubstr(
+              " of the path is 1e+12 away from the nearest source, where the scene is known to reach 3"),
+          testing::HasSubstr("look at --orbit-radius, --orbit-center and --orbit-distance."))));
+  options.orbit_radius = 0;
+  options.orbit_center = {0, 1e12, 0};
+  EXPECT_EQ(warnings(ring(Vector3d::Zero())).size(), 1U);
+  // One source alone has no unit.
+  EXPECT_THAT(warnings({camera_at({0, 0, 0}, {0, 9, 0})}), testing::IsEmpty());
+}
+
 TEST(CameraPath, ChoosesByName) {
   CameraPathOptions options;
   options.orbit_degrees = 30;

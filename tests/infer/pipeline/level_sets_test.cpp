@@ -108,7 +108,7 @@ TEST_P(LevelSets, ThePipelineIsThePartsOneAfterAnother) {
     const auto level = std::to_string(generator.level);
     const auto patches = read(bundle, "statistics_level" + level);
     const auto normalise = [&](const torch::Tensor& tokens) {
-      const auto tail = patches.normalise(tokens.slice(1, 1));
+      auto tail = patches.normalise(tokens.slice(1, 1));
       if (special == 0) return tail;
       return torch::cat(
           {read(bundle, "special_statistics_level" + level).normalise(tokens.slice(1, 0, 1)), tail}, 1);

@@ -65,6 +65,7 @@ TEST(VisiblePairs, DepthIsBroughtToTheUnitOfTheCameras) {
   EXPECT_TRUE(pairs.warnings.empty());
   EXPECT_TRUE(pairs.visibility.used_depth);
   std::vector<PlanarDepth> depth;
+  depth.reserve(3);
   for (int i = 0; i < 3; ++i) depth.push_back({4, 3, std::vector<float>(12, 3.5F)});
   EXPECT_EQ(pairs.visibility.attends, view_visibility(views, depth).attends);
   EXPECT_FALSE(pairs.visibility.attends_to(0, 2));

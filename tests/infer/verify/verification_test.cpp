@@ -32,7 +32,7 @@ class Verification : public testing::Test {
  protected:
   std::filesystem::path write_case(const std::string& name, const std::string& description,
                                    const NamedTensors& inputs, const NamedTensors& outputs) {
-    const auto directory = folder_.path() / name;
+    auto directory = folder_.path() / name;
     std::filesystem::create_directories(directory);
     write_file_atomically(directory / "case.json", description);
     save_safetensors(directory / "inputs.safetensors", inputs);

@@ -33,7 +33,7 @@ class Bundles : public testing::Test {
   }
   static std::filesystem::path original() { return folder_->path() / "bundle"; }
   std::filesystem::path copy() const {
-    const auto target = own_.path() / "copy";
+    auto target = own_.path() / "copy";
     std::filesystem::copy(original(), target, std::filesystem::copy_options::recursive);
     return target;
   }

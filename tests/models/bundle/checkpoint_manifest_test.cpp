@@ -122,7 +122,8 @@ TEST(CheckpointManifest, BackbonesOfOneLevel) {
   expect_equal(backbone_of("autoencoder_kl"), backbone_manifest("autoencoder_kl_sd"));
   Shapes halves;
   for (const std::string half : {"encoder", "decoder"}) {
-    for (const auto& [name, shape] : backbone_manifest("taef2_" + half)) halves[half + "." + name] = shape;
+    const std::string prefix = half + ".";
+    for (const auto& [name, shape] : backbone_manifest("taef2_" + half)) halves[prefix + name] = shape;
   }
   expect_equal(backbone_of("tiny_autoencoder_encoder"), halves);
 }

@@ -77,6 +77,7 @@ TEST(DptHead, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
   const auto all = head->forward(levels, grid, GeometryMaps::kDepthAndRays);
   for (const int64_t view : {0, 3, 6}) {
     std::vector<torch::Tensor> own;
+    own.reserve(levels.size());
     for (const auto& level : levels) own.push_back(level.narrow(0, view, 1));
     const auto alone = head->forward(own, one, GeometryMaps::kDepthAndRays);
     EXPECT_LT((alone.depth[0] - all.depth[view]).abs().max().item<double>(), 1e-5);

@@ -134,6 +134,7 @@ TEST_F(ApproximateFields, NodesServeBatchedBranchesAndIntervals) {
   const auto expected = solved(one_by_one, solver, guidance);
   EXPECT_LT(relative_rms(solved(batched, solver, guidance), expected), 1e-5);
   EXPECT_EQ(one_by_one.counts().condition_encoder, 6 + static_cast<int64_t>(nodes[1].size()));
+  EXPECT_EQ(batched.counts().condition_encoder, one_by_one.counts().condition_encoder);
 }
 
 TEST_F(ApproximateFields, NodesServeAdaptiveSolvers) {
@@ -183,16 +184,19 @@ TEST_F(ApproximateFields, ExtrapolationRunsTheEncoderAsOftenAsItSays) {
 
 TEST_F(ApproximateFields, ExtrapolationRunsTheEncoderForABranchThatWasAway) {
   build(small_dit_options());
-  ExtrapolatedField field(*model_, prepared(), 4);
   const auto fresh = [&](double t) { return DitField(*model_, prepared()).guided(scene_.noisy, t, 1.5); };
-  field.conditional(scene_.noisy, 0.9);
-  field.conditional(scene_.noisy, 0.8);
-  field.conditional(scene_.noisy, 0.7);
-  field.guided(scene_.noisy, 0.6, 1.5);  // the unconditional branch for the first time
-  EXPECT_EQ(field.counts().condition_encoder, 3);
-  field.conditional(scene_.noisy, 0.5);
-  EXPECT_LT(relative_rms(field.guided(scene_.noisy, 0.4, 1.5), fresh(0.4)), 1e-6);  // a turn of both
-  EXPECT_EQ(field.counts().condition_encoder, 5);
+  for (const bool batched : {false, true}) {
+    ExtrapolatedField field(*model_, prepared(), 4);
+    field.set_batched(batched);
+    field.conditional(scene_.noisy, 0.9);
+    field.conditional(scene_.noisy, 0.8);
+    field.conditional(scene_.noisy, 0.7);
+    field.guided(scene_.noisy, 0.6, 1.5);  // the unconditional branch for the first time
+    EXPECT_EQ(field.counts().condition_encoder, 3) << batched;
+    field.conditional(scene_.noisy, 0.5);
+    EXPECT_LT(relative_rms(field.guided(scene_.noisy, 0.4, 1.5), fresh(0.4)), 1e-6);  // a turn of both
+    EXPECT_EQ(field.counts().condition_encoder, 5) << batched;
+  }
 }
 
 TEST(ApproximateSavings, AreOffAndChecked) {

@@ -40,7 +40,7 @@ class NaiveDit {
     for (int64_t i = 0; i < options_.depth[1]; ++i, ++block)
       x = run_block(block, x, s, options_.num_heads[1]);
     const auto vectors = linear("final_layer.adaLN_modulation.1", silu(s)).chunk(2, -1);
-    const auto out =
+    auto out =
         linear("final_layer.linear", norm("final_layer.norm_final", x) * (1 + vectors[1]) + vectors[0]);
     if (special_ == 0) return out;
     return torch::cat(
@@ -69,7 +69,8 @@ class NaiveDit {
     for (int64_t token = 0; token < patches_; ++token) {
       for (int64_t i = 0; i < quarter; ++i) {
         const double omega = std::pow(10000.0, -static_cast<double>(i) / static_cast<double>(quarter));
-        const auto column = static_cast<double>(token % width_), row = static_cast<double>(token / width_);
+        const int64_t line = token / width_;
+        const auto column = static_cast<double>(token % width_), row = static_cast<double>(line);
         table[token][i] = std::sin(column * omega);
         table[token][quarter + i] = std::cos(column * omega);
         table[token][2 * quarter + i] = std::sin(row * omega);
@@ -221,7 +222,7 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
                                  const std::map<std::string, torch::Tensor>& weights,
                                  const NaiveDitInputs& inputs) {
   const torch::NoGradGuard no_grad;
-  const auto output = NaiveDit(options, weights, inputs).velocity();
+  auto output = NaiveDit(options, weights, inputs).velocity();
   if (options.prediction == FlowPrediction::kVelocity) return output;
   return (inputs.noisy - output) * std::min(1 / inputs.time, options.largest_inverse_time);
 }

@@ -195,6 +195,7 @@ TEST(ActivationCheckpoint, PartsThatTreatViewsAloneMeetFewOfThemAtATime) {
       for (auto* tensor : all) tensor->mutable_grad() = torch::Tensor();
       y.square().sum().backward();
       std::vector<torch::Tensor> result;
+      result.reserve(all.size());
       for (const auto* tensor : all) result.push_back(tensor->grad().clone());
       return result;
     };

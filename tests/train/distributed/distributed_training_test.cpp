@@ -223,6 +223,7 @@ TEST(DistributedTraining, TheLossOfRankZeroIsSaidToo) {
 std::vector<std::string> said_when_joining(const std::vector<ProcessPlacement>& placements) {
   const test::TemporaryFolder folder;
   std::vector<Child> children;
+  children.reserve(placements.size());
   for (const ProcessPlacement& each : placements) {
     children.push_back(
         start(folder.path(), "process" + std::to_string(children.size()), [&] { join_processes(each); }));

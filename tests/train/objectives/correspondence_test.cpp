@@ -63,7 +63,8 @@ TEST(Correspondence, TheLossIsLeastWhereAttentionLooksAtTheRightPlace) {
     for (int64_t view = 0; view < 3; ++view) {
       for (int64_t token = 0; token < 16; ++token) {
         const double x = static_cast<double>(token % 4) + 0.5 * static_cast<double>(view);
-        const double y = static_cast<double>(token / 4);
+        const int64_t row = token / 4;
+        const auto y = static_cast<double>(row);
         for (int64_t head = 0; head < 2; ++head) {
           auto feature = features[0][view * 17 + 1 + token][head];
           feature[0] = sharpness * std::cos(x);
