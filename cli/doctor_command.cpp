@@ -1,8 +1,8 @@
 #include "cli/doctor_command.h"
 
+#include "gld/distributed/process_team.h"
 #include "gld/report/report_text.h"
 #include "infer/forecast/doctor.h"
-#include "train/distributed/process_team.h"
 
 namespace gld {
 

@@ -19,7 +19,7 @@ void check_out(const std::string& out, const std::string& example) {
 }
 
 const std::vector<std::string>& options_beside_the_result() {
-  static const std::vector<std::string> names{"out", "overwrite", "resume", "threads", "json"};
+  static const std::vector<std::string> names{"out", "overwrite", "resume", "threads", "json", "processes"};
   return names;
 }
 

@@ -44,16 +44,18 @@ std::vector<OptionDifference> differences_from(const std::string& yaml, const st
   return differences;
 }
 
+bool is_beside_the_result(const std::string& key) {
+  const auto& names = options_beside_the_result();
+  return std::find(names.begin(), names.end(), key.substr(0, key.find('.'))) != names.end();
+}
+
 void refuse_other_options(const std::filesystem::path& run, const OptionsGroup& options,
                           const std::vector<std::string>& may_differ) {
   const auto file = run / "config.yaml";
   if (!std::filesystem::is_regular_file(file)) return;
-  const auto contains = [](const std::vector<std::string>& names, const std::string& name) {
-    return std::find(names.begin(), names.end(), name) != names.end();
-  };
   for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
-    if (contains(options_beside_the_result(), difference.key) || contains(may_differ, difference.key))
-      continue;
+    if (is_beside_the_result(difference.key)) continue;
+    if (std::find(may_differ.begin(), may_differ.end(), difference.key) != may_differ.end()) continue;
     fail({"--resume", "the options of the run, which has " + difference.key + " " + difference.before,
           difference.now, "leave it as it was, or begin again with --overwrite"});
   }

@@ -21,6 +21,9 @@ struct OptionDifference {
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
                                                const OptionsGroup& options);
 
+// Whether the option of this dotted key, or the group that it is in, is one of options_beside_the_result().
+bool is_beside_the_result(const std::string& key);
+
 // Throws Error naming the first option that has another value than in the config.yaml of the run in this folder, which
 // is to go on with --resume: another result would come out. Left out are options_beside_the_result() and those of
 // may_differ. A folder without the file is of a run that was killed before it was written.

@@ -1,6 +1,7 @@
 #include "infer/evaluate/evaluation.h"
 
 #include "datasets/images/image_file.h"
+#include "datasets/images/png_file.h"
 #include "datasets/loading/batching.h"
 #include "datasets/loading/dataset.h"
 #include "datasets/pictures/contact_sheet.h"
@@ -10,6 +11,7 @@
 #include "gld/base/interrupt.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/distributed/shared_work.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -66,6 +68,35 @@ struct KeptScene {
   std::vector<AttentionCorrespondence> attention;
 };
 
+// A scene that was measured just now, by this process or another.
+struct MeasuredScene {
+  KeptScene kept;
+  std::string sheet;  // its contact sheet as PNG; empty where none was asked for
+};
+
+std::string text_of(const KeptScene& scene) {
+  nlohmann::ordered_json kept{{"by_sources", nlohmann::ordered_json::array()},
+                              {"attention", attention_record(scene.attention)}};
+  for (const SceneEvaluation& entry : scene.by_count) kept["by_sources"].push_back(scene_record(entry));
+  return kept.dump(1) + "\n";
+}
+
+// Throws Error naming the file for text that is no record.
+KeptScene scene_of(const std::string& text, const std::filesystem::path& file) {
+  try {
+    const auto kept = nlohmann::json::parse(text);
+    KeptScene scene;
+    for (const auto& entry : kept.at("by_sources")) {
+      scene.by_count.push_back(scene_from_record(entry, file.string()));
+    }
+    scene.attention = attention_from_record(kept.at("attention"));
+    return scene;
+  } catch (const nlohmann::json::exception& error) {
+    fail({file.string(), "a scene that gld eval has measured", error.what(),
+          "remove the file: the scene is measured again"});
+  }
+}
+
 // The scenes that are done, a file each, and their contact sheets.
 class SceneRecords {
  public:
@@ -77,25 +108,13 @@ class SceneRecords {
   std::optional<KeptScene> find(int64_t index) const {
     const auto file = record(index);
     if (!std::filesystem::is_regular_file(file)) return std::nullopt;
-    try {
-      const auto kept = nlohmann::json::parse(read_file(file));
-      KeptScene scene;
-      for (const auto& entry : kept.at("by_sources")) {
-        scene.by_count.push_back(scene_from_record(entry, file.string()));
-      }
-      scene.attention = attention_from_record(kept.at("attention"));
-      return scene;
-    } catch (const nlohmann::json::exception& error) {
-      fail({file.string(), "a scene that gld eval has measured", error.what(),
-            "remove the file: the scene is measured again"});
-    }
+    return scene_of(read_file(file), file);
   }
 
-  void write(int64_t index, const KeptScene& scene) const {
-    nlohmann::ordered_json kept{{"by_sources", nlohmann::ordered_json::array()},
-                                {"attention", attention_record(scene.attention)}};
-    for (const SceneEvaluation& entry : scene.by_count) kept["by_sources"].push_back(scene_record(entry));
-    write_file_atomically(record(index), kept.dump(1) + "\n");
+  // The sheet first: a scene that has a record is done.
+  void write(int64_t index, const std::string& kept_text, const std::string& png) const {
+    if (!png.empty()) write_file_atomically(sheet(index), png);
+    write_file_atomically(record(index), kept_text);
   }
 
  private:
@@ -191,6 +210,9 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
                compute_precision_names());
   visit_device(visitor, device);
   visit_threads(visitor, threads);
+  visitor.group(
+      {"processes", "several processes that share the scenes; torchrun sets the environment that is meant"},
+      processes);
 }
 
 void EvaluationOptions::check() const {
@@ -231,8 +253,8 @@ std::vector<int64_t> noise_seeds(const EvaluationOptions& options, int64_t scene
   return seeds;
 }
 
-EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle& bundle) {
-  const auto device = device_from_text(options.device);
+EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle& bundle,
+                             const torch::Device& device) {
   EvaluationModels models;
   models.bundle = bundle.options();
   models.models = kept_bundle_models(bundle, device, options.precision);
@@ -261,25 +283,78 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
 }
 
 // Evaluates a scene with each number of sources; draws the sheet of the first.
-KeptScene measured_scene(const EvaluationModels& models, const EvaluationOptions& options, const Scene& scene,
-                         int64_t index, const SceneRecords& records) {
+MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOptions& options,
+                             const Scene& scene, int64_t index) {
   const FlowSettings sampling =
       flow_settings(options.sampling_method(models.bundle), options.guidance, models.bundle);
-  KeptScene measured;
+  MeasuredScene measured;
   for (const ViewSelection& selection :
        evaluated_views(options.evaluated_views(), scene, held_out_key(options.synthetic_seed, index))) {
     const SamplingScene loaded = load_selected_views(scene, selection, models.bundle);
     const auto seeds = noise_seeds(options, index);
     const EvaluatedScene evaluated = evaluate_scene(models, loaded, sampling, seeds);
-    if (measured.by_count.empty()) {
-      if (options.pictures > 0) write_png(records.sheet(index), scene_sheet(loaded, evaluated));
+    if (measured.kept.by_count.empty()) {
+      if (options.pictures > 0) measured.sheet = encode_png(scene_sheet(loaded, evaluated), {});
       if (!options.attention_times.empty()) {
-        measured.attention = attention_correspondence(models, loaded, options.attention_times, seeds.front());
+        measured.kept.attention =
+            attention_correspondence(models, loaded, options.attention_times, seeds.front());
       }
     }
-    measured.by_count.push_back(evaluated.evaluation);
+    measured.kept.by_count.push_back(evaluated.evaluation);
   }
   return measured;
+}
+
+// A measured scene on its way to the process that keeps it.
+std::string bytes_of(const MeasuredScene& scene) {
+  const std::vector<uint8_t> sheet(scene.sheet.begin(), scene.sheet.end());
+  const auto bytes =
+      nlohmann::json::to_cbor({{"record", text_of(scene.kept)}, {"sheet", nlohmann::json::binary(sheet)}});
+  return {bytes.begin(), bytes.end()};
+}
+
+std::string progress_note(const KeptScene& scene) {
+  const SceneEvaluation& first = scene.by_count.front();
+  return fmt::format("PSNR of the sample {:.2f} dB, of the mean prediction {:.2f} dB",
+                     first.number("sample_psnr").value, first.number("mean_prediction_psnr").value);
+}
+
+// The scenes that the run folder of rank 0 does not have yet; the same at every process.
+std::vector<int64_t> scenes_to_measure(const ProcessShare& share, const SceneRecords* records,
+                                       int64_t count) {
+  std::vector<int64_t> missing;
+  for (int64_t index = 0; records != nullptr && index < count; ++index) {
+    if (!records->find(index)) missing.push_back(index);
+  }
+  if (share.team == nullptr) return missing;
+  return nlohmann::json::parse(share.team->gather(nlohmann::json(missing).dump()).front())
+      .get<std::vector<int64_t>>();
+}
+
+// Measures the scenes that have no record yet; records is null at processes other than rank 0.
+void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
+                    const EvaluationModels& models, const Dataset& dataset, const SceneRecords* records) {
+  const auto missing = scenes_to_measure(share, records, dataset.size());
+  int64_t done = dataset.size() - static_cast<int64_t>(missing.size());
+  std::optional<Progress> progress;
+  if (share.leads()) progress.emplace("evaluating", dataset.size());
+  PieceOfWork scenes;
+  scenes.make = [&](int64_t index) {
+    stop_if_interrupted("evaluation stopped after " + std::to_string(done) +
+                        " scenes; --resume goes on with the next one");
+    return bytes_of(measured_scene(models, options, dataset.scene(index), index));
+  };
+  scenes.take = [&](int64_t index, const std::string& made) {
+    ++done;
+    if (!share.leads()) return;
+    const auto measured = nlohmann::json::from_cbor(made);
+    const auto text = measured.at("record").get<std::string>();
+    const auto& sheet = measured.at("sheet").get_binary();
+    records->write(index, text, {sheet.begin(), sheet.end()});
+    progress->update(done, progress_note(scene_of(text, "a measured scene")));
+  };
+  share_pieces(share, missing, scenes);
+  if (progress) progress->finish();
 }
 
 // Contact sheets of the first scenes, and of those with the best, the median and the worst PSNR.
@@ -317,43 +392,47 @@ nlohmann::ordered_json summaries(const std::vector<std::vector<SceneEvaluation>>
 }  // namespace
 
 std::string evaluate(const EvaluationOptions& options) {
-  use_threads(options.threads);
+  const ProcessShare share = join_others(options.processes);
+  use_threads(share.threads(options.threads));
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
-  check_run_folder(options.out, "eval", earlier);
-  if (options.resume) refuse_other_options(options.out, options);
+  if (share.leads()) {
+    check_run_folder(options.out, "eval", earlier);
+    if (options.resume) refuse_other_options(options.out, options);
+  }
   const auto bundle = ModelBundle::open(options.model);
+  if (share.team != nullptr) check_same_work(*share.team, options, bundle.content_hash());
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {
     if (bundle.has(part)) parts.push_back(part);
   }
-  print_warnings(thread_warnings(options.threads));
-  print_warnings(mixed_parts(bundle, parts, options.allow_mixed));
+  const auto mixed = mixed_parts(bundle, parts, options.allow_mixed);
+  if (share.leads()) {
+    print_warnings(thread_warnings(options.threads));
+    print_warnings(mixed);
+  }
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
-  const EvaluationModels models = load_models(options, bundle);
-  RunFolder folder(options.out, "eval", options, earlier);
-  const SceneRecords records(folder.subfolder("scenes"));
+  const EvaluationModels models =
+      load_models(options, bundle, device_from_text(share.device(options.device)));
+  std::optional<RunFolder> lead_folder;
+  std::optional<SceneRecords> lead_records;
+  if (share.leads()) {
+    lead_folder.emplace(options.out, "eval", options, earlier);
+    lead_records.emplace(lead_folder->subfolder("scenes"));
+  }
+  measure_scenes(share, options, models, *dataset, lead_records ? &*lead_records : nullptr);
+  if (!share.leads()) return {};
+  RunFolder& folder = *lead_folder;
+  const SceneRecords& records = *lead_records;
   const SamplingMethod method = options.sampling_method(bundle.options());
 
   std::vector<std::vector<SceneEvaluation>> by_count(std::max<size_t>(1, options.source_counts.size()));
   std::vector<std::vector<AttentionCorrespondence>> attention;
-  Progress progress("evaluating", dataset->size());
   for (int64_t index = 0; index < dataset->size(); ++index) {
-    stop_if_interrupted("evaluation stopped after " + std::to_string(index) +
-                        " scenes; --resume goes on with the next one");
-    auto kept = records.find(index);
-    if (!kept) {
-      kept = measured_scene(models, options, dataset->scene(index), index, records);
-      records.write(index, *kept);
-    }
-    for (size_t i = 0; i < by_count.size(); ++i) by_count[i].push_back(kept->by_count.at(i));
-    if (!options.attention_times.empty()) attention.push_back(kept->attention);
-    const SceneEvaluation& first = kept->by_count.front();
-    progress.update(index + 1, fmt::format("PSNR of the sample {:.2f} dB, of the mean prediction {:.2f} dB",
-                                           first.number("sample_psnr").value,
-                                           first.number("mean_prediction_psnr").value));
+    const KeptScene kept = records.find(index).value();
+    for (size_t i = 0; i < by_count.size(); ++i) by_count[i].push_back(kept.by_count.at(i));
+    if (!options.attention_times.empty()) attention.push_back(kept.attention);
   }
-  progress.finish();
 
   std::vector<SceneEvaluation> all;
   for (const auto& scenes : by_count) all.insert(all.end(), scenes.begin(), scenes.end());

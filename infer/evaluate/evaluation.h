@@ -3,6 +3,7 @@
 #include "datasets/scenes/view_sampling.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/options.h"
+#include "gld/distributed/process_placement.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "infer/evaluate/evaluated_views.h"
@@ -46,6 +47,7 @@ struct EvaluationOptions : OptionsGroup {
   ComputePrecision precision = ComputePrecision::kFloat32;
   std::string device = "cpu";
   int64_t threads = 0;
+  ProcessesOptions processes;
 
   EvaluationOptions();
   void visit(FieldVisitor& visitor) override;
@@ -57,7 +59,8 @@ struct EvaluationOptions : OptionsGroup {
 };
 
 // Runs the evaluation and writes the run folder (docs/FILES.md). A scene that is done is kept in scenes/, from where
-// `resume` goes on. Returns the tables and the closing box as text.
+// `resume` goes on. Several processes take a scene each in turns; rank 0 alone writes, after each turn. Returns the tables
+// and the closing box as text, nothing where another process writes the run folder.
 std::string evaluate(const EvaluationOptions& options);
 
 }  // namespace gld

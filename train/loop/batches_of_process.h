@@ -1,7 +1,7 @@
 #pragma once
 
+#include "gld/distributed/process_team.h"
 #include "train/data/training_data.h"
-#include "train/distributed/process_team.h"
 
 #include <cstdint>
 #include <memory>

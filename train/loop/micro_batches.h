@@ -1,6 +1,6 @@
 #pragma once
 
-#include "train/distributed/process_team.h"
+#include "gld/distributed/process_team.h"
 #include "train/loop/objective.h"
 #include "train/optim/flat_parameters.h"
 

@@ -1,8 +1,8 @@
 #pragma once
 
 #include "gld/base/options.h"
+#include "gld/distributed/process_team.h"
 #include "train/data/batch_prefetcher.h"
-#include "train/distributed/process_team.h"
 #include "train/loop/micro_batches.h"
 #include "train/loop/objective.h"
 #include "train/optim/learning_rate.h"

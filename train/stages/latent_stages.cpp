@@ -3,6 +3,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/distributed/shared_work.h"
 #include "gld/latents/latent_statistics.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -12,6 +13,8 @@
 #include "train/objectives/level_objective.h"
 
 #include <iostream>
+#include <numeric>
+#include <optional>
 
 #include <torch/autograd.h>
 
@@ -39,6 +42,23 @@ std::vector<LevelMoments> moments_of(const BundleOptions& model) {
     result.push_back({part.level, special, StreamingMoments(model.backbone.level_channels())});
   }
   return result;
+}
+
+// Of each level in turn, as text that keeps every bit.
+nlohmann::json moments_record(const std::vector<LevelMoments>& moments) {
+  auto record = nlohmann::json::array();
+  for (const auto& [level, special, values] : moments) {
+    record.push_back({values.count(), values.mean(), values.squares()});
+  }
+  return record;
+}
+
+void merge_record(const nlohmann::json& record, std::vector<LevelMoments>& moments) {
+  for (size_t i = 0; i < moments.size(); ++i) {
+    const auto& level = record.at(i);
+    moments[i].moments.merge({level.at(0).get<int64_t>(), level.at(1).get<std::vector<double>>(),
+                              level.at(2).get<std::vector<double>>()});
+  }
 }
 
 void tell_narrow_decoder(const GeneratorOptions& part) {
@@ -128,6 +148,9 @@ void StatsOptions::visit(FieldVisitor& visitor) {
   visit_device(visitor, device);
   visit_threads(visitor, threads);
   visitor.integer({"scene_count", "training scenes to look at"}, scene_count, {1, 1'000'000'000});
+  visitor.group(
+      {"processes", "several processes that share the scenes; torchrun sets the environment that is meant"},
+      processes);
   visitor.group({"data", "the training data"}, data);
 }
 
@@ -141,37 +164,59 @@ void StatsOptions::check() const {
 
 std::string compute_statistics(const StatsOptions& options) {
   const torch::NoGradGuard no_grad;
-  use_threads(options.threads);
-  check_run_folder(options.out, "stats", earlier_run(options.overwrite));
+  const ProcessShare share = join_others(options.processes);
+  use_threads(share.threads(options.threads));
+  if (share.leads()) check_run_folder(options.out, "stats", earlier_run(options.overwrite));
   const auto bundle = ModelBundle::open(options.model);
+  if (share.team != nullptr) check_same_work(*share.team, options, bundle.content_hash());
   ParameterPlacement placement;
-  placement.device = device_from_text(options.device);
+  placement.device = device_from_text(share.device(options.device));
   const BundleOptions& model = bundle.options();
   const GeometricLatentSpace space(bundle.load_backbone(placement), model.boundary_level);
   const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
-  RunFolder folder(options.out, "stats", options, earlier_run(options.overwrite));
+  std::optional<RunFolder> folder;
+  if (share.leads()) folder.emplace(options.out, "stats", options, earlier_run(options.overwrite));
 
   std::vector<LevelMoments> moments = moments_of(model);
-  Progress progress("latent statistics", options.scene_count);
+  std::optional<Progress> progress;
+  if (share.leads()) progress.emplace("latent statistics", options.scene_count);
   int64_t scenes = 0;
-  for (int64_t index = 0; scenes < options.scene_count; ++index) {
+  PieceOfWork batches;
+  // The moments of each of the batch's scenes by itself.
+  batches.make = [&](int64_t index) {
     stop_if_interrupted("statistics stopped after " + std::to_string(scenes) +
                         " scenes; nothing was written");
+    auto record = nlohmann::json::array();
     for (const TrainingScene& on_host : data.batch(index).scenes) {
-      if (scenes == options.scene_count) break;
       const TrainingScene scene = on_host.to(placement.device);
       const auto levels = space.encode(scene.images, model.level_set().deepest_generated());
-      for (auto& moment : moments) {
+      std::vector<LevelMoments> own = moments_of(model);
+      for (auto& moment : own) {
         const auto& level = levels.at(static_cast<size_t>(moment.level));
         add_features(moment.moments, moment.special ? level.narrow(1, 0, space.leading_tokens())
                                                     : level.slice(1, space.leading_tokens()));
       }
-      progress.update(++scenes);
+      record.push_back(moments_record(own));
     }
-  }
-  progress.finish();
+    return record.dump();
+  };
+  // In the order of scenes, so that the sums do not depend on who computed them.
+  batches.take = [&](int64_t, const std::string& made) {
+    for (const auto& scene : nlohmann::json::parse(made)) {
+      if (scenes == options.scene_count) return;
+      merge_record(scene, moments);
+      ++scenes;
+      if (progress) progress->update(scenes);
+    }
+  };
+  const int64_t batch_size = options.data.loading.batch_size;
+  std::vector<int64_t> indices(static_cast<size_t>((options.scene_count + batch_size - 1) / batch_size));
+  std::iota(indices.begin(), indices.end(), 0);
+  share_pieces(share, indices, batches);
+  if (!share.leads()) return {};
+  progress->finish();
 
-  const auto made = folder.path() / "model";
+  const auto made = folder->path() / "model";
   save_bundle_options(made, model);
   std::vector<BundlePart> parts;
   parts.reserve(moments.size());
@@ -188,10 +233,10 @@ std::string compute_statistics(const StatsOptions& options) {
                                                {"largest_deviation", deviation.max().item<double>()}};
   }
   note_what_was_trained_on(ModelBundle::open(made), parts);
-  folder.write_report(report);
-  folder.note("model", "model");
-  folder.note("report", "report.json");
-  return folder.closing_box();
+  folder->write_report(report);
+  folder->note("model", "model");
+  folder->note("report", "report.json");
+  return folder->closing_box();
 }
 
 }  // namespace gld

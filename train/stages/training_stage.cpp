@@ -7,13 +7,13 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
+#include "gld/distributed/shared_work.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/trained_views.h"
-#include "train/distributed/process_team.h"
 
 #include <algorithm>
 #include <iostream>
@@ -90,15 +90,12 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                                       "objective.start",
                                       "objective.flow.start",
                                       "objective.training"};
-  const auto contains = [](const auto& names, const std::string& name) {
-    return std::find(names.begin(), names.end(), name) != names.end();
-  };
   const auto file = folder / "config.yaml";
   if (!std::filesystem::is_regular_file(file)) return;  // killed before it was written
   std::string before, here, keys;
   for (const auto& difference : differences_from(read_file(file), file.string(), now)) {
-    if (free.count(difference.key) > 0 || contains(options_beside_the_result(), difference.key) ||
-        difference.key.rfind("processes.", 0) == 0 || contains(may_change, difference.key)) {
+    if (free.count(difference.key) > 0 || is_beside_the_result(difference.key) ||
+        std::find(may_change.begin(), may_change.end(), difference.key) != may_change.end()) {
       continue;
     }
     const std::string separator = keys.empty() ? "" : ", ";
@@ -127,57 +124,11 @@ void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<Bundl
   }
 }
 
-namespace {
-
-// Options that processes which train together may differ in.
-bool is_of_one_process(const std::string& key) {
-  const auto& beside = options_beside_the_result();
-  return key.rfind("processes.", 0) == 0 || std::find(beside.begin(), beside.end(), key) != beside.end();
-}
-
-// Throws the same Error at every process where one would not train what rank 0 trains.
-void check_same_work(ProcessTeam& team, const OptionsGroup& options, const ModelBundle& bundle) {
-  const nlohmann::json mine = {{"options", to_yaml(options)}, {"model", bundle.content_hash()}};
-  const auto first = nlohmann::json::parse(team.gather(mine.dump()).front());
-  std::string of_first, here;
-  for (const auto& difference : differences_from(first.at("options").get<std::string>(), "rank 0", options)) {
-    if (is_of_one_process(difference.key)) continue;
-    const std::string separator = here.empty() ? "" : ", ";
-    of_first += separator + difference.key + " " + difference.before;
-    here += separator + difference.now;
-  }
-  nlohmann::json complaint;
-  if (!here.empty()) {
-    complaint = {"the options of rank 0 (" + of_first + ")", here,
-                 "start every process with the same options"};
-  } else if (mine.at("model") != first.at("model")) {
-    complaint = {"the model files that rank 0 has", "others in the folder of --model",
-                 "copy those of rank 0 there, model.yaml included"};
-  }
-  const auto complaints = team.gather(complaint.dump());
-  for (size_t rank = 0; rank < complaints.size(); ++rank) {
-    const auto said = nlohmann::json::parse(complaints[rank]);
-    if (said.is_null()) continue;
-    fail({"rank " + std::to_string(rank), said.at(0).get<std::string>(), said.at(1).get<std::string>(),
-          said.at(2).get<std::string>()});
-  }
-}
-
-// Threads are shared by the processes of a machine.
-int64_t threads_of_process(int64_t threads, const ProcessTeam* team) {
-  if (threads > 0 || team == nullptr) return threads;
-  return std::max<int64_t>(1, threads_to_use(0) / team->local_count());
-}
-
-}  // namespace
-
 std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw) {
-  const ProcessPlacement processes = process_placement(options.processes, variable_of_this_process);
-  std::unique_ptr<ProcessTeam> team;
-  if (processes.count > 1) team = join_processes(processes);
-  const bool leads = team == nullptr || team->rank() == 0;
-  use_threads(threads_of_process(options.threads, team.get()));
+  const ProcessShare share = join_others(options.processes);
+  const bool leads = share.leads();
+  use_threads(share.threads(options.threads));
   if (leads) print_warnings(thread_warnings(options.threads));
   EarlierRun earlier = earlier_run(options.overwrite);
   if (options.resume) earlier = EarlierRun::kContinue;
@@ -188,11 +139,9 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
     if (options.resume) refuse_changed_options(options.out, all_options, options.may_change);
   }
   const auto bundle = ModelBundle::open(options.model);
-  if (team != nullptr) check_same_work(*team, all_options, bundle);
+  if (share.team != nullptr) check_same_work(*share.team, all_options, bundle.content_hash());
   ParameterPlacement placement;
-  const bool device_each = team != nullptr && options.device == "cuda";
-  placement.device =
-      device_from_text(device_each ? "cuda:" + std::to_string(processes.local_rank) : options.device);
+  placement.device = device_from_text(share.device(options.device));
   for (const auto& part : stage.made) {
     std::vector<BundlePart> others;
     for (const auto& other : trained_on(part, bundle.options())) {
@@ -207,7 +156,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   const auto data = std::make_shared<DatasetBatches>(options.data, sizes, stage.parts);
 
   TrainingRun run;
-  run.team = team.get();
+  run.team = share.team.get();
   run.objective = objective.get();
   run.data = data;
   run.folder = options.out;
@@ -225,9 +174,10 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   RunFolder folder(options.out, stage.command, all_options, earlier);
   run.folder = folder.path();
   run.validation_scenes = validation_scenes(options.data, sizes.front(), stage.parts);
-  if (team != nullptr) {
-    std::cerr << "note: " << team->count()
-              << " processes; micro-batch i of a step is computed by rank i modulo " << team->count() << "\n";
+  if (share.team != nullptr) {
+    const int64_t processes = share.team->count();
+    std::cerr << "note: " << processes << " processes; micro-batch i of a step is computed by rank i modulo "
+              << processes << "\n";
   }
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);

@@ -1,9 +1,9 @@
 #pragma once
 
 #include "gld/base/options.h"
+#include "gld/distributed/process_placement.h"
 #include "models/bundle/bundle.h"
 #include "train/data/training_data.h"
-#include "train/distributed/process_placement.h"
 #include "train/loop/objective.h"
 #include "train/loop/training_loop.h"
 

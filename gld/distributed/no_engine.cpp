@@ -1,6 +1,6 @@
 #include "gld/base/error.h"
+#include "gld/distributed/process_team.h"
 #include "gld/tensors/torch_version.h"
-#include "train/distributed/process_team.h"
 
 // Where LibTorch comes without the headers of Gloo (cmake/GldLibTorch.cmake).
 namespace gld {

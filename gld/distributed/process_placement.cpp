@@ -1,4 +1,4 @@
-#include "train/distributed/process_placement.h"
+#include "gld/distributed/process_placement.h"
 
 #include "gld/base/error.h"
 
@@ -41,7 +41,7 @@ Value required(const std::optional<Value>& value, const char* flag, const char* 
 
 void ProcessesOptions::visit(FieldVisitor& visitor) {
   visitor.integer(
-      {"count", "processes that train together; 0: the environment's WORLD_SIZE, or this one alone"}, count,
+      {"count", "processes that work together; 0: the environment's WORLD_SIZE, or this one alone"}, count,
       {0, kMostProcesses});
   visitor.integer({"rank", "which of them this is, from 0; -1: the environment's RANK"}, rank,
                   {-1, kMostProcesses - 1});

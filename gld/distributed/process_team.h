@@ -1,6 +1,6 @@
 #pragma once
 
-#include "train/distributed/process_placement.h"
+#include "gld/distributed/process_placement.h"
 
 #include <cstdint>
 #include <memory>

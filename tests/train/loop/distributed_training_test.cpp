@@ -1,93 +1,37 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
+#include "gld/distributed/shared_work.h"
 #include "gld/tensors/torch_version.h"
+#include "tests/support/forked_processes.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/loop/toy_objective.h"
-#include "train/distributed/process_team.h"
 #include "train/loop/checkpoint.h"
 #include "train/loop/training_loop.h"
 
 #include <chrono>
 #include <csignal>
-#include <functional>
 #include <thread>
 
 #include <arpa/inet.h>
-#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 // Real processes, forked before this one has started a thread.
 namespace gld {
 namespace {
 
+using test::Child;
+using test::free_port;
+using test::placement;
+using test::start;
+using test::status_of;
 using testing::HasSubstr;
 using Clock = std::chrono::steady_clock;
 
 double seconds_since(Clock::time_point before) {
   return std::chrono::duration<double>(Clock::now() - before).count();
-}
-
-int64_t free_port() {
-  const int number = ::socket(AF_INET, SOCK_STREAM, 0);
-  sockaddr_in address = {};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t size = sizeof(address);
-  EXPECT_EQ(::bind(number, reinterpret_cast<sockaddr*>(&address), size), 0);
-  EXPECT_EQ(::getsockname(number, reinterpret_cast<sockaddr*>(&address), &size), 0);
-  ::close(number);
-  return ntohs(address.sin_port);
-}
-
-struct Child {
-  pid_t process = 0;
-  std::filesystem::path said;  // its standard error
-};
-
-Child start(const std::filesystem::path& folder, const std::string& name, const std::function<void()>& work) {
-  Child child{0, folder / (name + ".txt")};
-  child.process = ::fork();
-  if (child.process != 0) return child;
-  const int file = ::open(child.said.c_str(), O_CREAT | O_TRUNC | O_WRONLY, 0600);
-  ::dup2(file, STDERR_FILENO);
-  try {
-    set_thread_count(1);
-    work();
-  } catch (const std::exception& error) {
-    const std::string line = std::string("error: ") + error.what() + "\n";
-    if (::write(STDERR_FILENO, line.data(), line.size()) < 0) std::_Exit(3);
-    std::_Exit(1);
-  }
-  std::_Exit(0);
-}
-
-// The exit status; -signal where one ended it, 1000 where it goes on for longer than that.
-int status_of(const Child& child, double most_seconds = 120) {
-  const auto begun = Clock::now();
-  int status = 0;
-  while (::waitpid(child.process, &status, WNOHANG) == 0) {
-    if (seconds_since(begun) > most_seconds) {
-      ::kill(child.process, SIGKILL);
-      ::waitpid(child.process, &status, 0);
-      return 1000;
-    }
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-  }
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
-}
-
-ProcessPlacement placement(int64_t rank, int64_t count, int64_t port) {
-  ProcessPlacement result;
-  result.rank = rank;
-  result.count = count;
-  result.master_address = "127.0.0.1";
-  result.master_port = port;
-  result.join_seconds = 30;
-  return result;
 }
 
 TrainingLoopOptions short_run() {
@@ -113,18 +57,12 @@ void train_toy(const std::filesystem::path& folder, const TrainingLoopOptions& o
 }
 
 // A run in that many processes, all of which must succeed.
-void train_in(int64_t processes, const std::filesystem::path& folder,
+void train_in(int64_t count, const std::filesystem::path& folder,
               TrainingStart begin = TrainingStart::kFresh) {
-  const int64_t port = free_port();
-  std::vector<Child> children;
-  for (int64_t rank = 0; rank < processes; ++rank) {
-    children.push_back(start(folder, "rank" + std::to_string(rank), [&] {
-      std::unique_ptr<ProcessTeam> team;
-      if (processes > 1) team = join_processes(placement(rank, processes, port));
-      train_toy(folder, short_run(), begin, team.get());
-    }));
-  }
-  for (const Child& child : children) EXPECT_EQ(status_of(child), 0) << read_file(child.said);
+  test::in_processes(count, folder, [&](const ProcessesOptions& options) {
+    const ProcessShare share = join_others(options);
+    train_toy(folder, short_run(), begin, share.team.get());
+  });
 }
 
 void expect_same_checkpoint(const std::filesystem::path& a, const std::filesystem::path& b) {

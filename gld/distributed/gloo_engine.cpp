@@ -1,8 +1,8 @@
 #include "gld/base/error.h"
+#include "gld/distributed/process_team.h"
+#include "gld/distributed/signs_of_life.h"
 #include "gld/report/provenance.h"
 #include "gld/tensors/torch_version.h"
-#include "train/distributed/process_team.h"
-#include "train/distributed/signs_of_life.h"
 
 #include <algorithm>
 #include <chrono>

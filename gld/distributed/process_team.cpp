@@ -1,4 +1,4 @@
-#include "train/distributed/process_team.h"
+#include "gld/distributed/process_team.h"
 
 namespace gld {
 

@@ -1,4 +1,4 @@
-#include "train/distributed/process_placement.h"
+#include "gld/distributed/process_placement.h"
 
 #include "tests/support/error_of.h"
 

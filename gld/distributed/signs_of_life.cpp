@@ -1,4 +1,4 @@
-#include "train/distributed/signs_of_life.h"
+#include "gld/distributed/signs_of_life.h"
 
 #include "gld/base/error.h"
 

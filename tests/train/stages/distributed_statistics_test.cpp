@@ -1,0 +1,41 @@
+#include "gld/base/atomic_file.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/forked_processes.h"
+#include "tests/support/temporary_folder.h"
+#include "tests/train/small_training.h"
+#include "train/stages/latent_stages.h"
+
+#include <string>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+TEST(DistributedStatistics, OneTwoAndThreeProcessesGiveTheSameBits) {
+  const test::TemporaryFolder folder;
+  test::in_processes(1, folder.path(), [&](const ProcessesOptions&) {
+    write_random_bundle(folder.path() / "model", test::small_model(), 3);
+  });
+  for (const int64_t count : {1, 2, 3}) {
+    test::in_processes(count, folder.path(), [&](const ProcessesOptions& processes) {
+      StatsOptions options;
+      options.model = (folder.path() / "model").string();
+      options.out = (folder.path() / std::to_string(count)).string();
+      options.scene_count = 7;  // not the last batch's second scene
+      options.data = test::small_data();
+      options.data.loading.batch_size = 2;
+      options.processes = processes;
+      compute_statistics(options);
+    });
+  }
+  for (const char* file :
+       {"report.json", "model/statistics_level0.safetensors", "model/statistics_level1.safetensors"}) {
+    const auto one = read_file(folder.path() / "1" / file);
+    EXPECT_EQ(read_file(folder.path() / "2" / file), one) << file;
+    EXPECT_EQ(read_file(folder.path() / "3" / file), one) << file;
+  }
+}
+
+}  // namespace
+}  // namespace gld
