@@ -59,8 +59,8 @@ struct EvaluationOptions : OptionsGroup {
 };
 
 // Runs the evaluation and writes the run folder (docs/FILES.md). A scene that is done is kept in scenes/, from where
-// `resume` goes on. Several processes take a scene each in turns; rank 0 alone writes, after each turn. Returns the tables
-// and the closing box as text, nothing where another process writes the run folder.
+// `resume` goes on. Several processes take a scene each in turns; rank 0 alone writes, after each turn. Returns the
+// tables and the closing box as text, nothing where another process writes the run folder.
 std::string evaluate(const EvaluationOptions& options);
 
 }  // namespace gld

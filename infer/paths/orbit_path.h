@@ -38,8 +38,8 @@ struct OrbitCentre {
 };
 OrbitCentre orbit_centre(const std::vector<Camera>& sources, const PathSurroundings& surroundings);
 
-// How far the scene reaches, in the unit of its poses, as far as that is known: the largest of the distances between two
-// cameras, of the typical depth and of the point where axes meet. 0 where nothing tells it.
+// How far the scene reaches, in the unit of its poses, as far as that is known: the largest of the distances between
+// two cameras, of the typical depth and of the point where axes meet. 0 where nothing tells it.
 double known_reach(const std::vector<Camera>& sources, const PathSurroundings& surroundings);
 
 struct OrbitShape {

@@ -49,8 +49,8 @@ class DitField : public BranchedField {
   // the encoder too, and has it ready.
   virtual torch::Tensor condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch);
 
-  // Whether condition() asked for this branch in the present evaluation, at flow time t, would run the encoder at t. Goes
-  // with condition(): override both.
+  // Whether condition() asked for this branch in the present evaluation, at flow time t, would run the encoder at t.
+  // Goes with condition(): override both.
   virtual bool needs_encoder(double t, DitBranch branch) const;
 
   const DitDh& model() const { return model_; }

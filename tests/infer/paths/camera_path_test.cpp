@@ -336,7 +336,7 @@ TEST(CameraPath, WarnsOfCamerasThatTheSourcesCannotTellOf) {
       warnings(ring(Vector3d::Zero())),
       testing::ElementsAre(testing::AllOf(
           testing::HasSubstr(
-              " of the path is 1e+12 away from the nearest source, where the scene is known to reach 3"),
+              " of the path is 1e+12 away from the nearest source, where the scene is known to reach 2.95: "),
           testing::HasSubstr("look at --orbit-radius, --orbit-center and --orbit-distance."))));
   options.orbit_radius = 0;
   options.orbit_center = {0, 1e12, 0};
