@@ -60,7 +60,7 @@ function(gld_room)
   add_library(${target} STATIC ${arg_SOURCES} ${arg_TORCH_SOURCES})
   gld_target_defaults(${target})
   # Sources with options of their own (the kernels of an instruction set) stay alone.
-  set_target_properties(${target} PROPERTIES UNITY_BUILD ${GLD_UNITY} UNITY_BUILD_BATCH_SIZE 8)
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ${GLD_UNITY} UNITY_BUILD_BATCH_SIZE 16)
   foreach(included IN LISTS GLD_ROOM_${room})
     gld_room_target(library ${included})
     if(TARGET ${library})

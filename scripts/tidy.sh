@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Runs clang-tidy (.clang-tidy's checks) and fails on a finding. Usage:
-#   scripts/tidy.sh                   every source, up to 8 of a room at a time: a fifth of the time of one by one
+#   scripts/tidy.sh                   every source, up to 16 of a room at a time: a fifth of the time of one by one
 #   scripts/tidy.sh FILE...           these sources
 #   scripts/tidy.sh --since COMMIT    sources whose content differs from every file of that commit, include lines and
 #                                     comments aside; of a changed header the source of its name, or one that includes it

@@ -141,26 +141,39 @@ if [ "$action" = keep ]; then
   exit 0
 fi
 
-# Processes of one thread each keep the cores busier than one of several: the models are small.
-level() { stage level level "$base" "$(start_of level1 objective.start=bundle)" --threads 1; }
+# Beside each other every process has one thread: the models are small, and that keeps the cores busier than several
+# threads a process. Alone, M1 has all cores, and a worker for each of its micro-batches.
+level() { stage level level "$base" "$(start_of level1 objective.start=bundle)" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
   stage cascade cascade "$runs/decoder/model" "$(start_of cascade objective.flow.start=bundle)" --threads 1
   stage head backbone "$runs/decoder/model" - --threads 1
 }
-# With its own process group, so that the training it has started stops with it (gld writes a checkpoint).
-set -m
-beside_level >"$runs/beside_level.log" 2>&1 &
-beside=$!
-set +m
-stop_beside() {
-  kill -TERM -- "-$beside" 2>/dev/null || true
-  wait "$beside" 2>/dev/null || true
+level_is_alone() { [ -f "$runs/decoder/report.json" ] && [ -f "$runs/cascade/report.json" ] && [ -f "$runs/head/report.json" ]; }
+
+running=()
+# With process groups of their own (set -m), which get one signal each: gld then writes a checkpoint.
+stop_running() {
+  local group
+  for group in ${running[@]+"${running[@]}"}; do kill -TERM -- "-$group" 2>/dev/null || true; done
+  wait
+  running=()
 }
-trap stop_beside EXIT
-level
-if ! wait "$beside"; then
-  echo "train_tiny: expected decoder, cascade and head to train, found a failure; see $runs/beside_level.log." >&2
-  exit 1
+trap stop_running EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
+set -m
+if ! level_is_alone; then
+  beside_level >"$runs/beside_level.log" 2>&1 &
+  beside=$!
+  level --threads 1 &
+  running=("$beside" $!)
+  if ! wait "$beside"; then
+    echo "train_tiny: expected decoder, cascade and head to train, found a failure; see $runs/beside_level.log." >&2
+    exit 1
+  fi
+  stop_running
 fi
-trap - EXIT
+level --set loop.workers=2 &
+running=($!)
+wait "${running[0]}"
