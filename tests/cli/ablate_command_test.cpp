@@ -5,7 +5,10 @@
 #include "models/bundle/random_bundle.h"
 #include "tests/support/temporary_folder.h"
 
+#include <algorithm>
 #include <chrono>
+#include <csignal>
+#include <memory>
 #include <thread>
 
 #include <gmock/gmock.h>
@@ -84,9 +87,96 @@ class AblateCommand : public testing::Test {
   }
   fs::path log() const { return folder_.path() / "log.txt"; }
 
+  // The folders of the stages of that name in the cache.
+  std::vector<fs::path> stages(const std::string& name) const {
+    std::vector<fs::path> found;
+    if (!fs::is_directory(run() / "cache")) return found;
+    for (const auto& entry : fs::directory_iterator(run() / "cache")) {
+      const auto file = entry.path() / "stage.json";
+      if (!fs::exists(file)) continue;
+      if (parse_json(read_file(file), file.string()).at("stage") == name) found.push_back(entry.path());
+    }
+    return found;
+  }
+  bool any_checkpoint() const {
+    for (const auto& stage : stages("level")) {
+      std::error_code error;
+      for (const auto& entry : fs::directory_iterator(stage / "run" / "checkpoints", error)) {
+        if (entry.path().extension() == ".safetensors") return true;
+      }
+    }
+    return false;
+  }
+
   test::TemporaryFolder folder_;
   std::string text_;
 };
+
+TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
+  auto process = std::make_unique<ChildProcess>(command(), log(), -1);
+  for (int tries = 0; tries < 80000 && !any_checkpoint() && !process->poll(); ++tries) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  ASSERT_TRUE(any_checkpoint()) << read_file(log());
+  ASSERT_EQ(::kill(process->id(), SIGKILL), 0);
+  EXPECT_EQ(finish(*process), 128 + SIGKILL);
+  EXPECT_FALSE(fs::exists(run() / "report.json"));
+
+  // Its training may still be writing its last checkpoint: the next run waits for it.
+  EXPECT_EQ(gld_ablate(), 0) << text_;
+  EXPECT_EQ(stages("statistics").size(), 1U);  // for both seeds and variants
+  EXPECT_EQ(stages("level").size(), 2U);       // one a seed
+  EXPECT_EQ(stages("eval").size(), 4U);
+  int64_t resumed = 0;
+  for (const auto& stage : stages("level")) {
+    const auto report = parse_json(read_file(stage / "run" / "report.json"), "report.json");
+    EXPECT_EQ(report.at("steps"), 60);
+    if (report.at("steps_in_this_call") < 60) ++resumed;
+  }
+  EXPECT_GE(resumed, 1);
+
+  const auto report = parse_json(read_file(run() / "report.json"), "report.json");
+  EXPECT_EQ(report.at("claims").at(0).at("verdict"), "undecided");
+  EXPECT_EQ(report.at("claims").at(0).at("reason"), "2 scenes, a verdict needs 64");
+  EXPECT_EQ(report.at("claims").at(0).at("seeds"), 2);
+  EXPECT_THAT(text_, HasSubstr("| claim"));
+  for (const char* name :
+       {"ablation.md", "ablation.csv", "ablation.svg", "ablation.png", "ablation.yaml", "config.yaml"}) {
+    EXPECT_TRUE(fs::is_regular_file(run() / name)) << name;
+  }
+  const std::string csv = read_file(run() / "ablation.csv");
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 1 + 2 * 2 * 2);
+
+  // Everything is there: nothing runs again, and the result is the same.
+  const std::string markdown = read_file(run() / "ablation.md");
+  const auto made = fs::last_write_time(stages("statistics").front() / "done.json");
+  EXPECT_EQ(gld_ablate(), 0) << text_;
+  EXPECT_THAT(text_, HasSubstr("9 done, 0 to run"));
+  EXPECT_EQ(fs::last_write_time(stages("statistics").front() / "done.json"), made);
+  EXPECT_EQ(read_file(run() / "ablation.md"), markdown);
+  EXPECT_EQ(gld_ablate({"--plan"}), 0);
+  EXPECT_THAT(text_, HasSubstr("time left 0 s"));
+
+  EXPECT_EQ(gld_ablate({"--smoke", "--overwrite"}), 0) << text_;
+  EXPECT_EQ(stages("level").size(), 1U);
+  EXPECT_THAT(text_, HasSubstr("A smoke run"));
+}
+
+TEST_F(AblateCommand, StopsWhenItIsAskedToAndLosesNoStep) {
+  ChildProcess process(command(), log(), -1);
+  for (int tries = 0; tries < 80000 && !any_checkpoint() && !process.poll(); ++tries) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  process.stop();
+  EXPECT_EQ(finish(process), 130);
+  EXPECT_THAT(text_, HasSubstr("interrupted: the ablation stopped after"));
+  EXPECT_TRUE(any_checkpoint());
+  for (const auto& stage : stages("level")) {
+    if (fs::exists(stage / "run" / "checkpoints")) {
+      EXPECT_THAT(read_file(stage / "log.txt"), HasSubstr("interrupted"));
+    }
+  }
+}
 
 TEST_F(AblateCommand, AStageThatFailsCostsItsVariantAlone) {
   std::string text = kDescription;
