@@ -74,7 +74,8 @@ newest_step() {
 }
 
 # branch NAME KIND MODEL STEP FALL: a copy of the run at that step goes on for FALL steps while its rate falls to nothing,
-# and leaves its model in RUNS/NAME_STEP; the run itself is unharmed.
+# and leaves its model in RUNS/NAME_STEP; the run itself is unharmed. The moving average, which is what is exported,
+# remembers a fifth of the fall: the run's own would still hold much of what the weights were before it.
 branch() {
   local name=$1 kind=$2 model=$3 step=$4 fall=$5
   local copy=$runs/${name}_$step
@@ -86,9 +87,14 @@ branch() {
     cp "$runs/$name"/{config.yaml,metrics.jsonl} "$copy.partial/"
     mv "$copy.partial" "$copy"
   fi
+  local average=()
+  if [ "$fall" -gt 0 ]; then
+    average=(--set "loop.optimiser.ema_decay=$(awk "BEGIN { printf \"%.5f\", 1 - 5 / $fall }")"
+      --may-change loop.optimiser.ema_decay)
+  fi
   "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$copy" --device "$device" --resume \
     --set loop.steps=$((step + fall)) --set loop.learning_rate.schedule=linear \
-    --set loop.learning_rate.decay_start_step="$step"
+    --set loop.learning_rate.decay_start_step="$step" ${average[@]+"${average[@]}"}
 }
 
 if [ "$action" = ship ]; then
@@ -100,7 +106,7 @@ if [ "$action" = ship ]; then
     fi
   done
   step=$(newest_step level)
-  branch level level "$base" "$step" $((step / 10 < 100 ? 100 : step / 10 > 3000 ? 3000 : step / 10))
+  branch level level "$base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6))
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
   cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$runs/model/"
