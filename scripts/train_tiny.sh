@@ -73,11 +73,12 @@ newest_step() {
   echo $((10#$(basename "$newest" .safetensors | cut -d_ -f2)))
 }
 
-# branch NAME KIND MODEL STEP FALL: a copy of the run at that step goes on for FALL steps while its rate falls to nothing,
+# branch NAME KIND MODEL STEP FALL [OPTION...]: a copy of the run at that step goes on for FALL steps while its rate falls to nothing,
 # and leaves its model in RUNS/NAME_STEP; the run itself is unharmed. The moving average, which is what is exported,
 # remembers a fifth of the fall: the run's own would still hold much of what the weights were before it.
 branch() {
   local name=$1 kind=$2 model=$3 step=$4 fall=$5
+  shift 5
   local copy=$runs/${name}_$step
   if [ -f "$copy/report.json" ]; then return; fi
   if [ ! -d "$copy" ]; then
@@ -94,7 +95,7 @@ branch() {
   fi
   "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$copy" --device "$device" --resume \
     --set loop.steps=$((step + fall)) --set loop.learning_rate.schedule=linear \
-    --set loop.learning_rate.decay_start_step="$step" ${average[@]+"${average[@]}"}
+    --set loop.learning_rate.decay_start_step="$step" ${average[@]+"${average[@]}"} "$@"
 }
 
 if [ "$action" = ship ]; then
@@ -106,7 +107,7 @@ if [ "$action" = ship ]; then
     fi
   done
   step=$(newest_step level)
-  branch level level "$base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6))
+  branch level level "$base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
   cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$runs/model/"
