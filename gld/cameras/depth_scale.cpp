@@ -15,6 +15,11 @@ constexpr double kLargestResidual = 0.3;
 constexpr double kLargestFactor = 2;  // between the ends of the interval
 constexpr double kSmallestLogDeviation =
     1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
+// A network's errors of camera centres have one cause: what it does not know of a baseline makes all of them shorter.
+// So the standard error by independent errors is too small, and the logarithm of the scale is off by a multiple of what
+// the fit leaves. The small model in training: a root mean square of 1.9 times it in the 12 of 24 drawn rooms (seed
+// 900000) whose poses left less than 0.3.
+constexpr double kLogDeviationOfResidual = 2;
 
 double log_width(const DepthScale& estimate) { return std::log(estimate.high / estimate.low); }
 
@@ -32,10 +37,12 @@ std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from
   DepthScale estimate;
   estimate.estimator = "camera_poses";
   estimate.scale = world_from_model.b_from_a.scale;
-  estimate.low = std::max(0.0, estimate.scale - 2 * world_from_model.scale_deviation);
-  estimate.high = estimate.scale + 2 * world_from_model.scale_deviation;
   estimate.residual = std::hypot(world_from_model.centre_error / world_from_model.spread,
                                  world_from_model.rotation_error / kDegreesPerRadian);
+  const double log_deviation = std::max(world_from_model.scale_deviation / estimate.scale,
+                                        kLogDeviationOfResidual * estimate.residual);
+  estimate.low = estimate.scale * std::exp(-2 * log_deviation);
+  estimate.high = estimate.scale * std::exp(2 * log_deviation);
   return estimate;
 }
 

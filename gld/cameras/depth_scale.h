@@ -19,8 +19,8 @@ struct DepthScale {
 };
 
 // From the distances between the predicted cameras and those between the given ones: the residual is what is left
-// between the centres, relative to their spread, and between the orientations, radians. Nothing where the cameras stand
-// at one place.
+// between the centres, relative to their spread, and between the orientations, radians; the interval is as wide as that
+// says at least, because errors of predicted centres are not independent. Nothing where the cameras stand at one place.
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model);
 
 // Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.3 of what it is fitted to, or its
