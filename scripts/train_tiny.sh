@@ -73,8 +73,8 @@ newest_step() {
   echo $((10#$(basename "$newest" .safetensors | cut -d_ -f2)))
 }
 
-# branch NAME KIND MODEL STEP FALL [OPTION...]: a copy of the run at that step goes on for FALL steps while its rate falls to nothing,
-# and leaves its model in RUNS/NAME_STEP; the run itself is unharmed. The moving average, which is what is exported,
+# branch NAME KIND MODEL STEP FALL [OPTION...]: a copy of the run at that step goes on for FALL steps while its rate
+# falls to nothing, and leaves its model in RUNS/NAME_STEP; the run itself is unharmed. The moving average, which is what is exported,
 # remembers a fifth of the fall: the run's own would still hold much of what the weights were before it.
 branch() {
   local name=$1 kind=$2 model=$3 step=$4 fall=$5
