@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Trains the small model: backbone; latent statistics; then M1 for as long as it is left running, while the RGB decoder, the
-# cascade and the depth head train beside it. Every stage goes on where it was interrupted: run it again.
+# Trains the small model: backbone; latent statistics; the depth head, which carries photographs into target views for M1;
+# then M1 for as long as it is left running, while the RGB decoder and the cascade train beside it. Every stage goes on
+# where it was interrupted: run it again.
 #   scripts/train_tiny.sh [RUNS [DEVICE]]        trains; Ctrl-C or SIGTERM writes checkpoints and stops
 #   scripts/train_tiny.sh ship [RUNS [DEVICE]]   branches a falling learning rate off what M1 has learnt so far, puts the
 #                                                parts together in RUNS/model and measures it; the run itself is unharmed
@@ -66,6 +67,16 @@ if [ -f "$runs/stats/report.json" ] || [ "$base" != "$recipe" ]; then
   base=$runs/stats/model
 fi
 
+# What M1 is trained on: the model so far with the depth head of its own stage.
+level_base=$runs/level_base
+prepare_level() {
+  stage head backbone "$base" -
+  rm -rf "$level_base"
+  mkdir -p "$level_base"
+  cp "$base"/*.safetensors "$recipe/model.yaml" "$level_base/"
+  cp "$runs/head/model/dpt_head.safetensors" "$level_base/"
+}
+
 # newest_step NAME: of its newest checkpoint.
 newest_step() {
   local newest
@@ -99,7 +110,7 @@ branch() {
 }
 
 if [ "$action" = ship ]; then
-  for needed in decoder cascade head; do
+  for needed in head decoder cascade; do
     if [ ! -f "$runs/$needed/report.json" ]; then
       echo "train_tiny: expected $runs/$needed to be done before shipping, found no report.json;" \
         "let scripts/train_tiny.sh $runs run on." >&2
@@ -107,10 +118,10 @@ if [ "$action" = ship ]; then
     fi
   done
   step=$(newest_step level)
-  branch level level "$base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
+  branch level level "$level_base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
-  cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$runs/model/"
+  cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
   echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
@@ -139,7 +150,7 @@ if [ "$action" = keep ]; then
   if [ -f "$runs/stats/report.json" ]; then cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"; fi
   if has_checkpoint level; then
     step=$(newest_step level)
-    branch level level "$base" "$step" 0
+    branch level level "$level_base" "$step" 0
     part level "$runs/level_$step" level1
   fi
   if [ -f "$runs/decoder/report.json" ]; then part decoder "$runs/decoder" rgb_decoder; fi
@@ -150,13 +161,12 @@ fi
 
 # Beside each other every process has one thread: the models are small, and that keeps the cores busier than several
 # threads a process. Alone, M1 has all cores, and a worker for each of its micro-batches.
-level() { stage level level "$base" "$(start_of level1 objective.start=bundle)" "$@"; }
+level() { stage level level "$level_base" "$(start_of level1 objective.start=bundle)" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
   stage cascade cascade "$runs/decoder/model" "$(start_of cascade objective.flow.start=bundle)" --threads 1
-  stage head backbone "$runs/decoder/model" - --threads 1
 }
-level_is_alone() { [ -f "$runs/decoder/report.json" ] && [ -f "$runs/cascade/report.json" ] && [ -f "$runs/head/report.json" ]; }
+level_is_alone() { [ -f "$runs/decoder/report.json" ] && [ -f "$runs/cascade/report.json" ]; }
 
 running=()
 # With process groups of their own (set -m), which get one signal each: gld then writes a checkpoint.
@@ -166,6 +176,7 @@ stop_running() {
   wait
   running=()
 }
+prepare_level
 trap stop_running EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM
@@ -176,7 +187,7 @@ if ! level_is_alone; then
   level --threads 1 &
   running=("$beside" $!)
   if ! wait "$beside"; then
-    echo "train_tiny: expected decoder, cascade and head to train, found a failure; see $runs/beside_level.log." >&2
+    echo "train_tiny: expected decoder and cascade to train, found a failure; see $runs/beside_level.log." >&2
     exit 1
   fi
   stop_running

@@ -34,8 +34,6 @@ struct SeenSpace {
   std::vector<ConvexPiece> pieces;  // empty: `whole` itself
 };
 
-bool known(float depth) { return std::isfinite(depth) && depth > 0; }
-
 // The nearest and farthest known depth without outliers; {infinity, 0} when nothing is known.
 struct DepthRange {
   double nearest = std::numeric_limits<double>::infinity();
@@ -44,7 +42,7 @@ struct DepthRange {
 
 DepthRange depth_range(const PlanarDepth& depth) {
   std::vector<float> values;
-  std::copy_if(depth.values.begin(), depth.values.end(), std::back_inserter(values), known);
+  std::copy_if(depth.values.begin(), depth.values.end(), std::back_inserter(values), PlanarDepth::known);
   if (values.empty()) return {};
   std::sort(values.begin(), values.end());
   const auto last = static_cast<double>(values.size() - 1);
@@ -110,7 +108,7 @@ double farthest_in(const PlanarDepth& depth, const int64_t (&columns)[2], const 
   for (int64_t row = rows[0]; row < rows[1]; ++row) {
     for (int64_t column = columns[0]; column < columns[1]; ++column) {
       const float value = depth.values[static_cast<size_t>(row * depth.width + column)];
-      if (!known(value)) return unknown;
+      if (!PlanarDepth::known(value)) return unknown;
       farthest = std::max(farthest, static_cast<double>(value));
     }
   }

@@ -2,6 +2,7 @@
 
 #include "gld/cameras/camera.h"
 
+#include <cmath>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -14,6 +15,8 @@ struct PlanarDepth {
   int64_t width = 0;
   int64_t height = 0;
   std::vector<float> values;
+
+  static bool known(float depth) { return std::isfinite(depth) && depth > 0; }
 };
 
 // Which views of a scene see common space, as far as cameras (and depth) can tell. Attention between the others can be

@@ -13,7 +13,7 @@ constexpr double kEpsilon = 1e-6;
 // The scene must have been prepared with its tables (the default savings).
 const DitBranchCameras& cameras_of(const DitScene& scene, DitBranch branch) {
   const auto& cameras = scene.branches[static_cast<std::size_t>(branch)];
-  if (!cameras.encoder_prope.query_matrix.defined() || !cameras.embedding.defined()) {
+  if (!cameras.encoder_prope.query_matrix.defined() || !cameras.embedded) {
     fail({"composed DiT", "a scene prepared with camera embedding and PRoPE tables", "one without",
           "prepare it with the default exact savings"});
   }
@@ -74,7 +74,7 @@ torch::Tensor ComposedDit::condition_encoder(const DitPasses& passes, const DitN
   const auto& options = model_.options();
   const auto& cameras = cameras_of(*scene, branch);
   auto x = tokens.encoder;
-  if (options.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder) x = x + cameras.embedding;
+  if (cameras.encoder_embedding.defined()) x = x + cameras.encoder_embedding;
   for (int64_t i = 0; i < options.encoder_blocks(); ++i) {
     const auto modulation = time->encoder_modulation[static_cast<std::size_t>(i)].unsqueeze(1);
     x = block(i, options.num_heads[0], x, modulation, cameras.encoder_prope, scene->view_mask);
@@ -91,7 +91,7 @@ torch::Tensor ComposedDit::velocity_features(const DitPasses& passes, const DitN
   if (options.encoder_width() != options.decoder_width()) s = linear("s_projector", s);
   const auto activation = torch::silu(s);
   auto x = tokens.decoder;
-  if (options.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder) x = x + cameras.embedding;
+  if (cameras.decoder_embedding.defined()) x = x + cameras.decoder_embedding;
   for (int64_t i = 0; i < options.decoder_blocks(); ++i) {
     const int64_t index = options.encoder_blocks() + i;
     const auto modulation = linear("blocks." + std::to_string(index) + ".adaLN_modulation.1", activation);

@@ -94,6 +94,7 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
   DitSceneInputs inputs;
   inputs.views = cameras_in_a_row({options.views, options.sources, size});
   inputs.source_features = torch::randn({options.sources, tokens, channels});
+  set_no_warp(inputs, setting.model->options());
   setting.scene = setting.model->prepare_scene(inputs);
   setting.time = setting.model->time_rows({kFlowTime}).front();
   setting.noisy = torch::randn({options.views, tokens, channels});

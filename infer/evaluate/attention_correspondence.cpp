@@ -6,6 +6,7 @@
 #include "infer/pipeline/scene_request.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/latent_spaces/geometric_latent_space.h"
+#include "models/scene_geometry/source_warp.h"
 
 #include <algorithm>
 #include <cmath>
@@ -38,10 +39,24 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
   }
   const auto raw = space.encode(images.to(models.device), deepest);
   SourceEncoding wanted;
-  wanted.deepest = deepest;
+  const int64_t warped_sources = models.models.levels.warped_sources;
+  const bool warps = warped_sources > 0 && scene.views.num_sources > 1;
+  wanted.deepest = warps ? models.models.levels.levels - 1 : deepest;
   wanted.carried = false;
   const auto sources =
       space.encode_sources(images.narrow(0, 0, scene.views.num_sources).to(models.device), wanted);
+  SourceWarp warp = no_source_warp(scene.views, warped_sources, "");
+  std::vector<torch::Tensor> carried;
+  if (warps) {
+    warp = warp_sources(scene.views, images.narrow(0, 0, scene.views.num_sources),
+                        models.models.dpt_head()->forward(geometry_inputs(space, sources), sources.grid,
+                                                          GeometryMaps::kDepthAndRays),
+                        warped_sources);
+    if (warp.completed.defined()) {
+      carried = encode_completed(space, images.narrow(0, 0, scene.views.num_sources).to(models.device), warp,
+                                 deepest);
+    }
+  }
   std::vector<ShownScene> shown(generators.size());
   std::map<int64_t, torch::Tensor> clean;
   for (size_t i = 0; i < generators.size(); ++i) {
@@ -53,6 +68,12 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
     clean[generators[i].level] = shown[i].clean = normalised(raw[level]);
     shown[i].inputs.views = scene.views;
     shown[i].inputs.source_features = normalised(sources.levels[level]);
+    const DitOptions& dit = models.bundle.generator(generators[i]).dit;
+    set_no_warp(shown[i].inputs, dit);
+    if (dit.warped_sources > 0 && !carried.empty()) {
+      shown[i].inputs.warped_sources = warp.pictures.narrow(1, 0, dit.warp_channels());
+      shown[i].inputs.warped_features = statistics.normalise(carried[level].slice(1, space.leading_tokens()));
+    }
     if (generators[i].is_cascade()) shown[i].inputs.deeper_level = clean.at(*generators[i].deeper);
   }
   return shown;

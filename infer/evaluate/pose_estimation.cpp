@@ -2,7 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/cameras/published_pose_from_rays.h"
-#include "infer/pipeline/predicted_cameras.h"
+#include "models/scene_geometry/predicted_cameras.h"
 
 #include <algorithm>
 #include <cstdint>

@@ -5,8 +5,9 @@
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
-#include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_cameras.h"
+#include "infer/pipeline/placed_cloud.h"
+#include "infer/pipeline/scale_evidence.h"
 #include "infer/pipeline/scene_request.h"
 
 #include <algorithm>

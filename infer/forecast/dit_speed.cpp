@@ -50,6 +50,7 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
   const int64_t side = probe.camera_patch_size;
   inputs.views = cameras_in_a_row({part.views, 1, {part.width * side, part.height * side}});
   inputs.source_features = torch::randn({1, tokens, probe.in_channels});
+  set_no_warp(inputs, probe);
   const DitScene scene = model.prepare_scene(inputs);
   const DitTimeRow time = model.time_rows({kFlowTime}).front();
   const auto noisy = torch::randn({part.views, tokens, probe.in_channels});

@@ -120,6 +120,7 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
     case StageKind::kSourceEncoding:
       return {BundlePart::backbone(), generated};
     case StageKind::kViewPairs:
+    case StageKind::kSourceWarp:
       return {BundlePart::dpt_head(), 2 * generated + 1};
     case StageKind::kFlow:
       return {BundlePart::of(bundle.generators.at(stage.generator).generator), 0};
@@ -221,7 +222,10 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       return cost;
     }
     case StageKind::kViewPairs:
-      return stages.source_depth() ? bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays) : Cost();
+    case StageKind::kSourceWarp:
+      return uses_source_depth(bundle.level_set(), stages) && stage.kind == source_depth_stage(stages)
+                 ? bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays)
+                 : Cost();
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:
@@ -325,7 +329,8 @@ std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageReq
       parts.push_back(part);
   }
   for (const auto& stage : sampling_stages(bundle.level_set(), request)) {
-    if (!stage.runs || (stage.kind == StageKind::kViewPairs && !request.source_depth())) continue;
+    const bool by_source_depth = stage.kind == StageKind::kViewPairs || stage.kind == StageKind::kSourceWarp;
+    if (!stage.runs || (by_source_depth && !uses_source_depth(bundle.level_set(), request))) continue;
     const BundlePart part = needs_of(stage, bundle).part;
     if (std::find(parts.begin(), parts.end(), part) == parts.end()) parts.push_back(part);
   }

@@ -108,6 +108,9 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
     case StageKind::kSourceEncoding:
       return encoding_seconds(bundle, request);
     case StageKind::kViewPairs:
+    case StageKind::kSourceWarp:
+      if (!uses_source_depth(bundle.level_set(), stages) || stage.kind != source_depth_stage(stages))
+        return 0;
       return geometry_seconds(bundle, with_views(request.grid, request.num_sources),
                               GeometryMaps::kDepthAndRays);
     case StageKind::kFlow:

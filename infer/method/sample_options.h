@@ -7,10 +7,10 @@
 #include "gld/machine/precision_option.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
-#include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/photo_selection.h"
 #include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_scene.h"
+#include "infer/pipeline/scale_evidence.h"
 #include "models/dit/approximate_savings.h"
 #include "models/dit/exact_savings.h"
 
@@ -44,7 +44,7 @@ struct SampleOptions : OptionsGroup {
   SolverOptions solver;
   GuidanceOptions guidance;
   ApproximateSavings approximate;
-  std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (geometry_placement.h)
+  std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (scale_evidence.h)
   PointCloudOptions points;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   PrecisionChoice precision = PrecisionChoice::kFloat32;

@@ -3,8 +3,9 @@
 #include "gld/base/error.h"
 #include "gld/cameras/angles.h"
 #include "gld/cameras/photo_consistency.h"
-#include "infer/pipeline/geometry_placement.h"
-#include "infer/pipeline/predicted_cameras.h"
+#include "infer/pipeline/scale_evidence.h"
+#include "models/scene_geometry/geometry_placement.h"
+#include "models/scene_geometry/predicted_cameras.h"
 
 #include <algorithm>
 #include <cmath>

@@ -8,8 +8,10 @@
 #include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
 #include "models/latent_spaces/geometric_latent_space.h"
+#include "models/scene_geometry/source_warp.h"
 
 #include <map>
+#include <optional>
 #include <utility>
 
 #include <fmt/format.h>
@@ -26,8 +28,8 @@ void require_finite(const torch::Tensor& tensor, const std::string& stage, const
 // What the source images say.
 struct EncodedSources {
   SourceLatents latents;
-  // What the geometry head takes; only where view pairs are decided with the sources' depth.
-  GeometryInputs decodable;
+  GeometryInputs decodable;  // what the geometry head takes; empty where nobody asks for their depth
+  std::optional<GeometryOutput> geometry;  // what it says, from the first stage that asked
 };
 
 EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
@@ -38,13 +40,7 @@ EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
   wanted.carried = stages.decodes();
   EncodedSources sources;
   sources.latents = space.encode_sources(request.source_images.to(request.device), wanted);
-  if (stages.source_depth()) {
-    for (const auto& level : sources.latents.levels) {
-      sources.decodable.levels.push_back(space.decodable(level));
-    }
-    sources.decodable.leading =
-        sources.latents.levels.back().narrow(1, 0, space.leading_tokens()).contiguous();
-  }
+  if (uses_source_depth(levels, stages)) sources.decodable = geometry_inputs(space, sources.latents);
   for (const auto& generator : levels.generators) {
     require_finite(sources.latents.levels[static_cast<size_t>(generator.level)], stage,
                    fmt::format("level {} features", generator.level));
@@ -54,13 +50,47 @@ EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
   return sources;
 }
 
+// Depth and rays of the source views by themselves; null for one of them, whose depth has no scale.
+const GeometryOutput* source_geometry(const PipelineModels& models, EncodedSources& sources) {
+  if (sources.decodable.levels.empty()) return nullptr;
+  if (!sources.geometry) {
+    sources.geometry =
+        models.dpt_head()->forward(sources.decodable, sources.latents.grid, GeometryMaps::kDepthAndRays);
+  }
+  return &*sources.geometry;
+}
+
 VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
-                                const EncodedSources& sources) {
-  if (sources.decodable.levels.empty()) return visible_pairs(request.views);
-  return visible_pairs(
-      request.views,
-      models.dpt_head()->forward(sources.decodable, sources.latents.grid, GeometryMaps::kDepthAndRays),
-      request.source_images);
+                                EncodedSources& sources) {
+  const GeometryOutput* geometry = source_geometry(models, sources);
+  return geometry == nullptr ? visible_pairs(request.views)
+                             : visible_pairs(request.views, *geometry, request.source_images);
+}
+
+// What the flows are shown of the source photographs in the target views.
+struct CarriedSources {
+  torch::Tensor pictures;             // of all that a generator may take; undefined where none takes any
+  std::vector<torch::Tensor> levels;  // raw, of the target views; empty where nothing is known
+};
+
+CarriedSources carry_sources(const PipelineModels& models, const PipelineRequest& request,
+                             EncodedSources& sources, std::vector<std::string>& warnings) {
+  const int64_t count = models.levels.warped_sources;
+  const GeometryOutput* geometry = source_geometry(models, sources);
+  if (geometry == nullptr) return {no_source_warp(request.views, count, "").pictures, {}};
+  const SourceWarp warp = warp_sources(request.views, request.source_images, *geometry, count);
+  if (!warp.doubt.empty()) {
+    warnings.push_back(
+        "The model was not shown the source photographs in the target views, as it is trained to be: " +
+        warp.doubt + ".");
+  }
+  CarriedSources carried{warp.pictures, {}};
+  if (warp.completed.defined()) {
+    const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
+    carried.levels = encode_completed(space, request.source_images.to(request.device), warp,
+                                      models.levels.deepest_generated());
+  }
+  return carried;
 }
 
 struct FlowStage {
@@ -169,8 +199,20 @@ void check_request(const PipelineModels& models, const PipelineRequest& request,
 struct PipelineState {
   EncodedSources sources;
   DitSceneInputs scene;
+  CarriedSources carried;
   std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
 };
+
+void show_carried_sources(const CarriedSources& carried, const LevelStatistics& statistics,
+                          const LevelGenerator& generator, const DitOptions& options, DitSceneInputs& scene) {
+  scene.warped_sources = scene.warped_features = torch::Tensor();
+  set_no_warp(scene, options);
+  if (options.warped_sources == 0 || carried.levels.empty()) return;
+  scene.warped_sources = carried.pictures.narrow(1, 0, options.warp_channels());
+  const auto& raw = carried.levels[static_cast<size_t>(generator.level)];
+  const int64_t patches = scene.warped_features.size(1);
+  scene.warped_features = statistics.normalise(raw.narrow(1, raw.size(1) - patches, patches));
+}
 
 void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
                     PipelineState& state, PipelineResult& result) {
@@ -196,6 +238,7 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   state.scene.source_features = statistics.normalise(
       generated_tokens(raw, raw.size(1) - result.grid.tokens_per_view(), statistics.special_tokens));
   state.scene.deeper_level = generator.is_cascade() ? state.latents.at(*generator.deeper) : torch::Tensor();
+  show_carried_sources(state.carried, statistics, generator, model->options(), state.scene);
   SolverOptions solver = request.flow.solvers[stage.generator];
   solver.schedule.shift =
       resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
@@ -273,10 +316,14 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         state.scene.view_mask = pairs.view_mask();
         result.view_pairs = pairs.visibility;
         result.warnings = pairs.warnings;
-        state.sources.decodable = {};
         return;
       }
+      case StageKind::kSourceWarp:
+        state.carried = carry_sources(models, request, state.sources, result.warnings);
+        return;
       case StageKind::kFlow:
+        state.sources.decodable = {};
+        state.sources.geometry.reset();
         run_flow_stage(models, request, stage, state, result);
         return;
       case StageKind::kPropagation: {

@@ -14,6 +14,8 @@ const char* name_of(StageKind kind) {
       return "source encoding";
     case StageKind::kViewPairs:
       return "view pairs";
+    case StageKind::kSourceWarp:
+      return "source warp";
     case StageKind::kPropagation:
       return "propagation";
     case StageKind::kRgbDecoding:
@@ -49,8 +51,17 @@ std::string propagation_reason(const LevelSet& levels) {
 
 }  // namespace
 
+bool uses_source_depth(const LevelSet& levels, const StageRequest& request) {
+  return request.num_sources > 1 && (request.view_pairs == ViewPairs::kVisible || levels.warped_sources > 0);
+}
+
+StageKind source_depth_stage(const StageRequest& request) {
+  return request.view_pairs == ViewPairs::kVisible ? StageKind::kViewPairs : StageKind::kSourceWarp;
+}
+
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request) {
-  return request.source_depth() ? levels.levels - 1 : std::max(levels.deepest_generated(), levels.boundary);
+  return uses_source_depth(levels, request) ? levels.levels - 1
+                                            : std::max(levels.deepest_generated(), levels.boundary);
 }
 
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records) {
@@ -72,6 +83,7 @@ ModelKind model_kind_of(StageKind kind) {
     case StageKind::kFlow:
       return ModelKind::kGenerator;
     case StageKind::kViewPairs:
+    case StageKind::kSourceWarp:
     case StageKind::kGeometry:
       return ModelKind::kGeometry;
     default:
@@ -80,18 +92,22 @@ ModelKind model_kind_of(StageKind kind) {
 }
 
 std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request) {
+  const bool depth = uses_source_depth(levels, request);
   std::vector<SamplingStage> stages;
   stages.push_back(
       stage(StageKind::kSourceEncoding,
-            request.source_depth()
-                ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
-                : fmt::format("{} source views up to level {}; deeper blocks are not needed",
-                              request.num_sources, deepest_encoded_level(levels, request))));
+            depth ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
+                  : fmt::format("{} source views up to level {}; deeper blocks are not needed",
+                                request.num_sources, deepest_encoded_level(levels, request))));
   if (request.view_pairs == ViewPairs::kVisible) {
     stages.push_back(
-        stage(StageKind::kViewPairs, request.source_depth()
-                                         ? "depth of the source views tells which views see common space"
-                                         : "by the cameras alone, one source has no scale"));
+        stage(StageKind::kViewPairs, depth ? "depth of the source views tells which views see common space"
+                                           : "by the cameras alone, one source has no scale"));
+  }
+  if (levels.warped_sources > 0) {
+    stages.push_back(stage(StageKind::kSourceWarp,
+                           depth ? "their depth carries the photographs into the target views"
+                                 : "nothing is carried into the target views: one source has no scale"));
   }
   for (size_t i = 0; i < levels.generators.size(); ++i) stages.push_back(flow_stage(levels, i));
   stages.push_back(request.decodes() ? stage(StageKind::kPropagation, propagation_reason(levels))

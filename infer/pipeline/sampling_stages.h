@@ -23,15 +23,21 @@ struct StageRequest {
   DecodedViews geometry_views = DecodedViews::kNone;
   ViewPairs view_pairs = ViewPairs::kAll;
 
-  // Whether view pairs are decided with the depth of the source views; one of them would leave its unit open.
-  bool source_depth() const { return view_pairs == ViewPairs::kVisible && num_sources > 1; }
   bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }
   int64_t decoded_views(DecodedViews which) const {
     return which == DecodedViews::kAll ? views : which == DecodedViews::kTargets ? views - num_sources : 0;
   }
 };
 
-enum class StageKind { kSourceEncoding, kViewPairs, kFlow, kPropagation, kRgbDecoding, kGeometry };
+enum class StageKind {
+  kSourceEncoding,
+  kViewPairs,
+  kSourceWarp,
+  kFlow,
+  kPropagation,
+  kRgbDecoding,
+  kGeometry
+};
 
 // Of what its models are, where they are asked what to compute in.
 ModelKind model_kind_of(StageKind kind);
@@ -50,6 +56,12 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
 
 // What the stages of a kind took together: with kFlow those of all generators.
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
+
+// Whether view pairs are decided with the depth of the source views, or photographs are carried into target views by
+// it; one source view alone would leave its unit open.
+bool uses_source_depth(const LevelSet& levels, const StageRequest& request);
+// The stage that asks the geometry head for it: the first of the two.
+StageKind source_depth_stage(const StageRequest& request);
 
 // Levels 0..this one of the source views are encoded.
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request);

@@ -1,6 +1,6 @@
 #include "infer/pipeline/visible_pairs.h"
 
-#include "infer/pipeline/geometry_placement.h"
+#include "models/scene_geometry/geometry_placement.h"
 
 #include <algorithm>
 

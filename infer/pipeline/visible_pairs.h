@@ -26,8 +26,8 @@ struct VisiblePairs {
 VisiblePairs visible_pairs(const Views& views);
 
 // From cameras and the DPT head's depth and rays of the source views (N, height, width; num_sources = N). Depth is
-// brought to the unit of the cameras as exported depth is (infer/pipeline/geometry_placement.h), by the rays and by the
-// photographs, (N, 3, height, width) or undefined; where neither tells it, the cameras alone decide.
+// brought to the unit of the cameras as exported depth is (models/scene_geometry/geometry_placement.h), by the rays
+// and by the photographs, (N, 3, height, width) or undefined; where neither tells it, the cameras alone decide.
 VisiblePairs visible_pairs(const Views& views, const GeometryOutput& source_geometry,
                            const torch::Tensor& photographs = {});
 

@@ -201,7 +201,7 @@ std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const Sa
   if (prepared.geometry_model) {
     // Its backbone and head look at the generated images; this bundle's head is asked for view pairs alone.
     const auto head = std::find(parts.begin(), parts.end(), BundlePart::dpt_head());
-    if (head != parts.end() && !stages.source_depth()) parts.erase(head);
+    if (head != parts.end() && !uses_source_depth(bundle.level_set(), stages)) parts.erase(head);
     bundle_has_all(*prepared.geometry_model, seeing);
   }
   bundle_has_all(prepared.bundle, parts);

@@ -13,7 +13,8 @@
 #include "infer/export/ply_file.h"
 #include "infer/export/point_cloud.h"
 #include "infer/export/ray_export.h"
-#include "infer/pipeline/predicted_cameras.h"
+#include "infer/pipeline/placed_cloud.h"
+#include "models/scene_geometry/predicted_cameras.h"
 
 #include <algorithm>
 #include <cmath>

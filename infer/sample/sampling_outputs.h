@@ -3,9 +3,9 @@
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
 #include "infer/method/sample_options.h"
-#include "infer/pipeline/geometry_placement.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/pipeline/sampling_scene.h"
+#include "infer/pipeline/scale_evidence.h"
 
 #include <string>
 #include <vector>

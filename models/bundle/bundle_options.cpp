@@ -122,7 +122,10 @@ void BundleOptions::visit(FieldVisitor& visitor) {
 
 LevelSet BundleOptions::level_set() const {
   LevelSet set;
-  for (const auto& part : generators) set.generators.push_back(part.generator);
+  for (const auto& part : generators) {
+    set.generators.push_back(part.generator);
+    set.warped_sources = std::max(set.warped_sources, part.dit.warped_sources);
+  }
   set.boundary = boundary_level;
   set.levels = backbone.levels();
   set.decoded = decoded_levels;
@@ -165,6 +168,10 @@ void BundleOptions::check() const {
                   decoded == set.levels ? "the channels of all levels together"
                                         : "the channels of the decoded levels together");
     require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_side(), patches);
+  }
+  if (set.warped_sources > 0 && !dpt_head.exists()) {
+    fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
+          std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
   }
   if (!backbone.architecture().propagates()) {
     require_equal(

@@ -20,17 +20,17 @@ namespace {
 // place of four, for one more feed-forward part in two blocks.
 constexpr size_t kBlocksAKeptInput = 2;
 
-// The tokens of every pass, one after the other, with the pass's camera embedding where this part takes it.
+// The tokens of every pass, one after the other, with what the pass's cameras add to them.
 torch::Tensor pass_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
-                          bool with_embedding) {
+                          torch::Tensor DitBranchCameras::*embedding_of_part) {
   const auto passes = static_cast<int64_t>(cameras.size());
   const int64_t views = cameras.front().decoder_prope.grid.views;
   const bool shared = tokens.size(0) == views;
   std::vector<torch::Tensor> parts;
   for (int64_t pass = 0; pass < passes; ++pass) {
-    const auto& embedding = cameras[static_cast<size_t>(pass)].embedding;
+    const auto& embedding = cameras[static_cast<size_t>(pass)].*embedding_of_part;
     const auto own = shared ? tokens : tokens.narrow(0, pass * views, views);
-    parts.push_back(with_embedding ? own + embedding : own);
+    parts.push_back(embedding.defined() ? own + embedding : own);
   }
   return passes == 1 ? parts.front() : torch::cat(parts);
 }
@@ -100,6 +100,15 @@ DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : o
       "camera_embedder",
       std::make_shared<PatchEmbed>(
           PatchEmbedSizes{kCameraChannels, options_.camera_width(), options_.camera_patch_size}, placement));
+  if (options_.warped_sources > 0) {
+    const auto warp_embedder = [&](const char* name, int64_t width) {
+      return register_module(
+          name, std::make_shared<PatchEmbed>(
+                    PatchEmbedSizes{options_.warp_channels(), width, options_.camera_patch_size}, placement));
+    };
+    encoder_warp_embedder_ = warp_embedder("warp_s_embedder", options_.encoder_width());
+    decoder_warp_embedder_ = warp_embedder("warp_x_embedder", options_.decoder_width());
+  }
   final_layer_ = register_module(
       "final_layer",
       std::make_shared<DitFinalLayer>(DitFinalLayerSizes{options_.decoder_width(), channels}, placement));
@@ -281,8 +290,7 @@ torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& bl
 torch::Tensor DitDh::condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const {
   check_passes(passes);
   const auto cameras = evaluation_cameras(passes);
-  const auto x = pass_tokens(tokens.encoder, cameras,
-                             options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder);
+  const auto x = pass_tokens(tokens.encoder, cameras, &DitBranchCameras::encoder_embedding);
   std::vector<Modulation> modulations;
   for (size_t i = 0; i < encoder_blocks_.size(); ++i) {
     const auto rows_of = [i](const DitTimeRow& time) -> const torch::Tensor& {
@@ -306,8 +314,7 @@ torch::Tensor DitDh::velocity_features(const DitPasses& passes, const DitNoisyTo
   Modulation modulation;
   modulation.activation =
       by_storage(condition_activation, condition, pass_rows(passes, rows_of).unsqueeze(1));
-  auto x = pass_tokens(tokens.decoder, cameras,
-                       options_.camera_embedding_input == CameraEmbeddingInput::kVelocityDecoder);
+  auto x = pass_tokens(tokens.decoder, cameras, &DitBranchCameras::decoder_embedding);
   const std::vector<Modulation> modulations(decoder_blocks_.size(), modulation);
   x = run_blocks(decoder_blocks_, x, passes, cameras, modulations);
   return by_storage(

@@ -48,6 +48,10 @@ torch::Tensor DitEmbedder::source_patches(const torch::Tensor& source, int64_t v
   return torch::cat({seen, unseen}, 0);
 }
 
+torch::Tensor DitEmbedder::target_features(const torch::Tensor& features) const {
+  return times_transposed(features, half(target().weight, EmbedderHalf::kSource));
+}
+
 torch::Tensor DitEmbedder::latent_patches(const torch::Tensor& latent, int64_t num_sources) const {
   if (!target_) return times_transposed(latent, half(source_->weight, EmbedderHalf::kLatent));
   return torch::cat(

@@ -34,6 +34,9 @@ class DitEmbedder {
   // Of the patch tokens. source: (source views, tokens, channels) -> (views, tokens, width), bias included; the
   // source features of the target views are zero.
   torch::Tensor source_patches(const torch::Tensor& source, int64_t views) const;
+  // What features of target views that stand in the place of source features add to that, (target views, tokens,
+  // channels) -> (target views, tokens, width).
+  torch::Tensor target_features(const torch::Tensor& features) const;
   // (views, tokens, channels) -> (views, tokens, width), without the bias.
   torch::Tensor latent_patches(const torch::Tensor& latent, int64_t num_sources) const;
   // Both halves in one product, as published.

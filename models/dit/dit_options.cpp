@@ -1,6 +1,7 @@
 #include "models/dit/dit_options.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/picture_warp.h"
 
 #include <charconv>
 #include <cmath>
@@ -64,6 +65,10 @@ void DitOptions::visit(FieldVisitor& visitor) {
                prediction, {"velocity", "data"});
   visitor.real({"largest_inverse_time", "prediction of data: bound of 1/t where the velocity is formed"},
                largest_inverse_time, {1, 1000});
+  visitor.integer(
+      {"warped_sources",
+       "photographs carried into each target view by their depth, as one more input; 0: none, as published"},
+      warped_sources, {0, 8});
 }
 
 void DitOptions::check() const {
@@ -92,6 +97,8 @@ int64_t DitOptions::swiglu_width(int64_t width) const {
   const auto plain = static_cast<int64_t>(static_cast<double>(width) * mlp_ratio);
   return static_cast<int64_t>(2.0 / 3.0 * static_cast<double>(plain));
 }
+
+int64_t DitOptions::warp_channels() const { return kChannelsOfWarpedSource * warped_sources; }
 
 int64_t DitOptions::prope_pixels() const {
   int64_t pixels = 0;

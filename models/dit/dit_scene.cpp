@@ -33,6 +33,16 @@ LatentGrid grid_of(const Views& views, int64_t patch_size) {
 
 }  // namespace
 
+void set_no_warp(DitSceneInputs& inputs, const DitOptions& options) {
+  if (options.warped_sources == 0) return;
+  const Camera& camera = inputs.views.cameras.front();
+  const int64_t targets = inputs.views.num_targets();
+  const int64_t patches =
+      camera.height / options.camera_patch_size * (camera.width / options.camera_patch_size);
+  inputs.warped_sources = torch::zeros({targets, options.warp_channels(), camera.height, camera.width});
+  inputs.warped_features = torch::zeros({targets, patches, options.in_channels});
+}
+
 void DitDh::check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
                          int64_t views) const {
   const int64_t tokens = tokens_per_view(scene.grid);
@@ -72,6 +82,51 @@ torch::Tensor DitDh::camera_embedding(const DitScene& scene, DitBranch branch) c
   return torch::cat({none, patches}, 1);
 }
 
+torch::Tensor DitDh::warp_embedding(const PatchEmbed* pixels, const DitEmbedder& tokens,
+                                    const DitScene& scene, DitBranch branch) const {
+  // Where something was carried to tells the cameras, which the unconditional branch must not know.
+  if (pixels == nullptr || branch == DitBranch::kUnconditional || scene.cameras.views.num_targets() == 0)
+    return {};
+  const auto targets = pixels->forward_image(scene.warped_sources.to(tensor_options())) +
+                       tokens.target_features(scene.warped_features.to(tensor_options()));
+  const auto zeros = [&](int64_t views, int64_t tokens) {
+    return torch::zeros({views, tokens, targets.size(2)}, targets.options().requires_grad(false));
+  };
+  const auto patches = torch::cat({zeros(scene.num_sources(), targets.size(1)), targets}, 0);
+  if (options_.num_special_tokens == 0) return patches;
+  return torch::cat({zeros(patches.size(0), options_.num_special_tokens), patches}, 1);
+}
+
+void DitDh::fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const {
+  cameras.encoder_embedding = warp_embedding(encoder_warp_embedder_.get(), *encoder_embedder_, scene, branch);
+  cameras.decoder_embedding = warp_embedding(decoder_warp_embedder_.get(), *decoder_embedder_, scene, branch);
+  auto& part = options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder
+                   ? cameras.encoder_embedding
+                   : cameras.decoder_embedding;
+  const auto embedding = camera_embedding(scene, branch);
+  part = part.defined() ? part + embedding : embedding;
+  cameras.embedded = true;
+}
+
+void DitDh::check_warp(const DitScene& scene, const DitSceneInputs& inputs) const {
+  const Camera& camera = scene.cameras.views.cameras.front();
+  const int64_t targets = scene.cameras.views.num_targets();
+  const auto check = [&](const std::string& name, const torch::Tensor& given,
+                         const std::vector<int64_t>& shape) {
+    const bool wanted = options_.warped_sources > 0;
+    if (wanted ? given.defined() && given.sizes() == shape : !given.defined()) return;
+    fail({name,
+          wanted ? c10::str("shape ", at::IntArrayRef(shape))
+                 : std::string("none, for a model with warped_sources: 0"),
+          given.defined() ? c10::str("shape ", given.sizes()) : std::string("nothing"),
+          "check the model's configuration and the size of the images"});
+  };
+  check("warped sources", inputs.warped_sources,
+        {targets, options_.warp_channels(), camera.height, camera.width});
+  check("warped features", inputs.warped_features,
+        {targets, scene.grid.tokens_per_view(), options_.in_channels});
+}
+
 PropeTables DitDh::prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const {
   PropeLayout layout;
   layout.grid = scene.grid;
@@ -96,7 +151,7 @@ std::vector<DitBranchCameras> DitDh::evaluation_cameras(const DitPasses& passes)
   std::vector<DitBranchCameras> list;
   for (const DitPass& pass : passes) {
     DitBranchCameras cameras = pass.scene->branches[static_cast<size_t>(pass.branch)];
-    if (!cameras.embedding.defined()) cameras.embedding = camera_embedding(*pass.scene, pass.branch);
+    if (!cameras.embedded) fill_embeddings(*pass.scene, pass.branch, cameras);
     if (!cameras.encoder_prope.query_matrix.defined()) fill_prope(*pass.scene, pass.branch, cameras);
     list.push_back(std::move(cameras));
   }
@@ -110,6 +165,9 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   constexpr int64_t kLastView = -1;
   scene.cameras = relative_cameras(inputs.views, kLastView, options_.translation_unit);
   scene.view_mask = inputs.view_mask;
+  check_warp(scene, inputs);
+  scene.warped_sources = inputs.warped_sources;
+  scene.warped_features = inputs.warped_features;
   check_latent(scene, inputs.source_features, "source features", scene.num_sources());
   scene.source_features = inputs.source_features;
   if (options_.conditioning == DitConditioning::kDeeperLevel) {
@@ -126,7 +184,7 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   }
   for (const DitBranch branch : {DitBranch::kConditional, DitBranch::kUnconditional}) {
     auto& cameras = scene.branches[static_cast<size_t>(branch)];
-    if (savings.camera_embedding_once) cameras.embedding = camera_embedding(scene, branch);
+    if (savings.camera_embedding_once) fill_embeddings(scene, branch, cameras);
     if (savings.prope_tables_once) fill_prope(scene, branch, cameras);
   }
   const bool cascade = scene.deeper_patches.defined();

@@ -4,6 +4,7 @@
 #include "gld/cameras/camera.h"
 #include "gld/cameras/prope.h"
 #include "gld/cameras/relative_cameras.h"
+#include "models/dit/dit_options.h"
 #include "models/dit/exact_savings.h"
 
 #include <array>
@@ -21,15 +22,30 @@ struct DitSceneInputs {
   torch::Tensor source_features;  // (source views, tokens, channels)
   // Cascade only: (views, tokens, channels), with or without special tokens (they are not used).
   torch::Tensor deeper_level;
+  // For DitOptions::warped_sources: (target views, warp_channels(), height, width) in pixels, zero where nothing is
+  // known (models/scene_geometry/source_warp.h).
+  torch::Tensor warped_sources;
+  // With them: normalised features of those pictures, as far as they are whole, encoded beside the source views; they
+  // stand where a source view has its source features. (target views, patch tokens, channels), zero where nothing is
+  // known.
+  torch::Tensor warped_features;
   // Which view pairs attend (gld/attention/attention.h); every pair when undefined.
   torch::Tensor view_mask;
 };
 
+// Nothing known of what is carried into target views: zeros; nothing at all for a model that takes none.
+void set_no_warp(DitSceneInputs& inputs, const DitOptions& options);
+
 enum class DitBranch { kConditional, kUnconditional };
 
-// The cameras as one branch of guidance sees them. Undefined parts are computed at every evaluation.
+// The cameras as one branch of guidance sees them. What is not there yet is computed at every evaluation.
 struct DitBranchCameras {
-  torch::Tensor embedding;  // broadcasts to (views, special + patch tokens, width); zero for special tokens
+  // What is added to the tokens of each part: the camera embedding where that part takes it, and what was carried into
+  // target views (the unconditional branch sees none of it: it tells the cameras). Undefined where that is nothing;
+  // broadcasts to (views, special + patch tokens, width); zero for special tokens.
+  torch::Tensor encoder_embedding;
+  torch::Tensor decoder_embedding;
+  bool embedded = false;  // whether both are there
   PropeTables encoder_prope;
   PropeTables decoder_prope;
 };
@@ -42,6 +58,8 @@ struct DitScene {
   ExactSavings savings;
   torch::Tensor source_features;  // (source views, tokens, channels)
   torch::Tensor deeper_patches;   // (views, patch tokens, channels); undefined for level models
+  torch::Tensor warped_sources;   // (target views, channels, height, width); undefined for models without
+  torch::Tensor warped_features;  // (target views, patch tokens, channels); likewise
   torch::Tensor view_mask;
   std::array<DitBranchCameras, 2> branches;  // by DitBranch
   // Parts of the embedders' sums, (views, tokens, width); undefined where a switched-off saving leaves them to

@@ -41,6 +41,9 @@ struct LevelSet {
   int64_t boundary = 1;
   int64_t levels = 4;            // of the backbone
   std::vector<int64_t> decoded;  // that the RGB decoder takes; all when empty
+  // Photographs that the generators want carried into each target view by the depth of the source views; each takes the
+  // first so many of them that it has room for.
+  int64_t warped_sources = 0;
 
   bool generates(int64_t level) const;
   // Whether sampling knows that level at the end, generated or propagated.

@@ -74,6 +74,12 @@ inline DitTestScene random_dit_scene(const DitOptions& options, const RandomCame
   if (options.conditioning == DitConditioning::kDeeperLevel) {
     scene.inputs.deeper_level = torch::randn({sizes.views, tokens, options.in_channels});
   }
+  if (options.warped_sources > 0) {
+    const int64_t targets = sizes.views - sizes.sources;
+    scene.inputs.warped_sources = torch::randn({targets, options.warp_channels(), sizes.height, sizes.width});
+    scene.inputs.warped_features =
+        torch::randn({targets, tokens - options.num_special_tokens, options.in_channels});
+  }
   return scene;
 }
 
@@ -81,6 +87,10 @@ inline DitTestScene in_double(DitTestScene scene) {
   scene.inputs.source_features = scene.inputs.source_features.to(torch::kFloat64);
   if (scene.inputs.deeper_level.defined()) {
     scene.inputs.deeper_level = scene.inputs.deeper_level.to(torch::kFloat64);
+  }
+  if (scene.inputs.warped_sources.defined()) {
+    scene.inputs.warped_sources = scene.inputs.warped_sources.to(torch::kFloat64);
+    scene.inputs.warped_features = scene.inputs.warped_features.to(torch::kFloat64);
   }
   scene.noisy = scene.noisy.to(torch::kFloat64);
   return scene;

@@ -47,6 +47,7 @@ class RepeatedScene : public Objective {
     dit_->initialise(generator);
     const int64_t tokens = dit_->tokens_per_view(grid_), channels = options.in_channels;
     inputs_.views = cameras_in_a_row(size);
+    set_no_warp(inputs_, options);
     inputs_.source_features = torch::randn({size.sources, tokens, channels}, generator);
     clean_ = torch::randn({size.views, tokens, channels}, generator);
     noise_ = torch::randn({size.views, tokens, channels}, generator);

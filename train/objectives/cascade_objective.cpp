@@ -19,11 +19,9 @@ CascadeObjective::CascadeObjective(const BundleOptions& model, const LevelGenera
       deeper_noise_(options.deeper_noise) {}
 
 SceneLatents CascadeObjective::latents(const TrainingScene& scene) const {
-  const int64_t level = generator().level, views = scene.views.size();
-  SceneLatents latents;
-  latents.sources = latent_of(scene, scene.views.num_sources, level, frozen().statistics);
-  latents.clean = latent_of(scene, views, level, frozen().statistics);
-  latents.deeper = latent_of(scene, views, *generator().deeper, frozen().deeper_statistics);
+  SceneLatents latents = latents_of_sources(scene);
+  latents.clean = latent_of(scene, generator().level, frozen().statistics);
+  latents.deeper = latent_of(scene, *generator().deeper, frozen().deeper_statistics);
   return latents;
 }
 
@@ -32,6 +30,8 @@ FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene, co
   Prepared prepared;
   prepared.inputs.views = scene.views;
   prepared.inputs.source_features = latents.sources;
+  prepared.inputs.warped_sources = latents.warped_sources;
+  prepared.inputs.warped_features = latents.warped_features;
   prepared.clean = latents.clean;
   const auto& deeper = latents.deeper;
   const double strength =

@@ -5,6 +5,7 @@
 #include "gld/flow/schedule.h"
 #include "gld/metrics/metric_list.h"
 #include "models/dit/flow_matching_loss.h"
+#include "models/scene_geometry/source_warp.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
@@ -90,12 +91,47 @@ double FlowObjective::training_shift(const TrainingScene& scene) const {
   return resolved_time_shift(part.time_shift.training, grid_of(scene), part.dit.in_channels);
 }
 
-torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t views, int64_t level,
+torch::Tensor FlowObjective::normalised_tokens(const torch::Tensor& raw_level,
+                                               const LevelStatistics& statistics) const {
+  return statistics.normalise(
+      generated_tokens(raw_level, frozen_.space->leading_tokens(), statistics.special_tokens));
+}
+
+torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t level,
                                        const LevelStatistics& statistics) const {
   const torch::NoGradGuard no_grad;
-  const auto levels = frozen_.space->encode(images_of(scene, views), level);
-  return statistics.normalise(generated_tokens(levels.at(static_cast<size_t>(level)),
-                                               frozen_.space->leading_tokens(), statistics.special_tokens));
+  const auto levels = frozen_.space->encode(scene.images, level);
+  return normalised_tokens(levels.at(static_cast<size_t>(level)), statistics);
+}
+
+SceneLatents FlowObjective::latents_of_sources(const TrainingScene& scene) const {
+  const torch::NoGradGuard no_grad;
+  const int64_t warped_sources = dit_->options().warped_sources;
+  const auto images = images_of(scene, scene.views.num_sources);
+  const bool warps = warped_sources > 0 && scene.views.num_sources > 1;
+  SourceEncoding wanted;
+  wanted.deepest = warps ? frozen_.space->levels() - 1 : generator_.level;
+  wanted.carried = false;
+  const auto encoded = frozen_.space->encode_sources(images, wanted);
+  SceneLatents latents;
+  latents.sources =
+      normalised_tokens(encoded.levels.at(static_cast<size_t>(generator_.level)), frozen_.statistics);
+  DitSceneInputs nothing_known;
+  nothing_known.views = scene.views;
+  set_no_warp(nothing_known, dit_->options());
+  latents.warped_sources = nothing_known.warped_sources;
+  latents.warped_features = nothing_known.warped_features;
+  if (warps) {
+    const auto geometry = frozen_.geometry_head->forward(geometry_inputs(*frozen_.space, encoded),
+                                                         encoded.grid, GeometryMaps::kDepthAndRays);
+    const SourceWarp warp = warp_sources(scene.views, images, geometry, warped_sources);
+    if (warp.completed.defined()) {
+      const auto level = encode_completed(*frozen_.space, images, warp, generator_.level).back();
+      latents.warped_sources = warp.pictures;
+      latents.warped_features = frozen_.statistics.normalise(level.slice(1, frozen_.space->leading_tokens()));
+    }
+  }
+  return latents.to(images.device());
 }
 
 torch::Tensor FlowObjective::decode(const TrainingScene& scene, const torch::Tensor& latent) const {

@@ -35,6 +35,7 @@ struct FrozenParts {
   LevelStatistics statistics;                       // of the level to generate
   LevelStatistics deeper_statistics;                // of the level that a cascade starts from
   std::shared_ptr<const ImageDecoder> rgb_decoder;  // for validation pictures; may be null
+  std::shared_ptr<GeometryHead> geometry_head;      // for warped_sources; null for models that take none
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and
@@ -78,9 +79,10 @@ class FlowObjective : public Objective {
   // generated level is worth alone.
   virtual std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const = 0;
 
-  // That level of the first `views` views encoded together, normalised: what is generated of it.
-  torch::Tensor latent_of(const TrainingScene& scene, int64_t views, int64_t level,
-                          const LevelStatistics& statistics) const;
+  // That level of all views encoded together, normalised: what is generated of it.
+  torch::Tensor latent_of(const TrainingScene& scene, int64_t level, const LevelStatistics& statistics) const;
+  // What is made of the source views alone: SceneLatents::sources and what is carried from them.
+  SceneLatents latents_of_sources(const TrainingScene& scene) const;
   torch::Tensor images_of(const TrainingScene& scene, int64_t views) const {
     return scene.images.narrow(0, 0, views);
   }
@@ -91,6 +93,7 @@ class FlowObjective : public Objective {
   const FrozenParts& frozen() const { return frozen_; }
   const DitDh& dit() const { return *dit_; }
   LatentGrid grid_of(const TrainingScene& scene) const;
+  torch::Tensor normalised_tokens(const torch::Tensor& raw_level, const LevelStatistics& statistics) const;
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:

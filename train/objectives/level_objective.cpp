@@ -9,9 +9,8 @@ LevelObjective::LevelObjective(const BundleOptions& model, int64_t level, const 
     : FlowObjective(model, level_model(level), options, std::move(frozen), placement, seed) {}
 
 SceneLatents LevelObjective::latents(const TrainingScene& scene) const {
-  SceneLatents latents;
-  latents.sources = latent_of(scene, scene.views.num_sources, generator().level, frozen().statistics);
-  latents.clean = latent_of(scene, scene.views.size(), generator().level, frozen().statistics);
+  SceneLatents latents = latents_of_sources(scene);
+  latents.clean = latent_of(scene, generator().level, frozen().statistics);
   return latents;
 }
 
@@ -20,6 +19,8 @@ FlowObjective::Prepared LevelObjective::prepare(const TrainingScene& scene, cons
   Prepared prepared;
   prepared.inputs.views = scene.views;
   prepared.inputs.source_features = latents.sources;
+  prepared.inputs.warped_sources = latents.warped_sources;
+  prepared.inputs.warped_features = latents.warped_features;
   prepared.clean = latents.clean;
   return prepared;
 }

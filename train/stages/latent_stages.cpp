@@ -81,6 +81,8 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
       frozen.deeper_statistics = bundle.load_statistics(part.generator).to(placement.device);
     }
   }
+  if (model.generator(generator).dit.warped_sources > 0)
+    frozen.geometry_head = bundle.load_dpt_head(placement);
   if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
   return frozen;
 }

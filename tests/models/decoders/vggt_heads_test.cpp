@@ -1,8 +1,8 @@
 #include "models/decoders/vggt_heads.h"
 
 #include "gld/cameras/pose_from_rays.h"
-#include "infer/pipeline/predicted_cameras.h"
 #include "models/decoders/geometry_head_registry.h"
+#include "models/scene_geometry/predicted_cameras.h"
 #include "tests/support/error_of.h"
 
 #include <cmath>

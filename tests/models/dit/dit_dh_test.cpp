@@ -78,6 +78,20 @@ std::vector<Configuration> configurations() {
          o.conditioning = DitConditioning::kDeeperLevel;
          o.position_embedding = PositionEmbedding::kSinCos;
        }},
+      {"warped_sources", [](DitOptions& o) { o.warped_sources = 2; }},
+      {"warped_sources_special_single_embedders",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
+         o.num_special_tokens = 3;
+         o.in_channels = 48;
+         o.split_embedders = false;
+         o.camera_embedding_input = CameraEmbeddingInput::kVelocityDecoder;
+       }},
+      {"warped_sources_cascade",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
+         o.conditioning = DitConditioning::kDeeperLevel;
+       }},
       {"camera_in_decoder",
        [](DitOptions& o) {
          o.camera_embedding_input = CameraEmbeddingInput::kVelocityDecoder;
@@ -115,6 +129,8 @@ TEST_P(DitConfigurations, AgreesWithTheFormulasInDouble) {
   inputs.source_features = torch::zeros_like(scene.noisy);
   inputs.source_features.narrow(0, 0, inputs.views.num_sources).copy_(scene.inputs.source_features);
   inputs.deeper_level = scene.inputs.deeper_level;
+  inputs.warped_sources = scene.inputs.warped_sources;
+  inputs.warped_features = scene.inputs.warped_features;
   inputs.noisy = scene.noisy;
   inputs.time = kTime;
   const auto weights = named_tensors(*model);
@@ -317,6 +333,43 @@ TEST(DitDh, RefusesScenesThatDoNotFit) {
   EXPECT_EQ(test::error_of([&] { random_dit(small_cascade_options())->prepare_scene(scene.inputs); }),
             "deeper level: expected shape (3 views, 4 tokens, 24 channels), found nothing; "
             "check the model's configuration and the size of the images.");
+}
+
+TEST(DitDh, WhatWasCarriedBelongsToModelsThatTakeIt) {
+  const auto plain = random_dit(small_dit_options());
+  auto options = small_dit_options();
+  options.warped_sources = 2;
+  const auto model = random_dit(options);
+  const auto scene = random_dit_scene(options, {3, 2, 28, 28});
+  const auto refusal = [&](const DitDh& dit, const std::function<void(DitSceneInputs&)>& change) {
+    auto inputs = scene.inputs;
+    change(inputs);
+    return test::error_of([&] { dit.prepare_scene(inputs); });
+  };
+  EXPECT_EQ(
+      refusal(*plain, [](DitSceneInputs&) {}),
+      "warped sources: expected none, for a model with warped_sources: 0, found shape [1, 8, 28, 28]; check the "
+      "model's configuration and the size of the images.");
+  EXPECT_EQ(
+      refusal(*model, [](DitSceneInputs& i) { i.warped_sources = torch::Tensor(); }),
+      "warped sources: expected shape [1, 8, 28, 28], found nothing; check the model's configuration and the size "
+      "of the images.");
+  EXPECT_EQ(
+      refusal(*model, [](DitSceneInputs& i) { i.warped_features = i.warped_features.narrow(1, 0, 2); }),
+      "warped features: expected shape [1, 4, 24], found shape [1, 2, 24]; check the model's configuration and the "
+      "size of the images.");
+}
+
+// So that training can go on from a model that takes nothing: the embedder of pictures begins at zero.
+TEST(DitDh, PicturesThatAreCarriedCountForNothingBeforeTraining) {
+  auto options = small_dit_options();
+  options.warped_sources = 1;
+  DitDh model(options, ParameterPlacement{});
+  model.initialise(at::detail::createCPUGenerator(3));
+  for (const auto& parameter : model.named_parameters()) {
+    if (parameter.key().rfind("warp_", 0) != 0) continue;
+    EXPECT_EQ(parameter.value().abs().max().item<float>(), 0) << parameter.key();
+  }
 }
 
 TEST(DitOptions, RefuseWhatDoesNotFitTogether) {

@@ -31,6 +31,11 @@ class NaiveDit {
     Tensor x = embed("x", false);
     const bool at_encoder = options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder;
     (at_encoder ? s : x).narrow(1, special_, patches_) += camera_embedding();
+    if (inputs_.warped_sources.defined() && inputs_.conditional) {
+      const int64_t sources = inputs_.views.num_sources, targets = inputs_.views.num_targets();
+      s.narrow(0, sources, targets).narrow(1, special_, patches_) += carried("s");
+      x.narrow(0, sources, targets).narrow(1, special_, patches_) += carried("x");
+    }
     int64_t block = 0;
     for (int64_t i = 0; i < options_.depth[0]; ++i, ++block) {
       s = run_block(block, s, silu(time).expand({s.size(0), s.size(1), s.size(2)}), options_.num_heads[0]);
@@ -102,6 +107,19 @@ class NaiveDit {
       views.push_back(tokens);
     }
     return torch::stack(views);
+  }
+
+  // What a part of the model gets of the pictures that were carried into target views.
+  Tensor carried(const std::string& part) const {
+    const std::string split = options_.split_embedders ? "_tgt" : "";
+    const auto features =
+        weight(part + "_embedder" + split + ".proj.weight").flatten(1).narrow(1, 0, options_.in_channels);
+    const std::string pixels = "warp_" + part + "_embedder.proj.";
+    return torch::conv2d(inputs_.warped_sources, weight(pixels + "weight"), weight(pixels + "bias"),
+                         options_.camera_patch_size)
+               .flatten(2)
+               .transpose(1, 2) +
+           torch::matmul(inputs_.warped_features, features.t());
   }
 
   Tensor camera_embedding() const {

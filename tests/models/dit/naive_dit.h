@@ -17,6 +17,8 @@ struct NaiveDitInputs {
   Views views;
   torch::Tensor source_features;  // (views, tokens, channels), zero for target views
   torch::Tensor deeper_level;     // likewise; undefined for level models
+  torch::Tensor warped_sources;   // as DitSceneInputs has them; undefined for models without
+  torch::Tensor warped_features;
   torch::Tensor noisy;
   double time = 0;
   bool conditional = true;

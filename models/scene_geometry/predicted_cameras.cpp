@@ -1,4 +1,4 @@
-#include "infer/pipeline/predicted_cameras.h"
+#include "models/scene_geometry/predicted_cameras.h"
 
 #include "gld/base/error.h"
 

@@ -1,11 +1,9 @@
 #pragma once
 
-#include "datasets/images/image.h"
 #include "gld/cameras/camera.h"
 #include "gld/cameras/depth_scale.h"
 #include "gld/cameras/pose_alignment.h"
-#include "infer/export/point_cloud.h"
-#include "infer/pipeline/sampling_scene.h"
+#include "gld/cameras/view_visibility.h"
 #include "models/decoders/geometry_head.h"
 
 #include <optional>
@@ -15,7 +13,6 @@
 #include <torch/types.h>
 
 #include <Eigen/Core>
-#include <nlohmann/json.hpp>
 
 namespace gld {
 
@@ -27,15 +24,8 @@ struct ScaleEvidence {
   torch::Tensor photographs;
   std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
   // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
-  std::vector<DepthMap> source_depth;
+  std::vector<PlanarDepth> source_depth;
 };
-
-// The kinds of evidence, as DepthScale::estimator and --scale-from name them.
-const std::vector<std::string>& scale_evidence_names();
-// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths.
-ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
-// The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.
-std::vector<std::string> usual_scale_evidence();
 
 // Where the geometry model's predictions lie in the scene. The model has a frame and a scale of its own; its predicted
 // rays tell where it thinks the cameras are, the given cameras where they are.
@@ -56,24 +46,13 @@ struct GeometryPlacement {
 GeometryPlacement place_geometry(const GeometryOutput& geometry, const std::vector<Camera>& given,
                                  const ScaleEvidence& evidence = {});
 
-// What every kind of evidence said, for report.json: estimator, scale, interval, residual and, where it is not
-// believed, the doubt.
-nlohmann::ordered_json depth_scale_json(const DepthScale& estimate);
-nlohmann::ordered_json estimates_json(const std::vector<DepthScale>& estimates);
-// The same in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of what it is fitted to; ...".
+// What every kind of evidence said, in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of what it
+// is fitted to; ...".
 std::string estimates_text(const std::vector<DepthScale>& estimates);
 
 // The cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the views line
 // up: the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the given ones
 // are. Nothing where there are none.
 std::vector<Camera> cameras_of_depth(const GeometryPlacement& placement, const std::vector<Camera>& given);
-
-// The cloud of all views, images one a view, in the frame of cameras_of_depth(). Where there are none, rays lift.
-PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacement& placement,
-                          const std::vector<Camera>& given, const std::vector<Image>& images,
-                          const PointCloudOptions& options);
-
-// What point_cloud_of uses.
-PointLifting lifting_of(const GeometryPlacement& placement, const PointCloudOptions& options);
 
 }  // namespace gld

@@ -1,0 +1,41 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/cameras/photo_consistency.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// Channels of a carried photograph as a network takes it: red, green and blue from -1 to 1, 0 where nothing was
+// carried to, and 1 where something was, else 0.
+constexpr int64_t kChannelsOfWarpedSource = 4;
+
+// A photograph carried into another view: what that view shows of it as far as the depth is right.
+struct CarriedPicture {
+  int64_t width = 0;
+  int64_t height = 0;
+  std::vector<float> rgb;     // (height, width, 3); 0 where nothing came to lie
+  std::vector<uint8_t> seen;  // (height, width); 1 where something did
+
+  double seen_share() const;  // of the pixels
+};
+
+// Each photograph of sources carried into the target view, of the target camera's size. source.depth in the unit of the
+// cameras, of the same picture as source.rgb, which all of them have.
+//
+// The depth of the target view is what the depth of the sources says of it, the nearest surface in front, and then
+// what the photographs themselves say: among depths up to a third nearer and farther (of all sources together, so that
+// an error of the scale is mended too) each pixel takes that at which the photographs differ least in the 9x9 pixels
+// around it, with a small price for leaving the predicted one. Colours are taken bilinearly from where that point was
+// seen. A pixel that no source's depth reaches within 2 pixels, that lies outside of a photograph or behind what it
+// shows, is not seen in it. Depth that is not finite and positive says nothing.
+std::vector<CarriedPicture> carry_pictures(const std::vector<PicturedView>& sources, const Camera& target);
+
+// Pictures carried into one view as one, without gaps: the mean of those that are seen at a pixel, and where none is,
+// that of the nearest pixel with one. seen tells where; a picture of which nothing is seen is black. At least one
+// picture.
+CarriedPicture completed_picture(const std::vector<CarriedPicture>& carried);
+
+}  // namespace gld

@@ -1,0 +1,48 @@
+#include "infer/pipeline/scale_evidence.h"
+
+#include "datasets/loading/batching.h"
+
+#include <algorithm>
+
+namespace gld {
+
+const std::vector<std::string>& scale_evidence_names() {
+  static const std::vector<std::string> names{"camera_poses", "photographs", "sparse_points", "source_depth"};
+  return names;
+}
+
+std::vector<std::string> usual_scale_evidence() { return {"camera_poses", "photographs", "sparse_points"}; }
+
+ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds) {
+  const auto named = [&](const char* kind) {
+    return std::find(kinds.begin(), kinds.end(), kind) != kinds.end();
+  };
+  ScaleEvidence evidence;
+  evidence.camera_poses = named("camera_poses");
+  if (named("photographs")) evidence.photographs = stacked(scene.source_images);
+  if (named("sparse_points")) evidence.points_in_world = scene.points_in_world;
+  if (named("source_depth")) {
+    for (const DepthMap& map : scene.source_depths) {
+      evidence.source_depth.push_back({map.width, map.height, map.metres});
+    }
+  }
+  return evidence;
+}
+
+nlohmann::ordered_json depth_scale_json(const DepthScale& estimate) {
+  nlohmann::ordered_json json{{"estimator", estimate.estimator},
+                              {"scale", estimate.scale},
+                              {"interval", {estimate.low, estimate.high}},
+                              {"residual", estimate.residual}};
+  const std::string doubt = doubt_about(estimate);
+  if (!doubt.empty()) json["doubt"] = doubt;
+  return json;
+}
+
+nlohmann::ordered_json estimates_json(const std::vector<DepthScale>& estimates) {
+  auto list = nlohmann::ordered_json::array();
+  for (const DepthScale& estimate : estimates) list.push_back(depth_scale_json(estimate));
+  return list;
+}
+
+}  // namespace gld

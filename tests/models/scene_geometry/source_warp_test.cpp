@@ -1,0 +1,121 @@
+#include "models/scene_geometry/source_warp.h"
+
+#include "gld/cameras/picture_warp.h"
+#include "gld/cameras/pose_from_rays.h"
+#include "tests/support/textured_plane.h"
+
+#include <cmath>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using Eigen::Vector3d;
+using test::camera_before_plane;
+
+constexpr double kUnit = 2.5;  // of the model's depth, in the world
+
+struct PlaneScene {
+  Views views;
+  torch::Tensor images;  // of all views
+  GeometryOutput geometry;
+};
+
+torch::Tensor picture_of(const PicturedView& view) {
+  return torch::tensor(view.rgb).view({view.height, view.width, 3}).permute({2, 0, 1});
+}
+
+// What a geometry head that knows the plane says of the source views.
+PlaneScene plane_scene(const std::vector<Camera>& cameras, int64_t num_sources) {
+  const test::TexturedPlane plane;
+  PlaneScene scene;
+  scene.views.cameras = cameras;
+  scene.views.num_sources = num_sources;
+  std::vector<torch::Tensor> images, depths, rays;
+  for (const Camera& camera : cameras) {
+    const PicturedView seen = plane.seen_by(camera, kUnit);
+    images.push_back(picture_of(seen));
+    if (static_cast<int64_t>(images.size()) > num_sources) continue;
+    depths.push_back(torch::tensor(seen.depth.values).view({seen.depth.height, seen.depth.width}));
+    Camera in_model = camera;
+    in_model.world_from_camera.translation() /= kUnit;
+    rays.push_back(torch::tensor(rays_of_camera(in_model, 16, 12).values).view({12, 16, 6}));
+  }
+  scene.images = torch::stack(images);
+  scene.geometry.depth = torch::stack(depths);
+  scene.geometry.rays = torch::stack(rays);
+  scene.geometry.ray_confidence = torch::full({num_sources, 12, 16}, 2.0F);
+  scene.geometry.depth_confidence = torch::full_like(scene.geometry.depth, 2.0F);
+  return scene;
+}
+
+std::vector<Camera> four_cameras() {
+  return {camera_before_plane({0, 0, 0}, 0), camera_before_plane({1.4, 0.2, 0.1}, -0.3),
+          camera_before_plane({0.3, 0.1, 0}, -0.06), camera_before_plane({1.2, 0.1, 0.1}, -0.25)};
+}
+
+// Channels of the n-th photograph carried into a target view, and its error where something was carried.
+double error_of_picture(const SourceWarp& warp, int64_t target, int64_t number, const torch::Tensor& truth) {
+  const auto channels = warp.pictures[target].narrow(0, 4 * number, 4);
+  const auto seen = channels[3];
+  EXPECT_GT(seen.mean().item<double>(), 0.5);
+  EXPECT_TRUE(torch::equal(seen * seen, seen));
+  const auto error = ((channels.narrow(0, 0, 3) - (2 * truth - 1)).abs() * seen).sum() / (3 * seen.sum());
+  EXPECT_EQ((channels.narrow(0, 0, 3) * (1 - seen)).abs().max().item<double>(), 0);
+  return error.item<double>();
+}
+
+TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
+  const PlaneScene scene = plane_scene(four_cameras(), 2);
+  const SourceWarp warp = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 2);
+  EXPECT_EQ(warp.doubt, "");
+  ASSERT_EQ(warp.pictures.sizes(), (std::vector<int64_t>{2, 8, 72, 96}));
+  ASSERT_EQ(warp.completed.sizes(), (std::vector<int64_t>{2, 3, 72, 96}));
+  EXPECT_LT((warp.completed - scene.images.narrow(0, 2, 2)).abs().mean().item<double>(), 0.03);
+  const test::TexturedPlane plane;
+  const std::vector<PicturedView> sources{plane.seen_by(scene.views.cameras[0], 1),
+                                          plane.seen_by(scene.views.cameras[1], 1)};
+  for (int64_t target = 0; target < 2; ++target) {
+    for (int64_t number = 0; number < 2; ++number) {
+      EXPECT_LT(error_of_picture(warp, target, number, scene.images[2 + target]), 0.03);
+    }
+    // View 2 stands beside view 0 and view 3 beside view 1.
+    const auto own = carry_pictures(sources, scene.views.cameras[static_cast<size_t>(2 + target)]);
+    for (const int64_t number : {int64_t{0}, int64_t{1}}) {
+      const auto seen = warp.pictures[target][4 * number + 3].mean().item<double>();
+      EXPECT_NEAR(seen, own[static_cast<size_t>(number == 0 ? target : 1 - target)].seen_share(), 0.01);
+    }
+    EXPECT_GT(std::abs(own[0].seen_share() - own[1].seen_share()), 0.02);
+  }
+  // One of them: the first.
+  const SourceWarp one = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 1);
+  EXPECT_TRUE(torch::equal(one.pictures, warp.pictures.narrow(1, 0, 4)));
+  // More than there are: the rest is empty.
+  const SourceWarp three = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 3);
+  EXPECT_TRUE(torch::equal(three.pictures.narrow(1, 0, 8), warp.pictures));
+  EXPECT_EQ(three.pictures.narrow(1, 8, 4).abs().max().item<double>(), 0);
+}
+
+TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
+  const auto cameras = four_cameras();
+  const PlaneScene alone = plane_scene({cameras[0], cameras[1]}, 1);
+  const SourceWarp none = warp_sources(alone.views, alone.images.narrow(0, 0, 1), alone.geometry, 2);
+  EXPECT_EQ(none.doubt, "the depth of a single source view has no scale");
+  ASSERT_EQ(none.pictures.sizes(), (std::vector<int64_t>{1, 8, 72, 96}));
+  EXPECT_EQ(none.pictures.abs().max().item<double>(), 0);
+  EXPECT_FALSE(none.completed.defined());
+
+  // At one place there is no parallax.
+  const PlaneScene on_the_spot =
+      plane_scene({cameras[0], camera_before_plane({0, 0, 0}, 0.1), cameras[2]}, 2);
+  const SourceWarp turned =
+      warp_sources(on_the_spot.views, on_the_spot.images.narrow(0, 0, 2), on_the_spot.geometry, 1);
+  EXPECT_THAT(turned.doubt, testing::StartsWith("the unit of the source views' depth is not known ("));
+  EXPECT_EQ(turned.pictures.abs().max().item<double>(), 0);
+}
+
+}  // namespace
+}  // namespace gld
