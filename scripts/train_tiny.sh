@@ -67,15 +67,25 @@ if [ -f "$runs/stats/report.json" ] || [ "$base" != "$recipe" ]; then
   base=$runs/stats/model
 fi
 
-# What M1 is trained on: the model so far with the depth head of its own stage.
+# What M1 is trained on: the model so far with the depth head of its own stage, or, where M1 goes on from the recipe's
+# weights, with the head that those were trained with.
 level_base=$runs/level_base
+level_start=-
 prepare_level() {
-  stage head backbone "$base" -
+  local head=$runs/head/model
+  if [ -f "$recipe/level1.safetensors" ] && cmp -s "$base/backbone.safetensors" "$recipe/backbone.safetensors"; then
+    level_start=objective.start=bundle
+    head=$recipe
+  elif [ "$action" = train ]; then
+    stage head backbone "$base" -
+  fi
   rm -rf "$level_base"
   mkdir -p "$level_base"
   cp "$base"/*.safetensors "$recipe/model.yaml" "$level_base/"
-  cp "$runs/head/model/dpt_head.safetensors" "$level_base/"
+  cp "$head/dpt_head.safetensors" "$level_base/"
+  if [ "$level_start" != - ]; then cp "$recipe/level1.safetensors" "$level_base/"; fi
 }
+prepare_level
 
 # newest_step NAME: of its newest checkpoint.
 newest_step() {
@@ -110,7 +120,7 @@ branch() {
 }
 
 if [ "$action" = ship ]; then
-  for needed in head decoder cascade; do
+  for needed in decoder cascade; do
     if [ ! -f "$runs/$needed/report.json" ]; then
       echo "train_tiny: expected $runs/$needed to be done before shipping, found no report.json;" \
         "let scripts/train_tiny.sh $runs run on." >&2
@@ -121,7 +131,7 @@ if [ "$action" = ship ]; then
   branch level level "$level_base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
-  cp "$runs/level_$step/model/level1.safetensors" "$runs/head/model/dpt_head.safetensors" "$recipe/model.yaml" "$runs/model/"
+  cp "$runs/level_$step/model/level1.safetensors" "$level_base/dpt_head.safetensors" "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
   echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
@@ -161,7 +171,7 @@ fi
 
 # Beside each other every process has one thread: the models are small, and that keeps the cores busier than several
 # threads a process. Alone, M1 has all cores, and a worker for each of its micro-batches.
-level() { stage level level "$level_base" "$(start_of level1 objective.start=bundle)" "$@"; }
+level() { stage level level "$level_base" "$level_start" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
   stage cascade cascade "$runs/decoder/model" "$(start_of cascade objective.flow.start=bundle)" --threads 1
@@ -176,7 +186,6 @@ stop_running() {
   wait
   running=()
 }
-prepare_level
 trap stop_running EXIT
 trap 'exit 130' INT
 trap 'exit 143' TERM

@@ -8,10 +8,6 @@
 
 namespace gld {
 
-// Channels of a carried photograph as a network takes it: red, green and blue from -1 to 1, 0 where nothing was
-// carried to, and 1 where something was, else 0.
-constexpr int64_t kChannelsOfWarpedSource = 4;
-
 // A photograph carried into another view: what that view shows of it as far as the depth is right.
 struct CarriedPicture {
   int64_t width = 0;

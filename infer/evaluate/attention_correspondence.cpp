@@ -71,7 +71,7 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
     const DitOptions& dit = models.bundle.generator(generators[i]).dit;
     set_no_warp(shown[i].inputs, dit);
     if (dit.warped_sources > 0 && !carried.empty()) {
-      shown[i].inputs.warped_sources = warp.pictures.narrow(1, 0, dit.warp_channels());
+      shown[i].inputs.warp_agreement = warp.agreement.narrow(1, 0, dit.warped_sources);
       shown[i].inputs.warped_features = statistics.normalise(carried[level].slice(1, space.leading_tokens()));
     }
     if (generators[i].is_cascade()) shown[i].inputs.deeper_level = clean.at(*generators[i].deeper);

@@ -69,7 +69,7 @@ VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequ
 
 // What the flows are shown of the source photographs in the target views.
 struct CarriedSources {
-  torch::Tensor pictures;             // of all that a generator may take; undefined where none takes any
+  torch::Tensor agreement;            // of all that a generator may take; undefined where none takes any
   std::vector<torch::Tensor> levels;  // raw, of the target views; empty where nothing is known
 };
 
@@ -77,14 +77,14 @@ CarriedSources carry_sources(const PipelineModels& models, const PipelineRequest
                              EncodedSources& sources, std::vector<std::string>& warnings) {
   const int64_t count = models.levels.warped_sources;
   const GeometryOutput* geometry = source_geometry(models, sources);
-  if (geometry == nullptr) return {no_source_warp(request.views, count, "").pictures, {}};
+  if (geometry == nullptr) return {no_source_warp(request.views, count, "").agreement, {}};
   const SourceWarp warp = warp_sources(request.views, request.source_images, *geometry, count);
   if (!warp.doubt.empty()) {
     warnings.push_back(
         "The model was not shown the source photographs in the target views, as it is trained to be: " +
         warp.doubt + ".");
   }
-  CarriedSources carried{warp.pictures, {}};
+  CarriedSources carried{warp.agreement, {}};
   if (warp.completed.defined()) {
     const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
     carried.levels = encode_completed(space, request.source_images.to(request.device), warp,
@@ -205,10 +205,10 @@ struct PipelineState {
 
 void show_carried_sources(const CarriedSources& carried, const LevelStatistics& statistics,
                           const LevelGenerator& generator, const DitOptions& options, DitSceneInputs& scene) {
-  scene.warped_sources = scene.warped_features = torch::Tensor();
+  scene.warp_agreement = scene.warped_features = torch::Tensor();
   set_no_warp(scene, options);
   if (options.warped_sources == 0 || carried.levels.empty()) return;
-  scene.warped_sources = carried.pictures.narrow(1, 0, options.warp_channels());
+  scene.warp_agreement = carried.agreement.narrow(1, 0, options.warped_sources);
   const auto& raw = carried.levels[static_cast<size_t>(generator.level)];
   const int64_t patches = scene.warped_features.size(1);
   scene.warped_features = statistics.normalise(raw.narrow(1, raw.size(1) - patches, patches));

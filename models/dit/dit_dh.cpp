@@ -101,13 +101,11 @@ DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : o
       std::make_shared<PatchEmbed>(
           PatchEmbedSizes{kCameraChannels, options_.camera_width(), options_.camera_patch_size}, placement));
   if (options_.warped_sources > 0) {
-    const auto warp_embedder = [&](const char* name, int64_t width) {
-      return register_module(
-          name, std::make_shared<PatchEmbed>(
-                    PatchEmbedSizes{options_.warp_channels(), width, options_.camera_patch_size}, placement));
-    };
-    encoder_warp_embedder_ = warp_embedder("warp_s_embedder", options_.encoder_width());
-    decoder_warp_embedder_ = warp_embedder("warp_x_embedder", options_.decoder_width());
+    warp_embedder_ = register_module(
+        "warp_embedder",
+        std::make_shared<PatchEmbed>(
+            PatchEmbedSizes{options_.warped_sources, options_.encoder_width(), options_.camera_patch_size},
+            placement));
   }
   final_layer_ = register_module(
       "final_layer",

@@ -91,9 +91,8 @@ class DitDh : public torch::nn::Module {
   torch::TensorOptions tensor_options() const;
   // What is added to the patch tokens (zero for special tokens), and the PRoPE tables.
   torch::Tensor camera_embedding(const DitScene& scene, DitBranch branch) const;
-  // Of all tokens, zero for source views and special tokens; undefined where there is nothing to embed.
-  torch::Tensor warp_embedding(const PatchEmbed* pixels, const DitEmbedder& tokens, const DitScene& scene,
-                               DitBranch branch) const;
+  // Patch tokens of the target views with zeros for source views and special tokens.
+  torch::Tensor for_all_views(const DitScene& scene, const torch::Tensor& target_patches) const;
   void fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
   void check_warp(const DitScene& scene, const DitSceneInputs& inputs) const;
   PropeTables prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const;
@@ -115,8 +114,8 @@ class DitDh : public torch::nn::Module {
   std::shared_ptr<Linear> condition_projection_;  // null where both widths are equal
   std::shared_ptr<TimeEmbedding> time_embedding_;
   std::shared_ptr<PatchEmbed> camera_embedder_;
-  std::shared_ptr<PatchEmbed> encoder_warp_embedder_, decoder_warp_embedder_;  // null without warped_sources
-  std::shared_ptr<Linear> special_projection_;                                 // null without special tokens
+  std::shared_ptr<PatchEmbed> warp_embedder_;   // null without warped_sources
+  std::shared_ptr<Linear> special_projection_;  // null without special tokens
   std::shared_ptr<DitFinalLayer> final_layer_;
   std::vector<std::shared_ptr<DitBlock>> encoder_blocks_, decoder_blocks_;
 };

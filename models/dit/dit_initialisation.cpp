@@ -22,7 +22,7 @@ bool starts_at_zero(const std::string& name) {
   return contains(name, "adaLN_modulation.") || contains(name, "final_layer.linear.") ||
          contains(name, "special_output_proj.") ||
          // So that weights of a model without it are a good beginning of one with it.
-         contains(name, "warp_s_embedder.") || contains(name, "warp_x_embedder.");
+         contains(name, "warp_embedder.");
 }
 
 bool is_embedder(const std::string& name) {

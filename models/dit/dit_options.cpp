@@ -1,7 +1,6 @@
 #include "models/dit/dit_options.h"
 
 #include "gld/base/error.h"
-#include "gld/cameras/picture_warp.h"
 
 #include <charconv>
 #include <cmath>
@@ -97,8 +96,6 @@ int64_t DitOptions::swiglu_width(int64_t width) const {
   const auto plain = static_cast<int64_t>(static_cast<double>(width) * mlp_ratio);
   return static_cast<int64_t>(2.0 / 3.0 * static_cast<double>(plain));
 }
-
-int64_t DitOptions::warp_channels() const { return kChannelsOfWarpedSource * warped_sources; }
 
 int64_t DitOptions::prope_pixels() const {
   int64_t pixels = 0;

@@ -47,8 +47,9 @@ struct DitOptions : OptionsGroup {
   std::vector<double> pixel_offset = {0.5, 0.5};
   FlowPrediction prediction = FlowPrediction::kVelocity;
   double largest_inverse_time = 5;  // prediction of data only
-  // Photographs of source views carried into each target view by their depth, which are embedded beside the latent; 0:
-  // none, as published.
+  // Photographs of source views that are carried into target views by their depth: how far so many of them agree is
+  // embedded, beside features of all together (docs/DESIGN.md section 4, "Carried photographs"); 0: nothing of it, as
+  // published.
   int64_t warped_sources = 0;
 
   void visit(FieldVisitor& visitor) override;
@@ -66,7 +67,6 @@ struct DitOptions : OptionsGroup {
   int64_t swiglu_width(int64_t width) const;
   // Pixels by which PRoPE normalises intrinsics; 0 for each view's own size.
   int64_t prope_pixels() const;
-  int64_t warp_channels() const;  // of DitSceneInputs::warped_sources
   PixelOffset camera_pixel_offset() const { return {pixel_offset[0], pixel_offset[1]}; }
   PropeCameras unconditional_cameras() const {
     return unconditional_intrinsics == UnconditionalIntrinsics::kIdentity ? PropeCameras::kIdentity

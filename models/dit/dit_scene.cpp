@@ -39,7 +39,7 @@ void set_no_warp(DitSceneInputs& inputs, const DitOptions& options) {
   const int64_t targets = inputs.views.num_targets();
   const int64_t patches =
       camera.height / options.camera_patch_size * (camera.width / options.camera_patch_size);
-  inputs.warped_sources = torch::zeros({targets, options.warp_channels(), camera.height, camera.width});
+  inputs.warp_agreement = torch::zeros({targets, options.warped_sources, camera.height, camera.width});
   inputs.warped_features = torch::zeros({targets, patches, options.in_channels});
 }
 
@@ -82,30 +82,36 @@ torch::Tensor DitDh::camera_embedding(const DitScene& scene, DitBranch branch) c
   return torch::cat({none, patches}, 1);
 }
 
-torch::Tensor DitDh::warp_embedding(const PatchEmbed* pixels, const DitEmbedder& tokens,
-                                    const DitScene& scene, DitBranch branch) const {
-  // Where something was carried to tells the cameras, which the unconditional branch must not know.
-  if (pixels == nullptr || branch == DitBranch::kUnconditional || scene.cameras.views.num_targets() == 0)
-    return {};
-  const auto targets = pixels->forward_image(scene.warped_sources.to(tensor_options())) +
-                       tokens.target_features(scene.warped_features.to(tensor_options()));
+torch::Tensor DitDh::for_all_views(const DitScene& scene, const torch::Tensor& target_patches) const {
   const auto zeros = [&](int64_t views, int64_t tokens) {
-    return torch::zeros({views, tokens, targets.size(2)}, targets.options().requires_grad(false));
+    return torch::zeros({views, tokens, target_patches.size(2)},
+                        target_patches.options().requires_grad(false));
   };
-  const auto patches = torch::cat({zeros(scene.num_sources(), targets.size(1)), targets}, 0);
+  const auto patches = torch::cat({zeros(scene.num_sources(), target_patches.size(1)), target_patches}, 0);
   if (options_.num_special_tokens == 0) return patches;
   return torch::cat({zeros(patches.size(0), options_.num_special_tokens), patches}, 1);
 }
 
 void DitDh::fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const {
-  cameras.encoder_embedding = warp_embedding(encoder_warp_embedder_.get(), *encoder_embedder_, scene, branch);
-  cameras.decoder_embedding = warp_embedding(decoder_warp_embedder_.get(), *decoder_embedder_, scene, branch);
+  const auto embedding = camera_embedding(scene, branch);
+  cameras.encoder_embedding = cameras.decoder_embedding = torch::Tensor();
   auto& part = options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder
                    ? cameras.encoder_embedding
                    : cameras.decoder_embedding;
-  const auto embedding = camera_embedding(scene, branch);
-  part = part.defined() ? part + embedding : embedding;
+  part = embedding;
   cameras.embedded = true;
+  // Where something was carried to tells the cameras, which the unconditional branch must not know.
+  const bool carried = options_.warped_sources > 0 && scene.cameras.views.num_targets() > 0;
+  if (!carried || branch == DitBranch::kUnconditional) return;
+  const auto add = [&](torch::Tensor& sum, const torch::Tensor& target_patches) {
+    const auto all = for_all_views(scene, target_patches);
+    sum = sum.defined() ? sum + all : all;
+  };
+  const auto features = scene.warped_features.to(tensor_options());
+  add(cameras.encoder_embedding,
+      encoder_embedder_->target_features(features) +
+          warp_embedder_->forward_image(scene.warp_agreement.to(tensor_options())));
+  add(cameras.decoder_embedding, decoder_embedder_->target_features(features));
 }
 
 void DitDh::check_warp(const DitScene& scene, const DitSceneInputs& inputs) const {
@@ -121,8 +127,8 @@ void DitDh::check_warp(const DitScene& scene, const DitSceneInputs& inputs) cons
           given.defined() ? c10::str("shape ", given.sizes()) : std::string("nothing"),
           "check the model's configuration and the size of the images"});
   };
-  check("warped sources", inputs.warped_sources,
-        {targets, options_.warp_channels(), camera.height, camera.width});
+  check("warp agreement", inputs.warp_agreement,
+        {targets, options_.warped_sources, camera.height, camera.width});
   check("warped features", inputs.warped_features,
         {targets, scene.grid.tokens_per_view(), options_.in_channels});
 }
@@ -166,7 +172,7 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   scene.cameras = relative_cameras(inputs.views, kLastView, options_.translation_unit);
   scene.view_mask = inputs.view_mask;
   check_warp(scene, inputs);
-  scene.warped_sources = inputs.warped_sources;
+  scene.warp_agreement = inputs.warp_agreement;
   scene.warped_features = inputs.warped_features;
   check_latent(scene, inputs.source_features, "source features", scene.num_sources());
   scene.source_features = inputs.source_features;

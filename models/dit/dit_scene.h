@@ -22,12 +22,12 @@ struct DitSceneInputs {
   torch::Tensor source_features;  // (source views, tokens, channels)
   // Cascade only: (views, tokens, channels), with or without special tokens (they are not used).
   torch::Tensor deeper_level;
-  // For DitOptions::warped_sources: (target views, warp_channels(), height, width) in pixels, zero where nothing is
-  // known (models/scene_geometry/source_warp.h).
-  torch::Tensor warped_sources;
-  // With them: normalised features of those pictures, as far as they are whole, encoded beside the source views; they
-  // stand where a source view has its source features. (target views, patch tokens, channels), zero where nothing is
-  // known.
+  // For DitOptions::warped_sources, of the photographs that were carried into target views
+  // (models/scene_geometry/source_warp.h): how far each agrees with all of them, pixel by pixel, (target views,
+  // warped_sources, height, width) from 0, not seen, to 1.
+  torch::Tensor warp_agreement;
+  // And normalised features of all of them as one picture, encoded beside the source views; they stand where a source
+  // view has its source features. (target views, patch tokens, channels). Both zero where nothing is known.
   torch::Tensor warped_features;
   // Which view pairs attend (gld/attention/attention.h); every pair when undefined.
   torch::Tensor view_mask;
@@ -58,7 +58,7 @@ struct DitScene {
   ExactSavings savings;
   torch::Tensor source_features;  // (source views, tokens, channels)
   torch::Tensor deeper_patches;   // (views, patch tokens, channels); undefined for level models
-  torch::Tensor warped_sources;   // (target views, channels, height, width); undefined for models without
+  torch::Tensor warp_agreement;   // (target views, photographs, height, width); undefined for models without
   torch::Tensor warped_features;  // (target views, patch tokens, channels); likewise
   torch::Tensor view_mask;
   std::array<DitBranchCameras, 2> branches;  // by DitBranch

@@ -15,10 +15,10 @@ namespace gld {
 // The photographs of source views carried into the target views by their depth (`warped_sources` of a DiT^DH; the
 // conditioning of MVGenMaster, which Table 14 of the paper compares with).
 struct SourceWarp {
-  // (target views, 4 x count, height, width), float32, on the CPU: `count` photographs a target view, those first that
-  // are seen from the nearest place and cover the most of it (gld/cameras/picture_warp.h says what the channels are).
-  // Zero where there are fewer.
-  torch::Tensor pictures;
+  // (target views, count, height, width), float32, on the CPU: of `count` photographs a target view, how far each
+  // agrees with all of them at a pixel, from 0, where it does not show it, to 1. Those first that are seen from the
+  // nearest place and cover the most of the view; zero where there are fewer.
+  torch::Tensor agreement;
   // (target views, 3, height, width) in [0, 1]: the mean of all that was carried to each pixel, and that of the
   // nearest pixel where nothing was, so that a backbone can look at it; undefined where nothing was carried.
   torch::Tensor completed;

@@ -76,7 +76,7 @@ inline DitTestScene random_dit_scene(const DitOptions& options, const RandomCame
   }
   if (options.warped_sources > 0) {
     const int64_t targets = sizes.views - sizes.sources;
-    scene.inputs.warped_sources = torch::randn({targets, options.warp_channels(), sizes.height, sizes.width});
+    scene.inputs.warp_agreement = torch::rand({targets, options.warped_sources, sizes.height, sizes.width});
     scene.inputs.warped_features =
         torch::randn({targets, tokens - options.num_special_tokens, options.in_channels});
   }
@@ -88,8 +88,8 @@ inline DitTestScene in_double(DitTestScene scene) {
   if (scene.inputs.deeper_level.defined()) {
     scene.inputs.deeper_level = scene.inputs.deeper_level.to(torch::kFloat64);
   }
-  if (scene.inputs.warped_sources.defined()) {
-    scene.inputs.warped_sources = scene.inputs.warped_sources.to(torch::kFloat64);
+  if (scene.inputs.warp_agreement.defined()) {
+    scene.inputs.warp_agreement = scene.inputs.warp_agreement.to(torch::kFloat64);
     scene.inputs.warped_features = scene.inputs.warped_features.to(torch::kFloat64);
   }
   scene.noisy = scene.noisy.to(torch::kFloat64);

@@ -30,7 +30,7 @@ FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene, co
   Prepared prepared;
   prepared.inputs.views = scene.views;
   prepared.inputs.source_features = latents.sources;
-  prepared.inputs.warped_sources = latents.warped_sources;
+  prepared.inputs.warp_agreement = latents.warp_agreement;
   prepared.inputs.warped_features = latents.warped_features;
   prepared.clean = latents.clean;
   const auto& deeper = latents.deeper;

@@ -119,7 +119,7 @@ SceneLatents FlowObjective::latents_of_sources(const TrainingScene& scene) const
   DitSceneInputs nothing_known;
   nothing_known.views = scene.views;
   set_no_warp(nothing_known, dit_->options());
-  latents.warped_sources = nothing_known.warped_sources;
+  latents.warp_agreement = nothing_known.warp_agreement;
   latents.warped_features = nothing_known.warped_features;
   if (warps) {
     const auto geometry = frozen_.geometry_head->forward(geometry_inputs(*frozen_.space, encoded),
@@ -127,7 +127,7 @@ SceneLatents FlowObjective::latents_of_sources(const TrainingScene& scene) const
     const SourceWarp warp = warp_sources(scene.views, images, geometry, warped_sources);
     if (warp.completed.defined()) {
       const auto level = encode_completed(*frozen_.space, images, warp, generator_.level).back();
-      latents.warped_sources = warp.pictures;
+      latents.warp_agreement = warp.agreement;
       latents.warped_features = frozen_.statistics.normalise(level.slice(1, frozen_.space->leading_tokens()));
     }
   }

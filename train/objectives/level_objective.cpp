@@ -19,7 +19,7 @@ FlowObjective::Prepared LevelObjective::prepare(const TrainingScene& scene, cons
   Prepared prepared;
   prepared.inputs.views = scene.views;
   prepared.inputs.source_features = latents.sources;
-  prepared.inputs.warped_sources = latents.warped_sources;
+  prepared.inputs.warp_agreement = latents.warp_agreement;
   prepared.inputs.warped_features = latents.warped_features;
   prepared.clean = latents.clean;
   return prepared;

@@ -10,13 +10,13 @@ SceneLatents converted(const SceneLatents& latents, const torch::TensorOptions& 
     return tensor.defined() ? tensor.to(options) : tensor;
   };
   return {convert(latents.sources), convert(latents.clean), convert(latents.deeper),
-          convert(latents.warped_sources), convert(latents.warped_features)};
+          convert(latents.warp_agreement), convert(latents.warped_features)};
 }
 
 int64_t bytes_of(const SceneLatents& latents) {
   int64_t bytes = 0;
   for (const auto& tensor :
-       {latents.sources, latents.clean, latents.deeper, latents.warped_sources, latents.warped_features}) {
+       {latents.sources, latents.clean, latents.deeper, latents.warp_agreement, latents.warped_features}) {
     if (tensor.defined()) bytes += tensor.numel() * tensor.element_size();
   }
   return bytes;

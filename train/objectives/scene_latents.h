@@ -18,9 +18,8 @@ struct SceneLatents {
   torch::Tensor sources;  // of the source views encoded alone
   torch::Tensor clean;    // of all views encoded together, the level to generate
   torch::Tensor deeper;   // of the level that a cascade starts from; undefined for level models
-  // Photographs carried into target views, and normalised features of them (DitSceneInputs); undefined for models that
-  // take none.
-  torch::Tensor warped_sources;
+  // Of photographs carried into target views, as DitSceneInputs has them; undefined for models that take none.
+  torch::Tensor warp_agreement;
   torch::Tensor warped_features;
 
   SceneLatents to(torch::Device device) const;

@@ -223,6 +223,35 @@ TEST(LevelSetBundle, GeometryOfAModelThatLeavesLevelsOutIsRefused) {
             "alone, or use a model that generates it.");
 }
 
+// The depth of the source views is asked for where something is done with it, and by one stage.
+TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
+  LevelSet levels;
+  levels.generators = {level_model(1), cascade(1, 0)};
+  StageRequest request;
+  request.views = 4;
+  request.num_sources = 2;
+  const auto has_warp = [&] {
+    const auto stages = sampling_stages(levels, request);
+    return std::any_of(stages.begin(), stages.end(),
+                       [](const SamplingStage& stage) { return stage.kind == StageKind::kSourceWarp; });
+  };
+  EXPECT_FALSE(has_warp());
+  EXPECT_FALSE(uses_source_depth(levels, request));
+  EXPECT_EQ(deepest_encoded_level(levels, request), 1);
+  levels.warped_sources = 2;
+  EXPECT_TRUE(has_warp());
+  EXPECT_TRUE(uses_source_depth(levels, request));
+  EXPECT_EQ(source_depth_stage(request), StageKind::kSourceWarp);
+  EXPECT_EQ(deepest_encoded_level(levels, request), 3);
+  request.view_pairs = ViewPairs::kVisible;
+  EXPECT_EQ(source_depth_stage(request), StageKind::kViewPairs);
+  // One source has no scale: the stage is listed with that reason, and no depth is asked for.
+  request.view_pairs = ViewPairs::kAll;
+  request.num_sources = 1;
+  EXPECT_TRUE(has_warp());
+  EXPECT_FALSE(uses_source_depth(levels, request));
+}
+
 // Records are found again under the names that stages have.
 TEST(SamplingStages, AreTimedByTheirKind) {
   LevelSet levels;

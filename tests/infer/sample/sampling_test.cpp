@@ -43,6 +43,29 @@ namespace {
 using test::Sampling;
 using testing::HasSubstr;
 
+// A random model's rays fit no camera, so its depth has no place in the scene.
+TEST_F(Sampling, SaysWhereAModelIsNotShownThePhotographs) {
+  BundleOptions options_of_model = small_bundle_options();
+  options_of_model.generator(level_model(1)).dit.warped_sources = 2;
+  const auto model = folder_->path() / "warping_model";
+  write_random_bundle(model, options_of_model, 7);
+  auto asked = options("warping");
+  asked.model = model.string();
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  EXPECT_THAT(stage_names(report), testing::Contains("source warp"));
+  EXPECT_THAT(
+      report.at("warnings").dump(),
+      HasSubstr(
+          "The model was not shown the source photographs in the target views, as it is trained to be: the "
+          "unit of the source views' depth is not known ("));
+  auto alone = asked;
+  alone.views.sources = {0};
+  alone.out = (folder_->path() / "warping_alone").string();
+  EXPECT_THAT(run(alone).value("warnings", nlohmann::json::array()).dump(),
+              testing::Not(HasSubstr("was not shown the source photographs")));
+}
+
 TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   auto asked = options("everything");
   asked.outputs = {"image", "depth", "rays", "points", "latents"};

@@ -178,6 +178,12 @@ TEST_F(Bundles, PartsMustFitEachOther) {
          options.generator(cascade(1, 0)).dit.conditioning = DitConditioning::kNone;
        },
        "cascade.conditioning: expected deeper_level, found none; set it to deeper_level."},
+      {[](BundleOptions& options) {
+         options.dpt_head = GeometryHeadOptions::none();
+         options.generator(level_model(1)).dit.warped_sources = 2;
+       },
+       "warped_sources: expected 0 for a model without a geometry head, whose depth carries the photographs, found 2; "
+       "set it to 0, or give the model a dpt_head."},
       {[](BundleOptions& options) { options.boundary_level = 4; },
        "boundary_level: expected a level below 4, found 4; choose one of the backbone's levels."},
       {[](BundleOptions& options) { options.trained_sizes = {}; },

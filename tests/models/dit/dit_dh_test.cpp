@@ -129,7 +129,7 @@ TEST_P(DitConfigurations, AgreesWithTheFormulasInDouble) {
   inputs.source_features = torch::zeros_like(scene.noisy);
   inputs.source_features.narrow(0, 0, inputs.views.num_sources).copy_(scene.inputs.source_features);
   inputs.deeper_level = scene.inputs.deeper_level;
-  inputs.warped_sources = scene.inputs.warped_sources;
+  inputs.warp_agreement = scene.inputs.warp_agreement;
   inputs.warped_features = scene.inputs.warped_features;
   inputs.noisy = scene.noisy;
   inputs.time = kTime;
@@ -348,11 +348,11 @@ TEST(DitDh, WhatWasCarriedBelongsToModelsThatTakeIt) {
   };
   EXPECT_EQ(
       refusal(*plain, [](DitSceneInputs&) {}),
-      "warped sources: expected none, for a model with warped_sources: 0, found shape [1, 8, 28, 28]; check the "
+      "warp agreement: expected none, for a model with warped_sources: 0, found shape [1, 2, 28, 28]; check the "
       "model's configuration and the size of the images.");
   EXPECT_EQ(
-      refusal(*model, [](DitSceneInputs& i) { i.warped_sources = torch::Tensor(); }),
-      "warped sources: expected shape [1, 8, 28, 28], found nothing; check the model's configuration and the size "
+      refusal(*model, [](DitSceneInputs& i) { i.warp_agreement = torch::Tensor(); }),
+      "warp agreement: expected shape [1, 2, 28, 28], found nothing; check the model's configuration and the size "
       "of the images.");
   EXPECT_EQ(
       refusal(*model, [](DitSceneInputs& i) { i.warped_features = i.warped_features.narrow(1, 0, 2); }),
@@ -367,7 +367,7 @@ TEST(DitDh, PicturesThatAreCarriedCountForNothingBeforeTraining) {
   DitDh model(options, ParameterPlacement{});
   model.initialise(at::detail::createCPUGenerator(3));
   for (const auto& parameter : model.named_parameters()) {
-    if (parameter.key().rfind("warp_", 0) != 0) continue;
+    if (parameter.key().rfind("warp_embedder.", 0) != 0) continue;
     EXPECT_EQ(parameter.value().abs().max().item<float>(), 0) << parameter.key();
   }
 }

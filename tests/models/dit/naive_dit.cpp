@@ -31,7 +31,7 @@ class NaiveDit {
     Tensor x = embed("x", false);
     const bool at_encoder = options_.camera_embedding_input == CameraEmbeddingInput::kConditionEncoder;
     (at_encoder ? s : x).narrow(1, special_, patches_) += camera_embedding();
-    if (inputs_.warped_sources.defined() && inputs_.conditional) {
+    if (inputs_.warp_agreement.defined() && inputs_.conditional) {
       const int64_t sources = inputs_.views.num_sources, targets = inputs_.views.num_targets();
       s.narrow(0, sources, targets).narrow(1, special_, patches_) += carried("s");
       x.narrow(0, sources, targets).narrow(1, special_, patches_) += carried("x");
@@ -112,14 +112,14 @@ class NaiveDit {
   // What a part of the model gets of the pictures that were carried into target views.
   Tensor carried(const std::string& part) const {
     const std::string split = options_.split_embedders ? "_tgt" : "";
+    const auto embedder = weight(part + "_embedder" + split + ".proj.weight").flatten(1);
     const auto features =
-        weight(part + "_embedder" + split + ".proj.weight").flatten(1).narrow(1, 0, options_.in_channels);
-    const std::string pixels = "warp_" + part + "_embedder.proj.";
-    return torch::conv2d(inputs_.warped_sources, weight(pixels + "weight"), weight(pixels + "bias"),
-                         options_.camera_patch_size)
-               .flatten(2)
-               .transpose(1, 2) +
-           torch::matmul(inputs_.warped_features, features.t());
+        torch::matmul(inputs_.warped_features, embedder.narrow(1, 0, options_.in_channels).t());
+    if (part == "x") return features;
+    return features + torch::conv2d(inputs_.warp_agreement, weight("warp_embedder.proj.weight"),
+                                    weight("warp_embedder.proj.bias"), options_.camera_patch_size)
+                          .flatten(2)
+                          .transpose(1, 2);
   }
 
   Tensor camera_embedding() const {

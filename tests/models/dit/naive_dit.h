@@ -17,7 +17,7 @@ struct NaiveDitInputs {
   Views views;
   torch::Tensor source_features;  // (views, tokens, channels), zero for target views
   torch::Tensor deeper_level;     // likewise; undefined for level models
-  torch::Tensor warped_sources;   // as DitSceneInputs has them; undefined for models without
+  torch::Tensor warp_agreement;   // as DitSceneInputs has them; undefined for models without
   torch::Tensor warped_features;
   torch::Tensor noisy;
   double time = 0;

@@ -57,46 +57,34 @@ std::vector<Camera> four_cameras() {
           camera_before_plane({0.3, 0.1, 0}, -0.06), camera_before_plane({1.2, 0.1, 0.1}, -0.25)};
 }
 
-// Channels of the n-th photograph carried into a target view, and its error where something was carried.
-double error_of_picture(const SourceWarp& warp, int64_t target, int64_t number, const torch::Tensor& truth) {
-  const auto channels = warp.pictures[target].narrow(0, 4 * number, 4);
-  const auto seen = channels[3];
-  EXPECT_GT(seen.mean().item<double>(), 0.5);
-  EXPECT_TRUE(torch::equal(seen * seen, seen));
-  const auto error = ((channels.narrow(0, 0, 3) - (2 * truth - 1)).abs() * seen).sum() / (3 * seen.sum());
-  EXPECT_EQ((channels.narrow(0, 0, 3) * (1 - seen)).abs().max().item<double>(), 0);
-  return error.item<double>();
-}
-
 TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
   const PlaneScene scene = plane_scene(four_cameras(), 2);
   const SourceWarp warp = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 2);
   EXPECT_EQ(warp.doubt, "");
-  ASSERT_EQ(warp.pictures.sizes(), (std::vector<int64_t>{2, 8, 72, 96}));
+  ASSERT_EQ(warp.agreement.sizes(), (std::vector<int64_t>{2, 2, 72, 96}));
   ASSERT_EQ(warp.completed.sizes(), (std::vector<int64_t>{2, 3, 72, 96}));
   EXPECT_LT((warp.completed - scene.images.narrow(0, 2, 2)).abs().mean().item<double>(), 0.03);
   const test::TexturedPlane plane;
   const std::vector<PicturedView> sources{plane.seen_by(scene.views.cameras[0], 1),
                                           plane.seen_by(scene.views.cameras[1], 1)};
   for (int64_t target = 0; target < 2; ++target) {
-    for (int64_t number = 0; number < 2; ++number) {
-      EXPECT_LT(error_of_picture(warp, target, number, scene.images[2 + target]), 0.03);
-    }
+    EXPECT_LE(warp.agreement.max().item<double>(), 1);
+    EXPECT_GT(warp.agreement[target].mean().item<double>(), 0.75);  // they show the same plane
     // View 2 stands beside view 0 and view 3 beside view 1.
     const auto own = carry_pictures(sources, scene.views.cameras[static_cast<size_t>(2 + target)]);
     for (const int64_t number : {int64_t{0}, int64_t{1}}) {
-      const auto seen = warp.pictures[target][4 * number + 3].mean().item<double>();
+      const auto seen = (warp.agreement[target][number] > 0).to(torch::kFloat32).mean().item<double>();
       EXPECT_NEAR(seen, own[static_cast<size_t>(number == 0 ? target : 1 - target)].seen_share(), 0.01);
     }
     EXPECT_GT(std::abs(own[0].seen_share() - own[1].seen_share()), 0.02);
   }
   // One of them: the first.
   const SourceWarp one = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 1);
-  EXPECT_TRUE(torch::equal(one.pictures, warp.pictures.narrow(1, 0, 4)));
+  EXPECT_TRUE(torch::equal(one.agreement, warp.agreement.narrow(1, 0, 1)));
   // More than there are: the rest is empty.
   const SourceWarp three = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 3);
-  EXPECT_TRUE(torch::equal(three.pictures.narrow(1, 0, 8), warp.pictures));
-  EXPECT_EQ(three.pictures.narrow(1, 8, 4).abs().max().item<double>(), 0);
+  EXPECT_TRUE(torch::equal(three.agreement.narrow(1, 0, 2), warp.agreement));
+  EXPECT_EQ(three.agreement.narrow(1, 2, 1).abs().max().item<double>(), 0);
 }
 
 TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
@@ -104,8 +92,8 @@ TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
   const PlaneScene alone = plane_scene({cameras[0], cameras[1]}, 1);
   const SourceWarp none = warp_sources(alone.views, alone.images.narrow(0, 0, 1), alone.geometry, 2);
   EXPECT_EQ(none.doubt, "the depth of a single source view has no scale");
-  ASSERT_EQ(none.pictures.sizes(), (std::vector<int64_t>{1, 8, 72, 96}));
-  EXPECT_EQ(none.pictures.abs().max().item<double>(), 0);
+  ASSERT_EQ(none.agreement.sizes(), (std::vector<int64_t>{1, 2, 72, 96}));
+  EXPECT_EQ(none.agreement.abs().max().item<double>(), 0);
   EXPECT_FALSE(none.completed.defined());
 
   // At one place there is no parallax.
@@ -114,7 +102,7 @@ TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
   const SourceWarp turned =
       warp_sources(on_the_spot.views, on_the_spot.images.narrow(0, 0, 2), on_the_spot.geometry, 1);
   EXPECT_THAT(turned.doubt, testing::StartsWith("the unit of the source views' depth is not known ("));
-  EXPECT_EQ(turned.pictures.abs().max().item<double>(), 0);
+  EXPECT_EQ(turned.agreement.abs().max().item<double>(), 0);
 }
 
 }  // namespace

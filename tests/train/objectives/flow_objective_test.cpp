@@ -1,13 +1,17 @@
+#include "gld/cameras/pose_from_rays.h"
 #include "gld/flow/schedule.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/random_bundle.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/latent_spaces/geometric_latent_space.h"
+#include "models/scene_geometry/source_warp.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
 #include "train/objectives/level_objective.h"
 
+#include <cmath>
 #include <memory>
+#include <vector>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -58,6 +62,104 @@ TEST(FlowObjective, TrainsTheFlowMatchingLoss) {
   ASSERT_EQ(losses.parts.size(), 2U);
   EXPECT_NEAR(losses.parts[0].second.item<double>() / errors.source.item<double>(), 1, 1e-5);
   EXPECT_NEAR(losses.parts[1].second.item<double>() / errors.target.item<double>(), 1, 1e-5);
+}
+
+// Knows the depth and cameras of a scene's source views.
+class TrueGeometry : public GeometryHead {
+ public:
+  explicit TrueGeometry(const TrainingScene& scene) {
+    const int64_t sources = scene.views.num_sources;
+    std::vector<torch::Tensor> rays;
+    for (int64_t i = 0; i < sources; ++i) {
+      const RayMap map = rays_of_camera(scene.views.cameras[static_cast<size_t>(i)], 16, 16);
+      rays.push_back(torch::tensor(map.values).view({16, 16, 6}));
+    }
+    truth_.rays = torch::stack(rays);
+    truth_.ray_confidence = torch::full({sources, 16, 16}, 2.0F);
+    truth_.depth = scene.depth.narrow(0, 0, sources);
+    truth_.depth_confidence = torch::full_like(truth_.depth, 2.0F);
+  }
+  GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid, GeometryMaps) const override {
+    EXPECT_EQ(inputs.levels.size(), 4U);
+    EXPECT_EQ(grid.views, truth_.depth.size(0));
+    return truth_;
+  }
+  void initialise(const torch::Generator&) override {}
+
+ private:
+  GeometryOutput truth_;
+};
+
+// Training shows a model what sampling will show it of the photographs that are carried into target views.
+TEST(FlowObjective, ShowsThePhotographsInTheTargetViews) {
+  const test::TemporaryFolder folder;
+  BundleOptions small = test::small_model();
+  small.generator(level_model(1)).dit.warped_sources = 2;
+  write_random_bundle(folder.path(), small, 7);
+  const auto bundle = ModelBundle::open(folder.path());
+  const auto model = bundle.load_generator(level_model(1));
+  auto data_options = test::small_data();
+  data_options.views.fewest_sources = 2;
+  const DatasetBatches data(data_options, small.image_sizes(), FrameParts::kImageAndDepth);
+  const auto batch = data.batch(0);
+  const auto& scene = batch.scenes.front();
+  ASSERT_EQ(scene.views.num_sources, 2);
+  FrozenParts frozen;
+  const auto space =
+      std::make_shared<GeometricLatentSpace>(bundle.load_backbone(), bundle.options().boundary_level);
+  frozen.space = space;
+  frozen.statistics = bundle.load_statistics(level_model(1));
+  frozen.geometry_head = std::make_shared<TrueGeometry>(scene);
+
+  const torch::NoGradGuard no_grad;
+  const auto sources = scene.images.narrow(0, 0, 2);
+  SourceEncoding wanted;
+  wanted.deepest = 3;
+  wanted.carried = false;
+  const auto encoded = space->encode_sources(sources, wanted);
+  const auto warp = warp_sources(scene.views, sources,
+                                 frozen.geometry_head->forward(geometry_inputs(*space, encoded), encoded.grid,
+                                                               GeometryMaps::kDepthAndRays),
+                                 2);
+  ASSERT_EQ(warp.doubt, "");
+  const auto normalised = [&](const torch::Tensor& level) {
+    return frozen.statistics.normalise(level.slice(1, space->leading_tokens()));
+  };
+  DitSceneInputs inputs;
+  inputs.views = scene.views;
+  inputs.source_features = normalised(encoded.levels[1]);
+  inputs.warp_agreement = warp.agreement;
+  inputs.warped_features = normalised(encode_completed(*space, sources, warp, 1)[1]);
+  for (const bool dropped : {false, true}) {
+    for (const double kept_gib : {0.0, 1.0}) {
+      FlowObjectiveOptions options;
+      options.camera_dropout = dropped ? 1 : 0;
+      options.kept_latents_gib = kept_gib;
+      LevelObjective objective(bundle.options(), 1, options, frozen, {}, 1);
+      objective.start_from(*model);
+      auto generator = at::detail::createCPUGenerator(11);
+      FlowMatchingDraw draw;
+      draw.clean = normalised(space->encode(scene.images, 1)[1]);
+      draw.time = shifted_time(torch::rand({2}, generator, torch::kFloat64)[0].item<double>(), 3.0);
+      draw.noise = torch::randn(draw.clean.sizes(), generator, torch::kFloat32);
+      draw.branch = dropped ? DitBranch::kUnconditional : DitBranch::kConditional;
+      const double expected = flow_matching_errors(*model, inputs, draw).all.item<double>();
+      for (int again = 0; again < 2; ++again) {
+        StepContext context;
+        context.generator = at::detail::createCPUGenerator(11);
+        EXPECT_NEAR(objective.losses(batch, context).total.item<double>() / expected, 1,
+                    kept_gib > 0 ? 1e-3 : 1e-5);
+      }
+      DitSceneInputs nothing = inputs;
+      set_no_warp(nothing, model->options());
+      const double without = flow_matching_errors(*model, nothing, draw).all.item<double>();
+      if (dropped) {
+        EXPECT_EQ(without, expected);  // the unconditional branch sees none of it
+      } else {
+        EXPECT_GT(std::abs(without / expected - 1), 1e-2);
+      }
+    }
+  }
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include "gld/latents/latent_statistics.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
+#include "models/bundle/part_lineage.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -154,6 +155,24 @@ TEST_F(TrainedChain, PartsOfAnotherBackboneAreRefused) {
   EXPECT_FALSE(std::filesystem::exists(path("on_mixed")));
   options.allow_mixed = true;
   train_level(options, {});
+}
+
+// A model that is shown photographs in target views learns them with the errors of one geometry head.
+TEST_F(TrainedChain, AModelThatIsShownPhotographsBelongsToTheirGeometryHead) {
+  std::filesystem::copy(path("stats/model"), path("showing"));
+  std::filesystem::remove(path("showing") / "model.yaml");
+  BundleOptions model = test::small_model();
+  model.generator(level_model(1)).dit.warped_sources = 1;
+  save_bundle_options(path("showing"), model);
+  auto options = stage_options<TrainLevelOptions>(path("showing"), path("shown"));
+  train_level(options, {});
+  const auto trained = ModelBundle::open(path("shown/model"));
+  const BundlePart level = BundlePart::of(level_model(1));
+  EXPECT_EQ(mixed_parts(trained, {level}, false), std::vector<std::string>());
+  const auto head = path("shown/model") / "dpt_head.safetensors";
+  save_safetensors(head, read_all(head), {{"trained", "again"}});
+  EXPECT_THAT(test::error_of([&] { mixed_parts(trained, {level}, false); }),
+              testing::HasSubstr("expected a part that was trained on the dpt_head beside it"));
 }
 
 // Another set of levels than the published one, with special tokens: statistics, a level and a cascade.
