@@ -222,10 +222,18 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       return cost;
     }
     case StageKind::kViewPairs:
-    case StageKind::kSourceWarp:
-      return uses_source_depth(bundle.level_set(), stages) && stage.kind == source_depth_stage(stages)
-                 ? bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays)
-                 : Cost();
+    case StageKind::kSourceWarp: {
+      const LevelSet levels = bundle.level_set();
+      Cost cost;
+      if (!uses_source_depth(levels, stages)) return cost;
+      if (stage.kind == source_depth_stage(stages)) {
+        cost = bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays);
+      }
+      if (stage.kind == StageKind::kSourceWarp) {
+        cost.add_operations_of(backbone.encoding_cost(request.grid, levels.deepest_generated()));
+      }
+      return cost;
+    }
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:

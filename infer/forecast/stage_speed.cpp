@@ -51,6 +51,16 @@ double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request)
   });
 }
 
+// Of the source photographs and what is carried into the target views, together.
+double carried_encoding_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+  const auto backbone = bundle.backbone.make(ParameterPlacement{});
+  fill(*backbone);
+  const int64_t side = bundle.backbone.patch_side();
+  const auto images =
+      torch::randn({request.grid.views, 3, request.grid.height * side, request.grid.width * side});
+  return seconds_of([&] { backbone->encode(images, bundle.level_set().deepest_generated()); });
+}
+
 double propagation_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   const auto backbone = bundle.backbone.make(ParameterPlacement{});
   fill(*backbone);
@@ -108,11 +118,16 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
     case StageKind::kSourceEncoding:
       return encoding_seconds(bundle, request);
     case StageKind::kViewPairs:
-    case StageKind::kSourceWarp:
-      if (!uses_source_depth(bundle.level_set(), stages) || stage.kind != source_depth_stage(stages))
-        return 0;
-      return geometry_seconds(bundle, with_views(request.grid, request.num_sources),
-                              GeometryMaps::kDepthAndRays);
+    case StageKind::kSourceWarp: {
+      if (!uses_source_depth(bundle.level_set(), stages)) return 0;
+      double seconds = 0;
+      if (stage.kind == source_depth_stage(stages)) {
+        seconds += geometry_seconds(bundle, with_views(request.grid, request.num_sources),
+                                    GeometryMaps::kDepthAndRays);
+      }
+      if (stage.kind == StageKind::kSourceWarp) seconds += carried_encoding_seconds(bundle, request);
+      return seconds;
+    }
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:

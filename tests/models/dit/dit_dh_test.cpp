@@ -79,11 +79,16 @@ std::vector<Configuration> configurations() {
          o.position_embedding = PositionEmbedding::kSinCos;
        }},
       {"warped_sources", [](DitOptions& o) { o.warped_sources = 2; }},
-      {"warped_sources_special_single_embedders",
+      {"warped_sources_special",
        [](DitOptions& o) {
          o.warped_sources = 1;
          o.num_special_tokens = 3;
          o.in_channels = 48;
+         apply_published_conventions(o);
+       }},
+      {"warped_sources_single_embedders_camera_in_decoder",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
          o.split_embedders = false;
          o.camera_embedding_input = CameraEmbeddingInput::kVelocityDecoder;
        }},
