@@ -87,7 +87,7 @@ torch::Tensor DitDh::for_all_views(const DitScene& scene, const torch::Tensor& t
     return torch::zeros({views, tokens, target_patches.size(2)},
                         target_patches.options().requires_grad(false));
   };
-  const auto patches = torch::cat({zeros(scene.num_sources(), target_patches.size(1)), target_patches}, 0);
+  auto patches = torch::cat({zeros(scene.num_sources(), target_patches.size(1)), target_patches}, 0);
   if (options_.num_special_tokens == 0) return patches;
   return torch::cat({zeros(patches.size(0), options_.num_special_tokens), patches}, 1);
 }
