@@ -5,14 +5,11 @@
 #include <algorithm>
 
 namespace gld {
-namespace {
 
 std::string column_name(Predictor predictor, const Metric& metric) {
   return is_trivial(predictor) ? metric.name + "_" + predictor_name(predictor)
                                : predictor_name(predictor) + "_" + metric.name;
 }
-
-}  // namespace
 
 bool is_trivial(Predictor predictor) {
   const auto& trivial = trivial_predictors();

@@ -41,5 +41,7 @@ struct EvaluationColumn {
   Predictor of = Predictor::kSample;
 };
 const std::vector<EvaluationColumn>& evaluation_columns();
+// Of a metric of a predictor's images, as above.
+std::string column_name(Predictor predictor, const Metric& metric);
 
 }  // namespace gld

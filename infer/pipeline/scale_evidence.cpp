@@ -1,6 +1,6 @@
 #include "infer/pipeline/scale_evidence.h"
 
-#include "datasets/loading/batching.h"
+#include "infer/pipeline/scene_request.h"
 
 #include <algorithm>
 
