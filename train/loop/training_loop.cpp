@@ -11,13 +11,16 @@
 #include "train/loop/loss_curve.h"
 #include "train/loop/metrics_log.h"
 #include "train/loop/resumable_checkpoint.h"
+#include "train/loop/shared_optimiser.h"
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <limits>
+#include <map>
 #include <optional>
+#include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -84,6 +87,12 @@ class DividedThreads {
   int before_;
 };
 
+// Undefined without a moving average.
+torch::Tensor average_of(const std::map<std::string, torch::Tensor>& optimiser_state) {
+  const auto found = optimiser_state.find("average");
+  return found == optimiser_state.end() ? torch::Tensor() : found->second;
+}
+
 class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
@@ -91,7 +100,8 @@ class Session {
         options_(options),
         objective_(*run.objective),
         parameters_(objective_.parameters()),
-        optimiser_(parameters_, options.optimiser),
+        optimiser_(parameters_, options.optimiser,
+                   options.shard_optimiser ? OptimiserShare::kOwnPiece : OptimiserShare::kWhole, run.team),
         generator_(at::detail::createCPUGenerator(static_cast<uint64_t>(options.seed))),
         checkpoints_(run.folder / "checkpoints", CheckpointFolderOptions{options.keep_last}) {}
 
@@ -113,14 +123,16 @@ class Session {
   void count_non_finite(const StepOutcome& outcome);
   void save_offending_batch() const;
   void log(const StepOutcome& outcome, double rate);
-  void validate();
-  Checkpoint snapshot() const { return snapshot(parameters_.values()); }
-  // With the parameters' values, flat, where the moving average is in their place.
-  Checkpoint snapshot(const torch::Tensor& values) const;
+  // What the optimiser keeps of all parameters (SharedOptimiser::whole_state()).
+  using OptimiserState = std::map<std::string, torch::Tensor>;
+  void validate(const OptimiserState& state);
+  // values: the parameters', flat; of their own, where the moving average is in their place.
+  Checkpoint snapshot(const torch::Tensor& values, const OptimiserState& state) const;
+  Checkpoint snapshot(const OptimiserState& state) const { return snapshot(parameters_.values(), state); }
   // The parameters' values, flat: a copy, as the moving average may take their place.
   torch::Tensor trained_values() const { return parameters_.values().detach().clone(); }
   // The same where the objective may change tensors of its state before its next step is complete.
-  Checkpoint kept_snapshot(const torch::Tensor& values) const;
+  Checkpoint kept_snapshot(const torch::Tensor& values, const OptimiserState& state) const;
   double elapsed() const {
     return earlier_seconds_ +
            std::chrono::duration<double>(std::chrono::steady_clock::now() - begun_).count();
@@ -131,7 +143,8 @@ class Session {
   const TrainingLoopOptions& options_;
   Objective& objective_;
   FlatParameters parameters_;
-  Optimiser optimiser_;
+  SharedOptimiser optimiser_;
+  OptimiserState restored_;  // of a checkpoint, until all processes have it
   torch::Generator generator_;
   CheckpointFolder checkpoints_;
   std::optional<CheckpointOnStop> stop_;
@@ -183,7 +196,7 @@ void Session::take_state_of_first_process() {
   skipped_in_a_row_ = counts.at(3).get<int64_t>();
   torch::Tensor values = parameters_.values();
   team.broadcast(values, 0);
-  auto state = optimiser_.state();
+  auto state = restored_.empty() ? optimiser_.like_whole_state() : std::exchange(restored_, {});
   for (auto& [name, tensor] : state) team.broadcast(tensor, 0);
   optimiser_.load_state(state, "the state of rank 0");
   auto beside = objective_.state();
@@ -210,21 +223,22 @@ void Session::begin_feed() {
 void Session::read_checkpoint(TrainingStart start) {
   check_training_start(run_.folder, start);
   const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
-    check_resumable(checkpoint, snapshot(), objective_.kind(), where);
+    check_resumable(checkpoint, snapshot(optimiser_.like_whole_state()), objective_.kind(), where);
   };
   const auto found = start == TrainingStart::kResume ? checkpoints_.newest(check) : std::nullopt;
   if (found) {
     for (const std::string& damaged : found->damaged) messages_.push_back("passed over " + damaged);
     const Checkpoint& checkpoint = found->checkpoint;
     const std::string where = found->file.string();
-    std::map<std::string, torch::Tensor> optimiser_state;
+    OptimiserState optimiser_state;
     std::map<std::string, torch::Tensor> objective_state;
     const torch::NoGradGuard no_grad;
     for (const auto& [name, tensor] : checkpoint.tensors) {
       if (name.rfind("optimiser.", 0) == 0) optimiser_state[name.substr(10)] = tensor;
       if (name.rfind("objective.", 0) == 0) objective_state[name.substr(10)] = tensor;
     }
-    torch::Tensor average = optimiser_.has_average() ? optimiser_.average().clone() : torch::Tensor();
+    torch::Tensor average =
+        optimiser_.has_average() ? torch::zeros_like(parameters_.values()) : torch::Tensor();
     for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
       const NamedParameter& item = parameters_.parameters()[i];
       const auto take = [&](const std::string& prefix, const torch::Tensor& flat) {
@@ -236,6 +250,7 @@ void Session::read_checkpoint(TrainingStart start) {
     }
     if (average.defined()) optimiser_state["average"] = average;
     optimiser_.load_state(optimiser_state, where);
+    if (run_.team != nullptr) restored_ = std::move(optimiser_state);
     objective_.load_state(objective_state, where);
     generator_.set_state(checkpoint.tensors.at("random.cpu").clone());
     step_ = checkpoint.step;
@@ -256,16 +271,16 @@ bool Session::stop_requested() const {
   return std::find(all.begin(), all.end(), "stop") != all.end();
 }
 
-Checkpoint Session::kept_snapshot(const torch::Tensor& values) const {
+Checkpoint Session::kept_snapshot(const torch::Tensor& values, const OptimiserState& state) const {
   const torch::NoGradGuard no_grad;
-  Checkpoint checkpoint = snapshot(values);
+  Checkpoint checkpoint = snapshot(values, state);
   for (auto& [name, tensor] : checkpoint.tensors) {
     if (name.rfind("objective.", 0) == 0) tensor = tensor.detach().clone();
   }
   return checkpoint;
 }
 
-Checkpoint Session::snapshot(const torch::Tensor& values) const {
+Checkpoint Session::snapshot(const torch::Tensor& values, const OptimiserState& state) const {
   Checkpoint checkpoint;
   checkpoint.step = step_;
   checkpoint.metadata = {{"kind", objective_.kind()},
@@ -281,9 +296,9 @@ Checkpoint Session::snapshot(const torch::Tensor& values) const {
     const std::string& name = parameters_.parameters()[i].name;
     checkpoint.tensors["model." + name] = parameters_.part(values, i);
     if (optimiser_.has_average())
-      checkpoint.tensors["ema." + name] = parameters_.part(optimiser_.average(), i);
+      checkpoint.tensors["ema." + name] = parameters_.part(state.at("average"), i);
   }
-  for (const auto& [name, tensor] : optimiser_.state()) {
+  for (const auto& [name, tensor] : state) {
     if (name != "average") checkpoint.tensors["optimiser." + name] = tensor;
   }
   for (const auto& [name, tensor] : objective_.state()) checkpoint.tensors["objective." + name] = tensor;
@@ -382,13 +397,13 @@ void Session::count_non_finite(const StepOutcome& outcome) {
             ", or lower the learning rate with --resume --may-change loop.learning_rate.peak"});
 }
 
-void Session::validate() {
+void Session::validate(const OptimiserState& state) {
   if (run_.validation_scenes.empty()) return;
   Validation validation;
   {
     const torch::NoGradGuard no_grad;
-    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values()));
-    const AverageInPlace average(parameters_, optimiser_);
+    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values(), state));
+    const AverageInPlace average(parameters_, average_of(state));
     validation = objective_.validate(run_.validation_scenes);
   }
   validation_ = validation.values;
@@ -404,7 +419,7 @@ void Session::validate() {
   }
   if (!validation.values.empty() && validation.values.front().second < best_) {
     best_ = validation.values.front().second;
-    checkpoints_.save_best(snapshot());
+    checkpoints_.save_best(snapshot(state));
   }
 }
 
@@ -421,8 +436,7 @@ TrainingSummary Session::run() {
   }
   if (options_.workers > 1 && !objective_.concurrent()) {
     messages_.push_back(fmt::format(
-        "micro-batches were computed one after another, not by {} workers: recomputed activations and a discriminator "
-        "allow no other way",
+        "micro-batches were computed one after another, not by {} workers: recomputed activations allow no other way",
         options_.workers));
   }
   Averages averages;
@@ -431,14 +445,19 @@ TrainingSummary Session::run() {
   while (step_ < options_.steps) {
     if (stop_requested()) {
       std::filesystem::path file = checkpoints_.path();
-      if (leads()) file = checkpoints_.save(snapshot());
+      const OptimiserState state = optimiser_.whole_state();
+      if (leads()) file = checkpoints_.save(snapshot(state));
       if (run_.team != nullptr) run_.team->finish();
       throw Interrupted("training stopped after step " + std::to_string(step_) +
                         "; continue with --resume (" + file.string() + ")");
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
     const StepOutcome outcome = [&] {
-      const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(parameters_.values()));
+      // In pieces the state of the last step is in no one process: who asks to stop waits for the step.
+      std::optional<CheckpointOnStop::Steady> steady;
+      if (!optimiser_.in_pieces()) {
+        steady.emplace(*stop_, kept_snapshot(parameters_.values(), optimiser_.whole_state()));
+      }
       return forward_backward();
     }();
     scenes += outcome.scenes;
@@ -455,6 +474,9 @@ TrainingSummary Session::run() {
     }
     ++step_;
     const bool last = step_ == options_.steps;
+    const bool validates = step_ % options_.validate_every == 0 || last;
+    const bool saves = step_ % options_.checkpoint_every == 0 || last;
+    const OptimiserState state = validates || saves ? optimiser_.whole_state() : OptimiserState();
     if (!leads()) continue;
     if (step_ % options_.log_every == 0 || last) {
       const auto now = std::chrono::steady_clock::now();
@@ -480,17 +502,18 @@ TrainingSummary Session::run() {
       averages.clear();
       scenes = 0;
     }
-    if (step_ % options_.validate_every == 0 || last) {
-      validate();
+    if (validates) {
+      validate(state);
       draw_loss_curve(*metrics_, run_.folder / "loss");
     }
-    if (step_ % options_.checkpoint_every == 0 || last) checkpoints_.save(snapshot());
+    if (saves) checkpoints_.save(snapshot(state));
   }
   if (progress) progress->finish();
+  const OptimiserState state = optimiser_.whole_state();
   if (leads()) {
     const torch::NoGradGuard no_grad;
-    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values()));
-    const AverageInPlace average(parameters_, optimiser_);
+    const CheckpointOnStop::Steady steady(*stop_, kept_snapshot(trained_values(), state));
+    const AverageInPlace average(parameters_, average_of(state));
     const auto folder = run_.folder / "model";
     std::filesystem::create_directories(folder);
     objective_.export_model(folder, run_.export_dtype);

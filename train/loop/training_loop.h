@@ -28,6 +28,7 @@ struct TrainingLoopOptions : OptionsGroup {
   int64_t stop_after_non_finite = 10;
   int64_t loader_threads = 1;
   int64_t workers = 1;
+  bool shard_optimiser = false;
   Precision precision = Precision::kFloat32;
   LearningRateOptions learning_rate;
   OptimiserOptions optimiser;

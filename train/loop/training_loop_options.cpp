@@ -24,6 +24,10 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
                   {0, 256});
   visitor.integer({"workers", "micro-batches computed at the same time; the threads are divided among them"},
                   workers, {1, 256});
+  visitor.boolean({"shard_optimiser",
+                   "of several processes, each keeps moments and moving average of a piece of the parameters "
+                   "only (ZeRO-1); adamw and adam"},
+                  shard_optimiser);
   visit_choice(visitor, {"precision", "bfloat16 casts matrix products on devices that have it (CUDA)"},
                precision, {"float32", "bfloat16"});
   visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);

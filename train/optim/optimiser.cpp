@@ -15,20 +15,19 @@ namespace {
 // Sums are formed over blocks of this length and then over blocks, whatever the number of threads.
 constexpr int64_t kBlock = 1 << 16;
 
-void load_into(torch::Tensor& target, const std::map<std::string, torch::Tensor>& state,
-               const std::string& name, const std::string& where) {
+const torch::Tensor& tensor_of(const std::map<std::string, torch::Tensor>& state, const std::string& name,
+                               at::IntArrayRef shape, const std::string& where) {
   const auto found = state.find(name);
   if (found == state.end()) {
     fail({where, "the optimiser's tensor '" + name + "'", "none of that name",
           "resume with the objective and options that wrote the checkpoint"});
   }
-  if (found->second.sizes() != target.sizes()) {
-    fail({where + ", tensor '" + name + "'", "shape " + c10::str(target.sizes()),
+  if (found->second.sizes() != shape) {
+    fail({where + ", tensor '" + name + "'", "shape " + c10::str(shape),
           "shape " + c10::str(found->second.sizes()),
           "resume with the objective and options that wrote the checkpoint"});
   }
-  const torch::NoGradGuard no_grad;
-  target.copy_(found->second);
+  return found->second;
 }
 
 }  // namespace
@@ -53,13 +52,21 @@ void OptimiserOptions::check() const {
   }
 }
 
-Optimiser::Optimiser(FlatParameters& parameters, const OptimiserOptions& options)
-    : parameters_(&parameters), options_(options) {
+Optimiser::Optimiser(FlatParameters& parameters, const OptimiserOptions& options,
+                     std::optional<FlatRange> own)
+    : parameters_(&parameters),
+      options_(options),
+      own_(own.value_or(FlatRange{0, parameters.values().numel()})) {
   options_.check();
+  if (options_.algorithm == OptimiserAlgorithm::kMuon && own_.length() != parameters.values().numel()) {
+    fail({"loop.shard_optimiser", "adamw or adam, which move each number by itself",
+          "muon, which moves whole matrices", "choose one of them, or leave the optimiser whole"});
+  }
   const torch::NoGradGuard no_grad;
-  first_moment_ = torch::zeros_like(parameters.values());
-  second_moment_ = torch::zeros_like(parameters.values());
-  if (options_.ema_decay > 0.0) average_ = parameters.values().clone();
+  const auto values = parameters.values().narrow(0, own_.begin, own_.length());
+  first_moment_ = torch::zeros_like(values);
+  second_moment_ = torch::zeros_like(values);
+  if (options_.ema_decay > 0.0) average_ = values.clone();
 }
 
 double Optimiser::gradient_norm() const {
@@ -100,7 +107,7 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
   step.average_decay = static_cast<float>(options_.ema_decay);
 
   if (options_.algorithm != OptimiserAlgorithm::kMuon) {
-    adam_step(step, 0, parameters_->values().numel());
+    adam_step(step, own_.begin, own_.end);
     return;
   }
   // Runs of parameters between Muon's matrices are Adam's; the average of the matrices is taken with them, so here it
@@ -119,11 +126,14 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
 void Optimiser::adam_step(const AdamStep& step, int64_t begin, int64_t end) {
   if (begin >= end) return;
   const auto part = [&](const torch::Tensor& flat) { return flat.narrow(0, begin, end - begin); };
+  const auto own_part = [&](const torch::Tensor& own) {
+    return own.narrow(0, begin - own_.begin, end - begin);
+  };
   torch::Tensor values = part(parameters_->values());
   torch::Tensor gradients = part(parameters_->gradients());
-  torch::Tensor first_moment = part(first_moment_);
-  torch::Tensor second_moment = part(second_moment_);
-  torch::Tensor average = average_.defined() ? part(average_) : torch::Tensor();
+  torch::Tensor first_moment = own_part(first_moment_);
+  torch::Tensor second_moment = own_part(second_moment_);
+  torch::Tensor average = average_.defined() ? own_part(average_) : torch::Tensor();
   if (values.is_cpu()) {
     const AdamArrays arrays = {values.data_ptr<float>(), gradients.data_ptr<float>(),
                                first_moment.data_ptr<float>(), second_moment.data_ptr<float>(),
@@ -199,21 +209,36 @@ std::map<std::string, torch::Tensor> Optimiser::state() const {
   return state;
 }
 
-void Optimiser::load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where) {
-  torch::Tensor steps = torch::zeros({1}, torch::kInt64);
-  load_into(steps, state, "steps", where);
-  load_into(first_moment_, state, "first_moment", where);
-  load_into(second_moment_, state, "second_moment", where);
-  if (average_.defined()) load_into(average_, state, "average", where);
-  steps_ = steps.item<int64_t>();
+std::map<std::string, torch::Tensor> Optimiser::whole_initial_state() const {
+  const torch::Tensor& values = parameters_->values();
+  std::map<std::string, torch::Tensor> state = {
+      {"steps", torch::zeros({1}, torch::kInt64)},
+      {"first_moment", torch::zeros_like(values)},
+      {"second_moment", torch::zeros_like(values)},
+  };
+  if (average_.defined()) state["average"] = values.detach().clone();
+  return state;
 }
 
-AverageInPlace::AverageInPlace(FlatParameters& parameters, const Optimiser& optimiser)
+void Optimiser::load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where) {
+  const torch::NoGradGuard no_grad;
+  const auto take = [&](torch::Tensor& own, const std::string& name) {
+    const auto& whole = tensor_of(state, name, parameters_->values().sizes(), where);
+    own.copy_(whole.narrow(0, own_.begin, own_.length()));
+  };
+  const auto steps = tensor_of(state, "steps", {1}, where).item<int64_t>();
+  take(first_moment_, "first_moment");
+  take(second_moment_, "second_moment");
+  if (average_.defined()) take(average_, "average");
+  steps_ = steps;
+}
+
+AverageInPlace::AverageInPlace(FlatParameters& parameters, const torch::Tensor& average)
     : parameters_(&parameters) {
-  if (!optimiser.has_average()) return;
+  if (!average.defined()) return;
   const torch::NoGradGuard no_grad;
   trained_ = parameters.values().clone();
-  parameters.values().copy_(optimiser.average());
+  parameters.values().copy_(average);
 }
 
 AverageInPlace::~AverageInPlace() {

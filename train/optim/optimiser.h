@@ -4,7 +4,9 @@
 #include "gld/kernels/adam_kernel.h"
 #include "train/optim/flat_parameters.h"
 
+#include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -28,6 +30,14 @@ struct OptimiserOptions : OptionsGroup {
   void check() const override;
 };
 
+// Elements of a flat tensor.
+struct FlatRange {
+  int64_t begin = 0;
+  int64_t end = 0;  // behind the last
+
+  int64_t length() const { return end - begin; }
+};
+
 // Adam (Kingma & Ba, algorithm 1) or AdamW (Loshchilov & Hutter, algorithm 2) with clipping by the global
 // gradient norm and an exponential moving average of the values, over flat buffers.
 //
@@ -37,24 +47,29 @@ struct OptimiserOptions : OptionsGroup {
 // Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
  public:
-  // The average starts at the present values.
-  Optimiser(FlatParameters& parameters, const OptimiserOptions& options);
+  // The average starts at the present values. own: what step() moves, and has moments and an average of; everything where
+  // it is left out. Throws Error for a part of Muon's matrices, which move as a whole.
+  Optimiser(FlatParameters& parameters, const OptimiserOptions& options, std::optional<FlatRange> own = {});
 
-  // L2 norm of all gradients, accumulated in double; does not depend on the number of threads.
+  const FlatRange& own() const { return own_; }
+
+  // L2 norm of all gradients, not of the own ones alone, accumulated in double; does not depend on the number of threads.
   double gradient_norm() const;
   // One update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
   void step(double learning_rate, double gradient_norm);
 
   int64_t steps_taken() const { return steps_; }
   bool has_average() const { return average_.defined(); }
-  const torch::Tensor& average() const { return average_; }  // flat; the values themselves without one
+  const torch::Tensor& average() const { return average_; }  // flat, of own(); undefined without one
 
   // Whether that parameter is one of Muon's matrices.
   static bool is_block_matrix(const NamedParameter& item);
 
-  // Everything step() depends on beside values and gradients.
+  // Everything step() depends on beside values and gradients: "steps", and flat tensors of own().
   std::map<std::string, torch::Tensor> state() const;
-  // Throws Error naming the tensor that is missing or misshapen.
+  // What it is at the start of a run with the present values, of all parameters.
+  std::map<std::string, torch::Tensor> whole_initial_state() const;
+  // Takes its own part of such a state of all parameters. Throws Error naming the tensor that is missing or misshapen.
   void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
 
  private:
@@ -63,6 +78,7 @@ class Optimiser {
 
   FlatParameters* parameters_;
   OptimiserOptions options_;
+  FlatRange own_;
   int64_t steps_ = 0;
   torch::Tensor first_moment_;
   torch::Tensor second_moment_;
@@ -76,7 +92,8 @@ torch::Tensor nearly_orthogonal(const torch::Tensor& matrix);
 // Puts the moving average in the place of the parameters for as long as it lives (validation, export).
 class AverageInPlace {
  public:
-  AverageInPlace(FlatParameters& parameters, const Optimiser& optimiser);
+  // average: flat, of all parameters; undefined leaves them as they are.
+  AverageInPlace(FlatParameters& parameters, const torch::Tensor& average);
   ~AverageInPlace();
   AverageInPlace(const AverageInPlace&) = delete;
   AverageInPlace& operator=(const AverageInPlace&) = delete;

@@ -83,6 +83,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                                       "loop.stop_after_non_finite",
                                       "loop.loader_threads",
                                       "loop.workers",
+                                      "loop.shard_optimiser",
                                       "loop.learning_rate.schedule",
                                       "loop.learning_rate.warmup_steps",
                                       "loop.learning_rate.decay_start_step",

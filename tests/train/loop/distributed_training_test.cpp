@@ -57,12 +57,18 @@ void train_toy(const std::filesystem::path& folder, const TrainingLoopOptions& o
 }
 
 // A run in that many processes, all of which must succeed.
-void train_in(int64_t count, const std::filesystem::path& folder,
-              TrainingStart begin = TrainingStart::kFresh) {
+void train_in(int64_t count, const std::filesystem::path& folder, TrainingStart begin = TrainingStart::kFresh,
+              const TrainingLoopOptions& training = short_run()) {
   test::in_processes(count, folder, [&](const ProcessesOptions& options) {
     const ProcessShare share = join_others(options);
-    train_toy(folder, short_run(), begin, share.team.get());
+    train_toy(folder, training, begin, share.team.get());
   });
+}
+
+TrainingLoopOptions with_optimiser_in_pieces() {
+  auto options = short_run();
+  options.shard_optimiser = true;
+  return options;
 }
 
 void expect_same_checkpoint(const std::filesystem::path& a, const std::filesystem::path& b) {
@@ -102,6 +108,50 @@ TEST(DistributedTraining, ARunGoesOnInAnotherNumberOfProcesses) {
   remove("step_000000012.safetensors");
   train_in(1, others.path(), TrainingStart::kResume);
   expect_same_checkpoint(one.path(), others.path());
+}
+
+TEST(DistributedTraining, AnOptimiserInPiecesGivesTheSameBits) {
+  const test::TemporaryFolder one, two, four;
+  train_in(1, one.path());
+  train_in(2, two.path(), TrainingStart::kFresh, with_optimiser_in_pieces());
+  train_in(4, four.path(), TrainingStart::kFresh, with_optimiser_in_pieces());
+  expect_same_checkpoint(one.path(), two.path());
+  expect_same_checkpoint(one.path(), four.path());
+  EXPECT_EQ(read_file(one.path() / "model" / "weight.txt"), read_file(four.path() / "model" / "weight.txt"));
+  // Its checkpoints are whole: another number of processes goes on from them, with a whole optimiser or in pieces.
+  const auto back_to_step_4 = [&] {
+    for (const char* name : {"step_000000012.safetensors", "step_000000008.safetensors"}) {
+      EXPECT_TRUE(std::filesystem::remove(four.path() / "checkpoints" / name));
+    }
+  };
+  back_to_step_4();
+  train_in(2, four.path(), TrainingStart::kResume);
+  expect_same_checkpoint(one.path(), four.path());
+  back_to_step_4();
+  train_in(3, four.path(), TrainingStart::kResume, with_optimiser_in_pieces());
+  expect_same_checkpoint(one.path(), four.path());
+}
+
+TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
+  const test::TemporaryFolder folder;
+  const int64_t port = free_port();
+  std::vector<Child> children;
+  for (int64_t rank = 0; rank < 2; ++rank) {
+    children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
+      auto options = with_optimiser_in_pieces();
+      options.optimiser.algorithm = OptimiserAlgorithm::kMuon;
+      const auto team = join_processes(placement(rank, 2, port));
+      train_toy(folder.path(), options, TrainingStart::kFresh, team.get());
+    }));
+  }
+  std::string said;
+  for (const Child& child : children) {
+    EXPECT_EQ(status_of(child), 1);
+    said += read_file(child.said);
+  }
+  EXPECT_THAT(
+      said, HasSubstr("loop.shard_optimiser: expected adamw or adam, which move each number by itself, found "
+                      "muon, which moves whole matrices; choose one of them, or leave the optimiser whole."));
 }
 
 // A run without end of three processes, one of which is killed after the first checkpoint: what the others then say.

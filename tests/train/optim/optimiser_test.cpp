@@ -124,7 +124,7 @@ TEST(Optimiser, TheAverageIsInPlaceOnlyForAWhile) {
   optimiser.step(0.1, optimiser.gradient_norm());
   const float trained = parameters.bias[0].item<float>();
   {
-    const AverageInPlace average(flat, optimiser);
+    const AverageInPlace average(flat, optimiser.average());
     EXPECT_NEAR(parameters.bias[0].item<float>(), 0.5F * trained, 1e-7);
   }
   EXPECT_EQ(parameters.bias[0].item<float>(), trained);
