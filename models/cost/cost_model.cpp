@@ -108,6 +108,18 @@ Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) 
   cost.working_bytes =
       bytes_of_floats(rows * (static_cast<double>(options.in_channels + 3 * options.patch_values())) +
                       chunk_rows * (width * 6 + hidden));
+  if (options.refinement_channels > 0) {
+    const auto channels = static_cast<double>(options.refinement_channels);
+    const double pixels_of_view =
+        (per_view - 1) * static_cast<double>(options.patch_size * options.patch_size);
+    add_convolution(cost, views * pixels_of_view, 3, channels, 3);
+    for (int64_t layer = 2; layer < options.refinement_layers; ++layer) {
+      add_convolution(cost, views * pixels_of_view, channels, channels, 3);
+    }
+    add_convolution(cost, views * pixels_of_view, channels, 3, 3);
+    // The refined pixels of all views, and of one view two maps and what its convolution rearranges.
+    cost.working_bytes += bytes_of_floats(3 * views * pixels_of_view + 4 * channels * pixels_of_view);
+  }
   return cost;
 }
 

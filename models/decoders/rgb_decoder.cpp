@@ -2,6 +2,7 @@
 
 #include "gld/attention/attention.h"
 #include "gld/base/error.h"
+#include "models/decoders/pixel_refinement.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
 
@@ -35,6 +36,10 @@ void RgbDecoderOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"base_image_size", "side in pixels of the image whose positions are stored"},
                   base_image_size, {1, 1 << 16});
   visitor.real({"layer_norm_eps", "epsilon of the layer norms"}, layer_norm_eps, {0, 1});
+  visitor.integer({"refinement_channels",
+                   "channels of convolutions that refine the drawn pixels; 0 for none, as published"},
+                  refinement_channels, {0, 4096});
+  visitor.integer({"refinement_layers", "how many convolutions refine them"}, refinement_layers, {2, 64});
 }
 
 void RgbDecoderOptions::check() const {
@@ -107,6 +112,12 @@ RgbDecoder::RgbDecoder(const RgbDecoderOptions& options, const ParameterPlacemen
       "decoder_pred",
       std::make_shared<Linear>(LinearSizes{channels, options_.patch_values(), true, 1, LinearPacking::kNever},
                                placement));
+  if (options_.refinement_channels > 0) {
+    refinement_ = register_module(
+        "refinement",
+        std::make_shared<PixelRefinement>(
+            PixelRefinement::Sizes{options_.refinement_channels, options_.refinement_layers}, placement));
+  }
   class_token_ =
       register_parameter("trainable_cls_token", torch::empty({1, 1, channels}, placement.options()));
   const int64_t positions = 1 + options_.base_grid() * options_.base_grid();
@@ -151,12 +162,14 @@ torch::Tensor RgbDecoder::unpatchify(const torch::Tensor& logits, const LatentGr
 }
 
 torch::Tensor RgbDecoder::decode(const torch::Tensor& features, const LatentGrid& grid) const {
-  return imagenet_denormalise(unpatchify(logits(features, grid), grid));
+  const auto drawn = unpatchify(logits(features, grid), grid);
+  return imagenet_denormalise(refinement_ ? refinement_->forward(drawn) : drawn);
 }
 
 void RgbDecoder::initialise(const torch::Generator& generator) {
   torch::NoGradGuard no_grad;
   initialise_parameters(*this, MatrixInitialisation::kXavierUniform, generator);
+  if (refinement_) refinement_->initialise(generator);
   class_token_.zero_();
   position_table_.zero_();
   position_table_.slice(1, 1).copy_(

@@ -25,6 +25,9 @@ struct RgbDecoderOptions : OptionsGroup {
   int64_t patch_size = 14;        // pixels
   int64_t base_image_size = 504;  // pixels; side of the image whose positions are stored
   double layer_norm_eps = 1e-12;
+  int64_t refinement_channels =
+      0;  // of convolutions over the drawn pixels (pixel_refinement.h); 0: none, as published
+  int64_t refinement_layers = 4;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
@@ -32,10 +35,11 @@ struct RgbDecoderOptions : OptionsGroup {
   int64_t patch_values() const { return 3 * patch_size * patch_size; }
 };
 
+class PixelRefinement;
 class RgbDecoderLayer;
 
 // The ViT that turns the four levels into images (DESIGN.md section 4, "RGB decoder"; a ViT-MAE decoder with
-// a class token of its own). Parameters have the published names behind kPrefix; the position table is a
+// a class token of its own). Parameters have the published names behind kPrefix, "refinement.*" those of ours; the position table is a
 // buffer, because it is never trained.
 class RgbDecoder : public ImageDecoder {
  public:
@@ -72,8 +76,9 @@ class RgbDecoder : public ImageDecoder {
   std::shared_ptr<Linear> embedding_, prediction_;
   std::vector<std::shared_ptr<RgbDecoderLayer>> layers_;
   std::shared_ptr<LayerNorm> norm_;
-  torch::Tensor class_token_;     // (1, 1, hidden_size)
-  torch::Tensor position_table_;  // (1, 1 + base_grid^2, hidden_size), a buffer
+  std::shared_ptr<PixelRefinement> refinement_;  // null without
+  torch::Tensor class_token_;                    // (1, 1, hidden_size)
+  torch::Tensor position_table_;                 // (1, 1 + base_grid^2, hidden_size), a buffer
 };
 
 // Pre-norm transformer layer with ViT-MAE's names: attention.attention.{query, key, value},

@@ -118,6 +118,7 @@ DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObje
       discriminator_ = dino;
     }
     discriminator_->initialise(generator);
+    discriminator_->eval();
     discriminator_parameters_ = std::make_unique<FlatParameters>(named_parameters(*discriminator_));
     discriminator_optimiser_ =
         std::make_unique<Optimiser>(*discriminator_parameters_, options_.adversarial.optimiser);
@@ -194,7 +195,6 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
   }
   if (discriminator_ && context.step >= options_.adversarial.generator_start) {
     const auto seen = crop(to_signed(decoded), draw_corner(decoded, generator));
-    discriminator_->eval();
     const auto loss =
         -discriminator_->logits(diff_augment(seen, options_.adversarial.augment, generator)).mean();
     const auto& layer = decoder_->last_layer_weight();
@@ -208,17 +208,19 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
     losses.parts.emplace_back("adaptive_weight", adaptive);
     losses.total = losses.total + options_.adversarial.weight * adaptive * loss;
   }
-  if (discriminator_) {
-    // A step that was skipped leaves its images behind.
-    if (context.step != judged_step_) judged_.clear();
-    judged_step_ = context.step;
-    judged_.push_back({truth, decoded.detach()});
-  }
+  if (discriminator_) keep_for_discriminator(batch.index, context.step, {truth, decoded.detach()});
   return losses;
 }
 
+void DecoderObjective::keep_for_discriminator(int64_t micro_batch, int64_t step, const JudgedImages& images) {
+  const std::lock_guard<std::mutex> lock(judged_mutex_);
+  if (step != judged_step_) judged_.clear();  // a step that was skipped leaves its images behind
+  judged_step_ = step;
+  judged_[micro_batch] = images;
+}
+
 std::vector<std::pair<std::string, double>> DecoderObjective::after_step(const StepContext& context) {
-  const std::vector<JudgedImages> judged = std::exchange(judged_, {});
+  const auto judged = std::exchange(judged_, {});
   const AdversarialOptions& options = options_.adversarial;
   if (judged.empty() || context.step < options.discriminator_start) return {};
   torch::Generator generator = context.generator;
@@ -226,7 +228,8 @@ std::vector<std::pair<std::string, double>> DecoderObjective::after_step(const S
   discriminator_parameters_->zero_gradients();
   const auto share = 1.0 / static_cast<double>(judged.size());
   double loss_sum = 0.0, accuracy = 0.0;
-  for (const auto& [truth, images] : judged) {
+  for (const auto& [micro_batch, of_micro_batch] : judged) {
+    const auto& [truth, images] = of_micro_batch;
     const auto corner = draw_corner(truth, generator);
     // Rounded to 8 bits like the real images, so that the discriminator cannot tell them by their precision.
     const auto decoded = torch::round(images.clamp(0.0, 1.0) * 255.0) / 255.0;
@@ -245,12 +248,13 @@ std::vector<std::pair<std::string, double>> DecoderObjective::after_step(const S
     const int64_t own_steps = context.total_steps - options.discriminator_start;
     discriminator_optimiser_->step(learning_rate(options.learning_rate, own_step, own_steps), norm);
   }
+  discriminator_->eval();  // judging leaves its spectral norms alone: losses() runs in several threads
   return {{"discriminator", loss_sum}, {"discriminator_accuracy", accuracy}};
 }
 
 Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double absolute = 0.0, perceptual_sum = 0.0, psnr_sum = 0.0;
+  double absolute = 0.0, perceptual_sum = 0.0, psnr_sum = 0.0, sharpness_sum = 0.0;
   for (const TrainingScene& scene : scenes) {
     const auto truth = scene.images.to(placement_.device);
     const auto grid = backbone_->architecture().grid_of(truth.size(0), truth.size(2), truth.size(3));
@@ -258,6 +262,7 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
     absolute += (decoded - truth).abs().mean().item<double>();
     perceptual_sum += perceptual(truth, decoded).item<double>();
     psnr_sum += measure_images(metric_named("psnr"), truth, decoded).mean();
+    sharpness_sum += measure_images(metric_named("sharpness"), truth, decoded).mean();
     if (validation.rows.size() < 4) {
       PictureRow row;
       row.name = scene.name;
@@ -271,7 +276,8 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
   const auto count = static_cast<double>(scenes.size());
   validation.values = {{"reconstruction", absolute / count},
                        {"perceptual", perceptual_sum / count},
-                       {"psnr", psnr_sum / count}};
+                       {"psnr", psnr_sum / count},
+                       {"sharpness", sharpness_sum / count}};
   return validation;
 }
 

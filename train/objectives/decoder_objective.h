@@ -11,7 +11,9 @@
 #include "train/optim/optimiser.h"
 
 #include <cstdint>
+#include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -80,7 +82,7 @@ class DecoderObjective : public Objective {
 
   std::string kind() const override { return "decoder"; }
   torch::Device device() const override { return placement_.device; }
-  bool concurrent() const override { return discriminator_ == nullptr; }
+  bool concurrent() const override { return true; }
   bool spreads_over_processes() const override { return discriminator_ == nullptr; }
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
@@ -106,12 +108,15 @@ class DecoderObjective : public Objective {
   std::shared_ptr<Discriminator> discriminator_;
   std::unique_ptr<FlatParameters> discriminator_parameters_;
   std::unique_ptr<Optimiser> discriminator_optimiser_;
-  // What the discriminator learns from after the step: images of every micro-batch of that step, in their order.
+  // What the discriminator learns from after the step: images of every micro-batch of that step by its number, because
+  // micro-batches are computed at the same time and end in any order.
   struct JudgedImages {
     torch::Tensor truth;
     torch::Tensor decoded;  // without gradients
   };
-  std::vector<JudgedImages> judged_;
+  void keep_for_discriminator(int64_t micro_batch, int64_t step, const JudgedImages& images);
+  std::mutex judged_mutex_;
+  std::map<int64_t, JudgedImages> judged_;
   int64_t judged_step_ = -1;  // the step they are of
 };
 

@@ -72,7 +72,16 @@ TEST(CostModel, CostGrowsWithViewsAndDepth) {
   EXPECT_NEAR(first.flop() + rest.flop(), at(4).flop(), 1e-6 * at(4).flop());
   EXPECT_GT(bundle.dpt_head.cost(grid(4, 10, 18), GeometryMaps::kDepthAndRays).flop(),
             bundle.dpt_head.cost(grid(4, 10, 18), GeometryMaps::kDepth).flop());
-  EXPECT_GT(rgb_decoder_cost(bundle.rgb_decoder, grid(4, 10, 18)).flop(), 0);
+  const Cost drawing = rgb_decoder_cost(bundle.rgb_decoder, grid(4, 10, 18));
+  EXPECT_GT(drawing.flop(), 0);
+  EXPECT_EQ(drawing.convolution_flop, 0);
+  RgbDecoderOptions refined = bundle.rgb_decoder;
+  refined.refinement_channels = 16;
+  refined.refinement_layers = 3;
+  const Cost refining = rgb_decoder_cost(refined, grid(4, 10, 18));
+  // A multiplication and an addition a weight and pixel.
+  EXPECT_NEAR(refining.convolution_flop, 2.0 * (4 * 10 * 18 * 14 * 14) * 9 * (3 * 16 + 16 * 16 + 16 * 3), 1);
+  EXPECT_GT(refining.working_bytes, drawing.working_bytes);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/decoders/pixel_refinement.h"
 #include "models/layers/imagenet.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/data_folders.h"
@@ -72,6 +73,48 @@ TEST(RgbDecoder, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
     const auto alone = decoder->decode(features.narrow(0, view, 1), one);
     EXPECT_LT((alone[0] - all[view]).abs().max().item<double>(), 1e-5);
   }
+}
+
+TEST(RgbDecoder, ARefinementBeginsWithNothing) {
+  const torch::NoGradGuard no_grad;
+  RgbDecoderOptions options = small_options();
+  const auto published = random_decoder(options);
+  for (const auto& item : published->named_parameters()) {
+    EXPECT_EQ(item.key().find("refinement"), std::string::npos) << item.key();
+  }
+  options.refinement_channels = 5;
+  options.refinement_layers = 3;
+  const auto decoder = random_decoder(options);
+  const LatentGrid grid = {2, 3, 4};
+  const auto features = torch::randn({2, 12, 20}, at::detail::createCPUGenerator(5));
+  const auto drawn = imagenet_denormalise(decoder->unpatchify(decoder->logits(features, grid), grid));
+  EXPECT_TRUE(torch::equal(decoder->decode(features, grid), drawn));
+
+  auto parameters = decoder->named_parameters();
+  ASSERT_EQ(parameters["refinement.0.weight"].sizes(), (std::vector<int64_t>{5, 3, 3, 3}));
+  ASSERT_EQ(parameters["refinement.1.weight"].sizes(), (std::vector<int64_t>{5, 5, 3, 3}));
+  ASSERT_EQ(parameters["refinement.2.weight"].sizes(), (std::vector<int64_t>{3, 5, 3, 3}));
+  parameters["refinement.2.weight"].fill_(0.1);
+  const auto refined = decoder->decode(features, grid);
+  ASSERT_EQ(refined.sizes(), drawn.sizes());
+  EXPECT_GT((refined - drawn).abs().mean().item<double>(), 1e-3);
+  const auto alone = decoder->decode(features.narrow(0, 1, 1), {1, 3, 4});
+  EXPECT_LT((alone[0] - decoder->decode(features, grid)[1]).abs().max().item<double>(), 1e-5);
+}
+
+TEST(PixelRefinement, LooksAsFarAsItsLayersReach) {
+  const torch::NoGradGuard no_grad;
+  PixelRefinement refinement({6, 3}, ParameterPlacement());
+  refinement.initialise(at::detail::createCPUGenerator(2));
+  refinement.named_parameters()["2.weight"].fill_(0.3);
+  const auto pixels = torch::randn({1, 3, 16, 16}, at::detail::createCPUGenerator(3));
+  auto touched = pixels.clone();
+  touched[0][1][8][8] += 10;
+  const auto moved = (refinement.forward(touched) - refinement.forward(pixels)).abs().sum(1)[0];
+  EXPECT_GT(moved[8][5].item<float>(), 0);
+  EXPECT_GT(moved[11][11].item<float>(), 0);
+  EXPECT_EQ(moved[8][4].item<float>(), 0);
+  EXPECT_EQ(moved[12][8].item<float>(), 0);
 }
 
 TEST(RgbDecoder, NeverTrainsItsPositions) {

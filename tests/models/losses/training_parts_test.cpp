@@ -40,14 +40,57 @@ TEST(PerceptualStandin, IsZeroForEqualImagesAndGrowsWithBlur) {
 TEST(PerceptualStandin, ItsGradientMatchesDifferences) {
   const auto image = random_images(1, 16, 2).to(torch::kFloat64);
   auto prediction = random_images(1, 16, 3).to(torch::kFloat64).requires_grad_(true);
-  perceptual_standin(image, prediction, {}).sum().backward();
+  PerceptualStandinOptions options;
+  options.edge_weight = 1;
+  perceptual_standin(image, prediction, options).sum().backward();
   const auto direction = torch::randn(prediction.sizes(), generator(4), torch::kFloat64);
   const double step = 1e-6;
   const torch::NoGradGuard no_grad;
-  const auto up = perceptual_standin(image, prediction + step * direction, {}).sum();
-  const auto down = perceptual_standin(image, prediction - step * direction, {}).sum();
+  const auto up = perceptual_standin(image, prediction + step * direction, options).sum();
+  const auto down = perceptual_standin(image, prediction - step * direction, options).sum();
   EXPECT_NEAR((prediction.grad() * direction).sum().item<double>(), ((up - down) / (2 * step)).item<double>(),
               1e-5);
+}
+
+// Of an edge whose place is not known to a few pixels, a blurred picture is the best guess by differences of pixels; by
+// the strength of edges a sharp one somewhere is.
+TEST(PerceptualStandin, EdgesAsStrongElsewhereAreBetterThanBlurredOnes) {
+  const auto edge_at = [](int64_t column) {
+    auto image = torch::zeros({1, 3, 32, 32});
+    image.slice(3, column).fill_(1);
+    return image;
+  };
+  const auto blurred = (edge_at(14) + edge_at(16) + edge_at(18)) / 3;
+  PerceptualStandinOptions edges;
+  edges.scales = 1;
+  edges.gradient_weight = edges.similarity_weight = 0;
+  edges.edge_weight = 1;
+  const auto distance = [&](const torch::Tensor& image) {
+    return perceptual_standin(edge_at(16), image, edges).item<double>();
+  };
+  EXPECT_EQ(distance(edge_at(16)), 0);
+  EXPECT_LT(distance(edge_at(17)), 0.7 * distance(blurred));
+  EXPECT_LT(distance(blurred), 0.7 * distance(torch::full({1, 3, 32, 32}, 0.5)));
+  PerceptualStandinOptions differences;
+  differences.scales = 1;
+  differences.similarity_weight = 0;
+  const auto expected = [&](const torch::Tensor& image) {
+    double sum = 0;
+    for (const int64_t column : {14, 16, 18}) {
+      sum += perceptual_standin(edge_at(column), image, differences).item<double>();
+    }
+    return sum;
+  };
+  EXPECT_LE(expected(blurred), expected(edge_at(16)) + 1e-6);
+}
+
+// The strength of both: where an image has no edge at all the root's slope is still finite.
+TEST(PerceptualStandin, TheStrengthOfEdgesHasAGradientOnFlatImages) {
+  PerceptualStandinOptions edges;
+  edges.edge_weight = 1;
+  auto flat = torch::full({1, 3, 16, 16}, 0.5).requires_grad_(true);
+  perceptual_standin(random_images(1, 16, 2), flat, edges).sum().backward();
+  EXPECT_TRUE(flat.grad().isfinite().all().item<bool>());
 }
 
 TEST(PerceptualStandin, RefusesImagesSmallerThanItsWindow) {

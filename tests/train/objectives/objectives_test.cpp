@@ -183,8 +183,9 @@ TEST(DecoderTraining, TwoStepsWithADiscriminator) {
   DecoderObjective objective(test::small_model(), small_decoder(), random_backbone(), {}, 1);
   const auto summary = train(run_of(folder.path(), objective), test::two_steps(), TrainingStart::kFresh);
   EXPECT_EQ(summary.skipped_steps, 0);
-  expect_metrics(folder.path(), {"reconstruction", "perceptual", "adversarial", "adaptive_weight",
-                                 "discriminator", "discriminator_accuracy", "validation_psnr"});
+  expect_metrics(folder.path(),
+                 {"reconstruction", "perceptual", "adversarial", "adaptive_weight", "discriminator",
+                  "discriminator_accuracy", "validation_psnr", "validation_sharpness"});
   EXPECT_TRUE(ModelBundle::open(folder.path() / "model").has(BundlePart::rgb_decoder()));
 }
 
@@ -206,6 +207,22 @@ TEST(DecoderTraining, StepsInOneCallEqualStepsInSeveralWithADiscriminator) {
   ASSERT_EQ(a.size(), b.size());
   for (const auto& [name, tensor] : a) EXPECT_TRUE(torch::equal(tensor, b.at(name))) << name;
   EXPECT_EQ(a.count("objective.discriminator.layer0.weight_u"), 1U);
+}
+
+TEST(DecoderTraining, WorkersTrainADiscriminatorToTheSameBitsEveryTime) {
+  const test::TemporaryFolder first, second;
+  auto options = test::two_steps();
+  options.micro_batches = 3;
+  options.workers = 3;
+  for (const auto* folder : {&first, &second}) {
+    DecoderObjective objective(test::small_model(), small_decoder(), random_backbone(), {}, 1);
+    const auto summary = train(run_of(folder->path(), objective), options, TrainingStart::kFresh);
+    EXPECT_TRUE(summary.messages.empty());
+  }
+  const auto a = load_checkpoint(first.path() / "checkpoints" / "step_000000002.safetensors").tensors;
+  const auto b = load_checkpoint(second.path() / "checkpoints" / "step_000000002.safetensors").tensors;
+  ASSERT_EQ(a.size(), b.size());
+  for (const auto& [name, tensor] : a) EXPECT_TRUE(torch::equal(tensor, b.at(name))) << name;
 }
 
 TEST(DecoderTraining, StartStepsDelayThePartsOfTheLoss) {
@@ -286,6 +303,10 @@ TEST(DecoderTraining, EveryMicroBatchOfAStepTrainsTheDiscriminator) {
   EXPECT_GT(largest_difference(both.second, second.second), 1e-6);
   // The vectors of the spectral normalisation advance with each pass, so the mean is not exact.
   EXPECT_NEAR(both.first, 0.5 * (first.first + second.first), 0.02);
+  // Several workers end in any order; what the discriminator learns is the same.
+  const auto other_order = judged({{3, 1}, {3, 0}});
+  EXPECT_EQ(other_order.first, both.first);
+  EXPECT_EQ(largest_difference(other_order.second, both.second), 0);
   // A step that was skipped because its loss was not finite leaves nothing to the next one.
   const auto after_skipped = judged({{2, 0}, {3, 1}});
   EXPECT_EQ(after_skipped.first, second.first);
