@@ -130,17 +130,21 @@ int64_t nearest_view(const Views& views, int64_t target) {
 }
 
 enum class ConsistencyGeometry { kPredicted, kTrue };
+enum class ConsistentPictures { kPredicted, kTrue };
 
-Metric consistency_metric(const std::string& name, Better better, ConsistencyGeometry geometry,
-                          double FeatureConsistency::*number) {
-  Metric metric{name, "", better, {MetricNeed::kViewFeatures}, nullptr};
+Metric consistency_metric(const std::string& name, Better better, ConsistentPictures pictures,
+                          ConsistencyGeometry geometry, double FeatureConsistency::*number) {
+  const bool of_truth = pictures == ConsistentPictures::kTrue;
+  Metric metric{
+      name, "", better, {of_truth ? MetricNeed::kTrueFeatures : MetricNeed::kViewFeatures}, nullptr};
   const bool predicted = geometry == ConsistencyGeometry::kPredicted;
   metric.needs.push_back(predicted ? MetricNeed::kViewGeometry : MetricNeed::kAllTrueDepth);
   metric.compute = [=](const MetricInputs& inputs) {
     const auto& cameras = predicted ? inputs.estimated_cameras : inputs.views.cameras;
     const auto& depth = predicted ? inputs.view_depth : inputs.all_true_depth;
+    const auto& features = of_truth ? inputs.true_features : inputs.view_features;
     const auto view_of = [&](int64_t view) {
-      return FeatureView{inputs.view_features[view], depth[view], cameras[static_cast<size_t>(view)]};
+      return FeatureView{features[view], depth[view], cameras[static_cast<size_t>(view)]};
     };
     const Views& views = inputs.views;
     auto per_target =
@@ -158,18 +162,23 @@ Metric consistency_metric(const std::string& name, Better better, ConsistencyGeo
 }  // namespace
 
 Metric met3r_like_metric() {
-  return consistency_metric("met3r_like", Better::kLower, ConsistencyGeometry::kPredicted,
-                            &FeatureConsistency::distance);
+  return consistency_metric("met3r_like", Better::kLower, ConsistentPictures::kPredicted,
+                            ConsistencyGeometry::kPredicted, &FeatureConsistency::distance);
 }
 
 Metric met3r_like_coverage_metric() {
-  return consistency_metric("met3r_like_coverage", Better::kHigher, ConsistencyGeometry::kPredicted,
-                            &FeatureConsistency::coverage);
+  return consistency_metric("met3r_like_coverage", Better::kHigher, ConsistentPictures::kPredicted,
+                            ConsistencyGeometry::kPredicted, &FeatureConsistency::coverage);
 }
 
 Metric met3r_like_true_geometry_metric() {
-  return consistency_metric("met3r_like_true_geometry", Better::kLower, ConsistencyGeometry::kTrue,
-                            &FeatureConsistency::distance);
+  return consistency_metric("met3r_like_true_geometry", Better::kLower, ConsistentPictures::kPredicted,
+                            ConsistencyGeometry::kTrue, &FeatureConsistency::distance);
+}
+
+Metric met3r_like_of_truth_metric() {
+  return consistency_metric("met3r_like_of_truth", Better::kLower, ConsistentPictures::kTrue,
+                            ConsistencyGeometry::kTrue, &FeatureConsistency::distance);
 }
 
 }  // namespace gld

@@ -24,6 +24,7 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "there is no depth of the true pictures to compare with",
                                                 "no depth and cameras of all views were predicted",
                                                 "there are no features of the views",
+                                                "there are no features of the true pictures",
                                                 "a view of the scene has no true depth",
                                                 "there are no levels of the true pictures"};
   return phrases.at(static_cast<size_t>(need));
@@ -62,6 +63,8 @@ bool MetricInputs::has(MetricNeed need) const {
       return view_images.defined() && view_depth.defined() && !estimated_cameras.empty();
     case MetricNeed::kViewFeatures:
       return view_features.defined();
+    case MetricNeed::kTrueFeatures:
+      return true_features.defined();
     case MetricNeed::kAllTrueDepth:
       return all_true_depth.defined();
     case MetricNeed::kTrueLevels:

@@ -30,6 +30,7 @@ enum class MetricNeed {
   kPseudoDepth,       // depth that the model's own head reads off the true pictures
   kViewGeometry,      // pictures, depth and cameras of all views, all predicted
   kViewFeatures,      // features of all views' pictures, each alone
+  kTrueFeatures,      // features of all views' true pictures, each alone
   kAllTrueDepth,      // true depth of all views
   kTrueLevels,        // a backbone's levels of the true pictures of all views
 };
@@ -57,6 +58,7 @@ struct MetricInputs {
       view_images;  // (views, 3, height, width): the sources' pictures and the targets' predicted ones
   torch::Tensor view_depth;                // (views, height, width) in the unit of estimated_cameras
   torch::Tensor view_features;             // (views, channels, rows, columns) of view_images
+  torch::Tensor true_features;             // the same of the true pictures
   torch::Tensor all_true_depth;            // (views, height, width) in the scene's unit, 0 where unknown
   std::vector<torch::Tensor> true_levels;  // by level, (views, channels, rows, columns) of the true pictures
   std::map<MetricNeed, std::string> missing;  // one phrase each

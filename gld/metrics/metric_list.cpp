@@ -12,6 +12,7 @@ namespace gld {
   METRIC(psnr)                                        \
   METRIC(ssim)                                        \
   METRIC(lpips)                                       \
+  METRIC(random_features)                             \
   METRIC(sharpness)                                   \
   METRIC(depth_abs_rel_unscaled)                      \
   METRIC(depth_sq_rel_unscaled)                       \
@@ -75,6 +76,7 @@ namespace gld {
   METRIC(met3r_like)                                  \
   METRIC(met3r_like_coverage)                         \
   METRIC(met3r_like_true_geometry)                    \
+  METRIC(met3r_like_of_truth)                         \
   METRIC(pck_level0)                                  \
   METRIC(pck_level1)                                  \
   METRIC(pck_level2)                                  \

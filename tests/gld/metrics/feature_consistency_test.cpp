@@ -89,6 +89,14 @@ TEST(ConsistencyMetrics, CompareEachTargetWithTheNearestView) {
   inputs.estimated_cameras = room.cameras;
   EXPECT_NEAR(measure(metric_named("met3r_like"), inputs).mean(), 0, 1e-6);
   EXPECT_GT(measure(metric_named("met3r_like_coverage"), inputs).mean(), 0.5);
+  // Of the true pictures there is one as soon as there are their features, whatever was predicted.
+  EXPECT_EQ(measure(metric_named("met3r_like_of_truth"), inputs).absent,
+            "there are no features of the true pictures");
+  inputs.true_features = torch::rand({3, 4, 3, 4});
+  const double of_truth = measure(metric_named("met3r_like_of_truth"), inputs).mean();
+  EXPECT_GT(of_truth, 0.01);
+  inputs.view_features = inputs.true_features;
+  EXPECT_EQ(measure(metric_named("met3r_like_true_geometry"), inputs).mean(), of_truth);
 }
 
 }  // namespace
