@@ -1,5 +1,6 @@
 #include "gld/cameras/photo_consistency.h"
 
+#include "gld/cameras/bilinear_neighbours.h"
 #include "gld/cameras/scale_consensus.h"
 
 #include <algorithm>
@@ -129,23 +130,6 @@ class WindowSums {
   std::vector<double> integral_;
 };
 
-// Bilinear; x and y count from the first pixel's middle.
-float sampled(const Plane& plane, int64_t width, int64_t height, double x, double y) {
-  const double clamped_x = std::clamp(x, 0.0, static_cast<double>(width - 1));
-  const double clamped_y = std::clamp(y, 0.0, static_cast<double>(height - 1));
-  const auto left = std::min(static_cast<int64_t>(clamped_x), std::max<int64_t>(0, width - 2));
-  const auto top = std::min(static_cast<int64_t>(clamped_y), std::max<int64_t>(0, height - 2));
-  const auto right_share = static_cast<float>(clamped_x - static_cast<double>(left));
-  const auto lower_share = static_cast<float>(clamped_y - static_cast<double>(top));
-  const int64_t right = std::min(left + 1, width - 1), bottom = std::min(top + 1, height - 1);
-  const auto value = [&](int64_t column, int64_t row) {
-    return plane[static_cast<size_t>(row * width + column)];
-  };
-  const float upper = value(left, top) + right_share * (value(right, top) - value(left, top));
-  const float lower = value(left, bottom) + right_share * (value(right, bottom) - value(left, bottom));
-  return upper + lower_share * (lower - upper);
-}
-
 // A photograph as it would be seen from a view, by the view's depth.
 class WarpedPhotograph {
  public:
@@ -178,9 +162,12 @@ class WarpedPhotograph {
                         x <= static_cast<double>(photograph_.width - 1) + margin &&
                         y <= static_cast<double>(photograph_.height - 1) + margin;
       inside[i] = seen ? 1.0F : 0.0F;
+      for (Plane& colour : colours) colour[i] = 0.0F;
+      if (!seen) continue;
+      const BilinearNeighbours around(photograph_.width, photograph_.height, x, y);
       for (size_t c = 0; c < 3; ++c) {
-        colours[c][i] =
-            seen ? sampled(photograph_.colours[c], photograph_.width, photograph_.height, x, y) : 0.0F;
+        const Plane& colour = photograph_.colours[c];
+        for (size_t n = 0; n < 4; ++n) colours[c][i] += around.weights[n] * colour[around.cells[n]];
       }
     }
   }

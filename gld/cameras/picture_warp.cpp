@@ -1,5 +1,7 @@
 #include "gld/cameras/picture_warp.h"
 
+#include "gld/cameras/bilinear_neighbours.h"
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -27,34 +29,9 @@ constexpr float kCostOfOneSource = 0.15F;  // of a pixel that fewer than two pho
 constexpr int64_t kReachedWithin = 2;      // pixels
 constexpr double kBehind = 1.3;            // depths over what a source shows there, to be hidden from it
 
-// Between four neighbours, of which the first is the upper left one.
-struct Neighbours {
-  std::array<size_t, 4> cells;
-  std::array<float, 4> weights;
-
-  size_t nearest() const {
-    return cells[static_cast<size_t>(std::max_element(weights.begin(), weights.end()) - weights.begin())];
-  }
-};
-
-// x and y count from the first cell's middle; beyond the border the last cells count.
-Neighbours neighbours_of(int64_t width, int64_t height, double x, double y) {
-  const double column = std::clamp(x, 0.0, static_cast<double>(width - 1));
-  const double row = std::clamp(y, 0.0, static_cast<double>(height - 1));
-  const auto left = static_cast<int64_t>(column), top = static_cast<int64_t>(row);
-  const int64_t right = std::min(left + 1, width - 1), bottom = std::min(top + 1, height - 1);
-  const auto to_right = static_cast<float>(column - static_cast<double>(left));
-  const auto down = static_cast<float>(row - static_cast<double>(top));
-  const auto cell = [width](int64_t at_row, int64_t at_column) {
-    return static_cast<size_t>(at_row * width + at_column);
-  };
-  return {{cell(top, left), cell(top, right), cell(bottom, left), cell(bottom, right)},
-          {(1 - down) * (1 - to_right), (1 - down) * to_right, down * (1 - to_right), down * to_right}};
-}
-
 // 0 where not known.
 float depth_between(const PlanarDepth& depth, double x, double y) {
-  const Neighbours around = neighbours_of(depth.width, depth.height, x, y);
+  const BilinearNeighbours around(depth.width, depth.height, x, y);
   float sum = 0, nearest = std::numeric_limits<float>::max(), farthest = 0;
   for (size_t i = 0; i < 4; ++i) {
     const float value = depth.values[around.cells[i]];
@@ -252,7 +229,7 @@ class SourcesFromTarget {
 
   std::array<float, 3> colour(size_t source, const PlaceInSource& place) const {
     const PicturedView& view = sources_[source];
-    const Neighbours around = neighbours_of(view.width, view.height, place.x, place.y);
+    const BilinearNeighbours around(view.width, view.height, place.x, place.y);
     std::array<float, 3> sum{};
     for (size_t i = 0; i < 4; ++i) {
       for (size_t c = 0; c < 3; ++c) sum[c] += around.weights[i] * view.rgb[3 * around.cells[i] + c];
@@ -384,6 +361,17 @@ CarriedPicture completed_picture(const std::vector<CarriedPicture>& carried) {
     for (size_t c = 0; c < 3; ++c) mean.rgb[3 * pixel + c] = mean.rgb[3 * nearest.pixel[pixel] + c];
   }
   return mean;
+}
+
+PlanarDepth depth_seen_from(const PicturedView& source, const Camera& target) {
+  const std::vector<double> own = carried_depth(source, target);
+  std::vector<uint8_t> known(own.size());
+  for (size_t i = 0; i < own.size(); ++i) known[i] = std::isfinite(own[i]) ? 1 : 0;
+  const NearestKnown nearest(target.width, target.height, known);
+  PlanarDepth depth{target.width, target.height, std::vector<float>(own.size(), 0.0F)};
+  if (!nearest.any) return depth;
+  for (size_t i = 0; i < own.size(); ++i) depth.values[i] = static_cast<float>(own[nearest.pixel[i]]);
+  return depth;
 }
 
 }  // namespace gld

@@ -84,4 +84,15 @@ Eigen::Matrix4d lifted_intrinsics(const Eigen::Matrix3d& intrinsics, double widt
   return lifted;
 }
 
+int64_t nearest_source(const Views& views, int64_t view) {
+  const auto centre = [&](int64_t of) {
+    return views.cameras[static_cast<size_t>(of)].world_from_camera.translation();
+  };
+  int64_t nearest = 0;
+  for (int64_t source = 1; source < views.num_sources; ++source) {
+    if ((centre(source) - centre(view)).norm() < (centre(nearest) - centre(view)).norm()) nearest = source;
+  }
+  return nearest;
+}
+
 }  // namespace gld

@@ -42,4 +42,7 @@ RelativeCameras relative_cameras(const Views& views, int64_t reference_view = -1
 // normalised image coordinates; K_norm holds fx/W, fy/H, cx/W - 0.5, cy/H - 0.5 (DESIGN.md section 4, "PRoPE").
 Eigen::Matrix4d lifted_intrinsics(const Eigen::Matrix3d& intrinsics, double width, double height);
 
+// The source whose camera stands nearest to that view's; the first of several. views has a source.
+int64_t nearest_source(const Views& views, int64_t view);
+
 }  // namespace gld

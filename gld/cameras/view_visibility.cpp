@@ -162,7 +162,7 @@ bool share_space(const SeenSpace& a, const SeenSpace& b) {
 }
 
 // The source view that stands nearest and looks most alike.
-int64_t nearest_source(const Views& views, int64_t target) {
+int64_t most_alike_source(const Views& views, int64_t target) {
   const auto& pose = views.cameras[static_cast<size_t>(target)].world_from_camera;
   const double extent = largest_distance(views);
   int64_t best = 0;
@@ -251,7 +251,7 @@ ViewVisibility view_visibility(const Views& views, const std::vector<PlanarDepth
       sees_source = sees_source || visibility.attends_to(target, source);
     }
     if (sees_source || views.num_sources == 0) continue;
-    set(static_cast<size_t>(target), static_cast<size_t>(nearest_source(near_origin, target)));
+    set(static_cast<size_t>(target), static_cast<size_t>(most_alike_source(near_origin, target)));
     visibility.lonely_targets.push_back(target);
   }
   return visibility;

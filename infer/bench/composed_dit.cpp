@@ -98,7 +98,7 @@ torch::Tensor ComposedDit::velocity_features(const DitPasses& passes, const DitN
     x = block(index, options.num_heads[1], x, modulation, cameras.decoder_prope, scene->view_mask);
   }
   const auto parts = linear("final_layer.adaLN_modulation.1", activation).chunk(2, -1);
-  return rms_norm("final_layer.norm_final", x) * (1.0 + parts[1]) + parts[0];
+  return model_.with_carried(passes, rms_norm("final_layer.norm_final", x) * (1.0 + parts[1]) + parts[0]);
 }
 
 }  // namespace gld

@@ -43,19 +43,14 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
   const bool warps = warped_sources > 0 && scene.views.num_sources > 1;
   wanted.deepest = warps ? models.models.levels.levels - 1 : deepest;
   wanted.carried = false;
-  const auto sources =
-      space.encode_sources(images.narrow(0, 0, scene.views.num_sources).to(models.device), wanted);
-  SourceWarp warp = no_source_warp(scene.views, warped_sources, "");
-  std::vector<torch::Tensor> carried;
+  const auto photographs = images.narrow(0, 0, scene.views.num_sources).to(models.device);
+  const auto sources = space.encode_sources(photographs, wanted);
+  CarriedSources carried;
   if (warps) {
-    warp = warp_sources(scene.views, images.narrow(0, 0, scene.views.num_sources),
-                        models.models.dpt_head()->forward(geometry_inputs(space, sources), sources.grid,
-                                                          GeometryMaps::kDepthAndRays),
-                        warped_sources);
-    if (warp.completed.defined()) {
-      carried = encode_completed(space, images.narrow(0, 0, scene.views.num_sources).to(models.device), warp,
-                                 deepest);
-    }
+    carried = carry_sources(space, scene.views, photographs,
+                            models.models.dpt_head()->forward(geometry_inputs(space, sources), sources.grid,
+                                                              GeometryMaps::kDepthAndRays),
+                            {warped_sources, deepest});
   }
   std::vector<ShownScene> shown(generators.size());
   std::map<int64_t, torch::Tensor> clean;
@@ -68,12 +63,8 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
     clean[generators[i].level] = shown[i].clean = normalised(raw[level]);
     shown[i].inputs.views = scene.views;
     shown[i].inputs.source_features = normalised(sources.levels[level]);
-    const DitOptions& dit = models.bundle.generator(generators[i]).dit;
-    set_no_warp(shown[i].inputs, dit);
-    if (dit.warped_sources > 0 && !carried.empty()) {
-      shown[i].inputs.warp_agreement = warp.agreement.narrow(1, 0, dit.warped_sources);
-      shown[i].inputs.warped_features = statistics.normalise(carried[level].slice(1, space.leading_tokens()));
-    }
+    set_warp(shown[i].inputs, models.bundle.generator(generators[i]).dit, carried.agreement,
+             carried.levels.empty() ? torch::Tensor() : statistics.normalise(carried.levels[level]));
     if (generators[i].is_cascade()) shown[i].inputs.deeper_level = clean.at(*generators[i].deeper);
   }
   return shown;

@@ -26,9 +26,9 @@ const std::vector<Predictor>& all_predictors() {
 }
 
 const std::vector<Predictor>& main_predictors() {
-  static const std::vector<Predictor> predictors{Predictor::kSample,        Predictor::kMeanPrediction,
-                                                 Predictor::kNearestSource, Predictor::kMeanSource,
-                                                 Predictor::kMeanColor,     Predictor::kReconstruction};
+  static const std::vector<Predictor> predictors{
+      Predictor::kSample,    Predictor::kMeanPrediction, Predictor::kNearestSource, Predictor::kMeanSource,
+      Predictor::kMeanColor, Predictor::kWarpedSources,  Predictor::kReconstruction};
   return predictors;
 }
 
@@ -46,12 +46,27 @@ const std::vector<Predictor>& trivial_predictors() {
 }
 
 std::string predictor_name(Predictor predictor) {
-  static const std::vector<std::string> names{"sample",      "mean_prediction", "nearest_source",
-                                              "mean_source", "mean_color",      "reconstruction"};
+  static const std::vector<std::string> names{"sample",        "mean_prediction", "nearest_source",
+                                              "mean_source",   "mean_color",      "warped_sources",
+                                              "reconstruction"};
   const auto number = static_cast<size_t>(predictor);
   if (number < names.size()) return names[number];
   return "reconstruction_level" + std::to_string(number - names.size());
 }
+
+namespace {
+
+// Whether a metric compares the depth of target views with the true one, and needs nothing else.
+bool compares_depth(const Metric& metric) {
+  const auto& needs = metric.needs;
+  return std::find(needs.begin(), needs.end(), MetricNeed::kTrueDepth) != needs.end() &&
+         std::all_of(needs.begin(), needs.end(), [](MetricNeed need) {
+           return need == MetricNeed::kTrueDepth || need == MetricNeed::kDepth ||
+                  need == MetricNeed::kDepthScale;
+         });
+}
+
+}  // namespace
 
 const std::vector<EvaluationColumn>& evaluation_columns() {
   static const std::vector<EvaluationColumn> columns = [] {
@@ -59,6 +74,9 @@ const std::vector<EvaluationColumn>& evaluation_columns() {
     for (const Metric& metric : metric_list()) {
       if (!metric.of_images()) {
         list.push_back({metric.name, metric, Predictor::kSample});
+        if (compares_depth(metric)) {
+          list.push_back({column_name(Predictor::kWarpedSources, metric), metric, Predictor::kWarpedSources});
+        }
         continue;
       }
       for (const Predictor predictor : all_predictors()) {

@@ -15,6 +15,10 @@ enum class Predictor {
   kNearestSource,  // the source whose camera is nearest, copied
   kMeanSource,     // pixel by pixel mean of the sources
   kMeanColor,      // the mean colour of the sources
+  // The sources carried into the target by their depth, as a model with warped_sources is shown them, and for depth
+  // that of the nearest source as the target sees it (models/scene_geometry/source_warp.h). Not trivial: it takes the
+  // model's depth, but nothing is generated.
+  kWarpedSources,
   // All views, sources too, encoded and decoded: what the decoder can do at best.
   kReconstruction,
   // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says
@@ -34,7 +38,8 @@ std::string predictor_name(Predictor predictor);  // "mean_prediction"
 
 // A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
 // "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the
-// metric's own name ("depth_abs_rel_unscaled").
+// metric's own name ("depth_abs_rel_unscaled"), or of the depth of warped sources
+// ("warped_sources_depth_abs_rel_unscaled").
 struct EvaluationColumn {
   std::string name;
   Metric metric;

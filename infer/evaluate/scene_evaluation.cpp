@@ -2,6 +2,7 @@
 
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
+#include "gld/cameras/relative_cameras.h"
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -9,6 +10,7 @@
 #include "infer/pipeline/placed_cloud.h"
 #include "infer/pipeline/scale_evidence.h"
 #include "infer/pipeline/scene_request.h"
+#include "models/scene_geometry/source_warp.h"
 
 #include <algorithm>
 #include <limits>
@@ -18,22 +20,13 @@
 namespace gld {
 namespace {
 
+constexpr const char* kNoHead = "the model has no geometry head that sees cameras";
+
 // For every target the image of the source whose camera centre is nearest.
 torch::Tensor nearest_sources(const Views& views, const torch::Tensor& source_images) {
   std::vector<torch::Tensor> images;
   for (int64_t target = views.num_sources; target < views.size(); ++target) {
-    const auto centre = views.cameras[static_cast<size_t>(target)].world_from_camera.translation();
-    int64_t nearest = 0;
-    double distance = std::numeric_limits<double>::infinity();
-    for (int64_t source = 0; source < views.num_sources; ++source) {
-      const auto& camera = views.cameras[static_cast<size_t>(source)];
-      const double length = (camera.world_from_camera.translation() - centre).norm();
-      if (length < distance) {
-        distance = length;
-        nearest = source;
-      }
-    }
-    images.push_back(source_images[nearest]);
+    images.push_back(source_images[nearest_source(views, target)]);
   }
   return torch::stack(images);
 }
@@ -156,6 +149,24 @@ torch::Tensor true_surface(const SamplingScene& scene) {
   return points_of(build_point_cloud(views, 1, all));
 }
 
+// What the sources say of the target views without anything generated: carried by the depth of their own views.
+struct WarpedSources {
+  torch::Tensor images;   // undefined where nothing could be carried
+  torch::Tensor depth;    // of the nearest source, in the scene's unit; undefined where that is not known
+  std::string no_images;  // why there are none; empty where there are
+  std::string no_depth;
+};
+
+WarpedSources warped_sources(const EvaluationModels& models, const SamplingScene& scene) {
+  if (!models.bundle.dpt_head.predicts_rays()) return {{}, {}, kNoHead, kNoHead};
+  const auto photographs = stacked(scene.source_images);
+  const GeometryOutput geometry =
+      geometry_of_pictures(models.models, photographs, GeometryMaps::kDepthAndRays, models.device);
+  const SourceWarp warp = warp_sources(scene.views, photographs, geometry, 1);
+  const NearestSourceDepth nearest = nearest_source_depth(scene.views, photographs, geometry);
+  return {warp.completed, nearest.depth, warp.doubt, nearest.doubt};
+}
+
 PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, const FlowSettings& settings,
                    int64_t noise_seed, DecodedViews geometry_views) {
   PipelineRequest request = scene_request(scene, models.bundle, noise_seed, models.device);
@@ -179,11 +190,12 @@ class SceneMetrics {
     truth_.views = scene.views;
     const std::string no_picture = "a target view of the scene has no picture";
     for (const MetricNeed need : {MetricNeed::kImages, MetricNeed::kPhotoCameras, MetricNeed::kPseudoDepth,
-                                  MetricNeed::kTrueLevels}) {
+                                  MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures}) {
       truth_.missing[need] = no_picture;
     }
     if (truth_.true_images.defined()) {
       pictures_ = true_pictures(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
+      truth_.true_features = features_of_each(models, pictures_.images);
       for (const auto& level : pictures_.levels) truth_.true_levels.push_back(as_maps(level, pictures_.grid));
       set_what_the_head_says_of_true_pictures();
     }
@@ -295,7 +307,6 @@ class SceneMetrics {
     }
   }
 
-  inline static const std::string kNoHead = "the model has no geometry head that sees cameras";
   const EvaluationModels& models_;
   const SamplingScene& scene_;
   MetricInputs truth_;
@@ -324,8 +335,8 @@ bool depends_on_sample(const EvaluationColumn& column) {
       return std::find(needs.begin(), needs.end(), need) != needs.end();
     });
   };
-  if (column.metric.of_images()) return column.of == Predictor::kSample;
-  return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels});
+  if (column.metric.of_images() || column.of != Predictor::kSample) return column.of == Predictor::kSample;
+  return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures});
 }
 
 // One number of several samples' values.
@@ -395,6 +406,13 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   set(Predictor::kNearestSource, metrics.of_images(nearest_sources(scene.views, sources)));
   set(Predictor::kMeanSource, metrics.of_images(for_every_target(sources.mean(0, /*keepdim=*/true))));
   set(Predictor::kMeanColor, metrics.of_images(for_every_target(sources.mean({0, 2, 3}, /*keepdim=*/true))));
+  const WarpedSources warped = warped_sources(models, scene);
+  MetricInputs of_warped = metrics.of_images(warped.images);
+  of_warped.depth = warped.depth;
+  of_warped.depth_scale = 1;
+  if (!warped.no_images.empty()) of_warped.missing[MetricNeed::kImages] = warped.no_images;
+  of_warped.missing[MetricNeed::kDepth] = warped.no_depth;
+  set(Predictor::kWarpedSources, std::move(of_warped));
   const TruePictures& pictures = metrics.pictures();
   const auto set_reconstruction = [&](Predictor predictor, std::optional<int64_t> alone) {
     MetricInputs inputs = metrics.of_images(torch::Tensor());
@@ -421,9 +439,10 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     const MetricInputs geometry = metrics.of_geometry(sample);
     for (size_t i = 0; i < columns.size(); ++i) {
       if (!values[i].empty() && !depends_on_sample(columns[i])) continue;
-      values[i].push_back(measure(columns[i].metric, columns[i].metric.of_images()
-                                                         ? by_predictor[static_cast<size_t>(columns[i].of)]
-                                                         : geometry));
+      const bool of_sample_geometry = !columns[i].metric.of_images() && columns[i].of == Predictor::kSample;
+      values[i].push_back(measure(columns[i].metric, of_sample_geometry
+                                                         ? geometry
+                                                         : by_predictor[static_cast<size_t>(columns[i].of)]));
     }
     if (seed == noise_seeds.front()) result.sample = std::move(sample);
   }

@@ -107,29 +107,35 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   }
 }
 
-// The part that a stage loads, and how many latents of all views are there while a stage outside the flows runs: noise
-// and latents of the generated levels, source features, levels to decode.
+// The parts that a stage loads, one after another, and how many latents of all views are there while a stage outside the
+// flows runs: noise and latents of the generated levels, source features, levels to decode.
 struct StageNeeds {
-  BundlePart part;
+  std::vector<BundlePart> parts;
   int64_t latents = 0;
 };
 
-StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle) {
+StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, const StageRequest& request) {
+  const bool source_depth = uses_source_depth(bundle.level_set(), request);
   const auto generated = static_cast<int64_t>(bundle.generators.size()), levels = bundle.backbone.levels();
   switch (stage.kind) {
     case StageKind::kSourceEncoding:
-      return {BundlePart::backbone(), generated};
+      return {{BundlePart::backbone()}, generated};
     case StageKind::kViewPairs:
-    case StageKind::kSourceWarp:
-      return {BundlePart::dpt_head(), 2 * generated + 1};
+    case StageKind::kSourceWarp: {
+      StageNeeds needs{{}, 2 * generated + 1};
+      if (source_depth && stage.kind == source_depth_stage(request)) needs.parts = {BundlePart::dpt_head()};
+      if (source_depth && stage.kind == StageKind::kSourceWarp) needs.parts.push_back(BundlePart::backbone());
+      return needs;
+    }
     case StageKind::kFlow:
-      return {BundlePart::of(bundle.generators.at(stage.generator).generator), 0};
+      return {{BundlePart::of(bundle.generators.at(stage.generator).generator)}, 0};
     case StageKind::kPropagation:
-      return {BundlePart::backbone(), 2 + levels};
+      return {{BundlePart::backbone()}, 2 + levels};
     case StageKind::kRgbDecoding:
-      return {bundle.has_rgb_decoder() ? BundlePart::rgb_decoder() : BundlePart::backbone(), 2 + 2 * levels};
+      return {{bundle.has_rgb_decoder() ? BundlePart::rgb_decoder() : BundlePart::backbone()},
+              2 + 2 * levels};
     case StageKind::kGeometry:
-      return {BundlePart::dpt_head(), 2 + 2 * levels};
+      return {{BundlePart::dpt_head()}, 2 + 2 * levels};
   }
   return {};
 }
@@ -149,13 +155,14 @@ int64_t packed_bytes(int64_t float32_bytes, ComputePrecision precision) {
 }
 
 void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
-  const StageNeeds needs = needs_of(stage, bundle);
-  // Without operations nothing is loaded: view pairs by the cameras alone.
+  const StageNeeds needs = needs_of(stage, bundle, request.stage_request());
   if (stage.kind == StageKind::kGeometry && request.geometry_model) {
     stage.memory.weights = weight_bytes_of(BundlePart::backbone(), *request.geometry_model) +
                            weight_bytes_of(BundlePart::dpt_head(), *request.geometry_model);
   } else {
-    stage.memory.weights = stage.cost.flop() > 0 ? weight_bytes_of(needs.part, bundle) : 0;
+    for (const BundlePart& part : needs.parts) {
+      stage.memory.weights = std::max(stage.memory.weights, weight_bytes_of(part, bundle));
+    }
   }
   stage.memory.loaded = stage.memory.weights;
   stage.memory.weights = packed_bytes(stage.memory.weights, stage.precision.linear);
@@ -337,10 +344,10 @@ std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageReq
       parts.push_back(part);
   }
   for (const auto& stage : sampling_stages(bundle.level_set(), request)) {
-    const bool by_source_depth = stage.kind == StageKind::kViewPairs || stage.kind == StageKind::kSourceWarp;
-    if (!stage.runs || (by_source_depth && !uses_source_depth(bundle.level_set(), request))) continue;
-    const BundlePart part = needs_of(stage, bundle).part;
-    if (std::find(parts.begin(), parts.end(), part) == parts.end()) parts.push_back(part);
+    if (!stage.runs) continue;
+    for (const BundlePart& part : needs_of(stage, bundle, request).parts) {
+      if (std::find(parts.begin(), parts.end(), part) == parts.end()) parts.push_back(part);
+    }
   }
   return parts;
 }

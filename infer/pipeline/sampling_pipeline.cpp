@@ -67,28 +67,18 @@ VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequ
                              : visible_pairs(request.views, *geometry, request.source_images);
 }
 
-// What the flows are shown of the source photographs in the target views.
-struct CarriedSources {
-  torch::Tensor agreement;            // of all that a generator may take; undefined where none takes any
-  std::vector<torch::Tensor> levels;  // raw, of the target views; empty where nothing is known
-};
-
 CarriedSources carry_sources(const PipelineModels& models, const PipelineRequest& request,
                              EncodedSources& sources, std::vector<std::string>& warnings) {
-  const int64_t count = models.levels.warped_sources;
   const GeometryOutput* geometry = source_geometry(models, sources);
-  if (geometry == nullptr) return {no_source_warp(request.views, count, "").agreement, {}};
-  const SourceWarp warp = warp_sources(request.views, request.source_images, *geometry, count);
-  if (!warp.doubt.empty()) {
+  if (geometry == nullptr) return {};  // one source: the plan says so
+  const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
+  CarriedSources carried =
+      carry_sources(space, request.views, request.source_images.to(request.device), *geometry,
+                    {models.levels.warped_sources, models.levels.deepest_generated()});
+  if (!carried.doubt.empty()) {
     warnings.push_back(
         "The model was not shown the source photographs in the target views, as it is trained to be: " +
-        warp.doubt + ".");
-  }
-  CarriedSources carried{warp.agreement, {}};
-  if (warp.completed.defined()) {
-    const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
-    carried.levels = encode_completed(space, request.source_images.to(request.device), warp,
-                                      models.levels.deepest_generated());
+        carried.doubt + ".");
   }
   return carried;
 }
@@ -203,17 +193,6 @@ struct PipelineState {
   std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
 };
 
-void show_carried_sources(const CarriedSources& carried, const LevelStatistics& statistics,
-                          const LevelGenerator& generator, const DitOptions& options, DitSceneInputs& scene) {
-  scene.warp_agreement = scene.warped_features = torch::Tensor();
-  set_no_warp(scene, options);
-  if (options.warped_sources == 0 || carried.levels.empty()) return;
-  scene.warp_agreement = carried.agreement.narrow(1, 0, options.warped_sources);
-  const auto& raw = carried.levels[static_cast<size_t>(generator.level)];
-  const int64_t patches = scene.warped_features.size(1);
-  scene.warped_features = statistics.normalise(raw.narrow(1, raw.size(1) - patches, patches));
-}
-
 void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
                     PipelineState& state, PipelineResult& result) {
   const LevelGenerator& generator = models.levels.generators[stage.generator];
@@ -238,7 +217,10 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   state.scene.source_features = statistics.normalise(
       generated_tokens(raw, raw.size(1) - result.grid.tokens_per_view(), statistics.special_tokens));
   state.scene.deeper_level = generator.is_cascade() ? state.latents.at(*generator.deeper) : torch::Tensor();
-  show_carried_sources(state.carried, statistics, generator, model->options(), state.scene);
+  set_warp(state.scene, model->options(), state.carried.agreement,
+           state.carried.levels.empty()
+               ? torch::Tensor()
+               : statistics.normalise(state.carried.levels[static_cast<size_t>(generator.level)]));
   SolverOptions solver = request.flow.solvers[stage.generator];
   solver.schedule.shift =
       resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);

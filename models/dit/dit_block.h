@@ -78,6 +78,7 @@ class DitFinalLayer : public torch::nn::Module {
   torch::Tensor features(const torch::Tensor& x, const Modulation& modulation) const;
   // (views, tokens, channels) -> (views, tokens, outputs).
   torch::Tensor project(const torch::Tensor& features) const;
+  const torch::Tensor& bias() const { return linear_->bias; }  // of the projection
 
  private:
   std::shared_ptr<RmsNorm> norm_;

@@ -22,7 +22,7 @@ bool starts_at_zero(const std::string& name) {
   return contains(name, "adaLN_modulation.") || contains(name, "final_layer.linear.") ||
          contains(name, "special_output_proj.") ||
          // So that weights of a model without it are a good beginning of one with it.
-         contains(name, "warp_embedder.");
+         contains(name, "warp_embedder.") || name == "carried_gate.weight";
 }
 
 bool is_embedder(const std::string& name) {
@@ -44,6 +44,8 @@ void DitDh::initialise(const torch::Generator& generator) {
     };
     if (starts_at_zero(name)) {
       parameter.zero_();
+    } else if (name == "carried_gate.bias") {
+      parameter.fill_(2.0);  // what all photographs agree on is nearly believed
     } else if (name == "t_embedder.W") {
       normal(1.0);
     } else if (contains(name, "special_pos_embed_") ||

@@ -68,6 +68,11 @@ void DitOptions::visit(FieldVisitor& visitor) {
       {"warped_sources",
        "photographs carried into each target view by their depth, as one more input; 0: none, as published"},
       warped_sources, {0, 8});
+  visitor.real(
+      {"carried_error",
+       "warped_sources: squared error of the carried features over the latent's variance, by which the "
+       "predicted data rests on them; 0: they are only embedded"},
+      carried_error, {0, 10});
 }
 
 void DitOptions::check() const {
@@ -84,6 +89,10 @@ void DitOptions::check() const {
   if (num_special_tokens > 0 && decoder_width() != in_channels) {
     fail({"num_special_tokens", fmt::format("a decoder width of {}, the channels of the latent", in_channels),
           std::to_string(decoder_width()), "set hidden_size[1] to in_channels, or num_special_tokens to 0"});
+  }
+  if (carried_error > 0 && warped_sources == 0) {
+    fail({"carried_error", "0 for a model without warped_sources", fmt::format("{:g}", carried_error),
+          "set it to 0, or warped_sources to 1 or more"});
   }
   int64_t pixels = 0;
   if (prope_image_size != "image" && !read_pixels(prope_image_size, pixels)) {

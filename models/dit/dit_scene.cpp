@@ -43,6 +43,15 @@ void set_no_warp(DitSceneInputs& inputs, const DitOptions& options) {
   inputs.warped_features = torch::zeros({targets, patches, options.in_channels});
 }
 
+void set_warp(DitSceneInputs& inputs, const DitOptions& options, const torch::Tensor& agreement,
+              const torch::Tensor& features) {
+  inputs.warp_agreement = inputs.warped_features = torch::Tensor();
+  set_no_warp(inputs, options);
+  if (options.warped_sources == 0 || !features.defined()) return;
+  inputs.warp_agreement = agreement.narrow(1, 0, options.warped_sources);
+  inputs.warped_features = features;
+}
+
 void DitDh::check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
                          int64_t views) const {
   const int64_t tokens = tokens_per_view(scene.grid);
@@ -112,6 +121,18 @@ void DitDh::fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCa
       encoder_embedder_->target_features(features) +
           warp_embedder_->forward_image(scene.warp_agreement.to(tensor_options())));
   add(cameras.decoder_embedding, decoder_embedder_->target_features(features));
+}
+
+void DitDh::fill_carried(DitScene& scene) const {
+  if (!carried_gate_ || scene.cameras.views.num_targets() == 0) return;
+  const auto agreement = scene.warp_agreement.to(tensor_options());
+  const auto by_token = [&](const torch::Tensor& of_pixels) {
+    return torch::avg_pool2d(of_pixels, options_.camera_patch_size).flatten(2).transpose(1, 2);
+  };
+  const auto trust = by_token(agreement.amax(1, /*keepdim=*/true)) *
+                     torch::sigmoid(carried_gate_->forward(by_token(agreement).contiguous()));
+  scene.carried_trust = for_all_views(scene, trust);
+  scene.carried_features = for_all_views(scene, scene.warped_features.to(tensor_options()));
 }
 
 void DitDh::check_warp(const DitScene& scene, const DitSceneInputs& inputs) const {
@@ -188,6 +209,7 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   } else if (inputs.deeper_level.defined()) {
     fail({"deeper level", "none, for a model with conditioning: none", "one", "use a cascade model"});
   }
+  fill_carried(scene);
   for (const DitBranch branch : {DitBranch::kConditional, DitBranch::kUnconditional}) {
     auto& cameras = scene.branches[static_cast<size_t>(branch)];
     if (savings.camera_embedding_once) fill_embeddings(scene, branch, cameras);

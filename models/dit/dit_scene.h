@@ -36,6 +36,11 @@ struct DitSceneInputs {
 // Nothing known of what is carried into target views: zeros; nothing at all for a model that takes none.
 void set_no_warp(DitSceneInputs& inputs, const DitOptions& options);
 
+// What is carried into target views: agreement of at least warped_sources photographs a view, of which the first are
+// taken, and their features, normalised. Undefined where nothing is known: zeros; nothing at all for a model that takes none.
+void set_warp(DitSceneInputs& inputs, const DitOptions& options, const torch::Tensor& agreement,
+              const torch::Tensor& features);
+
 enum class DitBranch { kConditional, kUnconditional };
 
 // The cameras as one branch of guidance sees them. What is not there yet is computed at every evaluation.
@@ -60,6 +65,10 @@ struct DitScene {
   torch::Tensor deeper_patches;   // (views, patch tokens, channels); undefined for level models
   torch::Tensor warp_agreement;   // (target views, photographs, height, width); undefined for models without
   torch::Tensor warped_features;  // (target views, patch tokens, channels); likewise
+  // With carried_error: the same for all tokens of all views, zero where nothing is carried, and how far they are to be
+  // trusted, (views, tokens, 1) from 0 to 1.
+  torch::Tensor carried_features;
+  torch::Tensor carried_trust;
   torch::Tensor view_mask;
   std::array<DitBranchCameras, 2> branches;  // by DitBranch
   // Parts of the embedders' sums, (views, tokens, width); undefined where a switched-off saving leaves them to

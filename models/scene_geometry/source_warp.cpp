@@ -1,10 +1,12 @@
 #include "models/scene_geometry/source_warp.h"
 
 #include "gld/cameras/picture_warp.h"
+#include "gld/cameras/relative_cameras.h"
 #include "models/scene_geometry/geometry_placement.h"
 
 #include <algorithm>
 #include <cmath>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -78,6 +80,53 @@ torch::Tensor agreement_of(const CarriedPicture& carried, const torch::Tensor& m
   return seen * torch::exp(-(colours_of(carried) - mean).abs().mean(0) / kFarOff);
 }
 
+constexpr const char* kOneSource = "the depth of a single source view has no scale";
+
+std::vector<Camera> source_cameras(const Views& views) {
+  return {views.cameras.begin(), views.cameras.begin() + static_cast<std::ptrdiff_t>(views.num_sources)};
+}
+
+// Of the sources' depth, in their unit.
+GeometryPlacement place_sources(const Views& views, const torch::Tensor& source_images,
+                                const GeometryOutput& source_geometry) {
+  const auto given = source_cameras(views);
+  // Where the rays tell the scale, photographs need not be asked: carry_pictures() matches them anyway.
+  GeometryPlacement placement = place_geometry(source_geometry, given);
+  if (placement.scale) return placement;
+  ScaleEvidence evidence;
+  evidence.photographs = reduced_photographs(source_images);
+  return place_geometry(source_geometry, given, evidence);
+}
+
+std::string unknown_unit(const GeometryPlacement& placement) {
+  return "the unit of the source views' depth is not known (" +
+         (placement.problem.empty() ? estimates_text(placement.estimates) : placement.problem) + ")";
+}
+
+// Source views with their depth in the unit of the scene's cameras.
+std::vector<PicturedView> pictured_sources(const Views& views, const torch::Tensor& source_images,
+                                           const GeometryOutput& source_geometry, double scale) {
+  const auto given = source_cameras(views);
+  std::vector<PicturedView> sources;
+  for (int64_t i = 0; i < views.num_sources; ++i) {
+    PicturedView source;
+    source.camera = given[static_cast<size_t>(i)];
+    const auto depth = source_geometry.depth[i];
+    source.depth = {depth.size(1), depth.size(0), numbers_of(depth.to(torch::kFloat64) * scale)};
+    source.width = source_images.size(3);
+    source.height = source_images.size(2);
+    source.rgb = numbers_of(source_images[i].permute({1, 2, 0}));
+    sources.push_back(std::move(source));
+  }
+  return sources;
+}
+
+// Nothing carried.
+SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& doubt) {
+  const Camera& camera = views.cameras.front();
+  return {torch::zeros({views.num_targets(), count, camera.height, camera.width}), {}, doubt};
+}
+
 }  // namespace
 
 GeometryInputs geometry_inputs(const LatentSpace& space, const SourceLatents& sources) {
@@ -87,51 +136,12 @@ GeometryInputs geometry_inputs(const LatentSpace& space, const SourceLatents& so
   return inputs;
 }
 
-std::vector<torch::Tensor> encode_completed(const LatentSpace& space, const torch::Tensor& source_images,
-                                            const SourceWarp& warp, int64_t deepest) {
-  const auto views = torch::cat({source_images, warp.completed.to(source_images.options())});
-  std::vector<torch::Tensor> levels = space.encode(views, deepest);
-  for (auto& level : levels) level = level.slice(0, source_images.size(0));
-  return levels;
-}
-
-SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& doubt) {
-  const Camera& camera = views.cameras.front();
-  return {torch::zeros({views.num_targets(), count, camera.height, camera.width}), {}, doubt};
-}
-
 SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
                         const GeometryOutput& source_geometry, int64_t count) {
-  if (views.num_sources < 2) {
-    return no_source_warp(views, count, "the depth of a single source view has no scale");
-  }
-  const std::vector<Camera> given(views.cameras.begin(),
-                                  views.cameras.begin() + static_cast<std::ptrdiff_t>(views.num_sources));
-  // Where the rays tell the scale, photographs need not be asked: carry_pictures() matches them anyway.
-  GeometryPlacement placement = place_geometry(source_geometry, given);
-  if (!placement.scale) {
-    ScaleEvidence evidence;
-    evidence.photographs = reduced_photographs(source_images);
-    placement = place_geometry(source_geometry, given, evidence);
-  }
-  if (!placement.scale) {
-    return no_source_warp(
-        views, count,
-        "the unit of the source views' depth is not known (" +
-            (placement.problem.empty() ? estimates_text(placement.estimates) : placement.problem) + ")");
-  }
-  std::vector<PicturedView> sources;
-  for (int64_t i = 0; i < views.num_sources; ++i) {
-    PicturedView source;
-    source.camera = given[static_cast<size_t>(i)];
-    const auto depth = source_geometry.depth[i];
-    source.depth = {depth.size(1), depth.size(0),
-                    numbers_of(depth.to(torch::kFloat64) * placement.scale->scale)};
-    source.width = source_images.size(3);
-    source.height = source_images.size(2);
-    source.rgb = numbers_of(source_images[i].permute({1, 2, 0}));
-    sources.push_back(std::move(source));
-  }
+  if (views.num_sources < 2) return no_source_warp(views, count, kOneSource);
+  const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
+  if (!placement.scale) return no_source_warp(views, count, unknown_unit(placement));
+  const auto sources = pictured_sources(views, source_images, source_geometry, placement.scale->scale);
   SourceWarp warp = no_source_warp(views, count, "");
   std::vector<torch::Tensor> completed;
   for (int64_t target = 0; target < views.num_targets(); ++target) {
@@ -146,6 +156,33 @@ SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
   }
   if (!completed.empty()) warp.completed = torch::stack(completed);
   return warp;
+}
+
+NearestSourceDepth nearest_source_depth(const Views& views, const torch::Tensor& source_images,
+                                        const GeometryOutput& source_geometry) {
+  if (views.num_sources < 2) return {{}, kOneSource};
+  const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
+  if (!placement.scale) return {{}, unknown_unit(placement)};
+  const auto sources = pictured_sources(views, source_images, source_geometry, placement.scale->scale);
+  std::vector<torch::Tensor> depths;
+  for (int64_t target = views.num_sources; target < views.size(); ++target) {
+    const auto seen = depth_seen_from(sources[static_cast<size_t>(nearest_source(views, target))],
+                                      views.cameras[static_cast<size_t>(target)]);
+    depths.push_back(torch::tensor(at::ArrayRef<float>(seen.values)).view({seen.height, seen.width}));
+  }
+  return {torch::stack(depths), {}};
+}
+
+CarriedSources carry_sources(const LatentSpace& space, const Views& views, const torch::Tensor& source_images,
+                             const GeometryOutput& source_geometry, const CarriedSourcesNeeds& needs) {
+  const SourceWarp warp = warp_sources(views, source_images, source_geometry, needs.warped_sources);
+  if (!warp.completed.defined()) return {{}, {}, warp.doubt};
+  CarriedSources carried{warp.agreement, {}, warp.doubt};
+  const auto pictures = torch::cat({source_images, warp.completed.to(source_images.options())});
+  for (const auto& level : space.encode(pictures, needs.deepest)) {
+    carried.levels.push_back(level.slice(0, source_images.size(0)).slice(1, space.leading_tokens()));
+  }
+  return carried;
 }
 
 }  // namespace gld

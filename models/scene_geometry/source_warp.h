@@ -28,18 +28,41 @@ struct SourceWarp {
 // What the geometry head takes of source views that were encoded up to the last level.
 GeometryInputs geometry_inputs(const LatentSpace& space, const SourceLatents& sources);
 
-// Levels 0..deepest of the target views as a backbone sees the completed pictures beside the source photographs, raw,
-// (target views, leading + patch tokens, C).
-std::vector<torch::Tensor> encode_completed(const LatentSpace& space, const torch::Tensor& source_images,
-                                            const SourceWarp& warp, int64_t deepest);
-
-// Nothing carried.
-SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& doubt);
-
 // source_geometry: depth and rays of the source views alone, (sources, height, width ...); source_images: (sources, 3,
 // height, width) in [0, 1]. Depth is brought to the unit of the cameras by the rays, or where they leave it open by
-// the photographs (geometry_placement.h); where they do not tell it either, as with one source, nothing is carried.
+// the photographs (geometry_placement.h); where they do not tell it either, as with one source, nothing is carried: a
+// guess carries photographs to wrong places, and as depth moves to where they agree, agreement does not show it.
 SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
                         const GeometryOutput& source_geometry, int64_t count);
+
+// The depth of each target view as that of the source whose camera stands nearest says (gld/cameras/picture_warp.h,
+// depth_seen_from()), in the scene's unit, (target views, height, width); undefined where the unit is not known, and
+// then why. What else as for warp_sources.
+struct NearestSourceDepth {
+  torch::Tensor depth;
+  std::string doubt;
+};
+NearestSourceDepth nearest_source_depth(const Views& views, const torch::Tensor& source_images,
+                                        const GeometryOutput& source_geometry);
+
+// What the generators of a scene are shown of its source photographs in the target views.
+struct CarriedSources {
+  torch::Tensor agreement;  // SourceWarp's; undefined where nothing was carried
+  // Patch tokens of levels 0 to the deepest that was asked for, as the backbone sees the completed pictures beside the
+  // source photographs, (target views, patch tokens, C), raw; none where nothing was carried.
+  std::vector<torch::Tensor> levels;
+  std::string doubt;  // SourceWarp's
+};
+
+// How much of it the generators take.
+struct CarriedSourcesNeeds {
+  int64_t warped_sources = 0;  // the most that one of them takes
+  int64_t deepest = 0;         // level
+};
+
+// Carries, and encodes what was carried. source_images: (sources, 3, height, width) in [0, 1] on the device of the
+// space's backbone; source_geometry as for warp_sources.
+CarriedSources carry_sources(const LatentSpace& space, const Views& views, const torch::Tensor& source_images,
+                             const GeometryOutput& source_geometry, const CarriedSourcesNeeds& needs);
 
 }  // namespace gld

@@ -116,21 +116,19 @@ SceneLatents FlowObjective::latents_of_sources(const TrainingScene& scene) const
   SceneLatents latents;
   latents.sources =
       normalised_tokens(encoded.levels.at(static_cast<size_t>(generator_.level)), frozen_.statistics);
-  DitSceneInputs nothing_known;
-  nothing_known.views = scene.views;
-  set_no_warp(nothing_known, dit_->options());
-  latents.warp_agreement = nothing_known.warp_agreement;
-  latents.warped_features = nothing_known.warped_features;
+  CarriedSources carried;
   if (warps) {
     const auto geometry = frozen_.geometry_head->forward(geometry_inputs(*frozen_.space, encoded),
                                                          encoded.grid, GeometryMaps::kDepthAndRays);
-    const SourceWarp warp = warp_sources(scene.views, images, geometry, warped_sources);
-    if (warp.completed.defined()) {
-      const auto level = encode_completed(*frozen_.space, images, warp, generator_.level).back();
-      latents.warp_agreement = warp.agreement;
-      latents.warped_features = frozen_.statistics.normalise(level.slice(1, frozen_.space->leading_tokens()));
-    }
+    carried =
+        carry_sources(*frozen_.space, scene.views, images, geometry, {warped_sources, generator_.level});
   }
+  DitSceneInputs shown;
+  shown.views = scene.views;
+  set_warp(shown, dit_->options(), carried.agreement,
+           carried.levels.empty() ? torch::Tensor() : frozen_.statistics.normalise(carried.levels.back()));
+  latents.warp_agreement = shown.warp_agreement;
+  latents.warped_features = shown.warped_features;
   return latents.to(images.device());
 }
 

@@ -71,6 +71,23 @@ TEST(PictureWarp, TheSameCameraGivesTheSamePicture) {
   for (size_t i = 0; i < carried.rgb.size(); ++i) ASSERT_NEAR(carried.rgb[i], source.rgb[i], 1e-4) << i;
 }
 
+TEST(PictureWarp, TheDepthOfASourceAsATargetSeesIt) {
+  const test::TexturedPlane plane;
+  const PicturedView truth = plane.seen_by(kBetween, 1);
+  const PlanarDepth depth = depth_seen_from(two_views()[0], kBetween);
+  ASSERT_EQ(depth.width, kBetween.width);
+  ASSERT_EQ(depth.height, kBetween.height);
+  double error = 0;
+  for (size_t i = 0; i < depth.values.size(); ++i) {
+    ASSERT_GT(depth.values[i], 0) << i;  // past the border the nearest one counts
+    error += std::abs(depth.values[i] / truth.depth.values[i] - 1) / static_cast<double>(depth.values.size());
+  }
+  EXPECT_LT(error, 0.02);
+  // Seen from behind nothing lies in front.
+  const PlanarDepth none = depth_seen_from(two_views()[0], camera_before_plane({0, 0, 0}, std::acos(-1.0)));
+  for (const float value : none.values) ASSERT_EQ(value, 0);
+}
+
 // Twice as near every pixel covers four, and none stays empty.
 TEST(PictureWarp, ANearerViewHasNoGaps) {
   test::TexturedPlane plane;

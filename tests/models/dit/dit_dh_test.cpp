@@ -97,6 +97,32 @@ std::vector<Configuration> configurations() {
          o.warped_sources = 1;
          o.conditioning = DitConditioning::kDeeperLevel;
        }},
+      {"carried_velocity",
+       [](DitOptions& o) {
+         o.warped_sources = 2;
+         o.carried_error = 0.2;
+       }},
+      {"carried_data",
+       [](DitOptions& o) {
+         o.warped_sources = 2;
+         o.carried_error = 0.1;
+         o.prediction = FlowPrediction::kData;
+       }},
+      {"carried_data_cascade",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
+         o.carried_error = 0.3;
+         o.prediction = FlowPrediction::kData;
+         o.conditioning = DitConditioning::kDeeperLevel;
+       }},
+      {"carried_special",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
+         o.carried_error = 0.3;
+         o.num_special_tokens = 3;
+         o.in_channels = 48;
+         apply_published_conventions(o);
+       }},
       {"camera_in_decoder",
        [](DitOptions& o) {
          o.camera_embedding_input = CameraEmbeddingInput::kVelocityDecoder;
@@ -377,6 +403,56 @@ TEST(DitDh, PicturesThatAreCarriedCountForNothingBeforeTraining) {
   }
 }
 
+// Before training the network says nothing, and what was carried is the first guess.
+TEST(DitDh, WhatWasCarriedIsTheFirstGuess) {
+  const torch::NoGradGuard no_grad;
+  auto options = small_dit_options();
+  options.warped_sources = 2;
+  options.carried_error = 0.1;
+  options.prediction = FlowPrediction::kData;
+  DitDh model(options, ParameterPlacement{});
+  model.initialise(at::detail::createCPUGenerator(3));
+  auto scene = random_dit_scene(options, {3, 1, 28, 28});
+  scene.inputs.warp_agreement.fill_(1);
+  const auto data_at = [&](double time, DitBranch branch) {
+    const auto velocity = model.velocity(model.prepare_scene(scene.inputs), scene.noisy,
+                                         model.time_rows({time}).front(), branch);
+    return scene.noisy - velocity / std::min(1 / time, options.largest_inverse_time);
+  };
+  const double believed = 1 / (1 + std::exp(-2.0));
+  const auto at_noise = data_at(1, DitBranch::kConditional);
+  EXPECT_LT((at_noise.narrow(0, 1, 2) - believed * scene.inputs.warped_features).abs().max().item<double>(),
+            1e-5);
+  EXPECT_LT(at_noise[0].abs().max().item<double>(), 1e-5);  // nothing is carried into a source view
+  EXPECT_LT(data_at(1, DitBranch::kUnconditional).abs().max().item<double>(), 1e-5);
+  // Where noise and the carried features are as uncertain, half as much: t / (1 - t) = sqrt(0.1).
+  const double even = std::sqrt(0.1) / (1 + std::sqrt(0.1));
+  EXPECT_LT(
+      (data_at(even, DitBranch::kConditional).narrow(0, 1, 2) - 0.5 * believed * scene.inputs.warped_features)
+          .abs()
+          .max()
+          .item<double>(),
+      1e-5);
+  // At the end the network alone decides.
+  for (const auto prediction : {FlowPrediction::kVelocity, FlowPrediction::kData}) {
+    options.prediction = prediction;
+    const auto trained = random_dit(options);
+    auto without = scene.inputs;
+    without.warp_agreement = torch::zeros_like(without.warp_agreement);
+    const auto velocity = trained->velocity(trained->prepare_scene(scene.inputs), scene.noisy,
+                                            trained->time_rows({0.0}).front());
+    EXPECT_TRUE(velocity.isfinite().all().item<bool>());
+    // Only what the embedders make of it differs: with their part at zero nothing does.
+    for (auto& parameter : trained->named_parameters()) {
+      if (parameter.key().rfind("warp_embedder.", 0) == 0) parameter.value().zero_();
+    }
+    const auto row = trained->time_rows({0.0}).front();
+    EXPECT_LT(relative_difference(trained->velocity(trained->prepare_scene(scene.inputs), scene.noisy, row),
+                                  trained->velocity(trained->prepare_scene(without), scene.noisy, row)),
+              1e-6);
+  }
+}
+
 TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
   const auto refusal = [](const std::function<void(DitOptions&)>& change) {
     DitOptions options;
@@ -398,6 +474,12 @@ TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
                 .find("expected image or a positive number of pixels, found 'large'; "
                       "write for example prope_image_size: 504."),
             std::string::npos);
+  EXPECT_NE(
+      refusal([](DitOptions& o) { o.carried_error = 0.1; })
+          .find(
+              "expected 0 for a model without warped_sources, found 0.1; set it to 0, or warped_sources to 1 "
+              "or more."),
+      std::string::npos);
   EXPECT_NE(refusal([](DitOptions& o) {
               o.depth = {28};
             }).find("expected two values, [condition encoder, velocity decoder], found 1; give two."),

@@ -38,7 +38,10 @@ class DitFieldTest : public testing::Test {
 TEST_F(DitFieldTest, GuidanceCombinesTheBranches) {
   auto data = small_dit_options();
   data.prediction = FlowPrediction::kData;
-  for (const auto& options : {small_dit_options(), small_cascade_options(), data}) {
+  auto carried = small_cascade_options(), carried_data = data;
+  carried.warped_sources = carried_data.warped_sources = 1;
+  carried.carried_error = carried_data.carried_error = 0.2;
+  for (const auto& options : {small_dit_options(), small_cascade_options(), data, carried, carried_data}) {
     build(options);
     auto dit = field();
     const auto conditional = dit.conditional(scene_.noisy, 0.4);

@@ -37,7 +37,7 @@ std::ostream& operator<<(std::ostream& stream, const Kind& kind) {
 
 std::vector<Kind> kinds() {
   std::vector<Kind> list;
-  for (const std::string model : {"level", "cascade", "special", "predicts_data"}) {
+  for (const std::string model : {"level", "cascade", "special", "predicts_data", "carried"}) {
     list.push_back({model, torch::kFloat64, 1e-13, 1e-11});
     list.push_back({model, torch::kFloat32, 1e-5, 5e-4});
   }
@@ -54,6 +54,10 @@ class DitPassesOf : public testing::TestWithParam<Kind> {
       options.in_channels = 48;
     }
     if (GetParam().model == "predicts_data") options.prediction = FlowPrediction::kData;
+    if (GetParam().model == "carried") {
+      options.warped_sources = 2;
+      options.carried_error = 0.2;
+    }
     const bool in_double = GetParam().dtype == torch::kFloat64;
     model_ = random_dit(options);
     if (in_double) model_ = test::in_double(*model_);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 
 #include <Eigen/LU>
 
@@ -234,6 +235,37 @@ class NaiveDit {
   std::vector<Tensor> projection_, inverse_;
 };
 
+// Token by token: the network's prediction mixed with what was carried to the token.
+Tensor with_carried_features(const DitOptions& options, const std::map<std::string, Tensor>& weights,
+                             const NaiveDitInputs& inputs, Tensor output) {
+  const int64_t side = options.camera_patch_size, special = options.num_special_tokens;
+  const double t = inputs.time;
+  const double lambda = t * t / (t * t + options.carried_error * (1 - t) * (1 - t));
+  const auto gate = weights.at("carried_gate.weight")[0];
+  const double offset = weights.at("carried_gate.bias")[0].item<double>();
+  for (int64_t target = 0; target < inputs.warp_agreement.size(0); ++target) {
+    const int64_t view = inputs.views.num_sources + target;
+    const int64_t columns = inputs.warp_agreement.size(3) / side;
+    for (int64_t patch = 0; patch < inputs.warped_features.size(1); ++patch) {
+      const auto pixels = inputs.warp_agreement[target]
+                              .narrow(1, patch / columns * side, side)
+                              .narrow(2, patch % columns * side, side);
+      double agreed = offset;
+      for (int64_t i = 0; i < options.warped_sources; ++i) {
+        agreed += gate[i].item<double>() * pixels[i].mean().item<double>();
+      }
+      const double largest = std::get<0>(pixels.max(0)).mean().item<double>();
+      const double m = lambda * largest / (1 + std::exp(-agreed));
+      const auto w = inputs.warped_features[target][patch];
+      const auto x_t = inputs.noisy[view][special + patch];
+      auto token = output[view][special + patch];
+      const auto carried = options.prediction == FlowPrediction::kData ? w : (x_t - w) / t;
+      token.copy_((1 - m) * token + m * carried);
+    }
+  }
+  return output;
+}
+
 }  // namespace
 
 torch::Tensor naive_dit_velocity(const DitOptions& options,
@@ -241,6 +273,9 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
                                  const NaiveDitInputs& inputs) {
   const torch::NoGradGuard no_grad;
   auto output = NaiveDit(options, weights, inputs).velocity();
+  if (options.carried_error > 0 && inputs.conditional) {
+    output = with_carried_features(options, weights, inputs, output);
+  }
   if (options.prediction == FlowPrediction::kVelocity) return output;
   return (inputs.noisy - output) * std::min(1 / inputs.time, options.largest_inverse_time);
 }

@@ -87,6 +87,23 @@ TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
   EXPECT_EQ(three.agreement.narrow(1, 2, 1).abs().max().item<double>(), 0);
 }
 
+TEST(SourceWarp, TheDepthOfTheNearestSourceIsInTheSceneUnit) {
+  const PlaneScene scene = plane_scene(four_cameras(), 2);
+  const auto nearest = nearest_source_depth(scene.views, scene.images.narrow(0, 0, 2), scene.geometry);
+  EXPECT_EQ(nearest.doubt, "");
+  ASSERT_EQ(nearest.depth.sizes(), (std::vector<int64_t>{2, 72, 96}));
+  const test::TexturedPlane plane;
+  for (int64_t target = 0; target < 2; ++target) {
+    const auto truth = plane.seen_by(scene.views.cameras[static_cast<size_t>(2 + target)], 1).depth;
+    const auto error = (nearest.depth[target] / torch::tensor(truth.values).view({72, 96}) - 1).abs();
+    EXPECT_LT(error.mean().item<double>(), 0.02) << target;
+  }
+  const PlaneScene alone = plane_scene({four_cameras()[0], four_cameras()[1]}, 1);
+  const auto none = nearest_source_depth(alone.views, alone.images.narrow(0, 0, 1), alone.geometry);
+  EXPECT_EQ(none.doubt, "the depth of a single source view has no scale");
+  EXPECT_FALSE(none.depth.defined());
+}
+
 TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
   const auto cameras = four_cameras();
   const PlaneScene alone = plane_scene({cameras[0], cameras[1]}, 1);
