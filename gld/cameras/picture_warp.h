@@ -34,9 +34,9 @@ std::vector<CarriedPicture> carry_pictures(const std::vector<PicturedView>& sour
 // picture.
 CarriedPicture completed_picture(const std::vector<CarriedPicture>& carried);
 
-// The depth of the target view, of its camera's size, as one source's depth says: the nearest surface of what it shows, and where it
-// shows nothing, that of the nearest pixel with one. In the unit of source.depth and of the cameras; all zero where
-// nothing lies in front of the target camera.
+// The depth of the target view, of its camera's size, as one source's depth says: the nearest surface of what it
+// shows, and where it shows nothing, that of the nearest pixel with one. In the unit of source.depth and of the
+// cameras; all zero where nothing lies in front of the target camera.
 PlanarDepth depth_seen_from(const PicturedView& source, const Camera& target);
 
 }  // namespace gld

@@ -107,8 +107,8 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   }
 }
 
-// The parts that a stage loads, one after another, and how many latents of all views are there while a stage outside the
-// flows runs: noise and latents of the generated levels, source features, levels to decode.
+// The parts that a stage loads, one after another, and how many latents of all views are there while a stage outside
+// the flows runs: noise and latents of the generated levels, source features, levels to decode.
 struct StageNeeds {
   std::vector<BundlePart> parts;
   int64_t latents = 0;

@@ -38,9 +38,9 @@ struct RgbDecoderOptions : OptionsGroup {
 class PixelRefinement;
 class RgbDecoderLayer;
 
-// The ViT that turns the four levels into images (DESIGN.md section 4, "RGB decoder"; a ViT-MAE decoder with
-// a class token of its own). Parameters have the published names behind kPrefix, "refinement.*" those of ours; the position table is a
-// buffer, because it is never trained.
+// The ViT that turns the four levels into images (DESIGN.md section 4, "RGB decoder"; a ViT-MAE decoder with a class
+// token of its own). Parameters have the published names behind kPrefix, "refinement.*" those of ours; the position
+// table is a buffer, because it is never trained.
 class RgbDecoder : public ImageDecoder {
  public:
   static constexpr const char* kPrefix = "decoder.";

@@ -29,9 +29,9 @@ enum class ActivationStorage { kKeep, kRecompute };
 // An evaluation takes passes (DitPasses): scenes x branches of guidance. Views attend within their pass; all else is
 // one product over the tokens of all. One scene in one branch is the case of one.
 //
-// Carried features (DitOptions::carried_error): the sources' features w that were carried into a target view are a first
-// guess of its data x, with errors of variance s^2 where photographs agree. x_t = (1 - t) x + t noise is another one, of
-// variance (t / (1 - t))^2, and the best linear mixture of both rests on w by
+// Carried features (DitOptions::carried_error): the sources' features w that were carried into a target view are a
+// first guess of its data x, with errors of variance s^2 where photographs agree. x_t = (1 - t) x + t noise is another
+// one, of variance (t / (1 - t))^2, and the best linear mixture of both rests on w by
 //   lambda(t) = t^2 / (t^2 + s^2 (1 - t)^2).
 // What the network F predicts is mixed with w so: x = (1 - m) F + m w, m = lambda(t) trust, where trust is how far
 // photographs agree at a token times a learnt share; for a network G that predicts the velocity that is
@@ -69,8 +69,8 @@ class DitDh : public torch::nn::Module {
   torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
                                   const torch::Tensor& condition) const;
   // For models with carried_error, others as they are: features scaled by 1 - m, and behind them 1 - m and m w (of a
-  // predicted velocity m w / t), (passes * views, tokens, decoder width + 1 + channels), in which the mixture is linear,
-  // so that branches can be mixed as features are.
+  // predicted velocity m w / t), (passes * views, tokens, decoder width + 1 + channels), in which the mixture is
+  // linear, so that branches can be mixed as features are.
   torch::Tensor with_carried(const DitPasses& passes, const torch::Tensor& features) const;
   // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time,
   // is where the velocity of a model that predicts the data starts from; branches mixed before need it once.

@@ -51,8 +51,8 @@ struct DitOptions : OptionsGroup {
   // embedded, beside features of all together (docs/DESIGN.md section 4, "Carried photographs"); 0: nothing of it, as
   // published.
   int64_t warped_sources = 0;
-  // Mean squared error of those features where the photographs agree, in units of the latent's variance: the prediction of
-  // the data then begins at them (DitDh, "carried features"); 0: they are embedded and no more.
+  // Mean squared error of those features where the photographs agree, in units of the latent's variance: the
+  // prediction of the data then begins at them (DitDh, "carried features"); 0: they are embedded and no more.
   double carried_error = 0;
 
   void visit(FieldVisitor& visitor) override;

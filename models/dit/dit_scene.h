@@ -37,7 +37,8 @@ struct DitSceneInputs {
 void set_no_warp(DitSceneInputs& inputs, const DitOptions& options);
 
 // What is carried into target views: agreement of at least warped_sources photographs a view, of which the first are
-// taken, and their features, normalised. Undefined where nothing is known: zeros; nothing at all for a model that takes none.
+// taken, and their features, normalised. Undefined where nothing is known: zeros; nothing at all for a model that
+// takes none.
 void set_warp(DitSceneInputs& inputs, const DitOptions& options, const torch::Tensor& agreement,
               const torch::Tensor& features);
 

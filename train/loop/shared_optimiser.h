@@ -31,8 +31,8 @@ class SharedOptimiser {
 
   // All together: Optimiser::step(), and the new values of all pieces.
   void step(double learning_rate, double gradient_norm);
-  // All together: the state of all parameters, as Optimiser::state() names it. In pieces only rank 0 gets it; the others get
-  // nothing.
+  // All together: the state of all parameters, as Optimiser::state() names it. In pieces only rank 0 gets it; the
+  // others get nothing.
   std::map<std::string, torch::Tensor> whole_state();
   // Tensors of the shapes and types of whole_state(), of any contents.
   std::map<std::string, torch::Tensor> like_whole_state() const { return own_.whole_initial_state(); }

@@ -47,13 +47,14 @@ struct FlatRange {
 // Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
  public:
-  // The average starts at the present values. own: what step() moves, and has moments and an average of; everything where
-  // it is left out. Throws Error for a part of Muon's matrices, which move as a whole.
+  // The average starts at the present values. own: what step() moves, and has moments and an average of; everything
+  // where it is left out. Throws Error for a part of Muon's matrices, which move as a whole.
   Optimiser(FlatParameters& parameters, const OptimiserOptions& options, std::optional<FlatRange> own = {});
 
   const FlatRange& own() const { return own_; }
 
-  // L2 norm of all gradients, not of the own ones alone, accumulated in double; does not depend on the number of threads.
+  // L2 norm of all gradients, not of the own ones alone, accumulated in double; does not depend on the number of
+  // threads.
   double gradient_norm() const;
   // One update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
   void step(double learning_rate, double gradient_norm);
