@@ -32,9 +32,11 @@ if ! build/release/cli/gld eval --model "$together" --synthetic 1 --pictures 0 -
 fi
 
 cp "$runs"/model/*.safetensors "$tiny/"
-rm -rf "$tiny/training" "$tiny/evaluation"
+rm -rf "$tiny/evaluation"
 mkdir -p "$tiny/training" "$tiny/evaluation"
 if [ "$recipe" != "$tiny" ]; then
+  rm -rf "$tiny/training"
+  mkdir -p "$tiny/training"
   if [ -d "$recipe/training" ]; then cp -r "$recipe/training" "$tiny/"; fi
   cp "$recipe"/*.yaml "$tiny/"
 fi
@@ -42,10 +44,18 @@ for stage in backbone decoder level cascade head; do
   from=$runs/$stage
   if [ "$stage" = level ] && [ -d "$runs/level_ship" ]; then from=$runs/level_ship; fi
   if [ ! -f "$from/metrics.jsonl" ]; then continue; fi  # taken over from another machine as it was
+  # What was recorded before stays, as parts of one history; what is recorded already is not recorded again.
   to=$tiny/training/$stage
-  number=1
-  while [ -d "$to/part_$number" ]; do number=$((number + 1)); done
-  if [ "$number" -gt 1 ]; then to=$to/part_$number; fi
+  if find "$to" -name metrics.jsonl -exec cmp -s {} "$from/metrics.jsonl" \; -print 2>/dev/null | grep -q .; then continue; fi
+  if [ -f "$to/metrics.jsonl" ]; then
+    mkdir "$to/part_1"
+    find "$to" -maxdepth 1 -type f -exec mv {} "$to/part_1/" \;
+  fi
+  if [ -d "$to/part_1" ]; then
+    number=1
+    while [ -d "$to/part_$number" ]; do number=$((number + 1)); done
+    to=$to/part_$number
+  fi
   mkdir -p "$to"
   cp "$from"/{config.yaml,loss.png,metrics.jsonl,report.json} "$to/"
   if [ -d "$from/validation" ]; then  # M1 may train before there is a decoder to draw with

@@ -174,7 +174,11 @@ fi
 level() { stage level level "$level_base" "$level_start" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
-  stage cascade cascade "$runs/decoder/model" "$(start_of cascade objective.flow.start=bundle)" --threads 1
+  # The head that carries photographs into target views is M1's.
+  rm -rf "$runs/cascade_base"
+  cp -r "$runs/decoder/model" "$runs/cascade_base"
+  cp "$level_base/dpt_head.safetensors" "$runs/cascade_base/"
+  stage cascade cascade "$runs/cascade_base" "$(start_of cascade objective.flow.start=bundle)" --threads 1
 }
 level_is_alone() { [ -f "$runs/decoder/report.json" ] && [ -f "$runs/cascade/report.json" ]; }
 
