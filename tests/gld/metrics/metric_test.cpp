@@ -24,7 +24,7 @@ TEST(MetricList, EveryMetricHasItsOwnNameAndSaysWhatIsMissing) {
     EXPECT_FALSE(value.absent.empty()) << metric.name;
     EXPECT_TRUE(std::isnan(value.mean())) << metric.name;  // never 0
   }
-  EXPECT_EQ(image_metric_list().size(), 4u);
+  EXPECT_EQ(image_metric_list().size(), 5u);
   EXPECT_EQ(test::error_of([] { metric_named("fid"); }),
             "metrics: expected the name of a metric, found 'fid'; choose among gld/metrics/metric_list.cpp.");
 }
