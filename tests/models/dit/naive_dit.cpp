@@ -114,8 +114,7 @@ class NaiveDit {
   Tensor carried(const std::string& part) const {
     const std::string split = options_.split_embedders ? "_tgt" : "";
     const auto embedder = weight(part + "_embedder" + split + ".proj.weight").flatten(1);
-    auto features =
-        torch::matmul(inputs_.warped_features, embedder.narrow(1, 0, options_.in_channels).t());
+    auto features = torch::matmul(inputs_.warped_features, embedder.narrow(1, 0, options_.in_channels).t());
     if (part == "x") return features;
     return features + torch::conv2d(inputs_.warp_agreement, weight("warp_embedder.proj.weight"),
                                     weight("warp_embedder.proj.bias"), options_.camera_patch_size)
