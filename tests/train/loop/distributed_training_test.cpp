@@ -132,14 +132,13 @@ TEST(DistributedTraining, AnOptimiserInPiecesGivesTheSameBits) {
   expect_same_checkpoint(one.path(), four.path());
 }
 
-TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
+// What two processes say together that cannot train with these options; whoever says it first ends the other.
+std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
   const test::TemporaryFolder folder;
   const int64_t port = free_port();
   std::vector<Child> children;
   for (int64_t rank = 0; rank < 2; ++rank) {
     children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
-      auto options = with_optimiser_in_pieces();
-      options.optimiser.algorithm = OptimiserAlgorithm::kMuon;
       const auto team = join_processes(placement(rank, 2, port));
       train_toy(folder.path(), options, TrainingStart::kFresh, team.get());
     }));
@@ -149,6 +148,13 @@ TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
     EXPECT_EQ(status_of(child), 1);
     said += read_file(child.said);
   }
+  return said;
+}
+
+TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
+  auto options = with_optimiser_in_pieces();
+  options.optimiser.algorithm = OptimiserAlgorithm::kMuon;
+  const std::string said = said_by_two_that_refuse(options);
   EXPECT_THAT(
       said, HasSubstr("loop.shard_optimiser: expected adamw or adam, which move each number by itself, found "
                       "muon, which moves whole matrices; choose one of them, or leave the optimiser whole."));
@@ -273,23 +279,9 @@ TEST(DistributedTraining, AMasterThatIsNotThereIsSaid) {
 }
 
 TEST(DistributedTraining, EachProcessNeedsAMicroBatch) {
-  const test::TemporaryFolder folder;
-  const int64_t port = free_port();
-  std::vector<Child> children;
-  for (int64_t rank = 0; rank < 2; ++rank) {
-    children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
-      auto options = short_run();
-      options.micro_batches = 1;
-      const auto team = join_processes(placement(rank, 2, port));
-      train_toy(folder.path(), options, TrainingStart::kFresh, team.get());
-    }));
-  }
-  // Whoever says it first ends the other.
-  std::string said;
-  for (const Child& child : children) {
-    EXPECT_EQ(status_of(child), 1);
-    said += read_file(child.said);
-  }
+  auto options = short_run();
+  options.micro_batches = 1;
+  const std::string said = said_by_two_that_refuse(options);
   EXPECT_THAT(said, HasSubstr("loop.micro_batches: expected at least one for each of 2 processes, found 1; "
                               "raise it, or start fewer processes."));
 }
