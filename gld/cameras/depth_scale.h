@@ -23,8 +23,8 @@ struct DepthScale {
 // says at least, because errors of predicted centres are not independent. Nothing where the cameras stand at one place.
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model);
 
-// Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.3 of what it is fitted to, or its
-// interval is wider than a factor of 2. Empty where it tells it.
+// Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.4 of what it is fitted to, or its
+// interval is wider than a factor of 2.5. Empty where it tells it.
 std::string doubt_about(const DepthScale& estimate);
 
 // What the estimates without doubt say together: the one with the narrowest interval, and with it all whose intervals
