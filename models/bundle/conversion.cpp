@@ -121,18 +121,6 @@ std::vector<Source> sources_of(const ConversionOptions& options, const BundleOpt
   return sources;
 }
 
-DType stored_dtype(StoredPrecision precision) {
-  switch (precision) {
-    case StoredPrecision::kFloat16:
-      return DType::kFloat16;
-    case StoredPrecision::kBFloat16:
-      return DType::kBFloat16;
-    case StoredPrecision::kFloat32:
-      break;
-  }
-  return DType::kFloat32;
-}
-
 torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType dtype) {
   const std::string where = file.path().string() + ": tensor " + printable_name(entry.name);
   auto tensor = read_tensor(file, entry);
@@ -144,7 +132,7 @@ torch::Tensor converted(const WeightFile& file, const TensorEntry& entry, DType 
   if (!target.isfinite().all().item<bool>()) {
     fail({where, "numbers that fit " + dtype_name(dtype),
           fmt::format("{:g}", tensor.abs().max().to(torch::kFloat64).item<double>()),
-          "choose --precision bf16 or fp32"});
+          "choose --store bfloat16 or float32"});
   }
   return target;
 }
@@ -215,7 +203,7 @@ ordered_json convert_part(const WeightFile& file, const Source& source, const So
   const auto module = make_bundle_module(part.part, bundle, on_meta());
   if (module == nullptr) return convert_statistics(file, source, part.part, options, bundle);
   LoadReport report;
-  const DType dtype = stored_dtype(options.precision);
+  const DType dtype = stored_dtype(options.store);
   std::map<std::string, PlannedTensor> planned;
   std::vector<TensorEntry> entries;
   std::map<std::string, int64_t> from;
@@ -252,7 +240,7 @@ ordered_json convert_tensors(const BundlePart& part, const std::map<std::string,
   const auto module = make_bundle_module(part, bundle, {});
   load_strict(*module, tensors, where);
   const auto made = named_tensors(*module);
-  const DType dtype = stored_dtype(options.precision);
+  const DType dtype = stored_dtype(options.store);
   int64_t elements = 0;
   for (const auto& [name, tensor] : made) elements += tensor.numel();
   save_bundle_part(options.out, part, made, dtype);
@@ -287,7 +275,7 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
         continue;
       }
       name = published.module_prefix + (published.renamed ? published.renamed(name, bundle) : name);
-      auto tensor = converted(*file, entry, stored_dtype(options.precision));
+      auto tensor = converted(*file, entry, stored_dtype(options.store));
       // Attention over pixels is a linear layer here, and was a 1 x 1 convolution in some files.
       const auto target = shapes.find(name);
       if (target != shapes.end() && tensor.dim() == 4 && target->second.dim() == 2 &&
@@ -325,7 +313,7 @@ void replace_head(const ConversionOptions& options, const BundleOptions& bundle,
   for (const auto& entry : file->entries()) {
     for (const std::string prefix : {"model.decoder.", "model.pred."}) {
       if (entry.name.compare(0, prefix.size(), prefix) != 0) continue;
-      tensors[entry.name.substr(prefix.size())] = converted(*file, entry, stored_dtype(options.precision));
+      tensors[entry.name.substr(prefix.size())] = converted(*file, entry, stored_dtype(options.store));
       ++replaced;
     }
   }
@@ -444,8 +432,7 @@ void ConversionOptions::visit(FieldVisitor& visitor) {
       description);
   visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
                weights, {"ema", "model", "plain"});
-  visit_choice(visitor, {"precision", "how floating-point weights are stored"}, precision,
-               {"fp32", "fp16", "bf16"});
+  visit_store(visitor, store);
   visit_out(visitor, out, overwrite);
 }
 

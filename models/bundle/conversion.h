@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
+#include "gld/files/stored_precision.h"
 #include "models/bundle/bundle.h"
 
 #include <filesystem>
@@ -14,8 +15,6 @@ namespace gld {
 // Which copy of the weights a PyTorch checkpoint gives: its moving average, its last step, or the file itself where it
 // is a plain state_dict.
 enum class CheckpointWeights { kEma, kModel, kPlain };
-
-enum class StoredPrecision { kFloat32, kFloat16, kBFloat16 };
 
 // gld convert: the published files into a model bundle. Parts whose file is not given are left out and can be added
 // later by converting again into the same folder.
@@ -34,7 +33,7 @@ struct ConversionOptions : OptionsGroup {
   // that is given, or the released DA3-Base model.
   std::string description;
   CheckpointWeights weights = CheckpointWeights::kEma;
-  StoredPrecision precision = StoredPrecision::kFloat32;
+  StoredPrecision store = StoredPrecision::kFloat32;
   std::string out;
   bool overwrite = false;
 

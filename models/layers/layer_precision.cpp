@@ -17,21 +17,34 @@ LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind) {
   return precision;
 }
 
+namespace {
+
+template <class Function>
+void for_each_layer(torch::nn::Module& model, const Function& function) {
+  const auto visit = [&](torch::nn::Module& module) {
+    if (auto* layer = dynamic_cast<PrecisionLayer*>(&module)) function(*layer);
+  };
+  visit(model);
+  // Without itself, which LibTorch only gives where it is held by a shared pointer.
+  for (const auto& module : model.modules(/*include_self=*/false)) visit(*module);
+}
+
+}  // namespace
+
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
   for (const auto& parameter : model.parameters()) {
     if (!parameter.is_cpu()) return;
   }
-  const auto pack = [&](torch::nn::Module& module) {
-    auto* layer = dynamic_cast<PrecisionLayer*>(&module);
-    if (layer == nullptr) return;
-    layer->use_precision(precision);
+  for_each_layer(model, [&](PrecisionLayer& layer) {
+    layer.use_precision(precision);
     // Layer by layer: packed weights do not lie in the blocks that the originals leave, and both of all layers would be
     // twice the model.
     if (precision.originals == PackedOriginals::kRelease) release_kept_blocks();
-  };
-  pack(model);
-  // Without itself, which LibTorch only gives where it is held by a shared pointer.
-  for (const auto& module : model.modules(/*include_self=*/false)) pack(*module);
+  });
+}
+
+void learn_in(torch::nn::Module& model, ComputePrecision precision) {
+  for_each_layer(model, [&](PrecisionLayer& layer) { layer.learn_in(precision); });
 }
 
 }  // namespace gld

@@ -30,15 +30,24 @@ enum class ModelKind { kGenerator, kBackboneOrDecoder, kGeometry };
 //   all else                   float32: softmax, norms, residual stream, camera encoding, convolutions
 LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind);
 
-// A layer that can compute in another precision. Only while no gradients are recorded, for float32 tensors on the CPU.
+// A layer that can compute in another precision, for float32 tensors on the CPU.
 class PrecisionLayer {
  public:
   virtual ~PrecisionLayer() = default;
+  // Only while no gradients are recorded.
   virtual void use_precision(const LayerPrecision& precision) = 0;
+  // From now on, also while no gradients are recorded: a block that is computed twice to save memory has to give the
+  // same bits in both passes.
+  virtual void learn_in(ComputePrecision) {}
 };
 
 // All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once
 // a model: released weights cannot be packed again.
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
+
+// What a model is trained in from now on: float32, bfloat16 or bfloat16x3 (gld/tensors/learning_product.h). Linear
+// layers of blocks follow it. What stays float32 above does so here, and attention with its gradients too: its kernels
+// of reduced precision have no backward pass. Weights and their gradients are float32.
+void learn_in(torch::nn::Module& model, ComputePrecision precision);
 
 }  // namespace gld

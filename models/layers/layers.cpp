@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "gld/machine/block_memory.h"
 #include "gld/tensors/fused_ops.h"
+#include "gld/tensors/learning_product.h"
 #include "gld/tensors/transposed_product.h"
 
 #include <cstdint>
@@ -62,10 +63,20 @@ torch::Tensor Linear::forward_parts(const torch::Tensor& x, int64_t first, int64
     }
     return packed_->times(x, bias, first, count);
   }
-  if (first == 0 && count == parts_) return times_transposed(x, weight, bias);
-  const int64_t share = weight.size(0) / parts_;
-  return times_transposed(x, weight.narrow(0, first * share, count * share),
-                          bias.defined() ? bias.narrow(0, first * share, count * share) : bias);
+  torch::Tensor own_weight = weight, own_bias = bias;
+  if (first != 0 || count != parts_) {
+    const int64_t share = weight.size(0) / parts_;
+    own_weight = weight.narrow(0, first * share, count * share);
+    if (bias.defined()) own_bias = bias.narrow(0, first * share, count * share);
+  }
+  if (learning_precision_ != ComputePrecision::kFloat32 && learning_product_applies(x, own_weight)) {
+    return learning_product(x, own_weight, own_bias, learning_precision_);
+  }
+  return times_transposed(x, own_weight, own_bias);
+}
+
+void Linear::learn_in(ComputePrecision precision) {
+  if (packing_ == LinearPacking::kOnce) learning_precision_ = precision;
 }
 
 void Linear::use_precision(const LayerPrecision& precision) {

@@ -7,6 +7,7 @@
 #include "gld/cameras/cameras_in_a_row.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/block_memory.h"
+#include "gld/machine/precision_option.h"
 #include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
 #include "gld/report/benchmark_results.h"
@@ -19,6 +20,7 @@
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
 #include "models/dit/flow_matching_loss.h"
+#include "models/layers/layer_precision.h"
 #include "train/loop/micro_batches.h"
 #include "train/optim/optimiser.h"
 
@@ -67,6 +69,7 @@ class RepeatedScene : public Objective {
 
   std::string kind() const override { return "bench"; }
   torch::Device device() const override { return torch::kCPU; }
+  void learn_in(ComputePrecision precision) override { gld::learn_in(*dit_, precision); }
   std::vector<NamedParameter> parameters() const override { return named_parameters(*dit_); }
   Losses losses(const TrainingBatch& /*batch*/, const StepContext& /*context*/) override {
     return {loss(), {}};
@@ -130,21 +133,36 @@ DitOptions with_depth(DitOptions options, const std::vector<int64_t>& depth) {
   return options;
 }
 
-// Full width, activations kept and computed again in turns.
+constexpr auto kReduced = ComputePrecision::kBFloat16;
+
+// The row of training in bfloat16 beside one in float32; measured where the processor has a unit for it.
+std::string reduced_variant(const std::string& variant) {
+  return variant + "_" + compute_precision_name(kReduced);
+}
+
+// Full width, activations kept and computed again in turns, and kept in bfloat16.
 void measure_storage(const std::string& name, const CameraRow& size, const std::vector<int64_t>& depth,
                      int64_t repeats, std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
   RepeatedScene objective(bundle, with_depth(bundle.generators.front().dit, depth), size);
   FlatParameters parameters(objective.parameters());
-  Samples keep, recompute;
+  Samples keep, recompute, reduced;
   for (int64_t repeat = 0; repeat < repeats; ++repeat) {
     objective.store(ActivationStorage::kKeep);
     sample(objective, parameters, 1, 1, keep);
+    if (has_matrix_unit(kReduced)) {
+      objective.learn_in(kReduced);
+      sample(objective, parameters, 1, 1, reduced);
+      objective.learn_in(ComputePrecision::kFloat32);
+    }
     objective.store(ActivationStorage::kRecompute);
     sample(objective, parameters, 1, 1, recompute);
   }
   rows.push_back(row_from(name, "keep", kForwardsAStep * objective.flop(), keep));
   rows.push_back(row_from(name, "recompute", kForwardsAStep * objective.flop(), recompute));
+  if (has_matrix_unit(kReduced)) {
+    rows.push_back(row_from(name, reduced_variant("keep"), kForwardsAStep * objective.flop(), reduced));
+  }
 }
 
 // What a forward pass leaves for the backward pass, and the most in use during the backward pass.
@@ -225,18 +243,25 @@ void measure_small(const TrainBenchmarkOptions& options, std::vector<TrainBenchm
   RepeatedScene objective(bundle, bundle.generators.front().dit, {4, 2, image});
   FlatParameters parameters(objective.parameters());
   const int64_t workers = thread_count(), scenes = 4 * workers;
-  Samples alone, parallel;
+  Samples alone, parallel, reduced;
   for (int64_t repeat = 0; repeat <= options.repeats; ++repeat) {
     // The first of each warms up.
-    if (repeat == 1) alone = parallel = {};
+    if (repeat == 1) alone = parallel = reduced = {};
     sample(objective, parameters, scenes, 1, alone);
     const ThreadScope one(1);
     sample(objective, parameters, scenes, workers, parallel);
+    if (!has_matrix_unit(kReduced)) continue;
+    objective.learn_in(kReduced);
+    sample(objective, parameters, scenes, workers, reduced);
+    objective.learn_in(ComputePrecision::kFloat32);
   }
   const double flop = kForwardsAStep * static_cast<double>(scenes) * objective.flop();
   rows.push_back(row_from("small_model", fmt::format("{}_scenes_in_turn", scenes), flop, alone));
-  rows.push_back(
-      row_from("small_model", fmt::format("{}_scenes_by_{}_workers", scenes, workers), flop, parallel));
+  const std::string by_workers = fmt::format("{}_scenes_by_{}_workers", scenes, workers);
+  rows.push_back(row_from("small_model", by_workers, flop, parallel));
+  if (has_matrix_unit(kReduced)) {
+    rows.push_back(row_from("small_model", reduced_variant(by_workers), flop, reduced));
+  }
 }
 
 double full_size_parameters() {
@@ -414,9 +439,12 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
       "\n"
       "With {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
       "reaches {:.0f}. A step counts three forward passes of the cost model. "
-      "Memory is what a step adds at its peak to weights and gradients.\n"
+      "Memory is what a step adds at its peak to weights and gradients. {}\n"
       "\n",
-      thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9);
+      thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9,
+      has_matrix_unit(kReduced)
+          ? fmt::format("Rows of {} are fractions of the same float32 peak.", precision_text(kReduced))
+          : "This processor has no unit for bfloat16, so that training in it was not measured.");
   double share = 0;
   if (options.full_width) {
     share = optimiser_share(rows);

@@ -27,7 +27,10 @@ Evaluated evaluate(Objective& objective, const MicroBatch& micro, const MicroBat
   Losses losses;
   {
     std::optional<BFloat16Autocast> autocast;
-    if (work.precision == Precision::kBFloat16) autocast.emplace(objective.device().type());
+    // On the CPU the model's layers themselves know (Objective::learn_in).
+    if (work.precision == ComputePrecision::kBFloat16 && has_bfloat16_autocast(objective.device())) {
+      autocast.emplace(objective.device().type());
+    }
     losses = objective.losses(micro.batch, micro.context);
   }
   Evaluated result;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/distributed/process_team.h"
+#include "gld/machine/matrix_unit.h"
 #include "train/loop/objective.h"
 #include "train/optim/flat_parameters.h"
 
@@ -12,8 +13,6 @@
 #include <torch/types.h>
 
 namespace gld {
-
-enum class Precision { kFloat32, kBFloat16 };
 
 // One micro-batch and the random numbers that belong to it.
 struct MicroBatch {
@@ -28,7 +27,7 @@ struct MicroBatchOutcome {
 };
 
 struct MicroBatchWork {
-  Precision precision = Precision::kFloat32;
+  ComputePrecision precision = ComputePrecision::kFloat32;
   int64_t workers = 1;
   double share = 1.0;  // each loss is multiplied by it before its gradients are taken
 };

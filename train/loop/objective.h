@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/files/dtype.h"
+#include "gld/machine/matrix_unit.h"
 #include "train/data/training_scene.h"
 #include "train/optim/flat_parameters.h"
 
@@ -56,6 +57,9 @@ class Objective {
   virtual bool concurrent() const { return false; }
   // Whether micro-batches may be computed in different processes: losses() leaves nothing that after_step() takes.
   virtual bool spreads_over_processes() const { return true; }
+  // What the trained model multiplies in while it learns (models/layers/layer_precision.h); called once, before the
+  // first step. On a GPU autocast sees to it.
+  virtual void learn_in(ComputePrecision precision) = 0;
   // Losses averaged over the scenes of a micro-batch, with gradients.
   virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
   // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.

@@ -529,6 +529,14 @@ TrainingSummary Session::run() {
   return summary;
 }
 
+void check_training_precision(ComputePrecision precision, torch::Device device) {
+  const bool served = precision == ComputePrecision::kFloat32 || device.is_cpu() ||
+                      (precision == ComputePrecision::kBFloat16 && has_bfloat16_autocast(device));
+  if (served) return;
+  fail({"loop.precision", "one that is computed on " + device.str(), compute_precision_name(precision),
+        "set loop.precision to float32, or to bfloat16 on CUDA"});
+}
+
 }  // namespace
 
 void check_training_start(const std::filesystem::path& folder, TrainingStart start) {
@@ -545,10 +553,8 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
 }
 
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start) {
-  if (options.precision == Precision::kBFloat16 && !has_bfloat16_autocast(run.objective->device())) {
-    fail({"precision", "a device with bfloat16 units", run.objective->device().str(),
-          "set precision: float32 or train on a GPU"});
-  }
+  check_training_precision(options.precision, run.objective->device());
+  run.objective->learn_in(options.precision);
   Session session(run, options);
   session.restore(start);
   const DividedThreads threads(run.objective->concurrent() ? options.workers : 1);

@@ -29,7 +29,7 @@ struct TrainingLoopOptions : OptionsGroup {
   int64_t loader_threads = 1;
   int64_t workers = 1;
   bool shard_optimiser = false;
-  Precision precision = Precision::kFloat32;
+  ComputePrecision precision = ComputePrecision::kFloat32;  // not int8
   LearningRateOptions learning_rate;
   OptimiserOptions optimiser;
 

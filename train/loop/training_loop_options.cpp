@@ -28,8 +28,11 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
                    "of several processes, each keeps moments and moving average of a piece of the parameters "
                    "only (ZeRO-1); adamw and adam"},
                   shard_optimiser);
-  visit_choice(visitor, {"precision", "bfloat16 casts matrix products on devices that have it (CUDA)"},
-               precision, {"float32", "bfloat16"});
+  visit_choice(visitor,
+               {"precision",
+                "what the trained model multiplies in, forward and backward; weights, moments, sums and "
+                "losses are float32; bfloat16x3 on the CPU only"},
+               precision, {"float32", "bfloat16", "bfloat16x3"});
   visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
   visitor.group({"optimiser", "optimiser, clipping and moving average"}, optimiser);
 }

@@ -1,6 +1,7 @@
 #include "train/objectives/autoencoder_objective.h"
 
 #include "gld/metrics/metric_list.h"
+#include "models/layers/layer_precision.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/scene_pixels.h"
 
@@ -26,6 +27,8 @@ AutoencoderObjective::AutoencoderObjective(const BundleOptions& model,
   backbone_ = model_.backbone.make(placement);
   backbone_->initialise(at::detail::createCPUGenerator(static_cast<uint64_t>(seed)));
 }
+
+void AutoencoderObjective::learn_in(ComputePrecision precision) { gld::learn_in(*backbone_, precision); }
 
 std::vector<NamedParameter> AutoencoderObjective::parameters() const {
   return named_parameters(*backbone_, model_.backbone.architecture().published_prefix());

@@ -4,6 +4,7 @@
 #include "gld/metrics/metric_list.h"
 #include "models/layers/imagenet.h"
 #include "models/layers/initialisation.h"
+#include "models/layers/layer_precision.h"
 #include "train/objectives/correspondence.h"
 #include "train/objectives/feature_noise.h"
 #include "train/objectives/scene_pixels.h"
@@ -110,6 +111,8 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     initialise_parameters(*geometry_layers_.back(), MatrixInitialisation::kXavierUniform, generator);
   }
 }
+
+void BackboneObjective::learn_in(ComputePrecision precision) { gld::learn_in(*backbone_, precision); }
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
   const std::string prefix = model_.dpt_head.architecture().published_prefix();

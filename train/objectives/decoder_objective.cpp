@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
+#include "models/layers/layer_precision.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/feature_noise.h"
 
@@ -124,6 +125,8 @@ DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObje
         std::make_unique<Optimiser>(*discriminator_parameters_, options_.adversarial.optimiser);
   }
 }
+
+void DecoderObjective::learn_in(ComputePrecision precision) { gld::learn_in(*decoder_, precision); }
 
 std::vector<NamedParameter> DecoderObjective::parameters() const {
   return named_parameters(*decoder_, RgbDecoder::kPrefix);

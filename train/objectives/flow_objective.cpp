@@ -5,6 +5,7 @@
 #include "gld/flow/schedule.h"
 #include "gld/metrics/metric_list.h"
 #include "models/dit/flow_matching_loss.h"
+#include "models/layers/layer_precision.h"
 #include "models/scene_geometry/source_warp.h"
 #include "train/objectives/scene_pixels.h"
 
@@ -71,6 +72,8 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
   dit_->initialise(random);
   if (options_.checkpoint_blocks) dit_->set_activation_storage(ActivationStorage::kRecompute);
 }
+
+void FlowObjective::learn_in(ComputePrecision precision) { gld::learn_in(*dit_, precision); }
 
 std::vector<NamedParameter> FlowObjective::parameters() const { return named_parameters(*dit_); }
 

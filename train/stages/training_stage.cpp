@@ -8,6 +8,7 @@
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
 #include "gld/distributed/shared_work.h"
+#include "gld/machine/precision_option.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
@@ -23,21 +24,6 @@
 #include <nlohmann/json.hpp>
 
 namespace gld {
-namespace {
-
-DType file_dtype_of(ExportPrecision precision) {
-  switch (precision) {
-    case ExportPrecision::kFloat16:
-      return DType::kFloat16;
-    case ExportPrecision::kBFloat16:
-      return DType::kBFloat16;
-    case ExportPrecision::kFloat32:
-      break;
-  }
-  return DType::kFloat32;
-}
-
-}  // namespace
 
 void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder: model.yaml and the parts trained before"}, model);
@@ -48,8 +34,7 @@ void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
   visit_device(visitor, device);
   visit_threads(visitor, threads);
-  visit_choice(visitor, {"weights", "precision of the exported weights"}, weights,
-               {"float32", "float16", "bfloat16"});
+  visit_store(visitor, store);
   visitor.group(
       {"processes", "several processes that train together; torchrun sets the environment that is meant"},
       processes);
@@ -72,7 +57,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                             const std::vector<std::string>& may_change) {
   const std::set<std::string> free = {"model",
                                       "device",
-                                      "weights",
+                                      "store",
                                       "may_change",
                                       "allow_mixed",
                                       "loop.steps",
@@ -161,7 +146,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   run.objective = objective.get();
   run.data = data;
   run.folder = options.out;
-  run.export_dtype = file_dtype_of(options.weights);
+  run.export_dtype = stored_dtype(options.store);
   run.draw_validation = draw;
   int64_t parameters = 0;
   for (const auto& item : objective->parameters()) parameters += item.parameter.numel();
@@ -180,6 +165,13 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
     std::cerr << "note: " << processes << " processes; micro-batch i of a step is computed by rank i modulo "
               << processes << "\n";
   }
+  const ComputePrecision precision = options.loop.precision;
+  const bool on_cpu = placement.device.is_cpu();
+  const std::string computed_in = on_cpu ? precision_text(precision) : compute_precision_name(precision);
+  if (on_cpu && !has_matrix_unit(precision)) {
+    print_warnings({"this processor has no unit for " + compute_precision_name(precision) +
+                    ", which makes it slower here than --loop.precision float32"});
+  }
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);
   const auto trained = ModelBundle::open(folder.path() / "model");
@@ -191,6 +183,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
 
   nlohmann::ordered_json report = {{"command", stage.command},
                                    {"parameters", parameters},
+                                   {"precision", computed_in},
                                    {"steps", summary.steps_done},
                                    {"steps_in_this_call", summary.steps_this_call},
                                    {"skipped_steps", summary.skipped_steps},

@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "gld/distributed/process_placement.h"
+#include "gld/files/stored_precision.h"
 #include "models/bundle/bundle.h"
 #include "train/data/training_data.h"
 #include "train/loop/objective.h"
@@ -18,8 +19,6 @@
 
 namespace gld {
 
-enum class ExportPrecision { kFloat32, kFloat16, kBFloat16 };
-
 // What every kind of gld train has. model is a bundle: its model.yaml is the architecture, and the parts trained
 // before are taken from it. The run's own bundle, model/ in the run folder, is a copy with the trained part.
 struct TrainOptions : OptionsGroup {
@@ -31,7 +30,7 @@ struct TrainOptions : OptionsGroup {
   bool allow_mixed = false;
   std::string device = "cpu";
   int64_t threads = 0;
-  ExportPrecision weights = ExportPrecision::kFloat32;
+  StoredPrecision store = StoredPrecision::kFloat32;  // of the exported model
   ProcessesOptions processes;
   TrainingDataOptions data;
   TrainingLoopOptions loop;

@@ -119,7 +119,7 @@ TEST_F(Conversion, TakesTheOtherCopy) {
 }
 
 TEST_F(Conversion, StoresHalfPrecisionButNeverOfStatistics) {
-  options_.precision = StoredPrecision::kFloat16;
+  options_.store = StoredPrecision::kFloat16;
   convert(options_);
   const auto bundle = ModelBundle::open(options_.out);
   for (const auto& entry : WeightFile::open(bundle.file(BundlePart::of(level_model(1))))->entries()) {
@@ -258,13 +258,13 @@ TEST_F(Conversion, IsStrict) {
             where +
                 ": tensor ema.s_projector.bias: expected finite numbers, found NaN or infinity; get "
                 "the file again, its weights are broken.");
-  options_.precision = StoredPrecision::kFloat16;
+  options_.store = StoredPrecision::kFloat16;
   auto large = part(BundlePart::of(level_model(1)));
   large["s_projector.bias"] = torch::full({128}, -70000.0F);
   EXPECT_EQ(refusal(large),
             where +
                 ": tensor ema.s_projector.bias: expected numbers that fit float16, found 70000; "
-                "choose --precision bf16 or fp32.");
+                "choose --store bfloat16 or float32.");
   write_file_atomically(path("level1.pt"), checkpoint({{"ema", part(BundlePart::of(level_model(1)))},
                                                        {"extra", {{"w", torch::zeros({1})}}}}));
   options_.overwrite = true;

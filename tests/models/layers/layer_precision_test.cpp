@@ -3,6 +3,7 @@
 
 #include "gld/tensors/weight_tensors.h"
 #include "models/dit/dit_field.h"
+#include "models/dit/flow_matching_loss.h"
 #include "models/layers/layers.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/error_of.h"
@@ -178,6 +179,43 @@ TEST(LayerPrecision, ReleasedWeightsAreShapesWithoutNumbers) {
       }),
       "linear layer: expected no gradients through packed weights, found an input that wants them; train without "
       "use_precision.");
+}
+
+// Gradients of a step by a model that learns in a precision, one after the other.
+torch::Tensor gradients(DitDh& model, const test::DitTestScene& scene, ComputePrecision precision,
+                        ActivationStorage storage) {
+  learn_in(model, precision);
+  model.set_activation_storage(storage);
+  FlowMatchingDraw draw;
+  draw.clean = torch::zeros_like(scene.noisy);
+  draw.noise = scene.noisy;
+  draw.time = 0.4;
+  model.zero_grad();
+  flow_matching_errors(model, scene.inputs, draw).all.backward();
+  std::vector<torch::Tensor> flat;
+  for (const auto& parameter : model.parameters()) {
+    if (parameter.grad().defined()) flat.push_back(parameter.grad().flatten());
+  }
+  return torch::cat(flat);
+}
+
+TEST(LayerPrecision, AModelLearnsInAPrecisionWithItsErrors) {
+  const auto options = test::small_dit_options();
+  const auto model = random_dit(options);
+  const auto scene = random_dit_scene(options, kSizes);
+  const auto exact = gradients(*model, scene, ComputePrecision::kFloat32, ActivationStorage::kKeep);
+  const auto reduced = gradients(*model, scene, ComputePrecision::kBFloat16, ActivationStorage::kKeep);
+  EXPECT_GT(relative_rms(reduced, exact), 1e-3);
+  EXPECT_LT(relative_rms(reduced, exact), 2e-2);
+  // Computed again to save memory: only the order of some sums is another.
+  EXPECT_LT(relative_rms(gradients(*model, scene, ComputePrecision::kBFloat16, ActivationStorage::kRecompute),
+                         reduced),
+            1e-3);
+  EXPECT_LT(
+      relative_rms(gradients(*model, scene, ComputePrecision::kBFloat16x3, ActivationStorage::kKeep), exact),
+      2e-4);
+  EXPECT_TRUE(
+      torch::equal(gradients(*model, scene, ComputePrecision::kFloat32, ActivationStorage::kKeep), exact));
 }
 
 TEST(LayerPrecision, SaysWhichLayersRunInWhat) {

@@ -27,6 +27,7 @@ class ToyObjective : public Objective {
   std::string kind() const override { return "toy"; }
   torch::Device device() const override { return torch::kCPU; }
   bool concurrent() const override { return true; }
+  void learn_in(ComputePrecision /*precision*/) override {}
   std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
   Losses losses(const TrainingBatch& batch, const StepContext& context) override {
     if (context.step == slow_step) {

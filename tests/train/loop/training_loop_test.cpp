@@ -173,15 +173,20 @@ TEST(TrainingLoop, RefusesToResumeFromNothingAndToStartOverARun) {
                 "continue it with --resume or choose another --out.");
 }
 
-TEST(TrainingLoop, RefusesBFloat16WhereItWouldBeSlow) {
+class ToyElsewhere : public test::ToyObjective {
+ public:
+  torch::Device device() const override { return torch::kMeta; }
+};
+
+TEST(TrainingLoop, RefusesAPrecisionThatTheDeviceDoesNotCompute) {
   const test::TemporaryFolder folder;
-  test::ToyObjective objective;
+  ToyElsewhere objective;
   auto options = short_run();
-  options.precision = Precision::kBFloat16;
+  options.precision = ComputePrecision::kBFloat16x3;
   EXPECT_EQ(
       test::error_of([&] { train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh); }),
-      "precision: expected a device with bfloat16 units, found cpu; set precision: "
-      "float32 or train on a GPU.");
+      "loop.precision: expected one that is computed on meta, found bfloat16x3; set loop.precision to float32, or to "
+      "bfloat16 on CUDA.");
 }
 
 TEST(TrainingLoop, PassesOverATornCheckpoint) {

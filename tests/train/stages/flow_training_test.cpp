@@ -2,6 +2,7 @@
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
 #include "gld/latents/latent_statistics.h"
+#include "gld/machine/precision_option.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/part_lineage.h"
@@ -15,12 +16,14 @@
 
 #include <cmath>
 #include <csignal>
+#include <fstream>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
 namespace gld {
 namespace {
@@ -43,7 +46,7 @@ class TrainedChain : public testing::Test {
     folder_ = std::make_unique<test::TemporaryFolder>();
     save_bundle_options(path("empty"), test::small_model());
     auto backbone = stage_options<TrainBackboneOptions>(path("empty"), path("backbone"));
-    backbone.weights = ExportPrecision::kFloat16;
+    backbone.store = StoredPrecision::kFloat16;
     train_backbone(backbone, {});
     auto decoder = stage_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
     decoder.objective.adversarial.convolutional.channels = 8;
@@ -250,6 +253,47 @@ TEST_F(TrainedChain, TheTimeShiftFollowsFromTheLatent) {
   const double by_rule = loss_at(0);
   EXPECT_EQ(by_rule, loss_at(time_shift_of(grid, model.backbone.level_channels())));
   EXPECT_NE(by_rule, loss_at(50));
+}
+
+// The weights of that part after two steps; stopped after the first where resumed.
+torch::Tensor trained_weights(TrainLevelOptions options, const std::string& how) {
+  if (how == "resumed") {
+    options.loop.steps = 1;
+    train_level(options, {});
+    options.loop.steps = 2;
+    options.resume = true;
+  }
+  train_level(options, {});
+  const auto generator =
+      ModelBundle::open(std::filesystem::path(options.out) / "model").load_generator(level_model(1));
+  std::vector<torch::Tensor> flat;
+  for (const auto& parameter : generator->parameters()) flat.push_back(parameter.detach().flatten());
+  return torch::cat(flat);
+}
+
+TEST_F(TrainedChain, LearnsInBFloat16AndGoesOnBitForBit) {
+  const auto options = [](const std::string& name, ComputePrecision precision) {
+    auto made = stage_options<TrainLevelOptions>(path("stats/model"), path(name));
+    made.loop.learning_rate.schedule = LearningRateSchedule::kConstant;
+    made.loop.precision = precision;
+    return made;
+  };
+  const auto whole = trained_weights(options("bfloat16", ComputePrecision::kBFloat16), "whole");
+  const auto resumed = trained_weights(options("bfloat16_resumed", ComputePrecision::kBFloat16), "resumed");
+  const auto exact = trained_weights(options("float32", ComputePrecision::kFloat32), "whole");
+  EXPECT_TRUE(torch::equal(whole, resumed));
+  EXPECT_FALSE(torch::equal(whole, exact));
+  // AdamW's first steps have the size of the rate whatever the gradient is; a weight whose gradient is next to nothing
+  // may take them the other way.
+  EXPECT_LT((whole - exact).norm().item<double>(), 0.02 * exact.norm().item<double>());
+  std::ifstream report_file(path("bfloat16/report.json"));
+  const auto report = nlohmann::json::parse(report_file);
+  EXPECT_EQ(report.at("precision"), precision_text(ComputePrecision::kBFloat16));
+
+  auto other = options("bfloat16", ComputePrecision::kBFloat16x3);
+  other.resume = true;
+  other.loop.steps = 3;
+  EXPECT_THAT(test::error_of([&] { train_level(other, {}); }), testing::HasSubstr("loop.precision"));
 }
 
 TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
