@@ -33,7 +33,7 @@ Value required(const std::optional<Value>& value, const char* flag, const char* 
   if (value) return *value;
   fail(
       {flag, expected + " (or " + variable + " in the environment)", "neither",
-       "start the processes with torchrun --no-python, or give each all of --processes.rank, --processes.count, "
+       "start the processes with torchrun --no_python, or give each all of --processes.rank, --processes.count, "
        "--processes.master-address and --processes.master-port"});
 }
 

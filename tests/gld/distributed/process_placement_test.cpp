@@ -70,7 +70,7 @@ TEST(ProcessPlacement, SaysWhatIsMissingOrContradicts) {
   EXPECT_EQ(
       error({{"WORLD_SIZE", "2"}}),
       "--processes.rank: expected the rank of this process (or RANK in the environment), found neither; start the "
-      "processes with torchrun --no-python, or give each all of --processes.rank, --processes.count, "
+      "processes with torchrun --no_python, or give each all of --processes.rank, --processes.count, "
       "--processes.master-address and --processes.master-port.");
   EXPECT_EQ(
       error({{"WORLD_SIZE", "2"}, {"RANK", "1"}, {"MASTER_ADDR", "a"}, {"MASTER_PORT", "70000"}}),
