@@ -7,6 +7,7 @@
 #include "infer/bench/sample_plan_benchmark.h"
 #include "infer/bench/solver_benchmark.h"
 #include "infer/bench/stiff_benchmark.h"
+#include "train/bench/process_benchmark.h"
 #include "train/bench/train_benchmark.h"
 
 #include <memory>
@@ -56,7 +57,11 @@ Command make_bench_command() {
       report_command("forward", "One evaluation of M1 beside LibTorch's composition, as fractions of peak",
                      run_forward_benchmark),
       report_command("train", "Training steps, their memory and the optimiser, as fractions of peak",
-                     run_train_benchmark)};
+                     run_train_benchmark),
+      report_command(
+          "processes",
+          "What working together costs training, and a forecast for more; started in every process",
+          run_process_benchmark)};
   return command;
 }
 

@@ -19,72 +19,19 @@
 #include "gld/tensors/torch_version.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
-#include "models/dit/flow_matching_loss.h"
-#include "models/layers/layer_precision.h"
+#include "train/bench/repeated_scene.h"
 #include "train/loop/micro_batches.h"
 #include "train/optim/optimiser.h"
 
 #include <algorithm>
 #include <memory>
 
-#include <ATen/CPUGeneratorImpl.h>
 #include <torch/types.h>
 
 #include <fmt/format.h>
 
 namespace gld {
 namespace {
-
-constexpr double kFlowTime = 0.7;
-// A training step is a forward pass and two products for each of its products.
-constexpr double kForwardsAStep = 3;
-
-// Flow matching of one random latent again and again, by the model and the loss that FlowObjective trains with.
-class RepeatedScene : public Objective {
- public:
-  RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size)
-      : grid_(bundle.backbone.grid_of(size.views, size.image.height, size.image.width)) {
-    auto generator = at::detail::createCPUGenerator(1);
-    dit_ = std::make_shared<DitDh>(options, ParameterPlacement{});
-    dit_->initialise(generator);
-    const int64_t tokens = dit_->tokens_per_view(grid_), channels = options.in_channels;
-    inputs_.views = cameras_in_a_row(size);
-    set_no_warp(inputs_, options);
-    inputs_.source_features = torch::randn({size.sources, tokens, channels}, generator);
-    clean_ = torch::randn({size.views, tokens, channels}, generator);
-    noise_ = torch::randn({size.views, tokens, channels}, generator);
-  }
-
-  void store(ActivationStorage storage) { dit_->set_activation_storage(storage); }
-  double flop() const { return dit_cost(dit_->options(), grid_).flop(); }
-  const LatentGrid& grid() const { return grid_; }
-
-  torch::Tensor loss() const {
-    FlowMatchingDraw draw;
-    draw.clean = clean_;
-    draw.noise = noise_;
-    draw.time = kFlowTime;
-    return flow_matching_errors(*dit_, inputs_, draw).all;
-  }
-
-  std::string kind() const override { return "bench"; }
-  torch::Device device() const override { return torch::kCPU; }
-  void learn_in(ComputePrecision precision) override { gld::learn_in(*dit_, precision); }
-  std::vector<NamedParameter> parameters() const override { return named_parameters(*dit_); }
-  Losses losses(const TrainingBatch& /*batch*/, const StepContext& /*context*/) override {
-    return {loss(), {}};
-  }
-  Validation validate(const std::vector<TrainingScene>& /*scenes*/) override { return {}; }
-  void export_model(const std::filesystem::path& folder, DType /*dtype*/) const override {
-    fail({"bench train", "no export", folder.string(), "train with gld train"});
-  }
-
- private:
-  LatentGrid grid_;
-  std::shared_ptr<DitDh> dit_;
-  DitSceneInputs inputs_;
-  torch::Tensor clean_, noise_;
-};
 
 struct Samples {
   std::vector<double> seconds;
