@@ -110,11 +110,12 @@ TEST(LearningProduct, RefusesWhatItDoesNotCompute) {
   EXPECT_EQ(test::error_of([&] { one.gradients(ComputePrecision::kInt8); }),
             "learning product: expected bfloat16 or bfloat16x3, found int8; train in float32 or bfloat16.");
   const auto y = learning_product(one.x, one.weight, one.bias, ComputePrecision::kBFloat16);
-  EXPECT_EQ(test::error_of([&] {
-              torch::autograd::grad({y}, {one.x}, {one.gradient}, /*retain_graph=*/true, /*create_graph=*/true);
-            }),
-            "learning product: expected first derivatives only, found a backward pass that records a graph of its "
-            "own; compute in float32.");
+  EXPECT_EQ(
+      test::error_of([&] {
+        torch::autograd::grad({y}, {one.x}, {one.gradient}, /*retain_graph=*/true, /*create_graph=*/true);
+      }),
+      "learning product: expected first derivatives only, found a backward pass that records a graph of its "
+      "own; compute in float32.");
 }
 
 }  // namespace
