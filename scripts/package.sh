@@ -18,6 +18,7 @@ packages=$PWD/build/packages
 mkdir -p "$packages"
 
 if [ ${#configuration[@]} -eq 0 ]; then
+  rm -f "$packages"/gld_*.deb
   cpack --config "$build_folder/CPackConfig.cmake" -B "$packages" | grep -v '^CPack:' || true
   ls "$packages"/*.deb
   exit 0

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Makes the Debian package (scripts/package.sh), installs it with apt into a bare Debian 12 that is made for it, and samples
-# novel views of a drawn room there. With --libtorch DIR: the archive, unpacked in a bare Debian RELEASE (default trixie,
-# whose C library is newer), beside that LibTorch.
+# Makes the Debian package (scripts/package.sh), installs it with apt into a bare Debian 12 that is made for it, and
+# samples novel views of a drawn room there. With --libtorch DIR: the archive, unpacked in a bare Debian RELEASE (default
+# trixie, whose C library is newer), beside that LibTorch.
 # Needs root, debootstrap, and the package mirror of /etc/apt; takes minutes and 2 GB, which are given back.
 #   scripts/test_package.sh [--libtorch DIR] [RELEASE]
 set -euo pipefail
@@ -16,7 +16,7 @@ if [ "$(id -u)" -ne 0 ] || ! command -v debootstrap >/dev/null; then
   echo "test_package: expected root and debootstrap, found $(id -un); run as root after apt install debootstrap." >&2
   exit 2
 fi
-mirror=$({ cat /etc/apt/sources.list /etc/apt/sources.list.d/*.sources 2>/dev/null || true; } |
+mirror=$({ cat /etc/apt/sources.list /etc/apt/sources.list.d/*.{list,sources} 2>/dev/null || true; } |
   sed -nE '/^#/d; s/^URIs: *([^ ]+).*/\1/p; s/^deb (\[[^]]*\] )?([^ ]+).*/\2/p' | awk 'NR == 1')
 
 root=$(mktemp -d)
@@ -27,15 +27,9 @@ cleanup() {
 }
 trap cleanup EXIT
 
-if [ -z "$libtorch" ]; then
-  release=${release:-bookworm}
-  scripts/package.sh
-  package=$(find build/packages -name 'gld_*.deb' | sort | tail -1)
-else
-  release=${release:-trixie}
-  scripts/package.sh --libtorch "$libtorch"
-  package=$(find build/packages -name "gld-*-libtorch-$version-x86_64.tar.xz" | sort | tail -1)
-fi
+if [ -z "$libtorch" ]; then release=${release:-bookworm}; else release=${release:-trixie}; fi
+# Its last line names the file.
+package=$(scripts/package.sh ${libtorch:+--libtorch "$libtorch"} | tee /dev/stderr | tail -1 | awk '{ print $NF }')
 echo "test_package: a bare Debian $release"
 debootstrap --variant=minbase "$release" "$root" "$mirror" >"$root.log" 2>&1 || { tail -3 "$root.log" >&2; exit 1; }
 rm -f "$root.log"

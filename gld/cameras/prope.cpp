@@ -153,6 +153,15 @@ PropeTables fold_shared_camera(const PropeTables& tables) {
   return folded;
 }
 
+PropeTables prope_tables_on(const PropeTables& tables, torch::Device device) {
+  PropeTables moved = tables;
+  for (torch::Tensor* table : {&moved.query_matrix, &moved.key_value_matrix, &moved.output_matrix,
+                               &moved.column_cos, &moved.column_sin, &moved.row_cos, &moved.row_sin}) {
+    *table = table->to(device);
+  }
+  return moved;
+}
+
 torch::Tensor encode_query(const PropeTables& tables, const torch::Tensor& x) {
   return encode(tables, x, tables.query_matrix, 1.0);
 }

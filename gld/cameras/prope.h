@@ -60,6 +60,8 @@ PropeTables make_prope_tables(const RelativeCameras& cameras, const PropeLayout&
 // without being encoded themselves.
 PropeTables fold_shared_camera(const PropeTables& tables);
 
+PropeTables prope_tables_on(const PropeTables& tables, torch::Device device);
+
 // x: (1, views * (prefix + grid), heads, head_dim) -> the same shape. Differentiable in x.
 torch::Tensor encode_query(const PropeTables& tables, const torch::Tensor& x);      // by P^T
 torch::Tensor encode_key_value(const PropeTables& tables, const torch::Tensor& x);  // by P^-1

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include <ATen/Context.h>
 #include <torch/cuda.h>
 
 namespace gld {
@@ -22,6 +23,8 @@ torch::Device device_from_text(const std::string& text) {
     fail({"--device", "one of the " + std::to_string(available) + " CUDA devices that this LibTorch sees",
           "'" + text + "'", available == 0 ? "use --device cpu" : "choose a smaller number"});
   }
+  // Convolutions in float32 are that, as matrix products are; LibTorch would let cuDNN round their operands to 10 bits.
+  at::globalContext().setAllowTF32CuDNN(false);
   return {torch::kCUDA, static_cast<c10::DeviceIndex>(std::stoi(number))};
 }
 

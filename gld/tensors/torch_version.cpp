@@ -121,7 +121,10 @@ torch::Tensor scaled_dot_product_attention(const torch::Tensor& /*query*/, const
 
 bool has_bfloat16_autocast(torch::Device device) { return device.is_cuda(); }
 
-bool bfloat16_autocast_active(torch::DeviceType device) { return autocast_enabled(device); }
+// LibTorch 2.4 and newer refuse the question for devices without autocast, meta among them.
+bool bfloat16_autocast_active(torch::DeviceType device) {
+  return (device == torch::kCPU || device == torch::kCUDA) && autocast_enabled(device);
+}
 
 BFloat16Autocast::BFloat16Autocast(torch::DeviceType device)
     : device_(device), enabled_before_(autocast_enabled(device)) {

@@ -163,10 +163,13 @@ PropeTables DitDh::prope_tables(const DitScene& scene, DitBranch branch, int64_t
   layout.inverse = options_.prope_inverse;
   layout.frame = options_.prope_frame;
   const bool conditional = branch == DitBranch::kConditional;
-  const auto tables = make_prope_tables(scene.cameras, layout,
-                                        conditional ? PropeCameras::kScene : options_.unconditional_cameras(),
-                                        tensor_options().requires_grad(false));
-  return !conditional && scene.savings.unconditional_constants ? fold_shared_camera(tables) : tables;
+  // On the CPU, where whether all views share a camera is seen without waiting for a device.
+  const auto options = tensor_options().requires_grad(false);
+  auto tables = make_prope_tables(scene.cameras, layout,
+                                  conditional ? PropeCameras::kScene : options_.unconditional_cameras(),
+                                  options.device(torch::kCPU));
+  if (!conditional && scene.savings.unconditional_constants) tables = fold_shared_camera(tables);
+  return prope_tables_on(tables, options.device());
 }
 
 void DitDh::fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const {

@@ -43,8 +43,10 @@ void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
   });
 }
 
-void learn_in(torch::nn::Module& model, ComputePrecision precision) {
-  for_each_layer(model, [&](PrecisionLayer& layer) { layer.learn_in(precision); });
+int64_t learn_in(torch::nn::Module& model, ComputePrecision precision) {
+  int64_t following = 0;
+  for_each_layer(model, [&](PrecisionLayer& layer) { following += layer.learn_in(precision) ? 1 : 0; });
+  return following;
 }
 
 }  // namespace gld

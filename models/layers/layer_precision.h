@@ -38,7 +38,8 @@ class PrecisionLayer {
   virtual void use_precision(const LayerPrecision& precision) = 0;
   // From now on, also while no gradients are recorded: a block that is computed twice to save memory has to give the
   // same bits in both passes.
-  virtual void learn_in(ComputePrecision) {}
+  // Returns whether this layer follows.
+  virtual bool learn_in(ComputePrecision) { return false; }
 };
 
 // All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once
@@ -48,6 +49,7 @@ void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
 // What a model is trained in from now on: float32, bfloat16 or bfloat16x3 (gld/tensors/learning_product.h). Linear
 // layers of blocks follow it. What stays float32 above does so here, and attention with its gradients too: its kernels
 // of reduced precision have no backward pass. Weights and their gradients are float32.
-void learn_in(torch::nn::Module& model, ComputePrecision precision);
+// Returns how many layers that are.
+int64_t learn_in(torch::nn::Module& model, ComputePrecision precision);
 
 }  // namespace gld

@@ -75,8 +75,10 @@ torch::Tensor Linear::forward_parts(const torch::Tensor& x, int64_t first, int64
   return times_transposed(x, own_weight, own_bias);
 }
 
-void Linear::learn_in(ComputePrecision precision) {
-  if (packing_ == LinearPacking::kOnce) learning_precision_ = precision;
+bool Linear::learn_in(ComputePrecision precision) {
+  if (packing_ == LinearPacking::kNever) return false;
+  learning_precision_ = precision;
+  return true;
 }
 
 void Linear::use_precision(const LayerPrecision& precision) {

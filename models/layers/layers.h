@@ -40,7 +40,7 @@ class Linear : public torch::nn::Module, public PrecisionLayer {
   // Parts first .. first + count - 1 of the outputs.
   torch::Tensor forward_parts(const torch::Tensor& x, int64_t first, int64_t count) const;
   void use_precision(const LayerPrecision& precision) override;
-  void learn_in(ComputePrecision precision) override;
+  bool learn_in(ComputePrecision precision) override;
 
   torch::Tensor weight;
   torch::Tensor bias;  // undefined without bias

@@ -149,10 +149,11 @@ void ProcessBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integers({"message_kilobytes", "sizes of the gradients whose exchange is timed"}, message_kilobytes,
                    {1, 10'000'000});
   visitor.integers({"forecast", "numbers of processes to forecast a step for"}, forecast, {1, 1'000'000});
-  visitor.real({"forecast_rate",
-                "operations a second that a process of the forecast computes, as gld bench forward measures them; 0: "
-                "as these do"},
-               forecast_rate, {0, 1e18});
+  visitor.real(
+      {"forecast_rate",
+       "operations a second that a process of the forecast computes, as gld bench forward measures them; 0: "
+       "as these do"},
+      forecast_rate, {0, 1e18});
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
   visit_threads(visitor, threads);
 }
@@ -162,7 +163,7 @@ void ProcessBenchmarkOptions::check() const {
   if (message_kilobytes.size() < 2 ||
       *std::min_element(message_kilobytes.begin(), message_kilobytes.end()) ==
           *std::max_element(message_kilobytes.begin(), message_kilobytes.end())) {
-    fail({"--message-kilobytes", "two different sizes at least", std::to_string(message_kilobytes.size()),
+    fail({"--message-kilobytes", "two different sizes at least", message_kilobytes.empty() ? "none" : "one",
           "write for example --message-kilobytes 16,4096"});
   }
 }
@@ -177,7 +178,9 @@ int run_process_benchmark(const ProcessBenchmarkOptions& options) {
   std::optional<RunFolder> folder;
   if (share.leads()) folder.emplace(options.out, "bench processes", options, earlier_run(options.overwrite));
   use_threads(share.threads(options.threads));
-  const BundleOptions bundle = ModelBundle::open(options.model).options();
+  const auto opened = ModelBundle::open(options.model);
+  check_same_work(team, options, opened.content_hash());
+  const BundleOptions& bundle = opened.options();
   const ImageSize image = image_size_from_text(bundle.trained_sizes.front(), "trained_sizes");
   RepeatedScene objective(bundle, bundle.generators.front().dit, {4, 2, image});
   StepToForecast step;
@@ -219,11 +222,11 @@ int run_process_benchmark(const ProcessBenchmarkOptions& options) {
       "{}; {}.\n\n{}\n"
       "A step in other numbers of processes, each with as many micro-batches{}, at these message costs:\n\n{}",
       team.count(), thread_count(), options.micro_batches, 1e-6 * step.gradient_bytes, together.seconds,
-      together.communicating, alone.seconds, check.communicating, cost_text("Adding gradients at their owners", add),
-      cost_text("gathering the sums", gather), message_table(rows).markdown(),
-      options.forecast_rate > 0
-          ? fmt::format(" computed at {:.3g} TFLOP/s", 1e-12 * options.forecast_rate)
-          : "",
+      together.communicating, alone.seconds, check.communicating,
+      cost_text("Adding gradients at their owners", add), cost_text("gathering the sums", gather),
+      message_table(rows).markdown(),
+      options.forecast_rate > 0 ? fmt::format(" computed at {:.3g} TFLOP/s", 1e-12 * options.forecast_rate)
+                                : "",
       forecast_table(forecasts, options.micro_batches).markdown());
   results.files = {{"messages.csv", message_table(rows).csv()},
                    {"steps.csv", forecast_table(forecasts, options.micro_batches).csv()},

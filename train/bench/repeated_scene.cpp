@@ -37,7 +37,7 @@ torch::Tensor RepeatedScene::loss() const {
   return flow_matching_errors(*dit_, inputs_, draw).all;
 }
 
-void RepeatedScene::learn_in(ComputePrecision precision) { gld::learn_in(*dit_, precision); }
+int64_t RepeatedScene::learn_in(ComputePrecision precision) { return gld::learn_in(*dit_, precision); }
 
 void RepeatedScene::export_model(const std::filesystem::path& folder, DType /*dtype*/) const {
   fail({"a benchmark", "no export", folder.string(), "train with gld train"});

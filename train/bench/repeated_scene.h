@@ -29,7 +29,7 @@ class RepeatedScene : public Objective {
 
   std::string kind() const override { return "bench"; }
   torch::Device device() const override { return torch::kCPU; }
-  void learn_in(ComputePrecision precision) override;
+  int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override { return named_parameters(*dit_); }
   Losses losses(const TrainingBatch& /*batch*/, const StepContext& /*context*/) override {
     return {loss(), {}};

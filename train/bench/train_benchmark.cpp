@@ -316,7 +316,7 @@ void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size of the full-width model, width x height in pixels"}, size);
   visitor.integers({"depth", "blocks of the full-width model's encoder and decoder"}, depth, {1, 1000});
-  visitor.integer({"large_views", "views of the large case; 0 leaves it out"}, large_views, {0, 1000});
+  visitor.integer({"large_views", "views of the large case; 0 leaves it out, and the memory of full depth"}, large_views, {0, 1000});
   visitor.text({"large_size", "image size of the large case"}, large_size);
   visitor.integers({"large_depth", "blocks of the large case's encoder and decoder"}, large_depth, {1, 1000});
   visitor.text({"small_model", "folder with the model.yaml of a small model; empty leaves it out"},
@@ -351,9 +351,9 @@ std::vector<TrainBenchmarkRow> train_benchmark_rows(const TrainBenchmarkOptions&
       const CameraRow large = {options.large_views, std::max<int64_t>(1, options.large_views / 2),
                                image_size_from_text(options.large_size, "--large-size")};
       measure_storage("large", large, options.large_depth, 1, rows);
+      progress.update(2, "large");
+      extrapolate_storage(rows);
     }
-    progress.update(2, "large");
-    extrapolate_storage(rows);
   }
   progress.update(3, "memory");
   if (!options.small_model.empty()) measure_small(options, rows);
@@ -397,7 +397,7 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
     share = optimiser_share(rows);
     text += fmt::format(
         "M1 at full width has {}+{} blocks here, in the large case {}+{}; "
-        "the extrapolated rows are full depth, from models of few blocks and tokens. "
+        "extrapolated rows are full depth, from models of few blocks and tokens. "
         "The optimiser takes {:.2g} % of a full-size step. Recomputing activations, {}{}.\n"
         "\n",
         options.depth[0], options.depth[1], options.large_depth[0], options.large_depth[1], 100 * share,

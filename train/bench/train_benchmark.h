@@ -19,7 +19,7 @@ struct TrainBenchmarkOptions : OptionsGroup {
   int64_t sources = 4;
   std::string size = "252x140";
   std::vector<int64_t> depth = {5, 1};  // of full width; the ratio of the full depth
-  int64_t large_views = 4;              // 0 leaves the large case out
+  int64_t large_views = 4;              // 0 leaves it and the memory of full depth out
   std::string large_size = "504x504";
   std::vector<int64_t> large_depth = {2, 1};
   std::string small_model = "configs/tiny";  // folder with a model.yaml; empty leaves the small model out

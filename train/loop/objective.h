@@ -58,8 +58,8 @@ class Objective {
   // Whether micro-batches may be computed in different processes: losses() leaves nothing that after_step() takes.
   virtual bool spreads_over_processes() const { return true; }
   // What the trained model multiplies in while it learns (models/layers/layer_precision.h); called once, before the
-  // first step. On a GPU autocast sees to it.
-  virtual void learn_in(ComputePrecision precision) = 0;
+  // first step. Returns how many of its layers follow. On a GPU autocast sees to it.
+  virtual int64_t learn_in(ComputePrecision precision) = 0;
   // Losses averaged over the scenes of a micro-batch, with gradients.
   virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
   // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.

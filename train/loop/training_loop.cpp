@@ -554,7 +554,11 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
 
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start) {
   check_training_precision(options.precision, run.objective->device());
-  run.objective->learn_in(options.precision);
+  const int64_t following = run.objective->learn_in(options.precision);
+  if (options.precision != ComputePrecision::kFloat32 && run.objective->device().is_cpu() && following == 0) {
+    fail({"loop.precision", "float32: nothing that is trained here has linear layers of blocks",
+          compute_precision_name(options.precision), "leave it out"});
+  }
   Session session(run, options);
   session.restore(start);
   const DividedThreads threads(run.objective->concurrent() ? options.workers : 1);

@@ -28,7 +28,9 @@ AutoencoderObjective::AutoencoderObjective(const BundleOptions& model,
   backbone_->initialise(at::detail::createCPUGenerator(static_cast<uint64_t>(seed)));
 }
 
-void AutoencoderObjective::learn_in(ComputePrecision precision) { gld::learn_in(*backbone_, precision); }
+int64_t AutoencoderObjective::learn_in(ComputePrecision precision) {
+  return gld::learn_in(*backbone_, precision);
+}
 
 std::vector<NamedParameter> AutoencoderObjective::parameters() const {
   return named_parameters(*backbone_, model_.backbone.architecture().published_prefix());

@@ -112,7 +112,10 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
   }
 }
 
-void BackboneObjective::learn_in(ComputePrecision precision) { gld::learn_in(*backbone_, precision); }
+// The head alone is convolutions, and what it learns on stays as it was.
+int64_t BackboneObjective::learn_in(ComputePrecision precision) {
+  return head_only() ? 0 : gld::learn_in(*backbone_, precision);
+}
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
   const std::string prefix = model_.dpt_head.architecture().published_prefix();

@@ -66,7 +66,7 @@ class BackboneObjective : public Objective {
   std::string kind() const override { return "backbone"; }
   torch::Device device() const override { return placement_.device; }
   bool concurrent() const override { return true; }
-  void learn_in(ComputePrecision precision) override;
+  int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
   Validation validate(const std::vector<TrainingScene>& scenes) override;

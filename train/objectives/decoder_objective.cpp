@@ -126,7 +126,7 @@ DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObje
   }
 }
 
-void DecoderObjective::learn_in(ComputePrecision precision) { gld::learn_in(*decoder_, precision); }
+int64_t DecoderObjective::learn_in(ComputePrecision precision) { return gld::learn_in(*decoder_, precision); }
 
 std::vector<NamedParameter> DecoderObjective::parameters() const {
   return named_parameters(*decoder_, RgbDecoder::kPrefix);

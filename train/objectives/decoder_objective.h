@@ -83,7 +83,7 @@ class DecoderObjective : public Objective {
   std::string kind() const override { return "decoder"; }
   torch::Device device() const override { return placement_.device; }
   bool concurrent() const override { return true; }
-  void learn_in(ComputePrecision precision) override;
+  int64_t learn_in(ComputePrecision precision) override;
   bool spreads_over_processes() const override { return discriminator_ == nullptr; }
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;

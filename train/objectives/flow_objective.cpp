@@ -73,7 +73,7 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
   if (options_.checkpoint_blocks) dit_->set_activation_storage(ActivationStorage::kRecompute);
 }
 
-void FlowObjective::learn_in(ComputePrecision precision) { gld::learn_in(*dit_, precision); }
+int64_t FlowObjective::learn_in(ComputePrecision precision) { return gld::learn_in(*dit_, precision); }
 
 std::vector<NamedParameter> FlowObjective::parameters() const { return named_parameters(*dit_); }
 

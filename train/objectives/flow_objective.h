@@ -51,7 +51,7 @@ class FlowObjective : public Objective {
   torch::Device device() const override { return placement_.device; }
   // Recomputed activations write gradients where the parameters are.
   bool concurrent() const override { return !options_.checkpoint_blocks; }
-  void learn_in(ComputePrecision precision) override;
+  int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
   // Takes over the weights of a trained model of the same architecture.
   void start_from(const DitDh& trained);

@@ -36,9 +36,12 @@ TEST(MessageCost, NoiseGivesNothingBelowZero) {
   EXPECT_DOUBLE_EQ(backwards.seconds(1e9, 2), 2e-3);
   const MessageCost without_latency = message_cost({{1e6, 1e-3}, {4e6, 8e-3}}, 2);
   EXPECT_EQ(without_latency.latency, 0);
-  EXPECT_EQ(test::error_of([] { message_cost({{1e3, 1}, {1e3, 2}}, 2); }),
-            "message cost: expected exchanges of two sizes at least, between two processes at least, found 2 between 2; "
-            "measure more.");
+  EXPECT_EQ(
+      test::error_of([] {
+        message_cost({{1e3, 1}, {1e3, 2}}, 2);
+      }),
+      "message cost: expected exchanges of two sizes at least, between two processes at least, found 2 between 2; "
+      "measure more.");
 }
 
 TEST(ForecastStep, AddsAfterEachMicroBatchAndGathersOnce) {
@@ -73,9 +76,8 @@ TEST(ProcessBenchmark, TwoProcessesMeasureEachOther) {
     options.threads = 1;
     return options;
   };
-  test::in_processes(2, folder.path(), [&](const ProcessesOptions& processes) {
-    run_process_benchmark(with(processes));
-  });
+  test::in_processes(2, folder.path(),
+                     [&](const ProcessesOptions& processes) { run_process_benchmark(with(processes)); });
   std::ifstream file(folder.path() / "run" / "report.json");
   const auto report = nlohmann::json::parse(file);
   EXPECT_EQ(report.at("processes"), 2);
@@ -94,9 +96,10 @@ TEST(ProcessBenchmark, TwoProcessesMeasureEachOther) {
 TEST(ProcessBenchmark, NeedsAnother) {
   ProcessBenchmarkOptions options;
   options.out = "nowhere";
-  EXPECT_EQ(test::error_of([&] { run_process_benchmark(options); }),
-            "gld bench processes: expected two processes at least, found one; start it with torchrun, or in each process "
-            "with --processes.count and so on.");
+  EXPECT_EQ(
+      test::error_of([&] { run_process_benchmark(options); }),
+      "gld bench processes: expected two processes at least, found one; start it with torchrun, or in each process "
+      "with --processes.count and so on.");
 }
 
 }  // namespace

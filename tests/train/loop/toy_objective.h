@@ -27,7 +27,7 @@ class ToyObjective : public Objective {
   std::string kind() const override { return "toy"; }
   torch::Device device() const override { return torch::kCPU; }
   bool concurrent() const override { return true; }
-  void learn_in(ComputePrecision /*precision*/) override {}
+  int64_t learn_in(ComputePrecision /*precision*/) override { return 0; }
   std::vector<NamedParameter> parameters() const override { return {{"weight", weight_}}; }
   Losses losses(const TrainingBatch& batch, const StepContext& context) override {
     if (context.step == slow_step) {

@@ -189,6 +189,17 @@ TEST(TrainingLoop, RefusesAPrecisionThatTheDeviceDoesNotCompute) {
       "bfloat16 on CUDA.");
 }
 
+TEST(TrainingLoop, RefusesAPrecisionThatNothingFollows) {
+  const test::TemporaryFolder folder;
+  test::ToyObjective objective;
+  auto options = short_run();
+  options.precision = ComputePrecision::kBFloat16;
+  EXPECT_EQ(
+      test::error_of([&] { train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh); }),
+      "loop.precision: expected float32: nothing that is trained here has linear layers of blocks, found bfloat16; leave "
+      "it out.");
+}
+
 TEST(TrainingLoop, PassesOverATornCheckpoint) {
   const test::TemporaryFolder folder;
   test::ToyObjective objective;
