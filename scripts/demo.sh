@@ -11,8 +11,9 @@ out=runs/demo
 scripts/setup.sh
 scripts/build.sh gld
 
-# Samples, drawn as gld sample draws them where nothing else is asked for. The tenth room of the seed: a table on a chequered floor.
-build/release/cli/gld synth --seed "$held_out_seed" --first-scene 9 --scene-count 1 --frames 12 --width 112 --height 112 --out "$out/scene" --overwrite
+# Samples, drawn as gld sample draws them where nothing else is asked for. The room was chosen by eye among the first 24 of
+# the seed: a ball and a striped box before a brick wall. What is usual is in configs/tiny/evaluation.
+build/release/cli/gld synth --seed "$held_out_seed" --first-scene 19 --scene-count 1 --frames 12 --width 112 --height 112 --out "$out/scene" --overwrite
 scene=$(find "$out/scene" -name cameras.json -printf '%h\n' | sort | head -1)
 build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --targets 2,3,4,9 --out "$out/targets" --overwrite
 build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --path orbit --frames 6 --out "$out/orbit" --overwrite

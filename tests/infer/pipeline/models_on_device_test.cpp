@@ -34,7 +34,7 @@ const LatentGrid kGrid = {kViews, kHeight / 14, kWidth / 14};
 
 bool is_meta(const torch::Device& device) { return device.type() == torch::kMeta; }
 
-// Shapes of what LibTorch's meta device has no kernels for outside Python: layer norm, convolution, and in 1.13 abs.
+// Shapes of what LibTorch's meta device has no kernels for outside Python: layer norm, convolution, and in 1.13 abs and relu.
 // Boxed, because the types of their arguments differ between versions.
 c10::IValue argument(const torch::jit::Stack& stack, size_t count, size_t index) {
   return stack[stack.size() - count + index];
@@ -79,7 +79,9 @@ void same_shape(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
 }
 
 TORCH_LIBRARY_IMPL(aten, Meta, library) {
-  library.impl("abs", torch::CppFunction::makeFromBoxedFunction<&same_shape>());
+  for (const char* name : {"abs", "relu"}) {
+    library.impl(name, torch::CppFunction::makeFromBoxedFunction<&same_shape>());
+  }
   library.impl("native_layer_norm", torch::CppFunction::makeFromBoxedFunction<&layer_norm_shapes>());
   library.impl("convolution_overrideable", torch::CppFunction::makeFromBoxedFunction<&convolution_shapes>());
 }
