@@ -316,7 +316,8 @@ void TrainBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size of the full-width model, width x height in pixels"}, size);
   visitor.integers({"depth", "blocks of the full-width model's encoder and decoder"}, depth, {1, 1000});
-  visitor.integer({"large_views", "views of the large case; 0 leaves it out, and the memory of full depth"}, large_views, {0, 1000});
+  visitor.integer({"large_views", "views of the large case; 0 leaves it out, and the memory of full depth"},
+                  large_views, {0, 1000});
   visitor.text({"large_size", "image size of the large case"}, large_size);
   visitor.integers({"large_depth", "blocks of the large case's encoder and decoder"}, large_depth, {1, 1000});
   visitor.text({"small_model", "folder with the model.yaml of a small model; empty leaves it out"},
