@@ -62,7 +62,7 @@ TEST(WeightCommands, ConvertReports) {
   const test::TemporaryFolder folder;
   const std::string out = folder.path() / "bundle";
   const std::string level0 = test::test_data() / "stats/da3/normalization_stats_level0.pt";
-  const auto outcome = run({"convert", "--statistics-level0", level0, "--out", out, "--precision", "bf16"});
+  const auto outcome = run({"convert", "--statistics-level0", level0, "--out", out, "--store", "bfloat16"});
   EXPECT_EQ(outcome.status, 0) << outcome.errors;
   EXPECT_NE(
       outcome.output.find("statistics_level0  2 tensors, 3072 numbers in float32, from " + level0 + "\n"),
