@@ -26,7 +26,7 @@ namespace {
 
 constexpr double kKilobyte = 1024;
 
-double median(std::vector<double> values) { return spread_of(values).median; }
+double median(const std::vector<double>& values) { return spread_of(values).median; }
 
 struct ExchangeRow {
   double bytes = 0;
