@@ -12,7 +12,8 @@ namespace gld {
 
 // The kinds of evidence, as DepthScale::estimator and --scale-from name them.
 const std::vector<std::string>& scale_evidence_names();
-// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths.
+// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths. With
+// one photograph camera_poses tell nothing, and count only where they alone are asked for.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
 // The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.
 std::vector<std::string> usual_scale_evidence();

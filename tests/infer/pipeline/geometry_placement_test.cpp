@@ -263,5 +263,15 @@ TEST(GeometryPlacement, AnotherEstimatorsScaleKeepsTheMiddleOfTheCameras) {
   EXPECT_LT((placement.scene_from_model() * in_model - in_scene).norm(), 1e-9);
 }
 
+// Views that the model made of one photograph show how far it believes to have moved, and not how far that was.
+TEST(ScaleEvidence, OnePhotographsCamerasTellNothing) {
+  SamplingScene scene;
+  scene.source_images = {Image(kWidth, kHeight)};
+  EXPECT_FALSE(scale_evidence(scene, usual_scale_evidence()).camera_poses);
+  EXPECT_TRUE(scale_evidence(scene, {"camera_poses"}).camera_poses);
+  scene.source_images.emplace_back(kWidth, kHeight);
+  EXPECT_TRUE(scale_evidence(scene, usual_scale_evidence()).camera_poses);
+}
+
 }  // namespace
 }  // namespace gld

@@ -34,7 +34,7 @@ const LatentGrid kGrid = {kViews, kHeight / 14, kWidth / 14};
 
 bool is_meta(const torch::Device& device) { return device.type() == torch::kMeta; }
 
-// Shapes of what LibTorch's meta device has no kernels for outside Python: layer norm, convolution, and in 1.13 abs and relu.
+// Shapes of what the meta device has no kernels for outside Python: layer norm, convolution, in 1.13 abs and relu.
 // Boxed, because the types of their arguments differ between versions.
 c10::IValue argument(const torch::jit::Stack& stack, size_t count, size_t index) {
   return stack[stack.size() - count + index];
