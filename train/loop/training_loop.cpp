@@ -12,6 +12,7 @@
 #include "train/loop/metrics_log.h"
 #include "train/loop/resumable_checkpoint.h"
 #include "train/loop/shared_optimiser.h"
+#include "train/loop/training_precision.h"
 
 #include <algorithm>
 #include <chrono>
@@ -529,14 +530,6 @@ TrainingSummary Session::run() {
   return summary;
 }
 
-void check_training_precision(ComputePrecision precision, torch::Device device) {
-  const bool served = precision == ComputePrecision::kFloat32 || device.is_cpu() ||
-                      (precision == ComputePrecision::kBFloat16 && has_bfloat16_autocast(device));
-  if (served) return;
-  fail({"loop.precision", "one that is computed on " + device.str(), compute_precision_name(precision),
-        "set loop.precision to float32, or to bfloat16 on CUDA"});
-}
-
 }  // namespace
 
 void check_training_start(const std::filesystem::path& folder, TrainingStart start) {
@@ -553,12 +546,7 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
 }
 
 TrainingSummary train(const TrainingRun& run, const TrainingLoopOptions& options, TrainingStart start) {
-  check_training_precision(options.precision, run.objective->device());
-  const int64_t following = run.objective->learn_in(options.precision);
-  if (options.precision != ComputePrecision::kFloat32 && run.objective->device().is_cpu() && following == 0) {
-    fail({"loop.precision", "float32: nothing that is trained here has linear layers of blocks",
-          compute_precision_name(options.precision), "leave it out"});
-  }
+  set_training_precision(*run.objective, options.precision);
   Session session(run, options);
   session.restore(start);
   const DividedThreads threads(run.objective->concurrent() ? options.workers : 1);
