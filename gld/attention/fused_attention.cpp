@@ -85,11 +85,6 @@ class Context {
   }
 
  private:
-  static std::vector<torch::Tensor*> table_tensors(PropeTables& tables) {
-    return {&tables.query_matrix, &tables.key_value_matrix, &tables.output_matrix, &tables.column_cos,
-            &tables.column_sin,   &tables.row_cos,          &tables.row_sin};
-  }
-
   PropeTables tables_;
   torch::Tensor mask_tensor_;
   std::optional<PropePointers> prope_;

@@ -153,12 +153,14 @@ PropeTables fold_shared_camera(const PropeTables& tables) {
   return folded;
 }
 
+std::vector<torch::Tensor*> table_tensors(PropeTables& tables) {
+  return {&tables.query_matrix, &tables.key_value_matrix, &tables.output_matrix, &tables.column_cos,
+          &tables.column_sin,   &tables.row_cos,          &tables.row_sin};
+}
+
 PropeTables prope_tables_on(const PropeTables& tables, torch::Device device) {
   PropeTables moved = tables;
-  for (torch::Tensor* table : {&moved.query_matrix, &moved.key_value_matrix, &moved.output_matrix,
-                               &moved.column_cos, &moved.column_sin, &moved.row_cos, &moved.row_sin}) {
-    *table = table->to(device);
-  }
+  for (torch::Tensor* table : table_tensors(moved)) *table = table->to(device);
   return moved;
 }
 

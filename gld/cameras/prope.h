@@ -4,6 +4,7 @@
 #include "gld/cameras/relative_cameras.h"
 
 #include <cstdint>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -59,6 +60,9 @@ PropeTables make_prope_tables(const RelativeCameras& cameras, const PropeLayout&
 // Returns the tables unchanged where the views differ, or where there are prefix tokens, which meet keys and values
 // without being encoded themselves.
 PropeTables fold_shared_camera(const PropeTables& tables);
+
+// All of a table's tensors, in the order of their declaration.
+std::vector<torch::Tensor*> table_tensors(PropeTables& tables);
 
 PropeTables prope_tables_on(const PropeTables& tables, torch::Device device);
 
