@@ -5,11 +5,18 @@
 #include <cstdint>
 
 #include <ATen/Context.h>
+#include <ATen/core/dispatch/Dispatcher.h>
 #include <torch/cuda.h>
 
 namespace gld {
 
+bool reads_meta_device() {
+  const auto read = c10::Dispatcher::singleton().findSchema({"aten::_local_scalar_dense", ""});
+  return read && read->hasKernelForDispatchKey(c10::DispatchKey::Meta);
+}
+
 torch::Device device_from_text(const std::string& text) {
+  if (text == "meta" && reads_meta_device()) return torch::kMeta;
   const bool cuda = text == "cuda" || text.rfind("cuda:", 0) == 0;
   const std::string number = text.rfind("cuda:", 0) == 0 ? text.substr(5) : "0";
   const bool plain_number =

@@ -60,9 +60,8 @@ void require_finite_geometry(const GeometryOutput& geometry, const std::string& 
       {"rays", geometry.rays},     {"confidence of rays", geometry.ray_confidence},
       {"points", geometry.points}, {"confidence of points", geometry.point_confidence}};
   for (const auto& [name, map] : maps) {
-    if (!map.defined()) continue;
+    if (!map.defined() || map.isfinite().all().item<bool>()) continue;
     const auto wrong = map.numel() - map.isfinite().sum().item<int64_t>();
-    if (wrong == 0) continue;
     fail({stage, "finite numbers",
           fmt::format("{} of {} values of the predicted {} that are not", wrong, map.numel(), name),
           "check the geometry head's weights with gld inspect and gld verify"});

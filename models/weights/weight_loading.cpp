@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/tensors/device.h"
 #include "gld/tensors/weight_tensors.h"
 
 #include <torch/autograd.h>
@@ -69,7 +70,7 @@ const char* stripped(const std::string& name, const std::string& prefix) {
 
 void set_tensor(const torch::Tensor& target, const torch::Tensor& value, const std::string& where,
                 LoadReport& report) {
-  if (target.is_meta()) {
+  if (target.is_meta() && !reads_meta_device()) {
     fail({where, "a module with memory", "one on the meta device", "construct the module on the CPU or GPU"});
   }
   const auto placed = value.to(target.device(), target.scalar_type());

@@ -10,6 +10,7 @@
 #include "models/dit/dit_field.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/losses/perceptual_standin.h"
+#include "tests/support/meta_device.h"
 #include "tests/support/small_dit.h"
 
 #include <iostream>
@@ -17,10 +18,8 @@
 #include <vector>
 
 #include <ATen/CPUGeneratorImpl.h>
-#include <ATen/core/stack.h>
 #include <torch/autograd.h>
 #include <torch/cuda.h>
-#include <torch/library.h>
 
 #include <gtest/gtest.h>
 
@@ -33,58 +32,6 @@ constexpr int64_t kViews = 3, kSources = 2, kHeight = 28, kWidth = 42;  // pixel
 const LatentGrid kGrid = {kViews, kHeight / 14, kWidth / 14};
 
 bool is_meta(const torch::Device& device) { return device.type() == torch::kMeta; }
-
-// Shapes of what the meta device has no kernels for outside Python: layer norm, convolution, in 1.13 abs and relu.
-// Boxed, because the types of their arguments differ between versions.
-c10::IValue argument(const torch::jit::Stack& stack, size_t count, size_t index) {
-  return stack[stack.size() - count + index];
-}
-
-void layer_norm_shapes(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
-  const auto x = argument(*stack, 5, 0).toTensor();
-  const auto normalised = static_cast<int64_t>(argument(*stack, 5, 1).toIntVector().size());
-  auto sizes = x.sizes().vec();
-  for (int64_t i = x.dim() - normalised; i < x.dim(); ++i) sizes[static_cast<size_t>(i)] = 1;
-  torch::jit::drop(*stack, 5);
-  for (const auto& made :
-       {torch::empty_like(x), torch::empty(sizes, x.options()), torch::empty(sizes, x.options())}) {
-    stack->emplace_back(made);
-  }
-}
-
-void convolution_shapes(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
-  constexpr size_t kCount = 9;
-  const auto x = argument(*stack, kCount, 0).toTensor(), weight = argument(*stack, kCount, 1).toTensor();
-  const auto stride = argument(*stack, kCount, 3).toIntVector(),
-             padding = argument(*stack, kCount, 4).toIntVector(),
-             dilation = argument(*stack, kCount, 5).toIntVector(),
-             output_padding = argument(*stack, kCount, 7).toIntVector();
-  const bool transposed = argument(*stack, kCount, 6).toBool();
-  const int64_t groups = argument(*stack, kCount, 8).toInt();
-  std::vector<int64_t> sizes = {x.size(0), transposed ? groups * weight.size(1) : weight.size(0)};
-  for (size_t i = 0; i < stride.size(); ++i) {
-    const auto axis = static_cast<int64_t>(i) + 2;
-    const int64_t reach = dilation[i] * (weight.size(axis) - 1);
-    sizes.push_back(transposed
-                        ? (x.size(axis) - 1) * stride[i] - 2 * padding[i] + reach + output_padding[i] + 1
-                        : (x.size(axis) + 2 * padding[i] - reach - 1) / stride[i] + 1);
-  }
-  torch::jit::drop(*stack, kCount);
-  stack->emplace_back(torch::empty(sizes, x.options()));
-}
-
-void same_shape(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
-  const auto x = torch::jit::pop(*stack).toTensor();
-  stack->emplace_back(torch::empty_like(x));
-}
-
-TORCH_LIBRARY_IMPL(aten, Meta, library) {
-  for (const char* name : {"abs", "relu"}) {
-    library.impl(name, torch::CppFunction::makeFromBoxedFunction<&same_shape>());
-  }
-  library.impl("native_layer_norm", torch::CppFunction::makeFromBoxedFunction<&layer_norm_shapes>());
-  library.impl("convolution_overrideable", torch::CppFunction::makeFromBoxedFunction<&convolution_shapes>());
-}
 
 // A module of the same weights on a device.
 template <class Module, class Options>
@@ -134,11 +81,14 @@ Outputs velocities(const torch::Device& device) {
         const auto scene = scene_on(device, options);
         DitField field(*placed, placed->prepare_scene(scene.inputs));
         field.prepare_times({1.0, 0.4});
+        const int64_t reads = test::meta_reads();
         outputs.emplace_back("conditional", field.conditional(scene.noisy, 1.0));
         outputs.emplace_back("unconditional", field.unconditional(scene.noisy, 0.4));
         outputs.emplace_back("guided", field.guided(scene.noisy, 0.4, 1.5));
         field.set_batched(true);
-        outputs.emplace_back("guided in one pass", field.guided(scene.noisy, 0.3, 1.5));
+        outputs.emplace_back("guided in one pass", field.guided(scene.noisy, 0.4, 1.5));
+        EXPECT_EQ(test::meta_reads(), reads)
+            << "the host waited for the device in the midst of an evaluation";
       }
     }
   }
@@ -159,8 +109,10 @@ Outputs gradients(const torch::Device& device) {
     draw.clean = random(scene.noisy.sizes(), 3, device);
     draw.noise = scene.noisy;
     draw.time = 0.4;
+    const int64_t reads = test::meta_reads();
     const auto errors = flow_matching_errors(*placed, scene.inputs, draw);
     errors.all.backward();
+    EXPECT_EQ(test::meta_reads(), reads) << "the host waited for the device in the midst of a step";
     outputs.emplace_back("loss", errors.all.detach());
     for (const auto& item : placed->named_parameters()) {
       if (!item.value().requires_grad()) continue;

@@ -1,0 +1,143 @@
+// What trains, samples and evaluates, whole, on LibTorch's meta device (tests/support/meta_device.h): every tensor is
+// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere.
+#include "datasets/formats/scene_writer.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "infer/evaluate/evaluation.h"
+#include "infer/sample/sampling.h"
+#include "models/bundle/bundle.h"
+#include "tests/support/meta_device.h"
+#include "tests/support/temporary_folder.h"
+#include "tests/train/small_training.h"
+#include "train/stages/feature_stages.h"
+#include "train/stages/latent_stages.h"
+
+#include <cstdlib>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+template <class Options>
+Options stage_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+  Options options;
+  options.model = model.string();
+  options.out = out.string();
+  options.device = "meta";
+  options.threads = 1;
+  options.data = test::small_data();
+  return options;
+}
+
+template <class Options>
+Options training_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+  auto options = stage_options<Options>(model, out);
+  options.loop = test::two_steps();
+  return options;
+}
+
+// One folder with all stages, each on the device and from what the one before wrote.
+class CommandsOnDevice : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<test::TemporaryFolder>();
+    ::setenv("XDG_CACHE_HOME", path("cache").c_str(), 1);  // no rates of the tester's
+    BundleOptions model = test::small_model();
+    model.generator(level_model(1)).dit.warped_sources = 2;
+    save_bundle_options(path("empty"), model);
+    train_backbone(training_options<TrainBackboneOptions>(path("empty"), path("backbone")), {});
+    auto decoder = training_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
+    decoder.objective.adversarial.convolutional.channels = 8;
+    train_decoder(decoder, {});
+    auto statistics = stage_options<StatsOptions>(path("decoder/model"), path("stats"));
+    statistics.scene_count = 2;
+    compute_statistics(statistics);
+    auto level = training_options<TrainLevelOptions>(path("stats/model"), path("level"));
+    level.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
+    train_level(level, {});
+    train_cascade(training_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+  }
+  static void TearDownTestSuite() { folder_.reset(); }
+  static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
+  static nlohmann::json report(const std::string& run) {
+    return nlohmann::json::parse(read_file(path(run) / "report.json"));
+  }
+
+  static std::unique_ptr<test::TemporaryFolder> folder_;
+};
+std::unique_ptr<test::TemporaryFolder> CommandsOnDevice::folder_;
+
+// What all the others rest on.
+TEST_F(CommandsOnDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
+  const auto on_device = torch::ones({4, 4}, torch::kMeta), left = torch::ones({4, 4});
+  EXPECT_ANY_THROW(on_device + left);
+  EXPECT_ANY_THROW(torch::layer_norm(on_device, {4}, left[0], left[1]));
+  EXPECT_ANY_THROW(torch::conv2d(on_device.view({1, 1, 4, 4}), left.view({1, 1, 4, 4})));
+  EXPECT_ANY_THROW(torch::cat({on_device, left}));
+  EXPECT_ANY_THROW(torch::mm(on_device, left));
+  EXPECT_ANY_THROW(torch::linear(on_device, left, left[0]));
+  EXPECT_ANY_THROW(torch::matmul(on_device.unsqueeze(0), left.unsqueeze(0)));
+}
+
+TEST_F(CommandsOnDevice, EveryStageOfTrainingRuns) {
+  const auto trained = ModelBundle::open(path("cascade/model"));
+  for (const BundlePart& part : bundle_parts(trained.options())) {
+    EXPECT_TRUE(trained.has(part)) << bundle_part_name(part);
+  }
+  for (const char* run : {"backbone", "decoder", "level", "cascade"}) {
+    EXPECT_EQ(report(run).at("steps"), 2) << run;
+    EXPECT_EQ(report(run).at("skipped_steps"), 0) << run;
+  }
+}
+
+TEST_F(CommandsOnDevice, ARunIsResumed) {
+  auto options = training_options<TrainLevelOptions>(path("stats/model"), path("level"));
+  options.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
+  options.resume = true;
+  options.loop.steps = 3;
+  train_level(options, {});
+  EXPECT_EQ(report("level").at("steps_in_this_call"), 1);
+}
+
+TEST_F(CommandsOnDevice, NovelViewsAreSampled) {
+  SyntheticOptions drawn;
+  drawn.frames = 4;
+  drawn.width = drawn.height = 56;
+  write_scene(make_synthetic_scene(drawn, 0), "cameras-json", path("scene"));
+  SampleOptions options;
+  options.model = path("cascade/model").string();
+  options.scene = path("scene").string();
+  options.device = "meta";
+  options.views.sources = {0, 3};
+  options.views.targets = {1, 2};
+  options.outputs = {"image", "depth", "rays", "points", "latents"};
+  options.solver.evaluations = 3;
+  options.threads = 1;
+  options.out = path("sampled").string();
+  sample(options);
+  for (const char* file : {"images/view_02.png", "images/view_03.png", "contact_sheet.png"}) {
+    EXPECT_TRUE(std::filesystem::is_regular_file(path("sampled") / file)) << file;
+  }
+  EXPECT_EQ(report("sampled").at("flows").size(), 2U);
+}
+
+TEST_F(CommandsOnDevice, ScenesAreEvaluated) {
+  EvaluationOptions options;
+  options.model = path("cascade/model").string();
+  options.out = path("evaluated").string();
+  options.device = "meta";
+  options.threads = 1;
+  options.synthetic = 2;
+  options.solver.evaluations = 2;
+  evaluate(options);
+  EXPECT_TRUE(std::filesystem::is_regular_file(path("evaluated") / "eval.csv"));
+}
+
+}  // namespace
+}  // namespace gld
