@@ -22,8 +22,8 @@ struct AttentionInputs {
   const PropeTables* prope = nullptr;
   // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
   torch::Tensor view_mask;
-  // kFloat32, or kBFloat16 for the products of float32 tensors on the CPU while no gradients are recorded; softmax and
-  // sums are float32 then too. Elsewhere the tensors' own type counts.
+  // kFloat32, or kBFloat16 for the products of float32 tensors on the CPU, of their gradients too; softmax and sums are
+  // float32 then too. Elsewhere the tensors' own type counts.
   ComputePrecision precision = ComputePrecision::kFloat32;
 };
 

@@ -91,9 +91,11 @@ class Context {
   std::optional<ViewMask> mask_;
 };
 
-KernelSettings settings() {
+KernelSettings settings(ComputePrecision precision) {
   KernelSettings settings;
   settings.threads = thread_count();
+  settings.precision = precision;
+  if (precision != ComputePrecision::kFloat32) settings.unit = best_matrix_unit(precision);
   return settings;
 }
 
@@ -110,21 +112,23 @@ AttentionGradients gradients_of(const Context& context, const AttentionInputs& i
   arrays.query_gradient = pointers<float>(gradients.query);
   arrays.key_gradient = pointers<float>(gradients.key);
   arrays.value_gradient = pointers<float>(gradients.value);
-  attention_backward(arrays, settings());
+  attention_backward(arrays, settings(inputs.precision));
   return gradients;
 }
 
 class FusedAttention : public torch::autograd::Function<FusedAttention> {
  public:
   static torch::Tensor forward(torch::autograd::AutogradContext* graph, const torch::Tensor& query,
-                               const torch::Tensor& key, const torch::Tensor& value, Context* context) {
+                               const torch::Tensor& key, const torch::Tensor& value, Context* context,
+                               ComputePrecision precision) {
     auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
     const auto log_sum_exp = torch::empty({query.size(0), query.size(2), query.size(1)}, query.options());
-    attention_forward(context->arrays(query, key, value, output, log_sum_exp), settings());
+    attention_forward(context->arrays(query, key, value, output, log_sum_exp), settings(precision));
     auto saved = std::vector<torch::Tensor>{query, key, value, output, log_sum_exp};
     for (const auto& tensor : context->save_tensors()) saved.push_back(tensor);
     graph->save_for_backward(saved);
     graph->saved_data["sizes"] = context->save_sizes();
+    graph->saved_data["precision"] = static_cast<int64_t>(precision);
     return output;
   }
 
@@ -140,8 +144,9 @@ class FusedAttention : public torch::autograd::Function<FusedAttention> {
     inputs.query = saved[0];
     inputs.key = saved[1];
     inputs.value = saved[2];
+    inputs.precision = static_cast<ComputePrecision>(graph->saved_data["precision"].toInt());
     const auto result = gradients_of(context, inputs, {saved[3], saved[4]}, gradients[0]);
-    return {result.query, result.key, result.value, torch::Tensor()};
+    return {result.query, result.key, result.value, torch::Tensor(), torch::Tensor()};
   }
 };
 
@@ -165,13 +170,10 @@ torch::Tensor fused_attention(const AttentionInputs& inputs) {
   const auto value = with_contiguous_channels(inputs.value);
   if (torch::GradMode::is_enabled() &&
       (query.requires_grad() || key.requires_grad() || value.requires_grad())) {
-    return FusedAttention::apply(query, key, value, &context);
+    return FusedAttention::apply(query, key, value, &context, inputs.precision);
   }
   auto output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
-  KernelSettings kernel = settings();
-  kernel.precision = inputs.precision;
-  kernel.unit = best_matrix_unit(inputs.precision);
-  attention_forward(context.arrays(query, key, value, output, {}), kernel);
+  attention_forward(context.arrays(query, key, value, output, {}), settings(inputs.precision));
   return output;
 }
 
@@ -184,7 +186,7 @@ AttentionResult fused_attention_result(const AttentionInputs& inputs) {
   result.log_sum_exp = torch::empty({query.size(0), query.size(2), query.size(1)}, query.options());
   attention_forward(context.arrays(query, with_contiguous_channels(inputs.key),
                                    with_contiguous_channels(inputs.value), result.output, result.log_sum_exp),
-                    settings());
+                    settings(inputs.precision));
   return result;
 }
 

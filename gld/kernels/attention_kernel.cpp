@@ -19,8 +19,6 @@ namespace {
 // Packed keys and values of as many heads as fit here are prepared at once.
 constexpr int64_t kPackedFloats = 32 * 1024 * 1024 / sizeof(float);
 constexpr int64_t kPackRows = 64;
-constexpr int64_t kBackwardTilesAThread = 8;
-
 // Rows hold whole 16-float lines, an odd number of them: an even number would put the same channel of all rows into a
 // fraction of the cache's sets.
 int64_t packed_stride(int64_t head_dim) {
@@ -175,6 +173,10 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
 void attention_backward(const AttentionBackward& arrays, const KernelSettings& settings) {
   const AttentionForward& forward = arrays.forward;
   check_attention(forward, settings);
+  if (settings.precision != ComputePrecision::kFloat32) {
+    unit_attention_backward(arrays, settings);
+    return;
+  }
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const AttentionShape& shape = forward.shape;
   const Encoder encoder(forward, kernels);

@@ -54,8 +54,8 @@ struct KernelSettings {
   InstructionSet instruction_set = best_instruction_set();
   int64_t second_level_cache =
       second_level_cache_bytes();  // decides how products are cut up, not what they give
-  // Of attention's forward pass: kFloat32, or kBFloat16 on that unit, with softmax and sums in float32 and the arrays
-  // float32 all the same. linear_product is float32; packed_product.h has the others.
+  // Of attention: kFloat32, or kBFloat16 on that unit, with softmax and sums in float32 and the arrays float32 all the
+  // same. linear_product is float32; packed_product.h has the others.
   ComputePrecision precision = ComputePrecision::kFloat32;
   MatrixUnit unit = MatrixUnit::kPlain;
 };
@@ -85,7 +85,8 @@ struct AttentionBackward {
   StridedHeads<float> value_gradient;
 };
 
-// Gradients of a loss with respect to query, key and value. The same bits for the same number of threads.
+// Gradients of a loss with respect to query, key and value, in the precision that the output was computed in: the
+// probabilities are those of its log_sum_exp. The same bits for the same number of threads.
 void attention_backward(const AttentionBackward& arrays, const KernelSettings& settings);
 
 // Multiplications and additions of the products (the cost model's convention; softmax is not counted).

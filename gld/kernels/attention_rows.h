@@ -13,6 +13,7 @@ namespace gld {
 constexpr double kLog2E = 1.4426950408889634;
 constexpr double kLn2 = 0.6931471805599453;
 constexpr int64_t kTilesAThread = 16;
+constexpr int64_t kBackwardTilesAThread = 8;  // of one head
 constexpr int64_t kPrefetchRows = 16;
 
 // A run of tokens and the runs of tokens on the other side that it attends to (or that attend to it).

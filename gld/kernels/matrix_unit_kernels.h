@@ -42,7 +42,8 @@ struct ByteScale {
   int32_t zero;
 };
 
-// Keys and values lie in blocks of this many tokens, each with its keys from an even place on.
+// Tokens lie in blocks of this many, each with its first one at an even place: keys and values in the forward pass, queries
+// and gradients of the output in the backward pass.
 constexpr int64_t kBlockKeys = 96;
 constexpr int64_t kBlockKeyWords = kBlockKeys / 2;
 
@@ -64,6 +65,31 @@ struct UnitAttentionTile {
   float* base2_lse;  // (query_count) log2 of the sum of 2^logit; -inf for a query without keys
 };
 
+// Some keys of one head, with gradients of the queries that attend to them; as UnitAttentionTile.
+struct UnitAttentionBackwardTile {
+  const uint32_t* queries;         // blocks of kBlockKeys rows of head_words, times log2(e) / sqrt(head size)
+  const uint32_t* query_channels;  // the same, blocks of head_rows rows (channels) of kBlockKeyWords (pairs)
+  const uint32_t* output_gradients;          // as queries
+  const uint32_t* output_gradient_channels;  // as query_channels
+  const int32_t* block_queries;              // how many queries of a block are there; the others are zero
+  const float* base2_lse;                    // (blocks, kBlockKeys), as UnitAttentionTile::base2_lse
+  const float* output_dot;                   // (blocks, kBlockKeys): output . output gradient
+  const uint32_t* keys;                      // key_count rows of head_words
+  const uint32_t* values;                    // the same
+  int64_t key_count;                         // at most MatrixUnitKernels::backward_keys
+  int64_t head_words;
+  int64_t head_rows;
+  int64_t head_dim;
+  const TokenRange* block_ranges;  // runs of blocks
+  int64_t block_range_count;
+  float* scratch;                 // MatrixUnitKernels::backward_scratch floats, 64-byte aligned
+  float* query_gradients;         // (blocks, kBlockKeys, query_gradient_stride), added to
+  int64_t query_gradient_stride;  // whole panels of MatrixUnitKernels::lanes channels
+  float* key_gradients;           // key_count rows of gradient_stride
+  float* value_gradients;         // the same
+  int64_t gradient_stride;
+};
+
 struct MatrixUnitKernels {
   MatrixUnit unit;
   int64_t rows;             // of a product's strip
@@ -73,9 +99,12 @@ struct MatrixUnitKernels {
   int64_t block_columns;    // whose panels stay in the second-level cache
   int64_t forward_queries;  // the most queries in an attention tile
   int64_t (*forward_scratch)(int64_t head_words, int64_t head_rows);
+  int64_t backward_keys;  // the most keys in a tile of the backward pass
+  int64_t (*backward_scratch)(int64_t head_words, int64_t head_rows);
   void (*bfloat16_product)(const UnitProductTile& tile);
   void (*int8_product)(const UnitProductTile& tile);
   void (*attention_forward)(const UnitAttentionTile& tile);
+  void (*attention_backward)(const UnitAttentionBackwardTile& tile);
   // Rounded to the nearest, ties to even; NaN stays NaN. From count to padded: zeros.
   void (*to_bfloat16)(const float* x, int64_t count, int64_t padded, uint16_t* y);
   // x = high + low to 16 bits.

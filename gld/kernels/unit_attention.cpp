@@ -1,10 +1,8 @@
 #include "gld/kernels/unit_attention.h"
 
-#include "gld/base/error.h"
 #include "gld/kernels/aligned_floats.h"
-#include "gld/kernels/attention_rows.h"
-#include "gld/kernels/matrix_unit_kernels.h"
 #include "gld/kernels/product_shares.h"
+#include "gld/kernels/unit_attention_blocks.h"
 
 #include <algorithm>
 #include <cmath>
@@ -15,55 +13,8 @@
 namespace gld {
 namespace {
 
-// Packed keys and values of as many heads as fit here are prepared at once.
-constexpr int64_t kPackedWords = 16 * 1024 * 1024 / sizeof(uint32_t);
-
-const MatrixUnitKernels& unit_of(const KernelSettings& settings) {
-  if (settings.precision != ComputePrecision::kBFloat16) {
-    fail({"attention kernel", "float32 or bfloat16", compute_precision_name(settings.precision), ""});
-  }
-  return matrix_unit_kernels(settings.unit, settings.precision);
-}
-
-// Keys in blocks. A mask parts them by views, so that every view starts a block.
-struct KeyBlocks {
-  std::vector<TokenRange> tokens;  // of each block
-  std::vector<int32_t> counts;     // the same as the kernel takes it
-  int64_t views = 1;
-
-  int64_t count() const { return static_cast<int64_t>(tokens.size()); }
-  int64_t a_view() const { return count() / views; }
-};
-
-KeyBlocks key_blocks(const AttentionForward& arrays) {
-  KeyBlocks blocks;
-  blocks.views = arrays.mask == nullptr ? 1 : arrays.mask->views;
-  const int64_t tokens = arrays.shape.keys / blocks.views;
-  for (int64_t view = 0; view < blocks.views; ++view) {
-    for (int64_t first = 0; first < tokens; first += kBlockKeys) {
-      blocks.tokens.push_back({view * tokens + first, std::min(kBlockKeys, tokens - first)});
-      blocks.counts.push_back(static_cast<int32_t>(blocks.tokens.back().count));
-    }
-  }
-  return blocks;
-}
-
-// Runs of keys, which begin and end with views, as runs of blocks.
-std::vector<TokenRange> block_runs(const Segment& segment, const AttentionForward& arrays,
-                                   const KeyBlocks& blocks) {
-  std::vector<TokenRange> runs;
-  const int64_t tokens = arrays.shape.keys / blocks.views;
-  for (const TokenRange& keys : segment.partners) {
-    if (tokens > 0)
-      runs.push_back({keys.first / tokens * blocks.a_view(), keys.count / tokens * blocks.a_view()});
-  }
-  return runs;
-}
-
 struct UnitAttentionPlan {
-  int64_t head_dim;     // padded to 8: what is computed with
-  int64_t head_words;   // of a row of keys or queries
-  int64_t head_rows;    // channels of values
+  UnitHead head;
   int64_t key_words;    // all keys of one head
   int64_t head_packed;  // keys and values of one head, words
   int64_t heads_at_once;
@@ -71,39 +22,35 @@ struct UnitAttentionPlan {
   int64_t thread_floats;
 };
 
-UnitAttentionPlan unit_attention_plan(const AttentionForward& arrays, const KeyBlocks& blocks,
+UnitAttentionPlan unit_attention_plan(const AttentionForward& arrays, const TokenBlocks& blocks,
                                       const MatrixUnitKernels& unit, int threads) {
   const AttentionShape& shape = arrays.shape;
-  UnitAttentionPlan plan = {};
-  plan.head_dim = rounded_up(shape.head_dim, 8);
-  plan.head_words = rounded_up(plan.head_dim / 2, kStepWords);
-  plan.head_rows = rounded_up(plan.head_dim, unit.rows);
-  plan.key_words = blocks.count() * kBlockKeys * plan.head_words;
-  plan.head_packed = plan.key_words + blocks.count() * kBlockKeyWords * plan.head_rows;
+  UnitAttentionPlan plan = {UnitHead(shape.head_dim, unit), 0, 0, 0, 0, 0};
+  plan.key_words = blocks.count() * plan.head.block_rows();
+  plan.head_packed = plan.key_words + blocks.count() * plan.head.block_channels();
   const int64_t heads = shape.batch * shape.heads;
   plan.heads_at_once = std::clamp<int64_t>(kPackedWords / std::max<int64_t>(plan.head_packed, 1), 1,
                                            std::max<int64_t>(heads, 1));
   // Large tiles read keys and values less often, but every thread should get many tiles.
   const int64_t share = shape.queries * heads / (kTilesAThread * threads);
   plan.tile_queries = std::clamp(share / unit.lanes * unit.lanes, unit.lanes, unit.forward_queries);
-  const int64_t encoding = 2 * rounded_up(kBlockKeys * plan.head_dim, 16);  // floats of a block, and bfloat16
-  const int64_t tile = plan.tile_queries * (plan.head_words + plan.head_dim) +
+  const int64_t encoding =
+      2 * rounded_up(kBlockKeys * plan.head.head_dim, 16);  // floats of a block, and bfloat16
+  const int64_t tile = plan.tile_queries * (plan.head.head_words + plan.head.head_dim) +
                        rounded_up(plan.tile_queries, 16) +
-                       unit.forward_scratch(plan.head_words, plan.head_rows);
-  plan.thread_floats = rounded_up(std::max(encoding, tile + plan.head_dim), 16);
+                       unit.forward_scratch(plan.head.head_words, plan.head.head_rows);
+  plan.thread_floats = rounded_up(std::max(encoding, tile + plan.head.head_dim), 16);
   return plan;
 }
-
-uint16_t* halves(uint32_t* words) { return reinterpret_cast<uint16_t*>(words); }
 
 class UnitAttention {
  public:
   UnitAttention(const AttentionForward& arrays, const KernelSettings& settings)
       : arrays_(arrays),
         shape_(arrays.shape),
-        unit_(unit_of(settings)),
+        unit_(attention_unit(settings)),
         encoder_(arrays, kernel_table(settings.instruction_set)),
-        blocks_(key_blocks(arrays)),
+        blocks_(token_blocks(arrays.shape.keys, arrays.mask)),
         plan_(unit_attention_plan(arrays, blocks_, unit_, settings.threads)),
         threads_(settings.threads) {}
 
@@ -115,9 +62,7 @@ class UnitAttention {
   void run() const {
     const auto query_segments = segments(arrays_, SegmentSide::queries);
     const auto query_tiles = tiles(query_segments, plan_.tile_queries);
-    std::vector<std::vector<TokenRange>> runs;
-    runs.reserve(query_segments.size());
-    for (const Segment& segment : query_segments) runs.push_back(block_runs(segment, arrays_, blocks_));
+    const auto runs = block_runs(query_segments, blocks_);
     const auto num_tiles = static_cast<int64_t>(query_tiles.size());
     const AlignedFloats packed(plan_.heads_at_once * plan_.head_packed);
     const AlignedFloats scratch(threads_ * plan_.thread_floats);
@@ -149,44 +94,37 @@ class UnitAttention {
   void pack_block(int64_t block, int64_t index, float* own, uint32_t* packed) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads;
     const TokenRange& tokens = blocks_.tokens[static_cast<std::size_t>(block)];
-    const int64_t dim = plan_.head_dim;
-    uint32_t* keys = packed + block * kBlockKeys * plan_.head_words;
-    uint32_t* values = packed + plan_.key_words + block * kBlockKeyWords * plan_.head_rows;
+    const int64_t dim = plan_.head.head_dim;
+    uint32_t* keys = packed + block * plan_.head.block_rows();
+    uint32_t* values = packed + plan_.key_words + block * plan_.head.block_channels();
     float* row = own;
     auto* value_rows = reinterpret_cast<uint16_t*>(own + rounded_up(kBlockKeys * dim, 16));
     std::fill(row, row + dim, 0.0f);
     for (int64_t i = 0; i < kBlockKeys; ++i) {
-      uint16_t* key = halves(keys + i * plan_.head_words);
+      uint16_t* key = halves(keys + i * plan_.head.head_words);
       uint16_t* value = value_rows + i * dim;
       if (i >= tokens.count) {
-        std::fill_n(key, 2 * plan_.head_words, uint16_t{0});
+        std::fill_n(key, 2 * plan_.head.head_words, uint16_t{0});
         std::fill_n(value, dim, uint16_t{0});
         continue;
       }
       const int64_t token = tokens.first + i;
       encoder_.apply(Encoding::key_value, token, 1.0f, row_of(arrays_.key, batch, head, token), row);
-      unit_.to_bfloat16(row, dim, 2 * plan_.head_words, key);
+      unit_.to_bfloat16(row, dim, 2 * plan_.head.head_words, key);
       encoder_.apply(Encoding::key_value, token, 1.0f, row_of(arrays_.value, batch, head, token), row);
       unit_.to_bfloat16(row, dim, dim, value);
     }
-    for (int64_t w = 0; w < kBlockKeyWords; ++w) {
-      const uint16_t* even = value_rows + 2 * w * dim;
-      const uint16_t* odd = even + dim;
-      for (int64_t c = 0; c < dim; ++c) {
-        values[c * kBlockKeyWords + w] = static_cast<uint32_t>(odd[c]) << 16 | even[c];
-      }
-    }
-    std::fill(values + dim * kBlockKeyWords, values + plan_.head_rows * kBlockKeyWords, 0U);
+    pack_channels(plan_.head, value_rows, dim, values);
   }
 
   void attend(int64_t index, const Tile& tile, const std::vector<TokenRange>& runs, const uint32_t* packed,
               float* own) const {
-    const int64_t batch = index / shape_.heads, head = index % shape_.heads, dim = plan_.head_dim;
+    const int64_t batch = index / shape_.heads, head = index % shape_.heads, dim = plan_.head.head_dim;
     const auto factor = static_cast<float>(kLog2E / std::sqrt(static_cast<double>(shape_.head_dim)));
     float* scratch = own;
-    auto* queries =
-        reinterpret_cast<uint32_t*>(scratch + unit_.forward_scratch(plan_.head_words, plan_.head_rows));
-    float* outputs = reinterpret_cast<float*>(queries) + plan_.tile_queries * plan_.head_words;
+    auto* queries = reinterpret_cast<uint32_t*>(
+        scratch + unit_.forward_scratch(plan_.head.head_words, plan_.head.head_rows));
+    float* outputs = reinterpret_cast<float*>(queries) + plan_.tile_queries * plan_.head.head_words;
     float* base2_lse = outputs + plan_.tile_queries * dim;
     float* row = base2_lse + rounded_up(plan_.tile_queries, 16);
     std::fill(row, row + dim, 0.0f);
@@ -195,7 +133,7 @@ class UnitAttention {
       const float* from = row_of(arrays_.query, batch, head, token);
       prefetch_row(from + kPrefetchRows * arrays_.query.token_stride, shape_.head_dim);
       encoder_.apply(Encoding::query, token, factor, from, row);
-      unit_.to_bfloat16(row, dim, 2 * plan_.head_words, halves(queries + i * plan_.head_words));
+      unit_.to_bfloat16(row, dim, 2 * plan_.head.head_words, halves(queries + i * plan_.head.head_words));
     }
     UnitAttentionTile kernel_tile = {};
     kernel_tile.queries = queries;
@@ -203,8 +141,8 @@ class UnitAttention {
     kernel_tile.keys = packed;
     kernel_tile.values = packed + plan_.key_words;
     kernel_tile.block_keys = blocks_.counts.data();
-    kernel_tile.head_words = plan_.head_words;
-    kernel_tile.head_rows = plan_.head_rows;
+    kernel_tile.head_words = plan_.head.head_words;
+    kernel_tile.head_rows = plan_.head.head_rows;
     kernel_tile.head_dim = dim;
     kernel_tile.block_ranges = runs.data();
     kernel_tile.block_range_count = static_cast<int64_t>(runs.size());
@@ -229,7 +167,7 @@ class UnitAttention {
   const AttentionShape& shape_;
   const MatrixUnitKernels& unit_;
   Encoder encoder_;
-  KeyBlocks blocks_;
+  TokenBlocks blocks_;
   UnitAttentionPlan plan_;
   int threads_;
 };

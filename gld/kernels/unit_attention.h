@@ -4,8 +4,9 @@
 
 namespace gld {
 
-// attention_forward in bfloat16 on a matrix unit; called by it.
+// attention_forward and attention_backward in bfloat16 on a matrix unit; called by them.
 void unit_attention_forward(const AttentionForward& arrays, const KernelSettings& settings);
 int64_t unit_attention_scratch_bytes(const AttentionForward& arrays, const KernelSettings& settings);
+void unit_attention_backward(const AttentionBackward& arrays, const KernelSettings& settings);
 
 }  // namespace gld

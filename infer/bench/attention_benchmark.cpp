@@ -18,6 +18,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <optional>
 
 #include <torch/autograd.h>
 #include <torch/types.h>
@@ -84,10 +85,9 @@ class Variant {
 
 class KernelVariant : public Variant {
  public:
-  KernelVariant(const std::string& name, const Problem& problem, InstructionSet set)
-      : Variant(name, problem) {
+  KernelVariant(const std::string& name, const Problem& problem, const KernelSettings& settings)
+      : Variant(name, problem), settings_(settings) {
     settings_.threads = thread_count();
-    settings_.instruction_set = set;
     output = torch::empty_like(problem.output_gradient);
     query_gradient = torch::empty_like(output);
     key_gradient_ = torch::empty_like(output);
@@ -191,10 +191,19 @@ AttentionBenchmarkRow row_from(const Problem& problem, const Variant& variant, A
 }
 
 void measure(const Problem& problem, int64_t repeats, std::vector<AttentionBenchmarkRow>& rows) {
-  KernelVariant ours("ours", problem, best_instruction_set());
+  KernelSettings slowest, reduced;
+  slowest.instruction_set = InstructionSet::kPortable;
+  KernelVariant ours("ours", problem, {});
   ComposedVariant composed(problem);
-  KernelVariant portable("portable", problem, InstructionSet::kPortable);
-  const std::vector<Variant*> variants = {&ours, &composed, &portable};
+  KernelVariant portable("portable", problem, slowest);
+  std::vector<Variant*> variants = {&ours, &composed, &portable};
+  // Where there is a unit for it; its rows are fractions of float32's peak.
+  std::optional<KernelVariant> bfloat16;
+  if (has_matrix_unit(ComputePrecision::kBFloat16)) {
+    reduced.precision = ComputePrecision::kBFloat16;
+    reduced.unit = best_matrix_unit(reduced.precision);
+    variants.push_back(&bfloat16.emplace("ours_bfloat16", problem, reduced));
+  }
   std::vector<AttentionTimes> forward(variants.size()), backward(variants.size());
   PeakMeasurement peak;
   peak.settings.threads = thread_count();

@@ -30,8 +30,10 @@ struct AttentionBenchmarkRow {
   int64_t head_dim = 0;
   int64_t tokens = 0;
   int64_t threads = 0;
-  std::string variant;  // "ours", "composed" (LibTorch's operations, all logits at once) or "portable"
-  double seconds = 0;   // median
+  // "ours", "composed" (LibTorch's operations, all logits at once), "portable", and "ours_bfloat16" where there is a unit
+  // for it
+  std::string variant;
+  double seconds = 0;  // median
   double seconds_low = 0;
   double seconds_high = 0;
   double fraction_of_peak = 0;  // median over repeats of (operations / seconds / peak measured just before)

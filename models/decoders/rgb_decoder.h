@@ -83,17 +83,15 @@ class RgbDecoder : public ImageDecoder {
 
 // Pre-norm transformer layer with ViT-MAE's names: attention.attention.{query, key, value},
 // attention.output.dense, intermediate.dense, output.dense, layernorm_before, layernorm_after.
-class RgbDecoderLayer : public torch::nn::Module, public PrecisionLayer {
+class RgbDecoderLayer : public torch::nn::Module, public AttentionPrecisionLayer {
  public:
   RgbDecoderLayer(const RgbDecoderOptions& options, const ParameterPlacement& placement);
   torch::Tensor forward(const torch::Tensor& x) const;  // (views, tokens, hidden_size) -> the same shape
-  void use_precision(const LayerPrecision& precision) override { attention_precision_ = precision.attention; }
 
  private:
   torch::Tensor attend(const torch::Tensor& x) const;
 
   int64_t num_heads_;
-  ComputePrecision attention_precision_ = ComputePrecision::kFloat32;
   std::shared_ptr<Linear> query_, key_, value_, projection_, expansion_, contraction_;
   std::shared_ptr<LayerNorm> norm_before_, norm_after_;
 };

@@ -39,7 +39,7 @@ struct DitBlockContext {
 
 // A block of DiT^DH: x + gate * attention(modulate(norm1(x))), then x + gate * swiglu(modulate(norm2(x))).
 // Attention is over the tokens of all views, with PRoPE; norms are RMSNorm with epsilon 1e-6.
-class DitBlock : public torch::nn::Module, public PrecisionLayer {
+class DitBlock : public torch::nn::Module, public AttentionPrecisionLayer {
  public:
   DitBlock(const DitBlockSizes& sizes, const ParameterPlacement& placement);
 
@@ -53,11 +53,9 @@ class DitBlock : public torch::nn::Module, public PrecisionLayer {
                        const DitBlockContext& context) const;
   // SiLU of one condition a row, (rows, channels) -> rows of a Modulation for this block.
   torch::Tensor modulation_rows(const torch::Tensor& activation) const;
-  void use_precision(const LayerPrecision& precision) override { attention_precision_ = precision.attention; }
 
  private:
   DitBlockSizes sizes_;
-  ComputePrecision attention_precision_ = ComputePrecision::kFloat32;
   std::shared_ptr<RmsNorm> norm1_, norm2_, query_norm_, key_norm_;
   std::shared_ptr<Linear> qkv_, projection_;
   std::shared_ptr<Swiglu> feed_forward_;

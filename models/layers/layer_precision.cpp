@@ -17,6 +17,12 @@ LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind) {
   return precision;
 }
 
+bool AttentionPrecisionLayer::learn_in(ComputePrecision precision) {
+  const bool reduced = precision == ComputePrecision::kBFloat16;
+  attention_precision_ = reduced ? precision : ComputePrecision::kFloat32;
+  return reduced;
+}
+
 namespace {
 
 template <class Function>

@@ -42,13 +42,24 @@ class PrecisionLayer {
   virtual bool learn_in(ComputePrecision) { return false; }
 };
 
+// A block with attention.
+class AttentionPrecisionLayer : public PrecisionLayer {
+ public:
+  void use_precision(const LayerPrecision& precision) override { attention_precision_ = precision.attention; }
+  // In bfloat16 where linear layers are; bfloat16x3 is for nearly float32, and attention has no such kernels.
+  bool learn_in(ComputePrecision precision) override;
+
+ protected:
+  ComputePrecision attention_precision_ = ComputePrecision::kFloat32;
+};
+
 // All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once
 // a model: released weights cannot be packed again.
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
 
 // What a model is trained in from now on: float32, bfloat16 or bfloat16x3 (gld/tensors/learning_product.h). Linear
-// layers of blocks follow it. What stays float32 above does so here, and attention with its gradients too: its kernels
-// of reduced precision have no backward pass. Weights and their gradients are float32.
+// layers of blocks follow it, and attention in bfloat16. What stays float32 above does so here. Weights and their
+// gradients are float32.
 // Returns how many layers that are.
 int64_t learn_in(torch::nn::Module& model, ComputePrecision precision);
 

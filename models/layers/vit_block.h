@@ -30,7 +30,7 @@ enum class AttentionScope { kLocal, kGlobal };
 
 // A DINOv2 block: x + ls1(attention(norm1(x))), then x + ls2(feed_forward(norm2(x))), with per-channel scales
 // ls1, ls2 ("gamma"). Query and key norms have epsilon 1e-5.
-class VitBlock : public torch::nn::Module, public PrecisionLayer {
+class VitBlock : public torch::nn::Module, public AttentionPrecisionLayer {
  public:
   VitBlock(const VitBlockSizes& sizes, const ParameterPlacement& placement);
 
@@ -38,7 +38,6 @@ class VitBlock : public torch::nn::Module, public PrecisionLayer {
   // tap, where it is given, gets what a global block's attention multiplies.
   torch::Tensor forward(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
                         AttentionTap* tap = nullptr) const;
-  void use_precision(const LayerPrecision& precision) override { attention_precision_ = precision.attention; }
 
  private:
   torch::Tensor attend(const torch::Tensor& x, AttentionScope scope, const RotaryTables& rotary,
@@ -46,7 +45,6 @@ class VitBlock : public torch::nn::Module, public PrecisionLayer {
   torch::Tensor feed_forward(const torch::Tensor& x) const;
 
   VitBlockSizes sizes_;
-  ComputePrecision attention_precision_ = ComputePrecision::kFloat32;
   std::shared_ptr<LayerNorm> norm1_, norm2_, query_norm_, key_norm_;
   std::shared_ptr<Linear> qkv_, projection_;
   std::shared_ptr<Linear> expansion_, contraction_;  // fc1, fc2 or w12, w3

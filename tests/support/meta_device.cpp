@@ -43,7 +43,8 @@ class OnHost {
 
  private:
   torch::Tensor ones(const torch::Tensor& tensor) {
-    if (!tensor.defined() || (!tensor.is_meta() && tensor.dim() == 0)) return tensor;  // a number is taken everywhere
+    if (!tensor.defined() || (!tensor.is_meta() && tensor.dim() == 0))
+      return tensor;  // a number is taken everywhere
     TORCH_CHECK(tensor.is_meta(), "a tensor of shape ", tensor.sizes(), " was left on ", tensor.device());
     const auto made = torch::ones(tensor.sizes(), torch::dtype(tensor.scalar_type()));
     stand_for_.emplace_back(made, tensor);
@@ -113,14 +114,15 @@ void number_read(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
 // Their kernels for the device take tensors of the CPU without a word, which those of a GPU refuse. LibTorch
 // warns that they are replaced.
 bool takes_any_device(const std::string& name) {
-  static const std::set<std::string> kNames = {"aten::cat", "aten::mm", "aten::addmm", "aten::bmm", "aten::baddbmm"};
+  static const std::set<std::string> kNames = {"aten::cat", "aten::mm", "aten::addmm", "aten::bmm",
+                                               "aten::baddbmm"};
   return kNames.count(name) > 0;
 }
 
 bool has_kernel(const c10::OperatorHandle& of) {
-  for (const auto key :
-       {c10::DispatchKey::Meta, c10::DispatchKey::CompositeExplicitAutograd,
-        c10::DispatchKey::CompositeExplicitAutogradNonFunctional, c10::DispatchKey::CompositeImplicitAutograd}) {
+  for (const auto key : {c10::DispatchKey::Meta, c10::DispatchKey::CompositeExplicitAutograd,
+                         c10::DispatchKey::CompositeExplicitAutogradNonFunctional,
+                         c10::DispatchKey::CompositeImplicitAutograd}) {
     if (of.hasKernelForDispatchKey(key)) return true;
   }
   return !of.hasKernelForDispatchKey(c10::DispatchKey::CPU);

@@ -125,7 +125,8 @@ TEST(Da3Backbone, BlocksBeforeTheAlternationSeeOneView) {
   const auto backbone = random_backbone(options);
   const auto images = random_images(2, 28, 42);
   const auto together = backbone->encode(images, 1), alone = backbone->encode(images.slice(0, 0, 1), 1);
-  EXPECT_LT(difference(together[0].slice(0, 0, 1), alone[0]), 1e-5);
+  // Products of more rows sum in another order, which random weights of this size make 2e-5 of.
+  EXPECT_LT(difference(together[0].slice(0, 0, 1), alone[0]), 1e-4);
   EXPECT_GT(difference(together[1].slice(0, 0, 1), alone[1]), 1e-2);
 }
 
