@@ -115,8 +115,8 @@ function(gld_test name source)
 endfunction()
 
 # gld_room_tests(ROOM [TESTS a_test ...] [TORCH_TESTS b_test ...])
-# A test for each file tests/ROOM/a_test.cpp, none where GLD_SANITIZE leaves LibTorch out. A room that is not built has no
-# tests.
+# A test for each file tests/ROOM/a_test.cpp; those with LibTorch have the label libtorch, and GLD_SANITIZE leaves them out. A
+# room that is not built has no tests.
 function(gld_room_tests room)
   gld_room_target(library ${room})
   if(TARGET ${library})
@@ -143,5 +143,9 @@ function(gld_folder_tests folder)
   endforeach()
   foreach(name IN LISTS arg_TORCH_TESTS)
     gld_share_torch_headers(${name})
+    if(NOT arg_LABEL)
+      set_tests_properties(${name} PROPERTIES LABELS libtorch)
+      set_property(GLOBAL APPEND PROPERTY GLD_TESTS_OF_LIBTORCH ${name})
+    endif()
   endforeach()
 endfunction()

@@ -1,28 +1,28 @@
 #!/usr/bin/env bash
 # From a clean Debian 12 machine to green: installs, builds, runs every test, fails if one is skipped. Needs nothing beside
 # the clone; the tests of the label shared, which do, are run with ctest -L shared (CONTRIBUTING.md).
-#   --libtorch DIR    with that LibTorch instead of Debian's (scripts/build.sh)
-#   --touching-libtorch    only the program, its reference cases and the tests of what LibTorch computes (the label libtorch)
+#   --libtorch DIR    with that LibTorch instead of Debian's (scripts/build.sh): the program, its reference cases and every test
+#                     that LibTorch has a part in (the label libtorch); the others would be the same once more
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/build_folder.sh
+if [ ${#rest[@]} -ne 0 ]; then
+  echo "test: expected nothing or --libtorch DIR, found '${rest[*]}'." >&2
+  exit 2
+fi
 selection=(-LE '^shared$')
 targets=()
-for word in "${rest[@]}"; do
-  if [ "$word" != --touching-libtorch ]; then
-    echo "test: expected --libtorch DIR or --touching-libtorch, found '$word'." >&2
-    exit 2
-  fi
+if [ -n "$libtorch" ]; then
   selection=(-L '^libtorch$')
   targets=(--target gld tests_of_libtorch)
-done
+fi
 
 scripts/setup.sh
 cmake --preset release -B "$build_folder" "${configuration[@]}" >/dev/null
 cmake --build "$build_folder" "${targets[@]}"
 
-# The parts without LibTorch once more under AddressSanitizer and UBSan; they are the same with every LibTorch.
-if [ "$build_folder" = build/release ]; then
+# The parts without LibTorch once more under AddressSanitizer and UBSan.
+if [ -z "$libtorch" ]; then
   cmake --preset asan >/dev/null
   cmake --build --preset asan
   ctest --preset asan --no-tests=error --timeout 900 -j 2
