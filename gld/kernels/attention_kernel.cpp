@@ -19,6 +19,7 @@ namespace {
 // Packed keys and values of as many heads as fit here are prepared at once.
 constexpr int64_t kPackedFloats = 32 * 1024 * 1024 / sizeof(float);
 constexpr int64_t kPackRows = 64;
+
 // Rows hold whole 16-float lines, an odd number of them: an even number would put the same channel of all rows into a
 // fraction of the cache's sets.
 int64_t packed_stride(int64_t head_dim) {
@@ -107,7 +108,7 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
   const auto query_tiles = tiles(query_segments, plan.tile_queries);
   const auto num_tiles = static_cast<int64_t>(query_tiles.size());
   const int64_t row_chunks = (shape.keys + kPackedRowPadding + kPackRows - 1) / kPackRows;
-  const auto query_factor = static_cast<float>(kLog2E / std::sqrt(static_cast<double>(shape.head_dim)));
+  const float factor = query_factor(shape.head_dim);
 
   const AlignedFloats packed(2 * plan.heads_at_once * plan.head_floats);
   const AlignedFloats scratch(settings.threads * plan.thread_floats);
@@ -139,7 +140,7 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
           float* row = queries + i * plan.stride;
           const float* from = row_of(arrays.query, batch, head_in_batch, token);
           prefetch_row(from + kPrefetchRows * arrays.query.token_stride, shape.head_dim);
-          encoder.apply(Encoding::query, token, query_factor, from, row);
+          encoder.apply(Encoding::query, token, factor, from, row);
           clear_tail(row, shape.head_dim, plan.stride);
         }
         AttentionForwardTile kernel_tile = {};
@@ -190,7 +191,7 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
   const auto key_tiles = tiles(key_segments, tile_keys);
   const auto num_tiles = static_cast<int64_t>(key_tiles.size());
   const double scale = 1.0 / std::sqrt(static_cast<double>(shape.head_dim));
-  const auto query_factor = static_cast<float>(kLog2E * scale);
+  const float factor = query_factor(shape.head_dim);
 
   const int64_t query_floats = (shape.queries + kPackedRowPadding) * stride;
   const int64_t key_floats = (shape.keys + kPackedRowPadding) * stride;
@@ -223,8 +224,7 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
         if (!padding) {
           const float* from = row_of(arrays.output_gradient, batch, head, token);
           const float* output = row_of(forward.output, batch, head, token);
-          encoder.apply(Encoding::query, token, query_factor, row_of(forward.query, batch, head, token),
-                        query);
+          encoder.apply(Encoding::query, token, factor, row_of(forward.query, batch, head, token), query);
           encoder.apply_transposed(Encoding::output, token, 1.0f, from, gradient);
           double dot = 0;
           for (int64_t c = 0; c < shape.head_dim; ++c) {

@@ -4,6 +4,7 @@
 #include "gld/kernels/kernel_table.h"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 // What attention in float32 and on matrix units share: which tokens attend to which, and rows of strided arrays with
@@ -15,6 +16,12 @@ constexpr double kLn2 = 0.6931471805599453;
 constexpr int64_t kTilesAThread = 16;
 constexpr int64_t kBackwardTilesAThread = 8;  // of one head
 constexpr int64_t kPrefetchRows = 16;
+
+// What packed queries are multiplied by: logits are then exponents of 2. One number for both passes, because the
+// backward pass computes probabilities from the logits and the log-sum-exp of the forward pass.
+inline float query_factor(int64_t head_dim) {
+  return static_cast<float>(kLog2E / std::sqrt(static_cast<double>(head_dim)));
+}
 
 // A run of tokens and the runs of tokens on the other side that it attends to (or that attend to it).
 struct Segment {

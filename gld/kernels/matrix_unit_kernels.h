@@ -42,17 +42,17 @@ struct ByteScale {
   int32_t zero;
 };
 
-// Tokens lie in blocks of this many, each with its first one at an even place: keys and values in the forward pass, queries
-// and gradients of the output in the backward pass.
-constexpr int64_t kBlockKeys = 96;
-constexpr int64_t kBlockKeyWords = kBlockKeys / 2;
+// Tokens lie in blocks of this many, each with its first one at an even place: keys and values in the forward pass,
+// queries and gradients of the output in the backward pass.
+constexpr int64_t kBlockTokens = 96;
+constexpr int64_t kBlockPairs = kBlockTokens / 2;
 
 // Some queries against the keys of one head, in bfloat16 with a softmax in float32.
 struct UnitAttentionTile {
   const uint32_t* queries;         // query_count rows of head_words, multiplied by log2(e) / sqrt(head size)
   int64_t query_count;             // at most MatrixUnitKernels::forward_queries
-  const uint32_t* keys;            // blocks of kBlockKeys rows of head_words
-  const uint32_t* values;          // blocks of head_rows rows (channels) of kBlockKeyWords (pairs of keys)
+  const uint32_t* keys;            // blocks of kBlockTokens rows of head_words
+  const uint32_t* values;          // blocks of head_rows rows (channels) of kBlockPairs (pairs of keys)
   const int32_t* block_keys;       // how many keys of a block are there; the others are zero
   int64_t head_words;              // of a row: channels / 2, padded to whole steps
   int64_t head_rows;               // channels, padded to whole MatrixUnitKernels::rows
@@ -67,13 +67,13 @@ struct UnitAttentionTile {
 
 // Some keys of one head, with gradients of the queries that attend to them; as UnitAttentionTile.
 struct UnitAttentionBackwardTile {
-  const uint32_t* queries;         // blocks of kBlockKeys rows of head_words, times log2(e) / sqrt(head size)
-  const uint32_t* query_channels;  // the same, blocks of head_rows rows (channels) of kBlockKeyWords (pairs)
-  const uint32_t* output_gradients;          // as queries
+  const uint32_t* queries;  // blocks of kBlockTokens rows of head_words, times log2(e) / sqrt(head size)
+  const uint32_t* query_channels;    // the same, blocks of head_rows rows (channels) of kBlockPairs (pairs)
+  const uint32_t* output_gradients;  // as queries
   const uint32_t* output_gradient_channels;  // as query_channels
   const int32_t* block_queries;              // how many queries of a block are there; the others are zero
-  const float* base2_lse;                    // (blocks, kBlockKeys), as UnitAttentionTile::base2_lse
-  const float* output_dot;                   // (blocks, kBlockKeys): output . output gradient
+  const float* base2_lse;                    // (blocks, kBlockTokens), as UnitAttentionTile::base2_lse
+  const float* output_dot;                   // (blocks, kBlockTokens): output . output gradient
   const uint32_t* keys;                      // key_count rows of head_words
   const uint32_t* values;                    // the same
   int64_t key_count;                         // at most MatrixUnitKernels::backward_keys
@@ -83,7 +83,7 @@ struct UnitAttentionBackwardTile {
   const TokenRange* block_ranges;  // runs of blocks
   int64_t block_range_count;
   float* scratch;                 // MatrixUnitKernels::backward_scratch floats, 64-byte aligned
-  float* query_gradients;         // (blocks, kBlockKeys, query_gradient_stride), added to
+  float* query_gradients;         // (blocks, kBlockTokens, query_gradient_stride), added to
   int64_t query_gradient_stride;  // whole panels of MatrixUnitKernels::lanes channels
   float* key_gradients;           // key_count rows of gradient_stride
   float* value_gradients;         // the same

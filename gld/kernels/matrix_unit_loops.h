@@ -1,7 +1,7 @@
 #pragma once
 
-// Products and conversions on any matrix unit, and the table of its kernels, compiled once per unit (unit_simd.h). Unit is
-// DotUnit or a TileUnit.
+// Products and conversions on any matrix unit, and the table of its kernels, compiled once per unit (unit_simd.h). Unit
+// is DotUnit or a TileUnit.
 
 #include "gld/kernels/matrix_unit_kernels.h"
 #include "gld/kernels/unit_attention_loops.h"

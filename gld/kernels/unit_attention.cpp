@@ -13,6 +13,9 @@
 namespace gld {
 namespace {
 
+// Packed keys and values of as many heads as fit here are prepared at once.
+constexpr int64_t kPackedWords = 16 * 1024 * 1024 / sizeof(uint32_t);
+
 struct UnitAttentionPlan {
   UnitHead head;
   int64_t key_words;    // all keys of one head
@@ -35,7 +38,7 @@ UnitAttentionPlan unit_attention_plan(const AttentionForward& arrays, const Toke
   const int64_t share = shape.queries * heads / (kTilesAThread * threads);
   plan.tile_queries = std::clamp(share / unit.lanes * unit.lanes, unit.lanes, unit.forward_queries);
   const int64_t encoding =
-      2 * rounded_up(kBlockKeys * plan.head.head_dim, 16);  // floats of a block, and bfloat16
+      2 * rounded_up(kBlockTokens * plan.head.head_dim, 16);  // floats of a block, and bfloat16
   const int64_t tile = plan.tile_queries * (plan.head.head_words + plan.head.head_dim) +
                        rounded_up(plan.tile_queries, 16) +
                        unit.forward_scratch(plan.head.head_words, plan.head.head_rows);
@@ -98,9 +101,9 @@ class UnitAttention {
     uint32_t* keys = packed + block * plan_.head.block_rows();
     uint32_t* values = packed + plan_.key_words + block * plan_.head.block_channels();
     float* row = own;
-    auto* value_rows = reinterpret_cast<uint16_t*>(own + rounded_up(kBlockKeys * dim, 16));
+    auto* value_rows = reinterpret_cast<uint16_t*>(own + rounded_up(kBlockTokens * dim, 16));
     std::fill(row, row + dim, 0.0f);
-    for (int64_t i = 0; i < kBlockKeys; ++i) {
+    for (int64_t i = 0; i < kBlockTokens; ++i) {
       uint16_t* key = halves(keys + i * plan_.head.head_words);
       uint16_t* value = value_rows + i * dim;
       if (i >= tokens.count) {
@@ -120,7 +123,7 @@ class UnitAttention {
   void attend(int64_t index, const Tile& tile, const std::vector<TokenRange>& runs, const uint32_t* packed,
               float* own) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads, dim = plan_.head.head_dim;
-    const auto factor = static_cast<float>(kLog2E / std::sqrt(static_cast<double>(shape_.head_dim)));
+    const float factor = query_factor(shape_.head_dim);
     float* scratch = own;
     auto* queries = reinterpret_cast<uint32_t*>(
         scratch + unit_.forward_scratch(plan_.head.head_words, plan_.head.head_rows));

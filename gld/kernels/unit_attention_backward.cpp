@@ -24,10 +24,11 @@ class UnitAttentionBackward {
         blocks_(token_blocks(shape_.queries, forward_.mask)),
         threads_(settings.threads),
         gradient_stride_(rounded_up(head_.head_dim, unit_.lanes)),
-        query_floats_(blocks_.count() * kBlockKeys * gradient_stride_) {
+        query_floats_(blocks_.count() * kBlockTokens * gradient_stride_) {
     // Large tiles read queries less often, but the tiles of one head are shared between the threads.
     const int64_t share = shape_.keys / (kBackwardTilesAThread * threads_);
     tile_keys_ = std::clamp(share / unit_.lanes * unit_.lanes, unit_.lanes, unit_.backward_keys);
+    places_ = thread_scratch();
   }
 
   void run() const {
@@ -35,7 +36,7 @@ class UnitAttentionBackward {
     const auto key_tiles = tiles(key_segments, tile_keys_);
     const auto runs = block_runs(key_segments, blocks_);
     Packed packed(*this);
-    const int64_t thread_floats = thread_scratch().floats;
+    const int64_t thread_floats = places_.floats;
     const AlignedFloats scratch(threads_ * thread_floats);
     for (int64_t index = 0; index < shape_.batch * shape_.heads; ++index) {
 #pragma omp parallel num_threads(threads_)
@@ -45,8 +46,10 @@ class UnitAttentionBackward {
 #pragma omp for schedule(static) nowait
         for (int64_t block = 0; block < blocks_.count(); ++block) pack_block(index, block, own, packed);
 #pragma omp for schedule(static)
-        for (int64_t token = 0; token < shape_.keys; ++token) pack_key(index, token, own, packed);
-          // A fixed assignment of tiles to threads keeps the order of every sum.
+        for (int64_t token = 0; token < shape_.keys; ++token) {
+          pack_key(index, token, own, packed);
+        }
+        // A fixed assignment of tiles to threads keeps the order of every sum.
 #pragma omp for schedule(static, 1)
         for (int64_t item = 0; item < static_cast<int64_t>(key_tiles.size()); ++item) {
           const Tile& tile = key_tiles[static_cast<std::size_t>(item)];
@@ -69,7 +72,7 @@ class UnitAttentionBackward {
         : rows(of.blocks_.count() * of.head_.block_rows()),
           channels(of.blocks_.count() * of.head_.block_channels()),
           key_rows(of.shape_.keys * of.head_.head_words),
-          table(of.blocks_.count() * kBlockKeys),
+          table(of.blocks_.count() * kBlockTokens),
           memory(2 * rows + 2 * channels + 2 * key_rows + 2 * table) {
       queries = reinterpret_cast<uint32_t*>(memory.data());
       output_gradients = queries + rows;
@@ -103,17 +106,13 @@ class UnitAttentionBackward {
     return scratch;
   }
 
-  float query_factor() const {
-    return static_cast<float>(kLog2E / std::sqrt(static_cast<double>(shape_.head_dim)));
-  }
-
   void to_row(const float* row, uint32_t* words) const {
     unit_.to_bfloat16(row, head_.head_dim, 2 * head_.head_words, halves(words));
   }
 
   // A row of the scratch whose channels past the head's are zero.
   float* empty_row(float* own) const {
-    float* row = own + thread_scratch().row;
+    float* row = own + places_.row;
     std::fill(row, row + head_.head_dim, 0.0f);
     return row;
   }
@@ -123,14 +122,15 @@ class UnitAttentionBackward {
     const TokenRange& tokens = blocks_.tokens[static_cast<std::size_t>(block)];
     uint32_t* queries = packed.queries + block * head_.block_rows();
     uint32_t* gradients = packed.output_gradients + block * head_.block_rows();
-    float* lse = packed.base2_lse + block * kBlockKeys;
-    float* output_dot = packed.output_dot + block * kBlockKeys;
+    float* lse = packed.base2_lse + block * kBlockTokens;
+    float* output_dot = packed.output_dot + block * kBlockTokens;
+    const float factor = query_factor(shape_.head_dim);
     float* row = empty_row(own);
     for (int64_t i = 0; i < tokens.count; ++i) {
       const int64_t token = tokens.first + i;
       const float* from = row_of(arrays_.output_gradient, batch, head, token);
       const float* output = row_of(forward_.output, batch, head, token);
-      encoder_.apply(Encoding::query, token, query_factor(), row_of(forward_.query, batch, head, token), row);
+      encoder_.apply(Encoding::query, token, factor, row_of(forward_.query, batch, head, token), row);
       to_row(row, queries + i * head_.head_words);
       encoder_.apply_transposed(Encoding::output, token, 1.0f, from, row);
       to_row(row, gradients + i * head_.head_words);
@@ -143,10 +143,11 @@ class UnitAttentionBackward {
                                   static_cast<double>(forward_.log_sum_exp[index * shape_.queries + token]));
     }
     for (uint32_t* rows : {queries, gradients}) {
-      std::fill(rows + tokens.count * head_.head_words, rows + head_.block_rows(), 0U);
+      std::fill(halves(rows) + 2 * tokens.count * head_.head_words, halves(rows) + 2 * head_.block_rows(),
+                uint16_t{0});
     }
-    std::fill(lse + tokens.count, lse + kBlockKeys, 0.0f);
-    std::fill(output_dot + tokens.count, output_dot + kBlockKeys, 0.0f);
+    std::fill(lse + tokens.count, lse + kBlockTokens, 0.0f);
+    std::fill(output_dot + tokens.count, output_dot + kBlockTokens, 0.0f);
     const int64_t channels = block * head_.block_channels();
     pack_channels(head_, halves(queries), 2 * head_.head_words, packed.query_channels + channels);
     pack_channels(head_, halves(gradients), 2 * head_.head_words, packed.output_gradient_channels + channels);
@@ -164,7 +165,6 @@ class UnitAttentionBackward {
   void add_tile(int64_t index, const Tile& tile, const std::vector<TokenRange>& runs, const Packed& packed,
                 float* own) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads;
-    const ThreadScratch places = thread_scratch();
     UnitAttentionBackwardTile kernel_tile = {};
     kernel_tile.queries = packed.queries;
     kernel_tile.query_channels = packed.query_channels;
@@ -181,11 +181,11 @@ class UnitAttentionBackward {
     kernel_tile.head_dim = head_.head_dim;
     kernel_tile.block_ranges = runs.data();
     kernel_tile.block_range_count = static_cast<int64_t>(runs.size());
-    kernel_tile.scratch = own + places.kernel;
+    kernel_tile.scratch = own + places_.kernel;
     kernel_tile.query_gradients = own;
     kernel_tile.query_gradient_stride = gradient_stride_;
-    kernel_tile.key_gradients = own + places.key_gradients;
-    kernel_tile.value_gradients = own + places.value_gradients;
+    kernel_tile.key_gradients = own + places_.key_gradients;
+    kernel_tile.value_gradients = own + places_.value_gradients;
     kernel_tile.gradient_stride = gradient_stride_;
     unit_.attention_backward(kernel_tile);
     for (int64_t i = 0; i < tile.own.count; ++i) {
@@ -202,15 +202,14 @@ class UnitAttentionBackward {
 
   void sum_query_gradients(int64_t index, int64_t block, float* scratch, int team) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads;
-    const ThreadScratch places = thread_scratch();
     const auto factor = static_cast<float>(1.0 / std::sqrt(static_cast<double>(shape_.head_dim)));
-    float* row = scratch + omp_get_thread_num() * places.floats + places.row;
+    float* row = scratch + omp_get_thread_num() * places_.floats + places_.row;
     const TokenRange& tokens = blocks_.tokens[static_cast<std::size_t>(block)];
     for (int64_t i = 0; i < tokens.count; ++i) {
-      const int64_t place = (block * kBlockKeys + i) * gradient_stride_;
+      const int64_t place = (block * kBlockTokens + i) * gradient_stride_;
       std::copy_n(scratch + place, shape_.head_dim, row);
       for (int thread = 1; thread < team; ++thread) {
-        const float* part = scratch + thread * places.floats + place;
+        const float* part = scratch + thread * places_.floats + place;
         for (int64_t c = 0; c < shape_.head_dim; ++c) row[c] += part[c];
       }
       const int64_t token = tokens.first + i;
@@ -230,6 +229,7 @@ class UnitAttentionBackward {
   int64_t gradient_stride_;
   int64_t query_floats_;
   int64_t tile_keys_ = 0;
+  ThreadScratch places_ = {};
 };
 
 }  // namespace

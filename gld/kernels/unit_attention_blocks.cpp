@@ -19,9 +19,9 @@ TokenBlocks token_blocks(int64_t tokens, const ViewMask* mask) {
   blocks.views = mask == nullptr ? 1 : mask->views;
   blocks.view_tokens = tokens / blocks.views;
   for (int64_t view = 0; view < blocks.views; ++view) {
-    for (int64_t first = 0; first < blocks.view_tokens; first += kBlockKeys) {
+    for (int64_t first = 0; first < blocks.view_tokens; first += kBlockTokens) {
       blocks.tokens.push_back(
-          {view * blocks.view_tokens + first, std::min(kBlockKeys, blocks.view_tokens - first)});
+          {view * blocks.view_tokens + first, std::min(kBlockTokens, blocks.view_tokens - first)});
       blocks.counts.push_back(static_cast<int32_t>(blocks.tokens.back().count));
     }
   }
@@ -47,14 +47,14 @@ UnitHead::UnitHead(int64_t channels, const MatrixUnitKernels& unit)
       head_rows(rounded_up(head_dim, unit.rows)) {}
 
 void pack_channels(const UnitHead& head, const uint16_t* rows, int64_t row_halves, uint32_t* channels) {
-  for (int64_t w = 0; w < kBlockKeyWords; ++w) {
+  for (int64_t w = 0; w < kBlockPairs; ++w) {
     const uint16_t* even = rows + 2 * w * row_halves;
     const uint16_t* odd = even + row_halves;
     for (int64_t c = 0; c < head.head_dim; ++c) {
-      channels[c * kBlockKeyWords + w] = static_cast<uint32_t>(odd[c]) << 16 | even[c];
+      channels[c * kBlockPairs + w] = static_cast<uint32_t>(odd[c]) << 16 | even[c];
     }
   }
-  std::fill(channels + head.head_dim * kBlockKeyWords, channels + head.block_channels(), 0U);
+  std::fill(channels + head.head_dim * kBlockPairs, channels + head.block_channels(), 0U);
 }
 
 }  // namespace gld

@@ -9,13 +9,10 @@
 // What attention's two passes on matrix units share: tokens in blocks, and one head's tokens as the units take them.
 namespace gld {
 
-// Packed tokens of as many heads as fit here are prepared at once.
-constexpr int64_t kPackedWords = 16 * 1024 * 1024 / sizeof(uint32_t);
-
 // The unit's kernels. Throws Error for another precision than bfloat16.
 const MatrixUnitKernels& attention_unit(const KernelSettings& settings);
 
-// Tokens in blocks of kBlockKeys. A mask parts them by views, so that every view starts a block.
+// Tokens in blocks of kBlockTokens. A mask parts them by views, so that every view starts a block.
 struct TokenBlocks {
   std::vector<TokenRange> tokens;  // of each block
   std::vector<int32_t> counts;     // the same as the kernels take it
@@ -40,13 +37,13 @@ struct UnitHead {
   int64_t head_rows = 0;   // channels of a block of pairs
 
   UnitHead(int64_t channels, const MatrixUnitKernels& unit);
-  int64_t block_rows() const { return kBlockKeys * head_words; }         // words of a block as rows
-  int64_t block_channels() const { return kBlockKeyWords * head_rows; }  // words of a block as channels
+  int64_t block_rows() const { return kBlockTokens * head_words; }    // words of a block as rows
+  int64_t block_channels() const { return kBlockPairs * head_rows; }  // words of a block as channels
 };
 
 inline uint16_t* halves(uint32_t* words) { return reinterpret_cast<uint16_t*>(words); }
 
-// A block of which rows (kBlockKeys, row_halves) are there as bfloat16, as channels of pairs of tokens. Rows past the
+// A block of which rows (kBlockTokens, row_halves) are there as bfloat16, as channels of pairs of tokens. Rows past the
 // block's tokens are zero.
 void pack_channels(const UnitHead& head, const uint16_t* rows, int64_t row_halves, uint32_t* channels);
 

@@ -1,8 +1,8 @@
 #pragma once
 
-// Attention on any matrix unit, forward and backward, compiled once per unit (unit_simd.h). Unit is DotUnit or a TileUnit.
-// The lanes of every vector are queries in the forward pass and keys in the backward pass, so that maxima, sums and
-// exponentials never cross lanes.
+// Attention on any matrix unit, forward and backward, compiled once per unit (unit_simd.h). Unit is DotUnit or a
+// TileUnit. The lanes of every vector are queries in the forward pass and keys in the backward pass, so that maxima,
+// sums and exponentials never cross lanes.
 
 #include "gld/kernels/matrix_unit_kernels.h"
 #include "gld/kernels/quads.h"
@@ -24,7 +24,7 @@ GLD_INLINE int64_t unit_group_floats(int64_t head_words, int64_t head_rows) {
 template <class Unit>
 int64_t unit_forward_scratch(int64_t head_words, int64_t head_rows) {
   return kUnitGroups * unit_group_floats<Unit>(head_words, head_rows) +
-         (kBlockKeys + kBlockKeyWords) * Unit::lanes;
+         (kBlockTokens + kBlockPairs) * Unit::lanes;
 }
 
 // transposed (words, Unit::lanes) = rows (count, words); lanes past count are zero.
@@ -63,7 +63,7 @@ GLD_INLINE void unit_forward_step(const UnitAttentionTile& tile, int64_t block, 
   Vector highest[Unit::vectors], rescale[Unit::vectors], block_total[Unit::vectors];
 #pragma GCC unroll 8
   for (int n = 0; n < Unit::vectors; ++n) highest[n] = Simd::load(maxima + n * Simd::lanes);
-  const uint32_t* keys = tile.keys + block * kBlockKeys * tile.head_words;
+  const uint32_t* keys = tile.keys + block * kBlockTokens * tile.head_words;
   const int64_t depth = round_up(tile.head_dim / 2, Unit::step_words);
   for (int64_t first = 0; first < 2 * words; first += Unit::rows) {
     float* rows = logits + first * lanes;
@@ -96,11 +96,11 @@ GLD_INLINE void unit_forward_step(const UnitAttentionTile& tile, int64_t block, 
     float* place = totals + n * Simd::lanes;
     Simd::store(place, Simd::multiply_add(Simd::load(place), rescale[n], block_total[n]));
   }
-  const uint32_t* values = tile.values + block * kBlockKeyWords * tile.head_rows;
+  const uint32_t* values = tile.values + block * kBlockPairs * tile.head_rows;
   for (int64_t channel = 0; channel < tile.head_dim; channel += Unit::rows) {
     float* rows = sums + channel * lanes;
     Unit::template multiply<OperandKind::kBFloat16>(
-        words, values + channel * kBlockKeyWords, kBlockKeyWords, pairs,
+        words, values + channel * kBlockPairs, kBlockPairs, pairs,
         lanes, [&](int m, int n, Vector sum) __attribute__((always_inline)) {
           float* place = rows + m * lanes + n * Simd::lanes;
           Simd::store(place, Simd::multiply_add(Simd::load(place), rescale[n], sum));
@@ -131,7 +131,7 @@ void unit_attention_forward(const UnitAttentionTile& tile) {
   const int64_t group_floats = unit_group_floats<Unit>(tile.head_words, tile.head_rows);
   const int64_t groups = round_up(tile.query_count, lanes) / lanes;
   float* logits = tile.scratch + kUnitGroups * group_floats;
-  auto* pairs = reinterpret_cast<uint32_t*>(logits + kBlockKeys * lanes);
+  auto* pairs = reinterpret_cast<uint32_t*>(logits + kBlockTokens * lanes);
   const auto group_queries = [&](int64_t g) {
     const int64_t left = tile.query_count - g * lanes;
     return left < lanes ? left : lanes;
@@ -174,24 +174,26 @@ template <class Unit>
 struct UnitBackwardScratch {
   static constexpr int64_t lanes = Unit::lanes;
   static constexpr int64_t pair_words = lanes / 2;  // pairs of the group's keys
+  static_assert(pair_words % Unit::step_words == 0 && kBlockTokens % Unit::rows == 0,
+                "gradients of queries are products of whole strips of rows and whole steps");
 
-  float* keys;            // (head_words, lanes): transposed
-  float* values;          // the same
-  float* key_pairs;       // for each panel of `lanes` channels (pair_words, lanes)
-  float* key_sums;        // (head_rows, lanes): gradients, transposed
-  float* value_sums;      // the same
-  float* probabilities;   // (kBlockKeys, lanes)
-  float* logits;          // the same: gradients of the logits
-  float* probable_pairs;  // (kBlockKeyWords, lanes): two queries each
-  float* logit_pairs;     // the same
-  float* logit_rows;      // (kBlockKeys, pair_words): two keys each
+  float* keys;                  // (head_words, lanes): transposed
+  float* values;                // the same
+  float* key_pairs;             // for each panel of `lanes` channels (pair_words, lanes)
+  float* key_sums;              // (head_rows, lanes): gradients, transposed
+  float* value_sums;            // the same
+  float* probabilities;         // (kBlockTokens, lanes)
+  float* logit_gradients;       // the same
+  float* probability_pairs;     // (kBlockPairs, lanes): two queries each
+  float* logit_gradient_pairs;  // the same
+  float* logit_gradient_rows;   // (kBlockTokens, pair_words): two keys each
 
   static GLD_INLINE int64_t group_floats(int64_t head_words, int64_t head_rows) {
     return (2 * head_words + 2 * head_rows + round_up(head_rows, lanes) / lanes * pair_words) * lanes;
   }
   static GLD_INLINE int64_t floats(int64_t head_words, int64_t head_rows) {
-    return kUnitGroups * group_floats(head_words, head_rows) + (2 * kBlockKeys + 2 * kBlockKeyWords) * lanes +
-           kBlockKeys * pair_words;
+    return kUnitGroups * group_floats(head_words, head_rows) + (2 * kBlockTokens + 2 * kBlockPairs) * lanes +
+           kBlockTokens * pair_words;
   }
 
   GLD_INLINE UnitBackwardScratch(float* scratch, int64_t group, int64_t head_words, int64_t head_rows) {
@@ -201,10 +203,10 @@ struct UnitBackwardScratch {
     value_sums = key_sums + head_rows * lanes;
     key_pairs = value_sums + head_rows * lanes;
     probabilities = scratch + kUnitGroups * group_floats(head_words, head_rows);
-    logits = probabilities + kBlockKeys * lanes;
-    probable_pairs = logits + kBlockKeys * lanes;
-    logit_pairs = probable_pairs + kBlockKeyWords * lanes;
-    logit_rows = logit_pairs + kBlockKeyWords * lanes;
+    logit_gradients = probabilities + kBlockTokens * lanes;
+    probability_pairs = logit_gradients + kBlockTokens * lanes;
+    logit_gradient_pairs = probability_pairs + kBlockPairs * lanes;
+    logit_gradient_rows = logit_gradient_pairs + kBlockPairs * lanes;
   }
 };
 
@@ -235,7 +237,8 @@ GLD_INLINE void pair_keys(const UnitAttentionBackwardTile& tile, const uint32_t*
 }
 
 // P = 2^(logit - lse) and dS = P (dP - output . output gradient) of a block of queries and a group of keys, as pairs of
-// queries and, dS, as pairs of keys; zero for queries and keys that are not there. Returns the words of a pair's column.
+// queries and, dS, as pairs of keys; zero for queries and keys that are not there. Returns the words of a column of
+// pairs.
 template <class Unit>
 GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, int64_t block, int64_t keys,
                                         const UnitBackwardScratch<Unit>& scratch) {
@@ -243,13 +246,13 @@ GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, i
   const int64_t count = tile.block_queries[block];
   const int64_t words = round_up(round_up(count, 2) / 2, Unit::step_words);
   const int64_t depth = round_up(tile.head_dim / 2, Unit::step_words);
-  const uint32_t* queries = tile.queries + block * kBlockKeys * tile.head_words;
-  const uint32_t* gradients = tile.output_gradients + block * kBlockKeys * tile.head_words;
-  const float* lse = tile.base2_lse + block * kBlockKeys;
-  const float* dot = tile.output_dot + block * kBlockKeys;
+  const uint32_t* queries = tile.queries + block * kBlockTokens * tile.head_words;
+  const uint32_t* gradients = tile.output_gradients + block * kBlockTokens * tile.head_words;
+  const float* lse = tile.base2_lse + block * kBlockTokens;
+  const float* dot = tile.output_dot + block * kBlockTokens;
   for (int64_t first = 0; first < 2 * words; first += Unit::rows) {
     float* probabilities = scratch.probabilities + first * lanes;
-    float* logits = scratch.logits + first * lanes;
+    float* logit_gradients = scratch.logit_gradients + first * lanes;
     Unit::template multiply<OperandKind::kBFloat16>(
         depth, queries + first * tile.head_words, tile.head_words, words_at(scratch.keys),
         lanes, [&](int m, int n, Vector sum) __attribute__((always_inline)) {
@@ -261,29 +264,31 @@ GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, i
         depth, gradients + first * tile.head_words, tile.head_words, words_at(scratch.values),
         lanes, [&](int m, int n, Vector sum) __attribute__((always_inline)) {
           const int64_t place = m * lanes + n * Simd::lanes;
-          Simd::store(logits + place, Simd::multiply(Simd::load(probabilities + place),
-                                                     Simd::subtract(sum, Simd::broadcast(dot[first + m]))));
+          Simd::store(logit_gradients + place,
+                      Simd::multiply(Simd::load(probabilities + place),
+                                     Simd::subtract(sum, Simd::broadcast(dot[first + m]))));
         });
   }
   if (keys < lanes) {
     for (int64_t row = 0; row < count; ++row) {
       for (int64_t lane = keys; lane < lanes; ++lane) {
-        scratch.probabilities[row * lanes + lane] = scratch.logits[row * lanes + lane] = 0;
+        scratch.probabilities[row * lanes + lane] = scratch.logit_gradients[row * lanes + lane] = 0;
       }
     }
   }
-  auto* rows = reinterpret_cast<uint16_t*>(scratch.logit_rows);
+  auto* rows = reinterpret_cast<uint16_t*>(scratch.logit_gradient_rows);
   // Whole strips of rows, which are multiplied as such.
   for (int64_t w = 0; w < round_up(2 * words, Unit::rows) / 2; ++w) {
 #pragma GCC unroll 8
     for (int n = 0; n < Unit::vectors; ++n) {
       const int64_t even = 2 * w * lanes + n * Simd::lanes, odd = even + lanes;
       const int64_t place = w * lanes + n * Simd::lanes;
-      const Vector first = Simd::load(scratch.logits + even), second = Simd::load(scratch.logits + odd);
-      UnitSimd::store_pairs(words_at(scratch.probable_pairs) + place,
+      const Vector first = Simd::load(scratch.logit_gradients + even),
+                   second = Simd::load(scratch.logit_gradients + odd);
+      UnitSimd::store_pairs(words_at(scratch.probability_pairs) + place,
                             Simd::load(scratch.probabilities + even),
                             Simd::load(scratch.probabilities + odd));
-      UnitSimd::store_pairs(words_at(scratch.logit_pairs) + place, first, second);
+      UnitSimd::store_pairs(words_at(scratch.logit_gradient_pairs) + place, first, second);
       UnitSimd::store_bfloat16(rows + even, first);
       UnitSimd::store_bfloat16(rows + odd, second);
     }
@@ -291,7 +296,7 @@ GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, i
   return words;
 }
 
-// sums (head_rows, lanes) += channels (head_rows, kBlockKeyWords) pairs (words, lanes).
+// sums (head_rows, lanes) += channels (head_rows, kBlockPairs) pairs (words, lanes).
 template <class Unit>
 GLD_INLINE void add_channel_products(int64_t head_dim, int64_t words, const uint32_t* channels,
                                      const uint32_t* pairs, float* sums) {
@@ -299,7 +304,7 @@ GLD_INLINE void add_channel_products(int64_t head_dim, int64_t words, const uint
   for (int64_t channel = 0; channel < head_dim; channel += Unit::rows) {
     float* rows = sums + channel * lanes;
     Unit::template multiply<OperandKind::kBFloat16>(
-        words, channels + channel * kBlockKeyWords, kBlockKeyWords, pairs,
+        words, channels + channel * kBlockPairs, kBlockPairs, pairs,
         lanes, [&](int m, int n, Vector sum) __attribute__((always_inline)) {
           float* place = rows + m * lanes + n * Simd::lanes;
           Simd::store(place, Simd::add(Simd::load(place), sum));
@@ -312,18 +317,18 @@ GLD_INLINE void unit_backward_step(const UnitAttentionBackwardTile& tile, int64_
                                    const UnitBackwardScratch<Unit>& scratch) {
   constexpr int64_t lanes = Unit::lanes, pair_words = lanes / 2;
   const int64_t words = unit_logit_gradients<Unit>(tile, block, keys, scratch);
-  const int64_t channels = block * kBlockKeyWords * tile.head_rows;
+  const int64_t channels = block * kBlockPairs * tile.head_rows;
   add_channel_products<Unit>(tile.head_dim, words, tile.query_channels + channels,
-                             words_at(scratch.logit_pairs), scratch.key_sums);
+                             words_at(scratch.logit_gradient_pairs), scratch.key_sums);
   add_channel_products<Unit>(tile.head_dim, words, tile.output_gradient_channels + channels,
-                             words_at(scratch.probable_pairs), scratch.value_sums);
-  float* gradients = tile.query_gradients + block * kBlockKeys * tile.query_gradient_stride;
+                             words_at(scratch.probability_pairs), scratch.value_sums);
+  float* gradients = tile.query_gradients + block * kBlockTokens * tile.query_gradient_stride;
   const int64_t count = tile.block_queries[block];
   for (int64_t first = 0; first < count; first += Unit::rows) {
     float* rows = gradients + first * tile.query_gradient_stride;
     for (int64_t panel = 0; panel * lanes < tile.head_dim; ++panel) {
       Unit::template multiply<OperandKind::kBFloat16>(
-          pair_words, words_at(scratch.logit_rows) + first * pair_words, pair_words,
+          pair_words, words_at(scratch.logit_gradient_rows) + first * pair_words, pair_words,
           words_at(scratch.key_pairs) + panel * pair_words * lanes,
           lanes, [&](int m, int n, Vector sum) __attribute__((always_inline)) {
             float* place = rows + m * tile.query_gradient_stride + panel * lanes + n * Simd::lanes;

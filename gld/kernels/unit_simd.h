@@ -55,7 +55,8 @@ struct UnitSimd {
     whole = _mm512_max_epi32(_mm512_add_epi32(whole, _mm512_set1_epi32(zero)), _mm512_setzero_si512());
     _mm_storeu_si128(reinterpret_cast<__m128i*>(y), _mm512_cvtusepi32_epi8(whole));
   }
-  // 2^x for x at most 0 to 9e-5 relative, finer than the bfloat16 that it becomes by a factor of 20; 2^0 = 1 exactly.
+  // 2^x for x of at most about 0, to 9e-5 relative, finer than the bfloat16 that it becomes by a factor of 20; 2^0 = 1
+  // exactly.
   static GLD_INLINE Vector exp2(Vector x) {
     const Vector r = _mm512_reduce_ps(x, _MM_FROUND_TO_NEG_INF);
     Vector p = Simd::broadcast(0.07706717f);

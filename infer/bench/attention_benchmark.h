@@ -30,8 +30,8 @@ struct AttentionBenchmarkRow {
   int64_t head_dim = 0;
   int64_t tokens = 0;
   int64_t threads = 0;
-  // "ours", "composed" (LibTorch's operations, all logits at once), "portable", and "ours_bfloat16" where there is a unit
-  // for it
+  // "ours", "composed" (LibTorch's operations, all logits at once), "portable", and "ours_bfloat16" where there is a
+  // unit for it
   std::string variant;
   double seconds = 0;  // median
   double seconds_low = 0;

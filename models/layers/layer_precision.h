@@ -34,7 +34,7 @@ LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind);
 class PrecisionLayer {
  public:
   virtual ~PrecisionLayer() = default;
-  // Only while no gradients are recorded.
+  // Linear layers that are packed for it refuse gradients from then on.
   virtual void use_precision(const LayerPrecision& precision) = 0;
   // From now on, also while no gradients are recorded: a block that is computed twice to save memory has to give the
   // same bits in both passes.

@@ -79,6 +79,7 @@ TEST_F(CommandsOnDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
   EXPECT_ANY_THROW(on_device + left);
   EXPECT_ANY_THROW(torch::layer_norm(on_device, {4}, left[0], left[1]));
   EXPECT_ANY_THROW(torch::conv2d(on_device.view({1, 1, 4, 4}), left.view({1, 1, 4, 4})));
+  EXPECT_ANY_THROW(torch::empty({4}, torch::kMeta).copy_(torch::empty({3}, torch::kMeta)));
   EXPECT_ANY_THROW(torch::cat({on_device, left}));
   EXPECT_ANY_THROW(torch::mm(on_device, left));
   EXPECT_ANY_THROW(torch::linear(on_device, left, left[0]));
@@ -97,12 +98,13 @@ TEST_F(CommandsOnDevice, EveryStageOfTrainingRuns) {
 }
 
 TEST_F(CommandsOnDevice, ARunIsResumed) {
-  auto options = training_options<TrainLevelOptions>(path("stats/model"), path("level"));
+  std::filesystem::copy(path("level"), path("resumed"), std::filesystem::copy_options::recursive);
+  auto options = training_options<TrainLevelOptions>(path("stats/model"), path("resumed"));
   options.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
   options.resume = true;
   options.loop.steps = 3;
   train_level(options, {});
-  EXPECT_EQ(report("level").at("steps_in_this_call"), 1);
+  EXPECT_EQ(report("resumed").at("steps_in_this_call"), 1);
 }
 
 TEST_F(CommandsOnDevice, NovelViewsAreSampled) {

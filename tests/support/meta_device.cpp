@@ -64,9 +64,17 @@ class OnHost {
   std::vector<std::pair<torch::Tensor, torch::Tensor>> stand_for_;
 };
 
+// Whether the host has to wait for what the operator finds: a shape that depends on numbers, or a number.
+bool waits(const c10::OperatorHandle& operation) {
+  static const std::set<std::string> kNames = {"aten::nonzero", "aten::masked_select", "aten::_unique2",
+                                               "aten::equal"};
+  return kNames.count(operation.schema().name()) > 0;
+}
+
 // The shapes that the CPU's operator of that name makes of ones.
 void shapes_of_cpu(const c10::OperatorHandle& like, torch::jit::Stack* stack) {
   OnHost host;
+  if (waits(like)) ++reads;
   const size_t arguments = like.schema().arguments().size(), results = like.schema().returns().size();
   for (size_t i = stack->size() - arguments; i < stack->size(); ++i) (*stack)[i] = host.value((*stack)[i]);
   like.callBoxed(stack);
@@ -90,8 +98,9 @@ void convolution_backward_shapes(const c10::OperatorHandle& /*of*/, torch::jit::
 
 // A read of the host: what the numbers would be is not known, so all of them are 1.
 void copied(const c10::OperatorHandle& /*of*/, torch::jit::Stack* stack) {
-  const auto to = (*stack)[stack->size() - 3].toTensor();
+  const auto to = (*stack)[stack->size() - 3].toTensor(), from = (*stack)[stack->size() - 2].toTensor();
   torch::jit::drop(*stack, 3);
+  from.expand(to.sizes());  // an error where the shapes do not fit
   if (!to.is_meta()) {
     to.fill_(1);
     ++reads;

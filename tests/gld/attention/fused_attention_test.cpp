@@ -144,6 +144,28 @@ TEST_F(FusedAttentionTest, OnlyKeysOnlyValuesOrOnlyQueriesMayNeedGradients) {
   }
 }
 
+TEST_F(FusedAttentionTest, GradientsAreOfThePrecisionOfTheOutput) {
+  AttentionInputs inputs;
+  inputs.query = torch::randn({1, 40, 2, 16}).requires_grad_(true);
+  inputs.key = torch::randn({1, 50, 2, 16}).requires_grad_(true);
+  inputs.value = torch::randn({1, 50, 2, 16}).requires_grad_(true);
+  const auto gradient = torch::randn({1, 40, 2, 16});
+  const auto through_the_graph = [&] {
+    return torch::autograd::grad({attention(inputs)}, {inputs.query, inputs.key, inputs.value}, {gradient});
+  };
+  const auto exact = through_the_graph();
+  inputs.precision = ComputePrecision::kBFloat16;
+  const auto reduced = through_the_graph();
+  const auto expected = fused_attention_gradients(inputs, fused_attention_result(inputs), gradient);
+  EXPECT_TRUE(torch::equal(reduced[0], expected.query));
+  EXPECT_TRUE(torch::equal(reduced[1], expected.key));
+  EXPECT_TRUE(torch::equal(reduced[2], expected.value));
+  for (size_t i = 0; i < 3; ++i) {
+    EXPECT_GT(relative_error(reduced[i], exact[i]), 1e-3);
+    EXPECT_LT(relative_error(reduced[i], exact[i]), 3e-2);
+  }
+}
+
 TEST_F(FusedAttentionTest, OtherTypesTakeTheLibrarysOperations) {
   AttentionInputs inputs;
   inputs.query = inputs.key = inputs.value = torch::randn({1, 20, 2, 16}, torch::kFloat64);

@@ -77,8 +77,8 @@ TEST(ViewMask, BatchedBranchesSeeTheSamePairs) {
   EXPECT_LT(relative_difference(guided(*model, scene, true), masked), 2e-6);
 }
 
-// What is left out is not multiplied by zero, which would make NaN of NaN. How much time that saves, gld bench tells. It is
-// the first view that is left out: the last rows of a view may be padded with those of the next one, times zero.
+// What is left out is not multiplied by zero, which would make NaN of NaN. How much time that saves, gld bench tells.
+// It is the first view that is left out: the last rows of a view may be padded with those of the next one, times zero.
 TEST(ViewMask, LeftOutBlocksAreNotComputed) {
   const auto model = random_dit(small_dit_options());
   auto scene = random_dit_scene(model->options(), {4, 2, 42, 28});
