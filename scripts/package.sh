@@ -39,6 +39,10 @@ ldd "$build_folder/cli/gld" | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | 
   case $path in "$(realpath "${libtorch:?}")"/*) continue ;; esac
   case $soname in
     libc.so.* | libm.so.* | libdl.so.* | libpthread.so.* | librt.so.* | libresolv.so.* | libnsl.so.* | libutil.so.*) continue ;;
+    # OpenCV alone asks for them, and for nothing that takes time: the reference ones are a quarter of OpenBLAS.
+    libopenblas.so.*) continue ;;
+    libblas.so.3) path=/usr/lib/x86_64-linux-gnu/blas/$soname ;;
+    liblapack.so.3) path=/usr/lib/x86_64-linux-gnu/lapack/$soname ;;
   esac
   install -m 644 "$(realpath "$path")" "$root/lib/gld/$soname"
   strip --strip-unneeded "$root/lib/gld/$soname"

@@ -44,7 +44,7 @@ if [ -n "$libtorch_version" ]; then
   packages+=(python3-venv)
 fi
 if [ -n "$packaging" ]; then
-  packages+=(dpkg-dev file patchelf xz-utils)
+  packages+=(dpkg-dev file patchelf xz-utils libblas3 liblapack3)
 fi
 
 missing=()

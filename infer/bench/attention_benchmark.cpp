@@ -259,7 +259,7 @@ Figure attention_figure(const std::vector<AttentionBenchmarkRow>& rows) {
     panel.x = {"tokens", AxisScale::kLog};
     double highest = 1;  // units of reduced precision do more than float32's peak
     for (const auto& row : rows) highest = std::max(highest, row.fraction_of_peak);
-    panel.y = {"fraction of peak", AxisScale::kLinear, 0, highest};
+    panel.y = {"fraction of peak", AxisScale::kLinear, 0, 1.05 * highest};
     for (const auto& row : rows) {
       if (row.pass != pass) continue;
       const std::string name = fmt::format("{}, head size {}, {} thread{}", row.variant, row.head_dim,

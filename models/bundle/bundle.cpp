@@ -35,13 +35,13 @@ class BackboneImages : public ImageDecoder {
 };
 
 // A relative path is looked up where one works first, then where the program is installed (PREFIX/share/gld beside
-// PREFIX/bin), then in the tree that it was built in (TREE/build/PRESET/cli).
+// PREFIX/bin, in an archive beside PREFIX/lib/gld), then in the tree that it was built in (TREE/build/PRESET/cli).
 std::filesystem::path found_bundle(const std::filesystem::path& folder) {
   std::error_code error;
   if (folder.is_absolute() || std::filesystem::exists(folder, error)) return folder;
   const auto program = std::filesystem::read_symlink("/proc/self/exe", error);
   if (error) return folder;
-  for (const char* from_program : {"../share/gld", "../../.."}) {
+  for (const char* from_program : {"../share/gld", "../../share/gld", "../../.."}) {
     auto there = (program.parent_path() / from_program / folder).lexically_normal();
     if (std::filesystem::is_regular_file(there / kOptionsFile, error)) return there;
   }
