@@ -46,7 +46,7 @@ class OnHost {
     if (!tensor.defined() || (!tensor.is_meta() && tensor.dim() == 0))
       return tensor;  // a number is taken everywhere
     TORCH_CHECK(tensor.is_meta(), "a tensor of shape ", tensor.sizes(), " was left on ", tensor.device());
-    const auto made = torch::ones(tensor.sizes(), torch::dtype(tensor.scalar_type()));
+    auto made = torch::ones(tensor.sizes(), torch::dtype(tensor.scalar_type()));
     stand_for_.emplace_back(made, tensor);
     return made;
   }
