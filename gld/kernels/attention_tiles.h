@@ -36,21 +36,6 @@ GLD_INLINE void transpose_rows(const float* rows, int64_t count, int64_t stride,
   }
 }
 
-// rows (count, stride) = factors (per lane) times transposed (head_dim, kTileLanes).
-GLD_INLINE void transpose_back(const float* transposed, const float* factors, int64_t count, int64_t stride,
-                               int64_t head_dim, float* rows) {
-  for (int64_t lane = 0; lane < count; lane += 4) {
-    const Quad factor = load_quad(factors + lane);
-    for (int64_t c = 0; c < head_dim; c += 4) {
-      Quad q[4];
-#pragma GCC unroll 4
-      for (int i = 0; i < 4; ++i) q[i] = load_quad(transposed + (c + i) * kTileLanes + lane) * factor;
-      transpose_quads(q);
-      for (int i = 0; i < 4 && lane + i < count; ++i) store_quad(rows + (lane + i) * stride + c, q[i]);
-    }
-  }
-}
-
 // Scratch of one group of kTileLanes queries: its queries and running sums, transposed, and two rows of lane values.
 GLD_INLINE int64_t forward_group_floats(int64_t head_dim) { return (2 * head_dim + 2) * kTileLanes; }
 
@@ -177,7 +162,8 @@ void attention_forward_tile(const AttentionForwardTile& tile) {
           totals[lane] == 0 ? kLowest : maxima[lane] + __builtin_log2f(totals[lane]);
     }
     for (int64_t lane = 0; lane < kTileLanes; ++lane) totals[lane] = totals[lane] == 0 ? 0 : 1 / totals[lane];
-    transpose_back(sums, totals, count, tile.stride, head_dim, tile.output + g * kTileLanes * tile.stride);
+    transpose_back<kTileLanes>(sums, totals, count, tile.stride, head_dim,
+                               tile.output + g * kTileLanes * tile.stride);
   }
 }
 
@@ -324,9 +310,10 @@ void attention_backward_tile(const AttentionBackwardTile& tile) {
   for (int64_t g = 0; g < groups; ++g) {
     const float* sums = tile.scratch + g * group_floats + 2 * matrix;
     const int64_t offset = keys[g].first * tile.stride;
-    transpose_back(sums, probabilities, keys[g].count, tile.stride, head_dim, tile.key_gradients + offset);
-    transpose_back(sums + matrix, probabilities, keys[g].count, tile.stride, head_dim,
-                   tile.value_gradients + offset);
+    transpose_back<kTileLanes>(sums, probabilities, keys[g].count, tile.stride, head_dim,
+                               tile.key_gradients + offset);
+    transpose_back<kTileLanes>(sums + matrix, probabilities, keys[g].count, tile.stride, head_dim,
+                               tile.value_gradients + offset);
   }
 }
 

@@ -36,5 +36,21 @@ GLD_INLINE void transpose_quads(Quad (&q)[4]) {
   q[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
 }
 
+// rows (count, stride) = factors (per lane) times transposed (head_dim, lanes). head_dim is a multiple of 4.
+template <int64_t lanes>
+GLD_INLINE void transpose_back(const float* transposed, const float* factors, int64_t count, int64_t stride,
+                               int64_t head_dim, float* rows) {
+  for (int64_t lane = 0; lane < count; lane += 4) {
+    const Quad factor = load_quad(factors + lane);
+    for (int64_t c = 0; c < head_dim; c += 4) {
+      Quad q[4];
+#pragma GCC unroll 4
+      for (int i = 0; i < 4; ++i) q[i] = load_quad(transposed + (c + i) * lanes + lane) * factor;
+      transpose_quads(q);
+      for (int i = 0; i < 4 && lane + i < count; ++i) store_quad(rows + (lane + i) * stride + c, q[i]);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace gld

@@ -108,22 +108,6 @@ GLD_INLINE void unit_forward_step(const UnitAttentionTile& tile, int64_t block, 
   }
 }
 
-// rows (count, stride) = factors (a lane each) times transposed (head_dim, Unit::lanes).
-template <class Unit>
-GLD_INLINE void transpose_sums(const float* transposed, const float* factors, int64_t count, int64_t stride,
-                               int64_t head_dim, float* rows) {
-  for (int64_t lane = 0; lane < count; lane += 4) {
-    const Quad factor = load_quad(factors + lane);
-    for (int64_t c = 0; c < head_dim; c += 4) {
-      Quad q[4];
-#pragma GCC unroll 4
-      for (int i = 0; i < 4; ++i) q[i] = load_quad(transposed + (c + i) * Unit::lanes + lane) * factor;
-      transpose_quads(q);
-      for (int i = 0; i < 4 && lane + i < count; ++i) store_quad(rows + (lane + i) * stride + c, q[i]);
-    }
-  }
-}
-
 template <class Unit>
 void unit_attention_forward(const UnitAttentionTile& tile) {
   [[maybe_unused]] const typename Unit::Session session;
@@ -164,8 +148,8 @@ void unit_attention_forward(const UnitAttentionTile& tile) {
           totals[lane] == 0 ? kLowest : maxima[lane] + __builtin_log2f(totals[lane]);
     }
     for (int64_t lane = 0; lane < lanes; ++lane) totals[lane] = totals[lane] == 0 ? 0 : 1 / totals[lane];
-    transpose_sums<Unit>(sums, totals, count, tile.output_stride, tile.head_dim,
-                         tile.output + g * lanes * tile.output_stride);
+    transpose_back<Unit::lanes>(sums, totals, count, tile.output_stride, tile.head_dim,
+                                tile.output + g * lanes * tile.output_stride);
   }
 }
 
@@ -372,10 +356,10 @@ void unit_attention_backward(const UnitAttentionBackwardTile& tile) {
     float* ones = scratch.probabilities;
     for (int64_t lane = 0; lane < lanes; ++lane) ones[lane] = 1;
     const int64_t first = g * lanes * tile.gradient_stride;
-    transpose_sums<Unit>(scratch.key_sums, ones, group_keys(g), tile.gradient_stride, tile.head_dim,
-                         tile.key_gradients + first);
-    transpose_sums<Unit>(scratch.value_sums, ones, group_keys(g), tile.gradient_stride, tile.head_dim,
-                         tile.value_gradients + first);
+    transpose_back<Unit::lanes>(scratch.key_sums, ones, group_keys(g), tile.gradient_stride, tile.head_dim,
+                                tile.key_gradients + first);
+    transpose_back<Unit::lanes>(scratch.value_sums, ones, group_keys(g), tile.gradient_stride, tile.head_dim,
+                                tile.value_gradients + first);
   }
 }
 

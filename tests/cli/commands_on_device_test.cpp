@@ -25,20 +25,9 @@ namespace gld {
 namespace {
 
 template <class Options>
-Options stage_options(const std::filesystem::path& model, const std::filesystem::path& out) {
-  Options options;
-  options.model = model.string();
-  options.out = out.string();
-  options.device = "meta";
-  options.threads = 1;
-  options.data = test::small_data();
-  return options;
-}
-
-template <class Options>
 Options training_options(const std::filesystem::path& model, const std::filesystem::path& out) {
-  auto options = stage_options<Options>(model, out);
-  options.loop = test::two_steps();
+  auto options = test::training_options<Options>(model, out);
+  options.device = "meta";
   return options;
 }
 
@@ -55,7 +44,12 @@ class CommandsOnDevice : public testing::Test {
     auto decoder = training_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
     decoder.objective.adversarial.convolutional.channels = 8;
     train_decoder(decoder, {});
-    auto statistics = stage_options<StatsOptions>(path("decoder/model"), path("stats"));
+    StatsOptions statistics;
+    statistics.model = path("decoder/model").string();
+    statistics.out = path("stats").string();
+    statistics.device = "meta";
+    statistics.threads = 1;
+    statistics.data = test::small_data();
     statistics.scene_count = 2;
     compute_statistics(statistics);
     auto level = training_options<TrainLevelOptions>(path("stats/model"), path("level"));

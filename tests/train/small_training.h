@@ -5,6 +5,8 @@
 #include "train/data/training_data.h"
 #include "train/loop/training_loop.h"
 
+#include <filesystem>
+
 namespace gld::test {
 
 // A model of the same structure as the published one, small enough for a step in milliseconds.
@@ -64,6 +66,18 @@ inline TrainingLoopOptions two_steps() {
   options.checkpoint_every = 1;
   options.validate_every = 1;
   options.learning_rate.peak = 1e-3;
+  return options;
+}
+
+// Two steps of any kind of training.
+template <class Options>
+Options training_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+  Options options;
+  options.model = model.string();
+  options.out = out.string();
+  options.threads = 1;
+  options.data = small_data();
+  options.loop = two_steps();
   return options;
 }
 

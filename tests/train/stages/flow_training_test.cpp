@@ -28,27 +28,16 @@
 namespace gld {
 namespace {
 
-template <class Options>
-Options stage_options(const std::filesystem::path& model, const std::filesystem::path& out) {
-  Options options;
-  options.model = model.string();
-  options.out = out.string();
-  options.threads = 1;
-  options.data = test::small_data();
-  options.loop = test::two_steps();
-  return options;
-}
-
 // One folder with the runs of all stages: backbone, decoder, stats, level, cascade.
 class TrainedChain : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     folder_ = std::make_unique<test::TemporaryFolder>();
     save_bundle_options(path("empty"), test::small_model());
-    auto backbone = stage_options<TrainBackboneOptions>(path("empty"), path("backbone"));
+    auto backbone = test::training_options<TrainBackboneOptions>(path("empty"), path("backbone"));
     backbone.store = StoredPrecision::kFloat16;
     train_backbone(backbone, {});
-    auto decoder = stage_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
+    auto decoder = test::training_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
     decoder.objective.adversarial.convolutional.channels = 8;
     train_decoder(decoder, {});
     StatsOptions stats;
@@ -58,8 +47,8 @@ class TrainedChain : public testing::Test {
     stats.scene_count = 5;
     stats.data = test::small_data();
     compute_statistics(stats);
-    train_level(stage_options<TrainLevelOptions>(path("stats/model"), path("level")), {});
-    train_cascade(stage_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+    train_level(test::training_options<TrainLevelOptions>(path("stats/model"), path("level")), {});
+    train_cascade(test::training_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
   }
   static void TearDownTestSuite() { folder_.reset(); }
   static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
@@ -113,7 +102,7 @@ TEST_F(TrainedChain, StatisticsMakeLatentsStandard) {
 }
 
 TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
-  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("nothing"));
+  auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("nothing"));
   options.resume = true;
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
             path("nothing").string() + ": expected a checkpoint to resume from, found none in " +
@@ -122,7 +111,7 @@ TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
 }
 
 TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
-  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_options"));
+  auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("other_options"));
   train_level(options, {});
   EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
               testing::HasSubstr("continue it with --resume or choose another --out"));
@@ -149,7 +138,7 @@ TEST_F(TrainedChain, PartsOfAnotherBackboneAreRefused) {
   std::filesystem::copy(path("stats/model"), path("mixed"));
   const auto backbone = path("mixed") / "backbone.safetensors";
   save_safetensors(backbone, read_all(backbone), {{"trained", "again"}});
-  auto options = stage_options<TrainLevelOptions>(path("mixed"), path("on_mixed"));
+  auto options = test::training_options<TrainLevelOptions>(path("mixed"), path("on_mixed"));
   EXPECT_EQ(
       test::error_of([&] { train_level(options, {}); }),
       (path("mixed") / "statistics_level1.safetensors").string() +
@@ -167,7 +156,7 @@ TEST_F(TrainedChain, AModelThatIsShownPhotographsBelongsToTheirGeometryHead) {
   BundleOptions model = test::small_model();
   model.generator(level_model(1)).dit.warped_sources = 1;
   save_bundle_options(path("showing"), model);
-  auto options = stage_options<TrainLevelOptions>(path("showing"), path("shown"));
+  auto options = test::training_options<TrainLevelOptions>(path("showing"), path("shown"));
   train_level(options, {});
   const auto trained = ModelBundle::open(path("shown/model"));
   const BundlePart level = BundlePart::of(level_model(1));
@@ -207,10 +196,10 @@ TEST_F(TrainedChain, OtherSetsOfLevelsTrain) {
     EXPECT_TRUE(with_statistics.has(BundlePart::statistics(level))) << level;
     EXPECT_TRUE(with_statistics.has(BundlePart::special_statistics(level))) << level;
   }
-  auto level = stage_options<TrainLevelOptions>(path("other_stats/model"), path("level_two"));
+  auto level = test::training_options<TrainLevelOptions>(path("other_stats/model"), path("level_two"));
   level.level = 2;
   train_level(level, {});
-  auto deeper = stage_options<TrainCascadeOptions>(path("level_two/model"), path("other_cascade"));
+  auto deeper = test::training_options<TrainCascadeOptions>(path("level_two/model"), path("other_cascade"));
   deeper.cascade = "2->1";
   train_cascade(deeper, {});
   const auto trained = ModelBundle::open(path("other_cascade/model"));
@@ -227,7 +216,7 @@ TEST_F(TrainedChain, OtherSetsOfLevelsTrain) {
 }
 
 TEST_F(TrainedChain, TheLevelMustBeOneThatTheModelGenerates) {
-  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("other_level"));
+  auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("other_level"));
   options.level = 2;
   EXPECT_EQ(test::error_of([&] { train_level(options, {}); }),
             "model small: expected one of its generated parts: 1, 1->0, found 2; list it under generated in "
@@ -273,7 +262,7 @@ torch::Tensor trained_weights(TrainLevelOptions options, const std::string& how)
 
 TEST_F(TrainedChain, LearnsInBFloat16AndGoesOnBitForBit) {
   const auto options = [](const std::string& name, ComputePrecision precision) {
-    auto made = stage_options<TrainLevelOptions>(path("stats/model"), path(name));
+    auto made = test::training_options<TrainLevelOptions>(path("stats/model"), path(name));
     made.loop.learning_rate.schedule = LearningRateSchedule::kConstant;
     made.loop.precision = precision;
     return made;
@@ -332,7 +321,7 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
     }
     return torch::cat(parts);
   };
-  auto options = stage_options<TrainLevelOptions>(path("level/model"), path("tuned"));
+  auto options = test::training_options<TrainLevelOptions>(path("level/model"), path("tuned"));
   options.objective.start = ModelStart::kBundle;
   options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
   options.loop.seed = 99;
@@ -349,7 +338,7 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
 }
 
 TEST_F(TrainedChain, CorrespondenceIsTaughtBesideTheFlow) {
-  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("taught"));
+  auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("taught"));
   options.objective.correspondence_weight = 0.1;
   options.objective.correspondence_blocks = {1, 2};
   options.objective.camera_dropout = 0;
@@ -381,7 +370,7 @@ TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
     options.loop.seed = 99;
   };
   const auto before = ModelBundle::open(path("decoder/model"));
-  auto backbone = stage_options<TrainBackboneOptions>(path("decoder/model"), path("backbone_on"));
+  auto backbone = test::training_options<TrainBackboneOptions>(path("decoder/model"), path("backbone_on"));
   still(backbone);
   backbone.objective.training = GeometryTraining::kFromBundle;
   train_backbone(backbone, {});
@@ -390,7 +379,7 @@ TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
             1e-6);
   EXPECT_LT((flat(*with_backbone.load_dpt_head()) - flat(*before.load_dpt_head())).abs().max().item<double>(),
             1e-6);
-  auto decoder = stage_options<TrainDecoderOptions>(path("decoder/model"), path("decoder_on"));
+  auto decoder = test::training_options<TrainDecoderOptions>(path("decoder/model"), path("decoder_on"));
   still(decoder);
   decoder.objective.adversarial.weight = 0;
   decoder.objective.start = ModelStart::kBundle;
@@ -402,7 +391,7 @@ TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
 }
 
 TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
-  auto options = stage_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
+  auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
   options.loop.checkpoint_every = 1000;
   options.loop.steps = 50;
   EXPECT_THROW(
@@ -413,7 +402,7 @@ TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
 }
 
 TEST_F(TrainedChain, TheHeadGoesOnAlone) {
-  auto options = stage_options<TrainBackboneOptions>(path("decoder/model"), path("head"));
+  auto options = test::training_options<TrainBackboneOptions>(path("decoder/model"), path("head"));
   options.objective.feature_noise = 0.5;
   EXPECT_EQ(test::error_of([&] { train_backbone(options, {}); }),
             "objective.feature_noise: expected 0 while the backbone is trained, "
