@@ -4,6 +4,8 @@
 #include "gld/machine/block_memory.h"
 #include "gld/tensors/process_libraries.h"
 
+#include <cstdlib>
+
 #include <ATen/Parallel.h>
 #include <ATen/Version.h>
 #include <ATen/autocast_mode.h>
@@ -85,6 +87,21 @@ std::string blas_name() {
     }
   }
   return "unknown";
+}
+
+std::string blas_text() {
+  std::string text = blas_name();
+  using CoreName = const char* (*)();
+  const auto core_name = reinterpret_cast<CoreName>(dlsym(RTLD_DEFAULT, "openblas_get_corename"));
+  if (text != "openblas" || core_name == nullptr) return text;
+  text += std::string(", kernel ") + core_name();
+  // OpenBLAS reads them, not this program.
+  for (const char* name : {"OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"}) {
+    if (const char* value = std::getenv(name)) {
+      text += std::string(", by ") + name + "=" + value + " of the environment";
+    }
+  }
+  return text;
 }
 
 void set_thread_count(int threads) {

@@ -349,7 +349,7 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
       "reaches {:.0f}. Rows of ours_bfloat16 are fractions of the same float32 peak.\n"
       "\n"
       "{}",
-      instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_name(),
+      instruction_set_name(best_instruction_set()), thread_count(), multiply_add * 1e-9, blas_text(),
       sgemm * 1e-9, attention_overview(rows).markdown());
   BenchmarkResults results;
   results.text = text;
@@ -362,7 +362,7 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
                     {"options", to_json(options)},
                     {"multiply_add_peak", multiply_add},
                     {"sgemm_peak", sgemm},
-                    {"blas", blas_name()},
+                    {"blas", blas_text()},
                     {"vectors", instruction_set_name(best_instruction_set())}};
   results.notes = {{"forward passes", "attention.csv"},
                    {"backward passes", "attention_backward.csv"},

@@ -1,6 +1,8 @@
 // The whole of a small model, in single precision beside double, and on extreme pictures.
 #include "gld/base/error.h"
+#include "infer/bench/benchmark_precisions.h"
 #include "infer/bench/extremes_benchmark.h"
+#include "infer/pipeline/bundle_models.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/random_bundle.h"
@@ -160,12 +162,16 @@ std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder) {
       {"all white pictures", torch::ones({2, 3, 42, 70})},
       {"pictures of 1:8", random_pictures(4, 14, 112)},
       {"pictures of 8:1", random_pictures(5, 112, 14)}};
-  for (const auto& [situation, images] : extremes) {
-    double non_finite = 0;
-    for (const auto& [name, tensor] : run_whole(single_models, whole_request(options, images))) {
-      non_finite += torch::isfinite(tensor).logical_not().sum().item<double>();
+  for (const ComputePrecision precision : benchmark_precisions(compute_precision_names())) {
+    const auto models = bundle_models(bundle, torch::kCPU, precision);
+    for (const auto& [situation, images] : extremes) {
+      double non_finite = 0;
+      for (const auto& [name, tensor] : run_whole(models, whole_request(options, images))) {
+        non_finite += torch::isfinite(tensor).logical_not().sum().item<double>();
+      }
+      rows.push_back({"whole model", fmt::format("{}, in {}", situation, compute_precision_name(precision)),
+                      "numbers that are not finite", non_finite, 0});
     }
-    rows.push_back({"whole model", situation, "numbers that are not finite", non_finite, 0});
   }
 
   auto broken = whole_request(options, pictures);

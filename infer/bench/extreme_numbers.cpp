@@ -5,6 +5,7 @@
 #include "gld/flow/problems/exact_flows.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/tensors/fused_ops.h"
+#include "infer/bench/extreme_inputs.h"
 #include "infer/bench/extremes_benchmark.h"
 
 #include <cmath>
@@ -18,32 +19,13 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kLogitHeadDim = 64;
 // Half a unit in the last place of float32: a logit of size L is itself rounded by L times this.
 constexpr double kRounding = 0x1p-24;
-
-torch::Tensor random(c10::IntArrayRef sizes, uint64_t seed) {
-  return torch::randn(sizes, at::detail::createCPUGenerator(seed), torch::kFloat64);
-}
 
 // Infinite when a value is not a number: std::max would drop it.
 double largest(const torch::Tensor& x) {
   const double value = x.abs().max().item<double>();
   return std::isnan(value) ? std::numeric_limits<double>::infinity() : value;
-}
-
-AttentionInputs inputs_with_logits(double size, int64_t tokens) {
-  AttentionInputs inputs;
-  // Values on a coarse grid, so that scalar products are exact and what is measured is the softmax.
-  const auto coarse = [](const torch::Tensor& x) { return torch::round(x * 8) / 8; };
-  inputs.query = coarse(random({1, tokens, 2, kLogitHeadDim}, 1));
-  inputs.key = coarse(random({1, tokens, 2, kLogitHeadDim}, 2));
-  inputs.value = random({1, tokens, 2, kLogitHeadDim}, 3);
-  const auto logits =
-      torch::einsum("bqhc,bkhc->bhqk", {inputs.query, inputs.key}) / std::sqrt(double{kLogitHeadDim});
-  const double factor = size > 0 ? std::exp2(std::floor(std::log2(size / largest(logits)))) : 0;
-  inputs.query = inputs.query * factor;
-  return inputs;
 }
 
 AttentionInputs in_float32(AttentionInputs inputs) {
@@ -67,7 +49,7 @@ double rms_norm_error(double magnitude) {
   constexpr double kEpsilon = 1e-6;
   constexpr int64_t kChannels = 384;
   RmsNormInputs inputs;
-  inputs.x = (magnitude * random({16, kChannels}, 5)).to(torch::kFloat32);
+  inputs.x = (magnitude * extreme_random({16, kChannels}, 5)).to(torch::kFloat32);
   inputs.epsilon = kEpsilon;
   const auto y = rms_norm(inputs).to(torch::kFloat64);
   // Squares of up to 1e60 are no difficulty in double.
@@ -95,17 +77,36 @@ double non_finite_values(const FlowProblem& problem, double guidance_scale, cons
 
 }  // namespace
 
+torch::Tensor extreme_random(c10::IntArrayRef sizes, uint64_t seed) {
+  return torch::randn(sizes, at::detail::createCPUGenerator(seed), torch::kFloat64);
+}
+
+AttentionInputs attention_inputs_with_logits(double size, int64_t tokens) {
+  constexpr int64_t kLogitHeadDim = 64;
+  AttentionInputs inputs;
+  const auto coarse = [](const torch::Tensor& x) { return torch::round(x * 8) / 8; };
+  inputs.query = coarse(extreme_random({1, tokens, 2, kLogitHeadDim}, 1));
+  inputs.key = coarse(extreme_random({1, tokens, 2, kLogitHeadDim}, 2));
+  inputs.value = extreme_random({1, tokens, 2, kLogitHeadDim}, 3);
+  const auto logits =
+      torch::einsum("bqhc,bkhc->bhqk", {inputs.query, inputs.key}) / std::sqrt(double{kLogitHeadDim});
+  const double factor =
+      size > 0 ? std::exp2(std::floor(std::log2(size / logits.abs().max().item<double>()))) : 0;
+  inputs.query = inputs.query * factor;
+  return inputs;
+}
+
 std::vector<ExtremeRow> attention_extremes() {
   std::vector<ExtremeRow> rows;
   for (const double size : {0.0, 1.0, 1e2, 1e4}) {
     rows.push_back({"attention", size == 0 ? "all logits equal" : fmt::format("logits up to {:g}", size),
-                    "relative error, fp32 against double", attention_error(inputs_with_logits(size, 96)),
-                    2e-6 + size * kRounding});
+                    "relative error, fp32 against double",
+                    attention_error(attention_inputs_with_logits(size, 96)), 2e-6 + size * kRounding});
   }
   rows.push_back({"attention", "one token", "relative error, fp32 against double",
-                  attention_error(inputs_with_logits(1, 1)), 2e-7});
+                  attention_error(attention_inputs_with_logits(1, 1)), 2e-7});
   // Views that see only themselves attend as if each were alone.
-  auto inputs = in_float32(inputs_with_logits(10, 96));
+  auto inputs = in_float32(attention_inputs_with_logits(10, 96));
   inputs.view_mask = torch::eye(4, torch::kBool);
   const auto together = attention(inputs);
   double difference = 0;
@@ -139,7 +140,7 @@ std::vector<ExtremeRow> norm_extremes() {
 
 std::vector<ExtremeRow> flow_extremes() {
   std::vector<ExtremeRow> rows;
-  const auto data = random({64}, 7), noise = random({64}, 8);
+  const auto data = extreme_random({64}, 7), noise = extreme_random({64}, 8);
   for (const double t : {0.0, 1e-12, 0.5, 1 - 1e-12, 1.0}) {
     const auto x = interpolate(data, noise, t), velocity = velocity_target(data, noise);
     const double error = std::max(largest(data_from_velocity(x, velocity, t) - data),

@@ -42,7 +42,7 @@ std::vector<ExtremeRow> all_extremes(int64_t camera_sets, const std::filesystem:
   std::vector<ExtremeRow> rows;
   for (const auto& part :
        {camera_extremes(camera_sets), attention_extremes(), norm_extremes(), flow_extremes(),
-        image_extremes(folder), depth_extremes(folder), forward_extremes(folder)}) {
+        precision_extremes(), image_extremes(folder), depth_extremes(folder), forward_extremes(folder)}) {
     rows.insert(rows.end(), part.begin(), part.end());
   }
   std::filesystem::remove_all(folder);

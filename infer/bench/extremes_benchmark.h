@@ -11,8 +11,8 @@
 
 namespace gld {
 
-// gld bench extremes: one table of what happens at the ends of the range of cameras, logits, norms, flows, image files,
-// depth and the whole of a small model.
+// gld bench extremes: one table of what happens at the ends of the range of cameras, logits, norms, flows, precisions,
+// image files, depth and the whole of a small model.
 struct ExtremesBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -37,6 +37,7 @@ std::vector<ExtremeRow> camera_extremes(int64_t random_sets);
 std::vector<ExtremeRow> attention_extremes();
 std::vector<ExtremeRow> norm_extremes();
 std::vector<ExtremeRow> flow_extremes();
+std::vector<ExtremeRow> precision_extremes();
 // These three write files into an existing folder.
 std::vector<ExtremeRow> image_extremes(const std::filesystem::path& folder);
 std::vector<ExtremeRow> depth_extremes(const std::filesystem::path& folder);

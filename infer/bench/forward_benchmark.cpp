@@ -4,7 +4,6 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
-#include "gld/cameras/cameras_in_a_row.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/kernels/packed_product.h"
 #include "gld/machine/precision_option.h"
@@ -18,6 +17,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/bench/benchmark_precisions.h"
 #include "infer/bench/composed_dit.h"
+#include "infer/bench/random_dit.h"
 #include "infer/bench/relative_rms.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
@@ -37,47 +37,22 @@
 namespace gld {
 namespace {
 
-constexpr double kFlowTime = 0.7;
-
-// Neither all equal nor growing with depth; what they are does not change the time.
-void fill_with_random_weights(torch::nn::Module& module) {
-  torch::manual_seed(1);
-  for (auto& parameter : module.parameters()) {
-    if (parameter.dim() < 2) {
-      parameter.fill_(0.5);
-      continue;
-    }
-    const double range = 1.0 / std::sqrt(static_cast<double>(parameter[0].numel()));
-    parameter.uniform_(-range, range);
-  }
-}
+const std::string kOurs = "ours";
+const std::string kComposed = "composed";
 
 // A model, a scene and everything that exact savings compute once.
 struct Setting {
   std::shared_ptr<DitDh> model;  // not packed
   std::map<ComputePrecision, std::shared_ptr<DitDh>> packed;
-  DitScene scene;
-  DitTimeRow time;
-  torch::Tensor noisy;
+  RandomDitSceneSettings sizes;
+  RandomDitScene random;
 };
-
-// A copy that computes in that precision.
-std::shared_ptr<DitDh> packed_copy(const DitDh& model, ComputePrecision precision) {
-  auto copy = std::make_shared<DitDh>(model.options(), ParameterPlacement{});
-  const auto from = model.named_parameters();
-  for (auto& parameter : copy->named_parameters()) parameter.value().copy_(from[parameter.key()]);
-  LayerPrecision layers = layer_precision(precision, ModelKind::kGenerator);
-  layers.originals = PackedOriginals::kRelease;
-  use_precision(*copy, layers);
-  return copy;
-}
 
 Setting make_setting(const ForwardBenchmarkOptions& options) {
   BundleOptions bundle;
   Setting setting;
   if (options.model.empty()) {
-    setting.model = std::make_shared<DitDh>(bundle.generators.front().dit, ParameterPlacement{});
-    fill_with_random_weights(*setting.model);
+    setting.model = dit_with_random_weights(bundle.generators.front().dit);
   } else {
     const auto opened = ModelBundle::open(options.model);
     bundle = opened.options();
@@ -87,17 +62,9 @@ Setting make_setting(const ForwardBenchmarkOptions& options) {
     setting.packed[precision] = packed_copy(*setting.model, precision);
   }
   const ImageSize size = image_size_from_text(options.size, "--size");
-  const LatentGrid grid = bundle.backbone.grid_of(options.views, size.height, size.width);
-  const int64_t tokens = setting.model->tokens_per_view(grid),
-                channels = setting.model->options().in_channels;
-  torch::manual_seed(2);
-  DitSceneInputs inputs;
-  inputs.views = cameras_in_a_row({options.views, options.sources, size});
-  inputs.source_features = torch::randn({options.sources, tokens, channels});
-  set_no_warp(inputs, setting.model->options());
-  setting.scene = setting.model->prepare_scene(inputs);
-  setting.time = setting.model->time_rows({kFlowTime}).front();
-  setting.noisy = torch::randn({options.views, tokens, channels});
+  setting.sizes.cameras = {options.views, options.sources, size};
+  setting.sizes.grid = bundle.backbone.grid_of(options.views, size.height, size.width);
+  setting.random = random_scene_for(*setting.model, setting.sizes);
   return setting;
 }
 
@@ -114,13 +81,14 @@ template <class Model>
 Evaluation evaluate(const Setting& setting, const DitDh& outside, const Model& model) {
   Evaluation result;
   result.peak = measure_precision_peak(ComputePrecision::kFloat32, thread_count());
-  const DitPasses pass{{&setting.scene, &setting.time, DitBranch::kConditional}};
+  const RandomDitScene& random = setting.random;
+  const DitPasses pass{{&random.scene, &random.time, DitBranch::kConditional}};
   DitNoisyTokens tokens;
-  result.decoder_seconds += seconds_of([&] { tokens = outside.embed_noisy(setting.scene, setting.noisy); });
+  result.decoder_seconds += seconds_of([&] { tokens = outside.embed_noisy(random.scene, random.noisy); });
   result.encoder_seconds = seconds_of([&] { result.condition = model.condition_encoder(pass, tokens); });
   result.decoder_seconds += seconds_of([&] {
     result.velocity = outside.velocity_from_features(model.velocity_features(pass, tokens, result.condition),
-                                                     setting.noisy, kFlowTime);
+                                                     random.noisy, setting.sizes.flow_time);
   });
   return result;
 }
@@ -145,12 +113,12 @@ struct Part {
 std::vector<Part> parts_of(const Setting& setting) {
   const auto& options = setting.model->options();
   const auto velocity = [](const Evaluation& e) -> const torch::Tensor& { return e.velocity; };
-  return {{"condition_encoder", condition_encoder_cost(options, setting.scene.grid),
+  return {{"condition_encoder", condition_encoder_cost(options, setting.sizes.grid),
            [](const Evaluation& e) { return e.encoder_seconds; },
            [](const Evaluation& e) -> const torch::Tensor& { return e.condition; }},
-          {"velocity_decoder", velocity_decoder_cost(options, setting.scene.grid),
+          {"velocity_decoder", velocity_decoder_cost(options, setting.sizes.grid),
            [](const Evaluation& e) { return e.decoder_seconds; }, velocity},
-          {"evaluation", dit_cost(options, setting.scene.grid),
+          {"evaluation", dit_cost(options, setting.sizes.grid),
            [](const Evaluation& e) { return e.encoder_seconds + e.decoder_seconds; }, velocity}};
 }
 
@@ -211,6 +179,9 @@ void ForwardBenchmarkOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"source_views", "source views"}, sources, {1, 1000});
   visitor.text({"size", "image size, width x height in pixels"}, size);
   visitor.texts({"precisions", "to measure beside float32: bfloat16, bfloat16x3, int8"}, precisions);
+  visitor.boolean(
+      {"composed", "measure LibTorch's composition too; without it differences are from ours in float32"},
+      composed);
   visitor.integer({"repeats", "measurements of each, of which the median counts"}, repeats, {1, 1000});
   visit_threads(visitor, threads);
 }
@@ -227,13 +198,14 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
   const torch::NoGradGuard no_grad;
   const Setting setting = make_setting(options);
   const ComposedDit composed(*setting.model);
-  ForwardTimes plain = {"composed", {}};
+  ForwardTimes plain = {kComposed, {}};
   std::vector<std::pair<ComputePrecision, ForwardTimes>> ours;
   for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
     const bool first = precision == ComputePrecision::kFloat32;
-    ours.push_back({precision, {first ? "ours" : compute_precision_name(precision), {}}});
+    ours.push_back({precision, {first ? kOurs : compute_precision_name(precision), {}}});
   }
-  Progress progress("bench forward", options.repeats * static_cast<int64_t>(ours.size() + 1));
+  const auto variants = static_cast<int64_t>(ours.size()) + (options.composed ? 1 : 0);
+  Progress progress("bench forward", options.repeats * variants);
   int64_t done = 0;
   const auto sample = [&](ForwardTimes& samples, Evaluation evaluation) {
     samples.evaluations.push_back(std::move(evaluation));
@@ -246,13 +218,15 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
       const DitDh& model = *setting.packed.at(precision);
       sample(times, evaluate(setting, model, model));
     }
+    if (!options.composed) continue;
     const LibraryTensorMemory library_memory;
     sample(plain, evaluate(setting, *setting.model, composed));
   }
   std::vector<ForwardBenchmarkRow> rows;
+  const ForwardTimes& reference = options.composed ? plain : ours.front().second;
   for (const Part& part : parts_of(setting)) {
-    for (const auto& [precision, times] : ours) rows.push_back(row_from(part, times, plain));
-    rows.push_back(row_from(part, plain, plain));
+    for (const auto& [precision, times] : ours) rows.push_back(row_from(part, times, reference));
+    if (options.composed) rows.push_back(row_from(part, plain, reference));
   }
   progress.finish();
   return rows;
@@ -286,12 +260,20 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
                         })
         ->seconds;
   };
-  const double speedup = whole("composed") / whole("ours");
+  std::string beside;
+  nlohmann::ordered_json speedup;
+  if (options.composed) {
+    speedup = whole(kComposed) / whole(kOurs);
+    beside = fmt::format(
+        "`composed` is LibTorch's operations with LibTorch's own memory, in turns with ours; both start from a scene "
+        "prepared once. The parts add up to the evaluation, which is {:.2f} times as fast. ",
+        speedup.get<double>());
+  }
   std::string in_precisions;
   nlohmann::ordered_json precisions_json = nlohmann::ordered_json::array();
   for (const ComputePrecision precision : benchmark_precisions(options.precisions)) {
     if (precision == ComputePrecision::kFloat32) continue;
-    const double ratio = whole("ours") / whole(compute_precision_name(precision));
+    const double ratio = whole(kOurs) / whole(compute_precision_name(precision));
     const double unit_peak = measure_precision_peak(precision, thread_count());
     in_precisions +=
         fmt::format("In {} (peak of its unit {:.0f} GFLOP/s) it is {:.2f} times as fast as ours in float32. ",
@@ -303,12 +285,10 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
       "# One evaluation of M1, {} views of {}\n"
       "\n"
       "With {} threads the multiply-add peak is {:.0f} GFLOP/s and a large matrix product ({}) "
-      "reaches {:.0f}. `composed` is LibTorch's operations with LibTorch's own memory, in turns with ours; "
-      "both start from a scene prepared once. "
-      "The parts add up to the evaluation, which is {:.2f} times as fast. {}\n"
+      "reaches {:.0f}. {}{}\n"
       "\n"
       "{}",
-      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9, speedup,
+      options.views, options.size, thread_count(), multiply_add * 1e-9, blas_text(), sgemm * 1e-9, beside,
       in_precisions, forward_overview(rows).markdown());
   BenchmarkResults results;
   results.text = text;
@@ -317,7 +297,7 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
   results.report = {{"command", "bench forward"},    {"options", to_json(options)},
                     {"threads", thread_count()},     {"multiply_add_peak", multiply_add},
                     {"sgemm_peak", sgemm},           {"speedup", speedup},
-                    {"precisions", precisions_json}, {"blas", blas_name()}};
+                    {"precisions", precisions_json}, {"blas", blas_text()}};
   results.notes = {{"parts", "forward.csv"}, {"table", "forward.md"}, {"plot", "forward.png"}};
   finish_benchmark(folder, results);
   return 0;

@@ -18,6 +18,7 @@ struct ForwardBenchmarkOptions : OptionsGroup {
   int64_t sources = 4;
   std::string size = "252x140";
   std::vector<std::string> precisions;  // beside float32
+  bool composed = true;
   int64_t repeats = 3;
   int64_t threads = 0;  // all processors
 
@@ -35,8 +36,10 @@ struct ForwardBenchmarkRow {
   // Median over repeats of operations / seconds / peak of float32 multiply-adds measured just before. Above 1 where a
   // faster unit multiplies: rows of all precisions are fractions of the same.
   double fraction_of_peak = 0;
-  double relative_difference = 0;  // max |difference| / max |value| from the composition's result
-  double relative_rms = 0;         // RMS of the difference over that of the composition's result
+  double relative_difference =
+      0;                    // max |difference| / max |value| from the reference: the composition, or without
+                            // it ours in float32
+  double relative_rms = 0;  // RMS of the difference over that of the reference
 };
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);

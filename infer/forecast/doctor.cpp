@@ -189,7 +189,7 @@ std::string machine_text(const Machine& machine) {
       "loading weights  {:.1f} GB/s\n"
       "small models     {:.2f} of the time of their products, large ones {:.2f}\n"
       "                 {}\n",
-      machine.torch, machine.blas, fmt::join(machine.openmp, ", "),
+      machine.torch, blas_text(), fmt::join(machine.openmp, ", "),
       machine.process_engines.empty()
           ? "one alone trains: this build has no engine for several"
           : fmt::format("several train together, by {}", fmt::join(machine.process_engines, ", ")),

@@ -389,7 +389,7 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
       "reaches {:.0f}. A step counts three forward passes of the cost model. "
       "Memory is what a step adds at its peak to weights and gradients. {}\n"
       "\n",
-      thread_count(), multiply_add * 1e-9, blas_name(), sgemm * 1e-9,
+      thread_count(), multiply_add * 1e-9, blas_text(), sgemm * 1e-9,
       has_matrix_unit(kReduced)
           ? fmt::format("Rows of {} are fractions of the same float32 peak.", precision_text(kReduced))
           : "This processor has no unit for bfloat16, so that training in it was not measured.");
@@ -412,7 +412,7 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
   results.report = {{"command", "bench train"},  {"options", to_json(options)},
                     {"threads", thread_count()}, {"multiply_add_peak", multiply_add},
                     {"sgemm_peak", sgemm},       {"optimiser_share", share},
-                    {"blas", blas_name()}};
+                    {"blas", blas_text()}};
   results.notes = {{"cases", "train.csv"}, {"table", "train.md"}, {"plot", "train.png"}};
   finish_benchmark(folder, results);
   return 0;
