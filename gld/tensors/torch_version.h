@@ -15,8 +15,8 @@ std::string torch_version();
 // Which BLAS serves matrix products, as far as the library and the dynamic linker tell ("openblas", "mkl",
 // "reference", ...).
 std::string blas_name();
-// For reports, the same with the kernel that OpenBLAS chose for this processor, and what in the environment may hold it to
-// a slower one: "openblas, kernel Haswell, by OPENBLAS_CORETYPE=Haswell of the environment".
+// For reports, the same with the kernel that OpenBLAS chose for this processor, and what in the environment may hold it
+// to a slower one: "openblas, kernel Haswell, by OPENBLAS_CORETYPE=Haswell of the environment".
 std::string blas_text();
 
 // One setting for LibTorch's own loops, OpenMP and BLAS (Debian's LibTorch starts with one thread).

@@ -144,16 +144,6 @@ ForwardBenchmarkRow row_from(const Part& part, const ForwardTimes& samples, cons
   return row;
 }
 
-Table forward_overview(const std::vector<ForwardBenchmarkRow>& rows) {
-  Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
-               "relative_difference", "relative_rms"});
-  for (const auto& row : rows) {
-    table.add_row({row.part, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
-                   row.fraction_of_peak, row.relative_difference, row.relative_rms});
-  }
-  return table;
-}
-
 Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
   PlotPanel panel;
   panel.title = "time and use of the processor";
@@ -233,11 +223,11 @@ std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOp
 }
 
 Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows) {
-  Table table(
-      {"part", "variant", "seconds", "tflop", "fraction_of_peak", "relative_difference", "relative_rms"});
+  Table table({"part", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak",
+               "relative_difference", "relative_rms"});
   for (const auto& row : rows) {
-    table.add_row({row.part, row.variant, row.seconds, row.tflop, row.fraction_of_peak,
-                   row.relative_difference, row.relative_rms});
+    table.add_row({row.part, row.variant, row.seconds, row.seconds_low, row.seconds_high, row.tflop,
+                   row.fraction_of_peak, row.relative_difference, row.relative_rms});
   }
   return table;
 }
@@ -289,7 +279,7 @@ int run_forward_benchmark(const ForwardBenchmarkOptions& options) {
       "\n"
       "{}",
       options.views, options.size, thread_count(), multiply_add * 1e-9, blas_text(), sgemm * 1e-9, beside,
-      in_precisions, forward_overview(rows).markdown());
+      in_precisions, forward_benchmark_table(rows).markdown());
   BenchmarkResults results;
   results.text = text;
   results.files = {{"forward.csv", forward_benchmark_table(rows).csv()}, {"forward.md", text}};

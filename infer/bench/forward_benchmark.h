@@ -43,7 +43,7 @@ struct ForwardBenchmarkRow {
 };
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);
-// Columns part, variant, seconds, tflop, fraction_of_peak, relative_difference, relative_rms.
+// Columns part, variant, seconds, lowest, highest, tflop, fraction_of_peak, relative_difference, relative_rms.
 Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows);
 
 // Writes forward.csv, forward.md, forward.svg, forward.png and report.json into options.out. Returns the exit status.

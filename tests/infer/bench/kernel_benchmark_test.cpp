@@ -68,8 +68,7 @@ TEST(AttentionBenchmark, WritesItsFolder) {
   }
 }
 
-TEST(ForwardBenchmark, OursEqualsTheComposition) {
-  const test::TemporaryFolder folder;
+ForwardBenchmarkOptions small_forward_options(const test::TemporaryFolder& folder) {
   const auto bundle = folder.path() / "model";
   write_random_bundle(bundle, small_bundle_options(), 1);
   ForwardBenchmarkOptions options;
@@ -78,6 +77,12 @@ TEST(ForwardBenchmark, OursEqualsTheComposition) {
   options.sources = 2;
   options.size = "56x42";
   options.repeats = 1;
+  return options;
+}
+
+TEST(ForwardBenchmark, OursEqualsTheComposition) {
+  const test::TemporaryFolder folder;
+  ForwardBenchmarkOptions options = small_forward_options(folder);
   const auto rows = forward_benchmark_rows(options);
   ASSERT_EQ(rows.size(), 6U);
   for (const auto& row : rows) {
@@ -90,8 +95,22 @@ TEST(ForwardBenchmark, OursEqualsTheComposition) {
   options.out = (folder.path() / "run").string();
   EXPECT_EQ(run_forward_benchmark(options), 0);
   EXPECT_EQ(first_line(folder.path() / "run" / "forward.csv"),
-            "part,variant,seconds,tflop,fraction_of_peak,relative_difference,relative_rms");
+            "part,variant,seconds,lowest,highest,tflop,fraction_of_peak,relative_difference,relative_rms");
   EXPECT_GT(std::filesystem::file_size(folder.path() / "run" / "forward.png"), 100U);
+}
+
+TEST(ForwardBenchmark, WithoutTheCompositionDifferencesAreFromOursInFloat32) {
+  const test::TemporaryFolder folder;
+  ForwardBenchmarkOptions options = small_forward_options(folder);
+  options.composed = false;
+  options.precisions = {"bfloat16"};
+  const auto rows = forward_benchmark_rows(options);
+  ASSERT_EQ(rows.size(), 6U);
+  for (const auto& row : rows) {
+    SCOPED_TRACE(row.part + " " + row.variant);
+    EXPECT_EQ(row.relative_rms == 0, row.variant == "ours");
+    EXPECT_LT(row.relative_rms, 0.02);
+  }
 }
 
 TEST(ForwardBenchmark, RefusesMoreSourcesThanViews) {
