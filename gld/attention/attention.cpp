@@ -42,23 +42,6 @@ void check_inputs(const AttentionInputs& inputs) {
           c10::str(query.size(1), " queries and ", key.size(1), " keys for ", mask.size(0), " views"));
 }
 
-// The library's own fused kernel.
-torch::Tensor library_attention(const AttentionInputs& inputs) {
-  auto query = inputs.query;
-  auto key = inputs.key;
-  auto value = inputs.value;
-  if (inputs.prope != nullptr) {
-    query = encode_query(*inputs.prope, query);
-    key = encode_key_value(*inputs.prope, key);
-    value = encode_key_value(*inputs.prope, value);
-  }
-  const auto output =
-      gld::scaled_dot_product_attention(query.transpose(1, 2), key.transpose(1, 2), value.transpose(1, 2))
-          .transpose(1, 2)
-          .contiguous();
-  return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);
-}
-
 }  // namespace
 
 torch::Tensor attention(const AttentionInputs& inputs) {

@@ -22,8 +22,9 @@ struct AttentionInputs {
   const PropeTables* prope = nullptr;
   // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
   torch::Tensor view_mask;
-  // kFloat32, or kBFloat16 for the products of float32 tensors on the CPU, of their gradients too; softmax and sums are
-  // float32 then too. Elsewhere the tensors' own type counts.
+  // kFloat32, or kBFloat16 for the products of float32 tensors, of their gradients too; softmax and sums are float32
+  // then too. By kernels of ours on the CPU; elsewhere by LibTorch's fused attention, and without it (a view mask) in
+  // float32.
   ComputePrecision precision = ComputePrecision::kFloat32;
 };
 

@@ -1,5 +1,7 @@
 #include "gld/attention/composed_attention.h"
 
+#include "gld/tensors/torch_version.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -108,6 +110,26 @@ torch::Tensor row_blocked_attention(const AttentionInputs& inputs) {
   const auto arrays = heads_first(inputs);
   return finish(inputs, inputs.view_mask.defined() ? attend_masked(arrays, inputs.view_mask)
                                                    : attend(arrays.query, arrays.key, arrays.value));
+}
+
+torch::Tensor library_attention(const AttentionInputs& inputs) {
+  auto query = inputs.query;
+  auto key = inputs.key;
+  auto value = inputs.value;
+  if (inputs.prope != nullptr) {
+    query = encode_query(*inputs.prope, query);
+    key = encode_key_value(*inputs.prope, key);
+    value = encode_key_value(*inputs.prope, value);
+  }
+  const auto arranged = [&](const torch::Tensor& x) {
+    return inputs.precision == ComputePrecision::kBFloat16 ? x.transpose(1, 2).to(torch::kBFloat16)
+                                                           : x.transpose(1, 2);
+  };
+  const auto output = gld::scaled_dot_product_attention(arranged(query), arranged(key), arranged(value))
+                          .to(inputs.query.scalar_type())
+                          .transpose(1, 2)
+                          .contiguous();
+  return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);
 }
 
 }  // namespace gld

@@ -7,13 +7,17 @@
 namespace gld {
 
 // Attention as a composition of library operations, for any dtype and device, differentiable by the library. The
-// arguments and the result are those of attention(), which checks them and should be called instead: these two are what
-// it falls back on and what benchmarks and tests compare with.
+// arguments and the result are those of attention(), which checks them and should be called instead: these are what it
+// falls back on and what benchmarks and tests compare with.
 
 // All logits at once, (batch * heads, queries, keys): what a model written with LibTorch's operations does.
 torch::Tensor composed_attention(const AttentionInputs& inputs);
 
 // The same with at most 64 MB of logits at a time, and without those of pairs of views that do not attend.
 torch::Tensor row_blocked_attention(const AttentionInputs& inputs);
+
+// By LibTorch's fused kernel (2.0 and newer, else an Error), without a view mask. In bfloat16 the encoded queries, keys
+// and values are rounded, and the result is float32 again.
+torch::Tensor library_attention(const AttentionInputs& inputs);
 
 }  // namespace gld

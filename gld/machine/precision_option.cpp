@@ -10,7 +10,8 @@ void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice) {
   visit_choice(
       visitor,
       {"precision",
-       "what models multiply in on the CPU; automatic: the fastest whose measured error is small enough"},
+       "what models multiply in; automatic: the fastest whose measured error is small enough; on a GPU float32 or "
+       "bfloat16"},
       choice, names);
 }
 
@@ -22,13 +23,15 @@ ComputePrecision precision_of(PrecisionChoice choice) {
 }
 
 void check_precision_on(const std::string& device, ComputePrecision precision) {
-  if (device == "cpu" || precision == ComputePrecision::kFloat32) return;
-  fail({"--precision", "float32 on the device " + device, compute_precision_name(precision),
+  if (device == "cpu" || precision == ComputePrecision::kFloat32 || precision == ComputePrecision::kBFloat16)
+    return;
+  fail({"--precision", "float32 or bfloat16 on the device " + device, compute_precision_name(precision),
         "use --device cpu, which has kernels for it"});
 }
 
-std::string precision_text(ComputePrecision precision) {
+std::string precision_text(ComputePrecision precision, const std::string& device) {
   if (precision == ComputePrecision::kFloat32) return compute_precision_name(precision);
+  if (device != "cpu") return compute_precision_name(precision) + " on " + device;
   return compute_precision_name(precision) + " on " +
          matrix_unit_name(best_matrix_unit(precision), precision);
 }

@@ -15,11 +15,11 @@ void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice);
 // The precision that a choice other than kAutomatic names.
 ComputePrecision precision_of(PrecisionChoice choice);
 
-// Throws Error, one sentence, where the device ("cpu", "cuda:0") has no kernels of ours for it: only float32 runs on a
-// GPU.
+// Throws Error, one sentence, where the device ("cpu", "cuda:0") does not compute in it: bfloat16x3 and int8 are
+// kernels of ours for the CPU.
 void check_precision_on(const std::string& device, ComputePrecision precision);
 
-// "bfloat16 on AVX512-BF16"; "float32".
-std::string precision_text(ComputePrecision precision);
+// "bfloat16 on AVX512-BF16", or of a GPU "bfloat16 on cuda:0"; "float32".
+std::string precision_text(ComputePrecision precision, const std::string& device = "cpu");
 
 }  // namespace gld

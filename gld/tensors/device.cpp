@@ -1,6 +1,7 @@
 #include "gld/tensors/device.h"
 
 #include "gld/base/error.h"
+#include "gld/tensors/torch_version.h"
 
 #include <cstdint>
 
@@ -30,8 +31,7 @@ torch::Device device_from_text(const std::string& text) {
     fail({"--device", "one of the " + std::to_string(available) + " CUDA devices that this LibTorch sees",
           "'" + text + "'", available == 0 ? "use --device cpu" : "choose a smaller number"});
   }
-  // Convolutions in float32 are that, as matrix products are; LibTorch would let cuDNN round their operands to 10 bits.
-  at::globalContext().setAllowTF32CuDNN(false);
+  sum_gpu_products_in_float32();
   return {torch::kCUDA, static_cast<c10::DeviceIndex>(std::stoi(number))};
 }
 

@@ -6,6 +6,7 @@
 
 #include <cstdlib>
 
+#include <ATen/Context.h>
 #include <ATen/Parallel.h>
 #include <ATen/Version.h>
 #include <ATen/autocast_mode.h>
@@ -98,7 +99,7 @@ std::string blas_text() {
   // OpenBLAS reads them, not this program.
   for (const char* name : {"OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"}) {
     if (const char* value = std::getenv(name)) {
-      text += std::string(", by ") + name + "=" + value + " of the environment";
+      text += std::string(", ") + name + "=" + value + " in the environment";
     }
   }
   return text;
@@ -117,6 +118,11 @@ int thread_count() { return at::get_num_threads(); }
 
 #if TORCH_VERSION_MAJOR >= 2
 
+void sum_gpu_products_in_float32() {
+  at::globalContext().setAllowTF32CuDNN(false);
+  at::globalContext().setAllowBF16ReductionCuBLAS(false);
+}
+
 bool has_library_attention(torch::Device device) { return device.is_cuda(); }
 
 torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const torch::Tensor& key,
@@ -125,6 +131,8 @@ torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const tor
 }
 
 #else
+
+void sum_gpu_products_in_float32() { at::globalContext().setAllowTF32CuDNN(false); }
 
 bool has_library_attention(torch::Device /*device*/) { return false; }
 

@@ -15,8 +15,8 @@ std::string torch_version();
 // Which BLAS serves matrix products, as far as the library and the dynamic linker tell ("openblas", "mkl",
 // "reference", ...).
 std::string blas_name();
-// For reports, the same with the kernel that OpenBLAS chose for this processor, and what in the environment may hold it
-// to a slower one: "openblas, kernel Haswell, by OPENBLAS_CORETYPE=Haswell of the environment".
+// For reports, the same with the kernel that OpenBLAS chose, and what in the environment may hold it to a slower one:
+// "openblas, kernel Haswell, OPENBLAS_CORETYPE=Haswell in the environment".
 std::string blas_text();
 
 // One setting for LibTorch's own loops, OpenMP and BLAS (Debian's LibTorch starts with one thread).
@@ -45,6 +45,10 @@ bool has_library_attention(torch::Device device);
 // has_library_attention is false.
 torch::Tensor scaled_dot_product_attention(const torch::Tensor& query, const torch::Tensor& key,
                                            const torch::Tensor& value);
+
+// Sums of products and convolutions on a GPU are float32 from now on, and float32 operands keep their digits: LibTorch
+// would let cuDNN round those of convolutions to 10 bits, and cuBLAS add parts of a bfloat16 product in bfloat16.
+void sum_gpu_products_in_float32();
 
 // True where bfloat16 matrix products are faster than float32 ones and autocast may be used (CUDA).
 bool has_bfloat16_autocast(torch::Device device);

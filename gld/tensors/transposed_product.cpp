@@ -50,4 +50,14 @@ torch::Tensor times_transposed(const torch::Tensor& x, const torch::Tensor& weig
   return y.view(shape);
 }
 
+torch::Tensor times_rounded(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
+  const auto y = times_transposed(x.to(torch::kBFloat16), weight).to(x.scalar_type());
+  return bias.defined() ? y + bias : y;
+}
+
+bool rounded_product_applies(const torch::Tensor& weight, ComputePrecision precision) {
+  return precision == ComputePrecision::kBFloat16 && !weight.is_cpu() &&
+         weight.scalar_type() == torch::kFloat32;
+}
+
 }  // namespace gld

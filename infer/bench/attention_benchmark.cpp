@@ -362,7 +362,8 @@ int run_attention_benchmark(const AttentionBenchmarkOptions& options) {
                     {"options", to_json(options)},
                     {"multiply_add_peak", multiply_add},
                     {"sgemm_peak", sgemm},
-                    {"blas", blas_text()},
+                    {"blas", blas_name()},
+                    {"blas_in_words", blas_text()},
                     {"vectors", instruction_set_name(best_instruction_set())}};
   results.notes = {{"forward passes", "attention.csv"},
                    {"backward passes", "attention_backward.csv"},

@@ -107,9 +107,9 @@ AttentionInputs in_single(AttentionInputs inputs) {
   return inputs;
 }
 
-// Kernels round keys to 8 bits, and queries after their factor log2(e) / sqrt(head_dim), so a logit L of any numbers is known
-// to L / 256. Queries that the factor takes to numbers of bfloat16 show what attention itself loses; any others, that nothing
-// overflows.
+// Kernels round keys to 8 bits, and queries after their factor log2(e) / sqrt(head_dim), so a logit L of any numbers is
+// known to L / 256. Queries that the factor takes to numbers of bfloat16 show what attention itself loses; any others,
+// that nothing overflows.
 std::vector<ExtremeRow> attention_rows() {
   constexpr double kLog2E = 1.4426950408889634;
   std::vector<ExtremeRow> rows;
@@ -149,7 +149,8 @@ std::vector<ExtremeRow> full_width_rows() {
                     relative_rms(velocity(*packed_copy(*model, precision)), exact), limit});
   };
   add(ComputePrecision::kFloat32, 1e-5);
-  for (const ComputePrecision precision : reduced_precisions())
+  add(ComputePrecision::kBFloat16x3, 5e-5);
+  for (const auto precision : {ComputePrecision::kBFloat16, ComputePrecision::kInt8})
     add(precision, largest_automatic_error(precision));
   return rows;
 }

@@ -36,10 +36,8 @@ struct ForwardBenchmarkRow {
   // Median over repeats of operations / seconds / peak of float32 multiply-adds measured just before. Above 1 where a
   // faster unit multiplies: rows of all precisions are fractions of the same.
   double fraction_of_peak = 0;
-  double relative_difference =
-      0;                    // max |difference| / max |value| from the reference: the composition, or without
-                            // it ours in float32
-  double relative_rms = 0;  // RMS of the difference over that of the reference
+  double relative_difference = 0;  // max |difference| / max |value| from ours in float32
+  double relative_rms = 0;         // RMS of the difference from it over its RMS
 };
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options);

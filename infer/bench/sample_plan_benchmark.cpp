@@ -259,6 +259,10 @@ void SamplePlanBenchmarkOptions::check() const {
   check_out(out, "runs/plan");
   for (const ComputePrecision precision : benchmark_precisions(precisions))
     check_precision_on(device, precision);
+  if (write_table && !errors_hold_on(device, ComputePrecision::kBFloat16)) {
+    fail({"--write-table", "--device cpu, whose kernels the table's errors and seconds are of", device,
+          "leave one of the two out"});
+  }
   if (counts.size() < 2) {
     fail({"--counts", "at least two numbers of evaluations, to compare at equal work",
           std::to_string(counts.size()), "write for example 8,16"});

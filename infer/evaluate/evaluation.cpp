@@ -158,9 +158,10 @@ nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const Bun
 }
 
 nlohmann::ordered_json methods_json(const SamplingMethod& sampling, const EvaluationOptions& options) {
-  return {
-      {"sample", {{"method", method_text(sampling)}, {"guidance_scale", options.guidance.guidance_scale}}},
-      {"mean_prediction", {{"method", "one evaluation a level"}, {"guidance_scale", 1}}}};
+  return {{"sample",
+           {{"method", method_text(sampling, options.device)},
+            {"guidance_scale", options.guidance.guidance_scale}}},
+          {"mean_prediction", {{"method", "one evaluation a level"}, {"guidance_scale", 1}}}};
 }
 
 }  // namespace
@@ -206,7 +207,7 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
       attention_times, {0.0, 1.0});
   lpips.visit(visitor);
   visitor.integer({"pictures", "scenes that are drawn as contact sheets"}, pictures, {0, 1'000'000});
-  visit_choice(visitor, {"precision", "what models multiply in on the CPU"}, precision,
+  visit_choice(visitor, {"precision", "what models multiply in; on a GPU float32 or bfloat16"}, precision,
                compute_precision_names());
   visit_device(visitor, device);
   visit_threads(visitor, threads);
@@ -446,7 +447,7 @@ std::string evaluate(const EvaluationOptions& options) {
   nlohmann::ordered_json report = {{"command", "eval"},
                                    {"model", options.model},
                                    {"model_hash", bundle.content_hash()},
-                                   {"precision", precision_text(options.precision)},
+                                   {"precision", precision_text(options.precision, options.device)},
                                    {"methods", methods_json(method, options)},
                                    {"protocol", protocol_json(options, bundle.options())}};
   const auto summary = summaries(by_count);

@@ -47,7 +47,7 @@ std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions&
 // Whether a measured method may be taken with these options.
 bool allowed(const MethodErrors& entry, const SampleOptions& options) {
   const ComputePrecision precision = entry.method.precision;
-  if (options.device != "cpu") return precision == ComputePrecision::kFloat32;
+  if (!errors_hold_on(options.device, precision)) return false;
   const bool named =
       std::find(options.named.begin(), options.named.end(), "precision") != options.named.end() ||
       options.precision != PrecisionChoice::kFloat32;
@@ -97,6 +97,7 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   const size_t best =
       cheapest_within(table, options.tolerance, method_seconds(table, options, bundle, request, speed));
   ChosenMethod choice;
+  choice.device = options.device;
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];
   choice.measured_scenes = table.scenes;
@@ -134,6 +135,7 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
   }
   const bool automatic = options.precision == PrecisionChoice::kAutomatic;
   ChosenMethod choice;
+  choice.device = options.device;
   choice.method = options.method(bundle.options());
   choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
                   : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
@@ -159,7 +161,9 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
     choose_precision(table, options, bundle, request, speed, found);
     choice.method.precision = found.precision;
   }
-  const auto errors = errors_of(table, choice.method);
+  const auto errors = errors_hold_on(options.device, choice.method.precision)
+                          ? errors_of(table, choice.method)
+                          : std::nullopt;
   if (!errors || table.model_hash != model_hash()) return choice;
   choice.errors = errors;
   choice.measured_scenes = table.scenes;
@@ -172,13 +176,13 @@ std::string choice_text(const ChosenMethod& choice) {
       choice.errors ? fmt::format("relative latent error at most {:.2g} (mean {:.2g}, {} scenes)",
                                   choice.errors->bound, choice.errors->mean, choice.measured_scenes)
                     : "its error was not measured";
-  return fmt::format("sampling: {}: {}; {}; {}\n", choice.method.name, method_text(choice.method),
-                     choice.reason, error);
+  return fmt::format("sampling: {}: {}; {}; {}\n", choice.method.name,
+                     method_text(choice.method, choice.device), choice.reason, error);
 }
 
 nlohmann::ordered_json choice_json(const ChosenMethod& choice) {
   nlohmann::ordered_json object{{"name", choice.method.name},
-                                {"in_words", method_text(choice.method)},
+                                {"in_words", method_text(choice.method, choice.device)},
                                 {"reason", choice.reason},
                                 {"method", to_json(choice.method)}};
   if (choice.errors) {

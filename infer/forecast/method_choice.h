@@ -17,6 +17,7 @@ namespace gld {
 // The method that a scene is sampled with.
 struct ChosenMethod {
   SamplingMethod method;
+  std::string device = "cpu";          // that computes it
   std::string reason;                  // who chose it, in words
   std::optional<MethodErrors> errors;  // what was measured of it with this model, if anything
   int64_t measured_scenes = 0;
@@ -26,7 +27,7 @@ struct ChosenMethod {
 // What options ask for: their own method, the one of --quality, or for --tolerance the one that this machine is
 // expected to take the least time for among those that the bundle's plan_errors.json measured
 // (infer/method/plan_errors.h). Precisions without a unit of this processor do not count, nor others than that of
-// --precision where it names one.
+// --precision where it names one. On a GPU only float32 counts, whose errors are those of the CPU.
 // --precision automatic takes the fastest precision whose measured error against the same method in float32 is below
 // largest_automatic_error, and float32 where there is no such measurement.
 // model_hash is only called where the bundle has that file. Throws Error for a tolerance without such a measurement of

@@ -162,9 +162,12 @@ void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const Plan
   } else {
     for (const BundlePart& part : needs.parts) {
       stage.memory.weights = std::max(stage.memory.weights, weight_bytes_of(part, bundle));
+      const auto converted = request.converted_bytes.find(bundle_part_name(part));
+      if (converted != request.converted_bytes.end())
+        stage.memory.converted = std::max(stage.memory.converted, converted->second);
     }
   }
-  stage.memory.loaded = stage.memory.weights;
+  stage.read_bytes = stage.memory.weights;
   stage.memory.weights = packed_bytes(stage.memory.weights, stage.precision.linear);
   stage.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);
   stage.peak_bytes = predicted_peak_bytes(stage.memory);
@@ -196,9 +199,9 @@ PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest&
                              request.photographs == 1 ? "" : "s", geometry.name);
   stage.precision = layer_precision(ComputePrecision::kFloat32, model_kind_of(stage.kind));
   stage.cost = geometry_of_pictures_cost(geometry, grid, GeometryMaps::kDepthAndRays);
-  stage.memory.loaded =
+  stage.read_bytes =
       weight_bytes_of(BundlePart::backbone(), geometry) + weight_bytes_of(BundlePart::dpt_head(), geometry);
-  stage.memory.weights = stage.memory.loaded;
+  stage.memory.weights = stage.read_bytes;
   stage.memory.working = stage.cost.working_bytes;
   // All levels, raw and as the head takes them, and the pictures: bytes, tensors, and what the backbone was given.
   const int64_t side = bundle.backbone.patch_side();
@@ -208,8 +211,7 @@ PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest&
       pixels * 3 * (1 + 2 * kFloatBytes);
   // Before any of it, the photographs one after another as they were taken: bytes of the file's order and of ours.
   StageMemory reading;
-  reading.held = pixels * 3;
-  reading.loaded = 2 * 3 * request.photograph_pixels;
+  reading.held = pixels * 3 + 2 * 3 * request.photograph_pixels;
   stage.peak_bytes = std::max(predicted_peak_bytes(stage.memory), predicted_peak_bytes(reading));
   return stage;
 }
@@ -358,7 +360,7 @@ void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
     // A pass is one of both parts of a flow's model.
     const auto passes = static_cast<double>(stage.parts.condition_encoder + stage.parts.velocity_decoder) / 2;
     stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed, stage.precision) +
-                    static_cast<double>(stage.memory.loaded) / speed.loading;
+                    static_cast<double>(stage.read_bytes) / speed.loading;
   }
 }
 
@@ -377,7 +379,7 @@ void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
       if (stage.seconds < kShort && stage.cost.flop() > 0 && !stage.before_pipeline)
         stage.seconds = measure_stage_seconds(stage, bundle, request);
     }
-    stage.seconds += static_cast<double>(stage.memory.loaded) / speed.loading;
+    stage.seconds += static_cast<double>(stage.read_bytes) / speed.loading;
   }
 }
 

@@ -14,6 +14,7 @@
 #include "models/decoders/geometry_head.h"
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -36,6 +37,8 @@ struct PlanRequest {
   int64_t photograph_pixels = 0;  // of the largest, as it was taken
   double visible_share =
       1;  // of view pairs: those that attend where flow.approximate.view_pairs says visible
+  // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.
+  std::map<std::string, int64_t> converted_bytes;
 
   StageRequest stage_request() const;
   // What is computed of the attention between views.
@@ -63,6 +66,7 @@ inline constexpr const char* kPhotoCamerasStage = "photo cameras";
 
 // A stage with what it takes.
 struct PlannedStage : SamplingStage {
+  int64_t read_bytes = 0;          // of weights, as float32 numbers
   bool before_pipeline = false;    // kPhotoCamerasStage, which is none of sampling_stages()
   int64_t evaluations = 1;         // forward passes of the conditional branch
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it

@@ -16,7 +16,7 @@ int64_t predicted_peak_bytes(const StageMemory& memory) {
   constexpr double kKeptShare = 0.5;  // of activations, measured
   const int64_t computing = std::min(kMostScratchBytes, memory.working) + memory.weights + memory.working +
                             static_cast<int64_t>(kKeptShare * static_cast<double>(memory.working));
-  return kProgramBytes + memory.held + std::max(computing, memory.loaded);
+  return kProgramBytes + memory.held + std::max(computing, memory.converted);
 }
 
 int64_t weight_bytes_of(const BundlePart& part, const BundleOptions& options) {

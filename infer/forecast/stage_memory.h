@@ -10,8 +10,10 @@ namespace gld {
 // What a stage of sampling has in memory at its peak, in bytes.
 struct StageMemory {
   int64_t weights = 0;  // of the modules it loads, whole, as they are kept (packed)
-  int64_t loaded =
-      0;  // the same as float32 numbers, all there before the last is packed; at least weights where 0
+  // Of those the float32 numbers that are all there before the last is packed (ModelBundle::converted_bytes). Others
+  // are pages of their file, which leave when they are packed; where the system keeps them (a file that the user may
+  // not write), it can take them back at any time and they are not counted.
+  int64_t converted = 0;
   int64_t held = 0;     // latents, noise and features that outlive it
   int64_t working = 0;  // activations (models/cost/cost_model.h)
 };

@@ -74,6 +74,10 @@ double largest_automatic_error(ComputePrecision precision) {
   }
 }
 
+bool errors_hold_on(const std::string& device, ComputePrecision precision) {
+  return device == "cpu" || precision == ComputePrecision::kFloat32;
+}
+
 double error_bound(const std::vector<double>& errors) {
   constexpr double kSafety = 1.25, kExceeded = 1e-3;
   constexpr double kExpectedDeviation = 0.4, kExpectedDegrees = 8;

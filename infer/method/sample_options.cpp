@@ -4,6 +4,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
+#include "infer/method/plan_errors.h"
 
 #include <algorithm>
 
@@ -211,6 +212,12 @@ void SampleOptions::check() const {
           "--resume goes on with the run, --overwrite removes it"});
   }
   if (precision != PrecisionChoice::kAutomatic) check_precision_on(device, precision_of(precision));
+  if (tolerance > 0 && precision != PrecisionChoice::kAutomatic &&
+      !errors_hold_on(device, precision_of(precision))) {
+    fail({"--tolerance",
+          "--precision float32 on the device " + device + ", where no error of another one was measured",
+          compute_precision_name(precision_of(precision)), "leave one of the two out"});
+  }
   if (quality == SamplingQuality::kExact && precision != PrecisionChoice::kFloat32) {
     fail({"--quality exact", "--precision float32, which is part of it", "another one",
           "choose --quality balanced or fast, or solver options"});

@@ -63,7 +63,7 @@ bool same_method(const SamplingMethod& a, const SamplingMethod& b) {
   return to_json(a) == to_json(renamed);
 }
 
-std::string method_text(const SamplingMethod& method) {
+std::string method_text(const SamplingMethod& method, const std::string& device) {
   const SolverOptions solver = with_evaluations_of_file(method.solver);
   std::string text = fmt::format("{} on {}, ", solver_names()[static_cast<size_t>(solver.solver)],
                                  schedule_names()[static_cast<size_t>(solver.schedule.schedule)]);
@@ -84,7 +84,7 @@ std::string method_text(const SamplingMethod& method) {
     text += fmt::format("; M1 encoder at every {} evaluations", savings.level1_encoder_every);
   }
   if (savings.view_pairs == ViewPairs::kVisible) text += "; attention between views that see common space";
-  if (method.precision != ComputePrecision::kFloat32) text += "; " + precision_text(method.precision);
+  if (method.precision != ComputePrecision::kFloat32) text += "; " + precision_text(method.precision, device);
   return text;
 }
 

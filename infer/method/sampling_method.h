@@ -30,7 +30,7 @@ struct SamplingMethod : OptionsGroup {
 bool same_method(const SamplingMethod& a, const SamplingMethod& b);
 
 // "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
-std::string method_text(const SamplingMethod& method);
+std::string method_text(const SamplingMethod& method, const std::string& device = "cpu");
 
 // --quality. `options` is what the other options say; the rest are fixed methods. balanced and fast take what
 // NUMBERS.md expects to pay (fewer evaluations of the default solver, nodes for the cascade's condition encoder, no

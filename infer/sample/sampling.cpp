@@ -166,7 +166,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
                      {"views", scene.view_names}, {"sources", scene.views.num_sources}};
   if (prepared.photos) report["photo_cameras"] = photo_scene_json(*prepared.photos);
   report["threads"] = thread_count();
-  report["precision"] = precision_text(planned.choice.method.precision);
+  report["precision"] = precision_text(planned.choice.method.precision, planned.choice.device);
   report["stages"] = finished.stages.to_json();
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, finished.stages.records());
@@ -260,7 +260,7 @@ void sample(const SampleOptions& options) {
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
   provenance.seed = options.seed;
-  provenance.precision = precision_text(planned.choice.method.precision);
+  provenance.precision = precision_text(planned.choice.method.precision, planned.choice.device);
   const UnfinishedLatents kept(run.path());
   // A method that is chosen by the machine's speed may be another one next time.
   const std::string method = json_text(to_json(planned.choice.method));

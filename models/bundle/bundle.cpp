@@ -148,6 +148,15 @@ std::shared_ptr<const WeightFile> ModelBundle::open_part(const BundlePart& part)
   return WeightFile::open(file(part));
 }
 
+int64_t ModelBundle::converted_bytes(const BundlePart& part) const {
+  if (!has(part)) return 0;
+  int64_t numbers = 0;
+  for (const TensorEntry& entry : open_part(part)->entries()) {
+    if (is_floating(entry.dtype) && entry.dtype != DType::kFloat32) numbers += entry.element_count();
+  }
+  return numbers * static_cast<int64_t>(sizeof(float));
+}
+
 template <class Module>
 std::shared_ptr<Module> ModelBundle::loaded(std::shared_ptr<Module> module, const BundlePart& part) const {
   load_into(*module, part);

@@ -62,6 +62,10 @@ class ModelBundle {
   // to do.
   LoadReport load_into(torch::nn::Module& module, const BundlePart& part) const;
 
+  // Bytes of the float32 numbers that loading makes of weights in another type; the others are read in place, page by
+  // page. 0 for a part that is missing.
+  int64_t converted_bytes(const BundlePart& part) const;
+
   // The module with its weights, in the placement's dtype whatever the file's is.
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<GeometryHead> load_dpt_head(const ParameterPlacement& placement = {}) const;

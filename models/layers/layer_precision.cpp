@@ -38,9 +38,6 @@ void for_each_layer(torch::nn::Module& model, const Function& function) {
 }  // namespace
 
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
-  for (const auto& parameter : model.parameters()) {
-    if (!parameter.is_cpu()) return;
-  }
   for_each_layer(model, [&](PrecisionLayer& layer) {
     layer.use_precision(precision);
     // Layer by layer: packed weights do not lie in the blocks that the originals leave, and both of all layers would be

@@ -30,7 +30,7 @@ enum class ModelKind { kGenerator, kBackboneOrDecoder, kGeometry };
 //   all else                   float32: softmax, norms, residual stream, camera encoding, convolutions
 LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind);
 
-// A layer that can compute in another precision, for float32 tensors on the CPU.
+// A layer that can compute in another precision, for float32 tensors.
 class PrecisionLayer {
  public:
   virtual ~PrecisionLayer() = default;
@@ -53,8 +53,9 @@ class AttentionPrecisionLayer : public PrecisionLayer {
   ComputePrecision attention_precision_ = ComputePrecision::kFloat32;
 };
 
-// All such layers of a model on the CPU, packed with the present thread setting; a model elsewhere stays as it is. Once
-// a model: released weights cannot be packed again.
+// All such layers of a model. On the CPU weights are packed with the present thread setting; elsewhere bfloat16 alone
+// changes something (gld/tensors/transposed_product.h, times_rounded). Once a model: released weights cannot be packed
+// again.
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
 
 // What a model is trained in from now on: float32, bfloat16 or bfloat16x3 (gld/tensors/learning_product.h). Linear

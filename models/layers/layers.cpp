@@ -56,19 +56,18 @@ torch::Tensor Linear::forward(const torch::Tensor& x) const { return forward_par
 
 torch::Tensor Linear::forward_parts(const torch::Tensor& x, int64_t first, int64_t count) const {
   require_channels(x, weight.size(1), "linear layer");
-  if (packed_) {
-    if (torch::GradMode::is_enabled() && x.requires_grad()) {
-      fail({"linear layer", "no gradients through packed weights", "an input that wants them",
-            "train without use_precision"});
-    }
-    return packed_->times(x, bias, first, count);
+  if ((packed_ || rounded_.defined()) && torch::GradMode::is_enabled() && x.requires_grad()) {
+    fail({"linear layer", "no gradients through packed weights", "an input that wants them",
+          "train without use_precision"});
   }
-  torch::Tensor own_weight = weight, own_bias = bias;
+  if (packed_) return packed_->times(x, bias, first, count);
+  torch::Tensor own_weight = rounded_.defined() ? rounded_ : weight, own_bias = bias;
   if (first != 0 || count != parts_) {
     const int64_t share = weight.size(0) / parts_;
-    own_weight = weight.narrow(0, first * share, count * share);
+    own_weight = own_weight.narrow(0, first * share, count * share);
     if (bias.defined()) own_bias = bias.narrow(0, first * share, count * share);
   }
+  if (rounded_.defined()) return times_rounded(x, own_weight, own_bias);
   if (learning_precision_ != ComputePrecision::kFloat32 && learning_product_applies(x, own_weight)) {
     return learning_product(x, own_weight, own_bias, learning_precision_);
   }
@@ -82,13 +81,20 @@ bool Linear::learn_in(ComputePrecision precision) {
 }
 
 void Linear::use_precision(const LayerPrecision& precision) {
-  if (packing_ == LinearPacking::kNever || !PackedLayer::applies(weight, precision.linear)) return;
+  if (packing_ == LinearPacking::kNever) return;
   const torch::NoGradGuard no_gradients;
-  packed_ = std::make_unique<const PackedLayer>(weight, parts_, precision.linear);
+  if (PackedLayer::applies(weight, precision.linear)) {
+    packed_ = std::make_unique<const PackedLayer>(weight, parts_, precision.linear);
+  } else if (rounded_product_applies(weight, precision.linear)) {
+    rounded_ = weight.to(torch::kBFloat16);
+  } else {
+    return;
+  }
   if (precision.originals == PackedOriginals::kKeep) return;
-  page_out(weight);
+  if (weight.is_cpu()) page_out(weight);
   // The shape without the numbers; who reads them all the same finds NaN.
-  weight.set_data(torch::full({1}, std::numeric_limits<float>::quiet_NaN()).expand(weight.sizes()));
+  weight.set_data(
+      torch::full({1}, std::numeric_limits<float>::quiet_NaN(), weight.options()).expand(weight.sizes()));
 }
 
 LayerNorm::LayerNorm(int64_t channels, double epsilon, const ParameterPlacement& placement)

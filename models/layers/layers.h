@@ -49,7 +49,8 @@ class Linear : public torch::nn::Module, public PrecisionLayer {
   int64_t parts_;
   LinearPacking packing_;
   ComputePrecision learning_precision_ = ComputePrecision::kFloat32;
-  std::unique_ptr<const PackedLayer> packed_;  // null before use_precision
+  std::unique_ptr<const PackedLayer> packed_;  // of use_precision on the CPU, else null
+  torch::Tensor rounded_;                      // of use_precision elsewhere: the weight in bfloat16
 };
 
 // LayerNorm over the last dimension; parameters "weight" and "bias" (channels).

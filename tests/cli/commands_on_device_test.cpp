@@ -56,9 +56,26 @@ class CommandsOnDevice : public testing::Test {
     level.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
     train_level(level, {});
     train_cascade(training_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+    SyntheticOptions drawn;
+    drawn.frames = 4;
+    drawn.width = drawn.height = 56;
+    write_scene(make_synthetic_scene(drawn, 0), "cameras-json", path("scene"));
   }
   static void TearDownTestSuite() { folder_.reset(); }
   static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
+  static SampleOptions sampling_options(const std::string& run) {
+    SampleOptions options;
+    options.model = path("cascade/model").string();
+    options.scene = path("scene").string();
+    options.device = "meta";
+    options.views.sources = {0, 3};
+    options.views.targets = {1, 2};
+    options.outputs = {"image", "depth", "rays", "points", "latents"};
+    options.solver.evaluations = 3;
+    options.threads = 1;
+    options.out = path(run).string();
+    return options;
+  }
   static nlohmann::json report(const std::string& run) {
     return nlohmann::json::parse(read_file(path(run) / "report.json"));
   }
@@ -102,25 +119,22 @@ TEST_F(CommandsOnDevice, ARunIsResumed) {
 }
 
 TEST_F(CommandsOnDevice, NovelViewsAreSampled) {
-  SyntheticOptions drawn;
-  drawn.frames = 4;
-  drawn.width = drawn.height = 56;
-  write_scene(make_synthetic_scene(drawn, 0), "cameras-json", path("scene"));
-  SampleOptions options;
-  options.model = path("cascade/model").string();
-  options.scene = path("scene").string();
-  options.device = "meta";
-  options.views.sources = {0, 3};
-  options.views.targets = {1, 2};
-  options.outputs = {"image", "depth", "rays", "points", "latents"};
-  options.solver.evaluations = 3;
-  options.threads = 1;
-  options.out = path("sampled").string();
+  const SampleOptions options = sampling_options("sampled");
   sample(options);
+  EXPECT_EQ(report("sampled").at("precision"), "float32");
   for (const char* file : {"images/view_02.png", "images/view_03.png", "contact_sheet.png"}) {
     EXPECT_TRUE(std::filesystem::is_regular_file(path("sampled") / file)) << file;
   }
   EXPECT_EQ(report("sampled").at("flows").size(), 2U);
+}
+
+TEST_F(CommandsOnDevice, NovelViewsAreSampledInBfloat16) {
+  SampleOptions options = sampling_options("in_bfloat16");
+  options.precision = PrecisionChoice::kBFloat16;
+  sample(options);
+  EXPECT_EQ(report("in_bfloat16").at("precision"), "bfloat16 on meta");
+  EXPECT_THAT(report("in_bfloat16").at("sampling").at("in_words").get<std::string>(),
+              testing::HasSubstr("bfloat16 on meta"));
 }
 
 TEST_F(CommandsOnDevice, ScenesAreEvaluated) {

@@ -412,7 +412,7 @@ int run_train_benchmark(const TrainBenchmarkOptions& options) {
   results.report = {{"command", "bench train"},  {"options", to_json(options)},
                     {"threads", thread_count()}, {"multiply_add_peak", multiply_add},
                     {"sgemm_peak", sgemm},       {"optimiser_share", share},
-                    {"blas", blas_text()}};
+                    {"blas", blas_name()},       {"blas_in_words", blas_text()}};
   results.notes = {{"cases", "train.csv"}, {"table", "train.md"}, {"plot", "train.png"}};
   finish_benchmark(folder, results);
   return 0;

@@ -13,8 +13,9 @@ void set_training_precision(Objective& objective, ComputePrecision precision) {
     fail({"loop.precision", "one that is computed on " + device.str(), compute_precision_name(precision),
           "set loop.precision to float32, or to bfloat16 on CUDA"});
   }
+  if (!device.is_cpu()) return;  // autocast, of the loss alone
   const int64_t following = objective.learn_in(precision);
-  if (reduced && device.is_cpu() && following == 0) {
+  if (reduced && following == 0) {
     fail({"loop.precision", "float32: nothing that is trained here has linear layers of blocks",
           compute_precision_name(precision), "leave it out"});
   }

@@ -167,7 +167,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   }
   const ComputePrecision precision = options.loop.precision;
   const bool on_cpu = placement.device.is_cpu();
-  const std::string computed_in = on_cpu ? precision_text(precision) : compute_precision_name(precision);
+  const std::string computed_in = precision_text(precision, placement.device.str());
   if (on_cpu && !has_matrix_unit(precision)) {
     print_warnings({"this processor has no unit for " + compute_precision_name(precision) +
                     ", which makes it slower here than --loop.precision float32"});

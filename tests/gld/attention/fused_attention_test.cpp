@@ -197,5 +197,23 @@ TEST_F(FusedAttentionTest, EmptyInputsGiveEmptyOrZeroOutputs) {
   EXPECT_EQ(attention(inputs).numel(), 0);
 }
 
+TEST_F(FusedAttentionTest, LibTorchsOwnKernelIsTheSameInBothPrecisions) {
+  const auto joint = torch::randn({1, 40, 3, 2, 24});
+  AttentionInputs inputs = inputs_from(joint, nullptr, {});
+  if (torch_version()[0] < '2') {
+    EXPECT_EQ(test::error_of([&] { library_attention(inputs); }),
+              "scaled_dot_product_attention: expected LibTorch 2.0 or newer, found " + torch_version() +
+                  "; call attention() instead.");
+    return;
+  }
+  const auto exact = composed_attention(inputs_from(joint.to(torch::kFloat64), nullptr, {}));
+  EXPECT_LE(relative_error(library_attention(inputs), exact), 2e-6);
+  inputs.precision = ComputePrecision::kBFloat16;
+  const auto rounded = library_attention(inputs);
+  EXPECT_EQ(rounded.scalar_type(), torch::kFloat32);
+  EXPECT_LE(relative_error(rounded, exact), 2e-2);
+  EXPECT_GT(relative_error(rounded, exact), 1e-4);
+}
+
 }  // namespace
 }  // namespace gld

@@ -90,7 +90,7 @@ TEST(ForwardBenchmark, OursEqualsTheComposition) {
     EXPECT_GT(row.tflop, 0);
     EXPECT_GT(row.fraction_of_peak, 0);
     EXPECT_LT(row.relative_difference, 2e-5);
-    EXPECT_EQ(row.relative_difference == 0, row.variant == "composed");
+    EXPECT_EQ(row.relative_difference == 0, row.variant == "ours");
   }
   options.out = (folder.path() / "run").string();
   EXPECT_EQ(run_forward_benchmark(options), 0);
@@ -99,7 +99,7 @@ TEST(ForwardBenchmark, OursEqualsTheComposition) {
   EXPECT_GT(std::filesystem::file_size(folder.path() / "run" / "forward.png"), 100U);
 }
 
-TEST(ForwardBenchmark, WithoutTheCompositionDifferencesAreFromOursInFloat32) {
+TEST(ForwardBenchmark, MeasuresPrecisionsWithoutTheComposition) {
   const test::TemporaryFolder folder;
   ForwardBenchmarkOptions options = small_forward_options(folder);
   options.composed = false;

@@ -147,6 +147,10 @@ TEST(ExtremesBenchmark, EveryCaseIsWithinItsLimit) {
     areas.insert(row.area);
     EXPECT_TRUE(row.passed()) << row.area << ", " << row.situation << ", " << row.measured << ": "
                               << row.value;
+    // A layer that was not packed for its precision would be nearer.
+    if (row.area != "products") continue;
+    const bool nearly_float32 = row.measured == "relative RMS, bfloat16x3 against double";
+    EXPECT_GT(row.value, nearly_float32 ? 1e-6 : 1e-3) << row.situation << ", " << row.measured;
   }
   EXPECT_THAT(areas, testing::ElementsAre("attention", "cameras", "clouds", "depth", "flow", "full width",
                                           "images", "norms", "products", "whole model"));

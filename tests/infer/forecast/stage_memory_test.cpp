@@ -90,6 +90,27 @@ TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {
   }
 }
 
+TEST_F(StageMemoryPrediction, ConvertedWeightsAreThereBeforeTheyArePacked) {
+  const BundleOptions bundle = middling_bundle();
+  PlanRequest request = request_of(2);
+  request.flow.precision = ComputePrecision::kInt8;
+  const auto peak_of_m1 = [&] {
+    for (const PlannedStage& stage : plan_sampling(bundle, request).stages) {
+      if (stage.kind == StageKind::kFlow && stage.generator == 0) return stage.peak_bytes;
+    }
+    return int64_t{0};
+  };
+  const BundlePart m1 = BundlePart::of(bundle.generators[0].generator);
+  const int64_t in_place = peak_of_m1();
+  request.converted_bytes[bundle_part_name(m1)] = weight_bytes_of(m1, bundle);
+  const int64_t converted = peak_of_m1();
+  EXPECT_GT(in_place, 0);
+  EXPECT_GT(converted, in_place);
+  StageMemory alone;
+  alone.converted = weight_bytes_of(m1, bundle);
+  EXPECT_GE(converted, predicted_peak_bytes(alone));
+}
+
 TEST_F(StageMemoryPrediction, CountsAllWeights) {
   const BundleOptions bundle = middling_bundle();
   int64_t bytes = 0;

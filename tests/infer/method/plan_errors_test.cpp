@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "gld/machine/precision_option.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sample_options.h"
 #include "models/bundle/random_bundle.h"
@@ -205,6 +206,26 @@ TEST(SampleOptions, TheMethodIsWhatTheOptionsSay) {
       "unipc3 on logsnr, 9 evaluations a level; guidance from t = 1 to 0.2; cascade encoder at 5 flow times");
   options.quality = SamplingQuality::kPublished;
   EXPECT_EQ(options.method(BundleOptions()).solver.evaluations, 49);
+}
+
+TEST(SampleOptions, OnAGpuPrecisionsAreFloat32AndBfloat16) {
+  auto options = asked_for();
+  options.device = "cuda:0";
+  options.precision = PrecisionChoice::kBFloat16;
+  EXPECT_NO_THROW(options.check());
+  options.tolerance = 0.1;
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "--tolerance: expected --precision float32 on the device cuda:0, where no error of another one was "
+      "measured, found bfloat16; leave one of the two out.");
+  options.tolerance = 0;
+  options.precision = PrecisionChoice::kInt8;
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "--precision: expected float32 or bfloat16 on the device cuda:0, found int8; use --device cpu, which has "
+      "kernels for it.");
+  EXPECT_EQ(precision_text(ComputePrecision::kBFloat16, options.device), "bfloat16 on cuda:0");
+  EXPECT_EQ(precision_text(ComputePrecision::kFloat32, options.device), "float32");
 }
 
 TEST(PlannedRuns, CountWhatTheSavingsLeave) {

@@ -9,6 +9,7 @@
 #include "models/decoders/vggt_heads.h"
 #include "models/dit/dit_field.h"
 #include "models/dit/flow_matching_loss.h"
+#include "models/layers/layer_precision.h"
 #include "models/losses/perceptual_standin.h"
 #include "tests/support/meta_device.h"
 #include "tests/support/small_dit.h"
@@ -93,6 +94,27 @@ Outputs velocities(const torch::Device& device) {
     }
   }
   return outputs;
+}
+
+// Sampling in bfloat16: kernels of ours on the CPU, LibTorch's elsewhere.
+Outputs velocities_in_bfloat16(const torch::Device& device) {
+  const torch::NoGradGuard no_grad;
+  DitOptions options = dit_options(DitConditioning::kDeeperLevel, FlowPrediction::kData, 1);
+  const auto model = test::random_dit(options);
+  auto placed = std::make_shared<DitDh>(options, ParameterPlacement{device});
+  if (!is_meta(device)) load_strict(*placed, named_tensors(*model), "the same on the CPU");
+  const auto scene = scene_on(device, options);
+  LayerPrecision layers = layer_precision(ComputePrecision::kBFloat16, ModelKind::kGenerator);
+  layers.originals = PackedOriginals::kRelease;
+  use_precision(*placed, layers);
+  int64_t rounded = 0;
+  for (const auto& parameter : placed->parameters()) {
+    rounded += parameter.dim() == 2 && parameter.storage().nbytes() == 4 ? 1 : 0;
+  }
+  EXPECT_GT(rounded, 10) << "layers that multiply in bfloat16";
+  DitField field(*placed, placed->prepare_scene(scene.inputs));
+  field.prepare_times({0.4});
+  return {{"guided", field.guided(scene.noisy, 0.4, 1.5)}};
 }
 
 // Training: the loss and all gradients, activations kept and computed again.
@@ -212,7 +234,8 @@ Outputs decoders(const torch::Device& device) {
 
 class ModelsOnDevice : public testing::TestWithParam<torch::DeviceType> {
  protected:
-  static void check(Outputs (*parts)(const torch::Device&)) {
+  // Products of a GPU sum in another order, over at most a few hundred terms a layer.
+  static void check(Outputs (*parts)(const torch::Device&), double tolerance = 1e-4) {
     if (GetParam() == torch::kCUDA && !torch::cuda::is_available()) {
       std::cout << "this machine has no CUDA device: nothing to compare here\n";
       return;
@@ -228,13 +251,13 @@ class ModelsOnDevice : public testing::TestWithParam<torch::DeviceType> {
       if (is_meta(device)) continue;
       const auto reference = expected[i].second.to(torch::kFloat64);
       const auto error = (tensor.to(torch::kCPU, torch::kFloat64) - reference).norm().item<double>();
-      // Products of a GPU sum in another order, over at most a few hundred terms a layer.
-      EXPECT_LE(error, 1e-4 * std::max(1e-3, reference.norm().item<double>())) << name;
+      EXPECT_LE(error, tolerance * std::max(1e-3, reference.norm().item<double>())) << name;
     }
   }
 };
 
 TEST_P(ModelsOnDevice, FlowsAreSampled) { check(velocities); }
+TEST_P(ModelsOnDevice, FlowsAreSampledInBfloat16) { check(velocities_in_bfloat16, 2e-2); }
 TEST_P(ModelsOnDevice, FlowsAreTrained) { check(gradients); }
 TEST_P(ModelsOnDevice, BackbonesEncodeAndPropagate) { check(backbones); }
 TEST_P(ModelsOnDevice, DecodersMakePicturesAndGeometry) { check(decoders); }

@@ -125,6 +125,11 @@ TEST_F(Bundles, PartsAreStoredInTheChosenPrecision) {
   EXPECT_EQ(after.scalar_type(), torch::kFloat32);
   // bfloat16 keeps eight bits.
   EXPECT_LE((after - before).abs().max().item<float>(), before.abs().max().item<float>() / 256);
+  // Only what is stored in another type is in memory as float32 numbers before it is packed.
+  int64_t numbers = 0;
+  for (const auto& [name, tensor] : tensors) numbers += tensor.is_floating_point() ? tensor.numel() : 0;
+  EXPECT_EQ(bundle.converted_bytes(BundlePart::of(level_model(1))), 4 * numbers);
+  EXPECT_EQ(bundle.converted_bytes(BundlePart::backbone()), 0);
 }
 
 TEST_F(Bundles, RefusesWhatIsNoBundle) {

@@ -1,6 +1,7 @@
 // Models whose layers compute in another precision, beside the same weights in float32 and in double.
 #include "models/layers/layer_precision.h"
 
+#include "gld/tensors/transposed_product.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/dit/dit_field.h"
 #include "models/dit/flow_matching_loss.h"
@@ -157,6 +158,42 @@ TEST(LayerPrecision, PartsAreSharesOfTheWhole) {
     const auto x = torch::randn({60, 64});
     const auto whole = layer->forward(x);
     EXPECT_TRUE(torch::equal(layer->forward_parts(x, 1, 2), whole.narrow(1, 50, 100)));
+  }
+}
+
+// What a layer does that is not on the CPU, by LibTorch's products, which the CPU has too.
+TEST(LayerPrecision, ElsewhereWeightsInBfloat16AreMultipliedByLibTorch) {
+  torch::manual_seed(4);
+  const torch::NoGradGuard no_grad;
+  const auto x = torch::randn({3, 20, 96}), weight = torch::randn({70, 96});
+  const auto bias = torch::full({70}, 1e4);  // bfloat16 would leave of a sum with it a multiple of 64
+  const auto y = times_rounded(x, weight.to(torch::kBFloat16), bias);
+  EXPECT_EQ(y.scalar_type(), torch::kFloat32);
+  const auto in_double = [](const torch::Tensor& t) { return t.to(torch::kBFloat16).to(torch::kFloat64); };
+  const auto product = torch::matmul(in_double(x), in_double(weight).t());
+  EXPECT_LT(relative_rms(y - 1e4, product), 0x1p-8);
+  EXPECT_EQ(times_rounded(x, weight.to(torch::kBFloat16)).sizes(), product.sizes());
+}
+
+TEST(LayerPrecision, ElsewhereOnlyBfloat16ChangesALayer) {
+  const torch::NoGradGuard no_grad;
+  ParameterPlacement placement;
+  placement.device = torch::kMeta;
+  for (const auto asked :
+       {ComputePrecision::kFloat32, ComputePrecision::kBFloat16, ComputePrecision::kInt8}) {
+    SCOPED_TRACE(compute_precision_name(asked));
+    const auto weight = torch::empty({70, 96}, torch::kMeta);
+    EXPECT_EQ(rounded_product_applies(weight, asked), asked == ComputePrecision::kBFloat16);
+    EXPECT_FALSE(rounded_product_applies(torch::empty({70, 96}), asked));
+    Linear layer(LinearSizes{96, 70}, placement);
+    LayerPrecision precision = layer_precision(asked, ModelKind::kGenerator);
+    precision.originals = PackedOriginals::kRelease;
+    use_precision(layer, precision);
+    const auto y = layer.forward(torch::empty({2, 5, 96}, torch::kMeta));
+    EXPECT_EQ(y.scalar_type(), torch::kFloat32);
+    EXPECT_EQ(y.sizes(), (std::vector<int64_t>{2, 5, 70}));
+    // The weight's own memory is given back where it was rounded.
+    EXPECT_EQ(layer.weight.storage().nbytes() == 4U, asked == ComputePrecision::kBFloat16);
   }
 }
 
