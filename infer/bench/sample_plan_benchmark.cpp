@@ -96,8 +96,10 @@ using ModelLoader = std::function<PipelineModels(ComputePrecision)>;
 // For one thread at a time.
 class Sampler {
  public:
-  Sampler(const BundleOptions& bundle, ModelLoader load, double guidance_scale)
-      : bundle_(bundle), load_(std::move(load)) {
+  // reduced: the methods in other precisions than float32 that will be measured.
+  Sampler(const BundleOptions& bundle, ModelLoader load, double guidance_scale,
+          std::vector<SamplingMethod> reduced)
+      : compared_(std::move(reduced)), bundle_(bundle), load_(std::move(load)) {
     guidance_.guidance_scale = guidance_scale;
   }
 
@@ -129,10 +131,10 @@ class Sampler {
     const auto& exact = reference.result.latents;
     sample.boundary_error = relative_rms(latents.rbegin()->second, exact.rbegin()->second);
     sample.shallowest_error = relative_rms(latents.begin()->second, exact.begin()->second);
-    if (method.precision != ComputePrecision::kFloat32) {
-      SamplingMethod in_float32 = method;
-      in_float32.precision = ComputePrecision::kFloat32;
-      const auto other = run(scene, in_float32).result.latents;
+    if (method.precision == ComputePrecision::kFloat32) {
+      keep_float32_latents(scene, method, latents);
+    } else {
+      const auto other = latents_in_float32(scene, method);
       sample.precision_error = std::max(relative_rms(latents.rbegin()->second, other.rbegin()->second),
                                         relative_rms(latents.begin()->second, other.begin()->second));
     }
@@ -144,6 +146,30 @@ class Sampler {
   }
 
  private:
+  using Latents = std::map<int64_t, torch::Tensor>;
+
+  // Of one scene at a time, and of those methods alone that are measured in another precision too.
+  void keep_float32_latents(const BenchScene& scene, const SamplingMethod& method, const Latents& latents) {
+    if (kept_scene_ != scene.name) float32_latents_.clear();
+    kept_scene_ = scene.name;
+    const bool compared = std::any_of(compared_.begin(), compared_.end(), [&](SamplingMethod other) {
+      other.precision = ComputePrecision::kFloat32;
+      return same_method(other, method);
+    });
+    if (compared) float32_latents_.emplace_back(method, latents);
+  }
+  // Of the same method, kept or sampled now.
+  Latents latents_in_float32(const BenchScene& scene, SamplingMethod method) {
+    method.precision = ComputePrecision::kFloat32;
+    for (const auto& [known, latents] : float32_latents_) {
+      if (kept_scene_ == scene.name && same_method(known, method)) return latents;
+    }
+    return run(scene, method).result.latents;
+  }
+
+  std::vector<SamplingMethod> compared_;  // in other precisions
+  std::string kept_scene_;
+  std::vector<std::pair<SamplingMethod, Latents>> float32_latents_;
   BundleOptions bundle_;
   ModelLoader load_;
   std::map<ComputePrecision, std::optional<PipelineModels>> models_;  // those that were needed
@@ -300,6 +326,10 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
     row.samples.resize(static_cast<size_t>(scene_count));
     rows.push_back(std::move(row));
   }
+  std::vector<SamplingMethod> reduced;
+  for (const auto& row : rows) {
+    if (row.variant.method.precision != ComputePrecision::kFloat32) reduced.push_back(row.variant.method);
+  }
   RunFolder folder(options.out, "bench sample-plan", options, earlier_run(options.overwrite));
   const BenchScene first = load_bench_scene(*dataset, 0, options, bundle.options());
   const LatentGrid grid =
@@ -315,7 +345,7 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
     const auto load = [&](ComputePrecision precision) {
       return kept_bundle_models(bundle, device, precision);
     };
-    samplers.push_back(std::make_unique<Sampler>(bundle.options(), load, options.guidance_scale));
+    samplers.push_back(std::make_unique<Sampler>(bundle.options(), load, options.guidance_scale, reduced));
   }
   Progress progress("bench sample-plan", scene_count * static_cast<int64_t>(rows.size()));
   std::mutex mutex;
@@ -339,9 +369,9 @@ int run_sample_plan_benchmark(const SamplePlanBenchmarkOptions& options) {
   // Time and memory: one scene, one method after the other, with one stage's weights at a time as gld sample has them.
   const double of_reference = reference_error(*samplers.front(), first, options.reference_evaluations);
   samplers.clear();
-  Sampler alone(
-      bundle.options(), [&](ComputePrecision precision) { return bundle_models(bundle, device, precision); },
-      options.guidance_scale);
+  Sampler alone(bundle.options(),
+                [&](ComputePrecision precision) { return bundle_models(bundle, device, precision); },
+                options.guidance_scale, {});
   Progress timing("timing", options.repeats * static_cast<int64_t>(rows.size()));
   done = 0;
   for (int64_t repeat = 0; repeat < options.repeats; ++repeat) {

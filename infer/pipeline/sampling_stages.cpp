@@ -82,6 +82,8 @@ ModelKind model_kind_of(StageKind kind) {
   switch (kind) {
     case StageKind::kFlow:
       return ModelKind::kGenerator;
+    case StageKind::kSourceEncoding:
+    case StageKind::kPropagation:
     case StageKind::kViewPairs:
     case StageKind::kSourceWarp:
     case StageKind::kGeometry:

@@ -150,8 +150,9 @@ std::shared_ptr<const WeightFile> ModelBundle::open_part(const BundlePart& part)
 
 int64_t ModelBundle::converted_bytes(const BundlePart& part) const {
   if (!has(part)) return 0;
+  const auto file = open_part(part);
   int64_t numbers = 0;
-  for (const TensorEntry& entry : open_part(part)->entries()) {
+  for (const TensorEntry& entry : file->entries()) {
     if (is_floating(entry.dtype) && entry.dtype != DType::kFloat32) numbers += entry.element_count();
   }
   return numbers * static_cast<int64_t>(sizeof(float));

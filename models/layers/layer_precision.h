@@ -21,10 +21,10 @@ struct LayerPrecision {
 enum class ModelKind { kGenerator, kBackboneOrDecoder, kGeometry };
 
 // The one place that says which layers run in which precision. Of the precision that was asked for:
-//   linear layers of blocks    that precision; of backbones and decoders bfloat16 in the place of int8 (float32 where the
-//                              processor has no unit for it): they are run once, and what they make is everything that a
-//                              flow sees
-//   kGeometry                  float32: heads for depth, rays and points, and a --geometry-model
+//   linear layers of blocks    that precision; of decoders (and of backbones that are asked as such) bfloat16 in the place
+//                              of int8, float32 where the processor has no unit for it: they are run once, which is a
+//                              hundredth of a scene's time
+//   kGeometry                  float32: heads for depth, rays and points, and what sampling takes their features from
 //   attention                  bfloat16 for bfloat16 and int8 where the processor has a unit for it; else float32
 //   LinearPacking::kNever      float32: embeddings of patches, of special tokens and of the flow time, last layers
 //   all else                   float32: softmax, norms, residual stream, camera encoding, convolutions

@@ -276,5 +276,19 @@ TEST(SamplingStages, AreTimedByTheirKind) {
   EXPECT_EQ(stage_seconds(levels, StageKind::kGeometry, records), seconds(6));
 }
 
+TEST(SamplingStages, WhatFlowsAreShownIsFloat32InEveryPrecision) {
+  for (const auto asked :
+       {ComputePrecision::kBFloat16, ComputePrecision::kBFloat16x3, ComputePrecision::kInt8}) {
+    SCOPED_TRACE(compute_precision_name(asked));
+    for (const auto kind : {StageKind::kSourceEncoding, StageKind::kPropagation, StageKind::kViewPairs,
+                            StageKind::kSourceWarp, StageKind::kGeometry}) {
+      const LayerPrecision layers = layer_precision(asked, model_kind_of(kind));
+      EXPECT_EQ(layers.linear, ComputePrecision::kFloat32);
+      EXPECT_EQ(layers.attention, ComputePrecision::kFloat32);
+    }
+    EXPECT_EQ(layer_precision(asked, model_kind_of(StageKind::kFlow)).linear, asked);
+  }
+}
+
 }  // namespace
 }  // namespace gld

@@ -15,9 +15,11 @@
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
 #include "infer/forecast/machine_rates.h"
+#include "infer/sample/prepared_sampling.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
 #include "models/bundle/trained_views.h"
+#include "models/weights/weight_loading.h"
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
@@ -80,6 +82,24 @@ TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
   EXPECT_THAT(text,
               testing::ContainsRegex("geometry +- +left out +- +no depth, rays or points were asked for"));
   EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
+}
+
+TEST_F(Sampling, ThePlanKnowsWhichWeightsAreConverted) {
+  auto asked = options("unused");
+  const auto folder = folder_->path() / "stored_in_bfloat16";
+  std::filesystem::copy(asked.model, folder);
+  asked.model = folder.string();
+  const auto part = BundlePart::of(level_model(1));
+  save_bundle_part(folder, part, named_tensors(*ModelBundle::open(folder).load_generator(level_model(1))),
+                   DType::kBFloat16);
+  write_file_atomically(ModelBundle::open(folder).file(BundlePart::dpt_head()), "broken");
+  asked.outputs = {"image"};  // which needs no geometry head
+  const PreparedSampling prepared = prepare(asked);
+  const auto converted = plan_request(prepared, asked).converted_bytes;
+  EXPECT_GT(converted.at(bundle_part_name(part)), 0);
+  EXPECT_EQ(converted.at(bundle_part_name(part)), prepared.bundle.converted_bytes(part));
+  EXPECT_EQ(converted.at("backbone"), 0);
+  EXPECT_EQ(converted.count("dpt_head"), 0U);
 }
 
 TEST_F(Sampling, ThePlanDecodesNoPhotograph) {

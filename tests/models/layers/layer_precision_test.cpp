@@ -260,7 +260,8 @@ TEST(LayerPrecision, SaysWhichLayersRunInWhat) {
   const auto generator = layer_precision(ComputePrecision::kInt8, ModelKind::kGenerator);
   EXPECT_EQ(generator.linear, ComputePrecision::kInt8);
   EXPECT_EQ(layer_precision(ComputePrecision::kInt8, ModelKind::kBackboneOrDecoder).linear,
-            ComputePrecision::kBFloat16);
+            has_matrix_unit(ComputePrecision::kBFloat16) ? ComputePrecision::kBFloat16
+                                                         : ComputePrecision::kFloat32);
   EXPECT_EQ(layer_precision(ComputePrecision::kBFloat16, ModelKind::kGenerator).attention,
             ComputePrecision::kBFloat16);
   EXPECT_EQ(layer_precision(ComputePrecision::kBFloat16x3, ModelKind::kGenerator).attention,
