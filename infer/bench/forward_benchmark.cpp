@@ -149,7 +149,7 @@ Figure forward_figure(const std::vector<ForwardBenchmarkRow>& rows) {
   panel.title = "time and use of the processor";
   panel.x = {"seconds", AxisScale::kLog};
   panel.y = {"float32 multiply-add peaks", AxisScale::kLinear, 0, 1};
-  for (const auto& row : rows) panel.y.high = std::max(panel.y.high, row.fraction_of_peak);
+  for (const auto& row : rows) panel.y.high = std::max(panel.y.high, 1.05 * row.fraction_of_peak);
   for (const auto& row : rows) {
     panel.series.push_back(
         {row.part + ", " + row.variant, SeriesStyle::kMarkers, {{row.seconds, row.fraction_of_peak}}});
