@@ -41,8 +41,8 @@ enum class StageKind {
 
 // Of what its models are, where they are asked what to compute in. Backbones are float32 as geometry is: the depth that
 // carries photographs into target views is of their features, and where it moves a photograph by a token, a flow ends
-// elsewhere. In bfloat16 they made 18 times the error of the whole of the flows (configs/tiny: 0.029 instead of
-// 0.0016), and they take a hundredth of a scene's time.
+// elsewhere. In bfloat16 they made 20 times the error of the whole of the flows (configs/tiny: 0.029 instead of
+// 0.0015), and they take a hundredth of a scene's time.
 ModelKind model_kind_of(StageKind kind);
 
 // A stage of sampling: what the planner prices, the forecast sizes, the pipeline runs and reports print.
