@@ -16,6 +16,19 @@ namespace {
 // Logits held at once, over all batch entries and heads: 64 MB in float32.
 constexpr int64_t kLogitsPerBlock = int64_t{1} << 24;
 
+// (batch, tokens, heads, head_dim) each.
+struct EncodedTokens {
+  torch::Tensor query;
+  torch::Tensor key;
+  torch::Tensor value;
+};
+
+EncodedTokens with_camera_encoding(const AttentionInputs& inputs) {
+  if (inputs.prope == nullptr) return {inputs.query, inputs.key, inputs.value};
+  return {encode_query(*inputs.prope, inputs.query), encode_key_value(*inputs.prope, inputs.key),
+          encode_key_value(*inputs.prope, inputs.value)};
+}
+
 // Encoded (batch * heads, tokens, head_dim), the queries already multiplied by the scale.
 struct HeadsFirst {
   torch::Tensor query;
@@ -24,19 +37,13 @@ struct HeadsFirst {
 };
 
 HeadsFirst heads_first(const AttentionInputs& inputs) {
-  auto query = inputs.query;
-  auto key = inputs.key;
-  auto value = inputs.value;
-  if (inputs.prope != nullptr) {
-    query = encode_query(*inputs.prope, query);
-    key = encode_key_value(*inputs.prope, key);
-    value = encode_key_value(*inputs.prope, value);
-  }
-  const int64_t head_dim = query.size(3);
+  const EncodedTokens tokens = with_camera_encoding(inputs);
+  const int64_t head_dim = tokens.query.size(3);
   const auto arrange = [&](const torch::Tensor& x) {
     return x.transpose(1, 2).reshape({x.size(0) * x.size(2), x.size(1), head_dim});
   };
-  return {arrange(query * (1.0 / std::sqrt(static_cast<double>(head_dim)))), arrange(key), arrange(value)};
+  return {arrange(tokens.query * (1.0 / std::sqrt(static_cast<double>(head_dim)))), arrange(tokens.key),
+          arrange(tokens.value)};
 }
 
 // (batch * heads, tokens, head_dim) -> the result of attention().
@@ -113,22 +120,16 @@ torch::Tensor row_blocked_attention(const AttentionInputs& inputs) {
 }
 
 torch::Tensor library_attention(const AttentionInputs& inputs) {
-  auto query = inputs.query;
-  auto key = inputs.key;
-  auto value = inputs.value;
-  if (inputs.prope != nullptr) {
-    query = encode_query(*inputs.prope, query);
-    key = encode_key_value(*inputs.prope, key);
-    value = encode_key_value(*inputs.prope, value);
-  }
+  const EncodedTokens tokens = with_camera_encoding(inputs);
   const auto arranged = [&](const torch::Tensor& x) {
     return inputs.precision == ComputePrecision::kBFloat16 ? x.transpose(1, 2).to(torch::kBFloat16)
                                                            : x.transpose(1, 2);
   };
-  const auto output = gld::scaled_dot_product_attention(arranged(query), arranged(key), arranged(value))
-                          .to(inputs.query.scalar_type())
-                          .transpose(1, 2)
-                          .contiguous();
+  const auto output =
+      gld::scaled_dot_product_attention(arranged(tokens.query), arranged(tokens.key), arranged(tokens.value))
+          .to(inputs.query.scalar_type())
+          .transpose(1, 2)
+          .contiguous();
   return inputs.prope == nullptr ? output : encode_output(*inputs.prope, output);
 }
 

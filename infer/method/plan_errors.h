@@ -55,8 +55,8 @@ PlanErrors read_plan_errors(const std::filesystem::path& file);
 // naming the smallest tolerance that a measured method meets when none does.
 size_t cheapest_within(const PlanErrors& errors, double tolerance, const std::vector<double>& cost);
 
-// Whether errors measured with that precision are those of this device ("cpu", "cuda:0"): tables are of the CPU, which
-// a GPU rounds as in float32 alone.
+// Whether errors measured with that precision are those of this device ("cpu", "cuda:0"): tables are of the
+// CPU's kernels, with which a GPU agrees in float32 alone.
 bool errors_hold_on(const std::string& device, ComputePrecision precision);
 
 // The measurement of the same method, if it is in the table.
