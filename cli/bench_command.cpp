@@ -1,14 +1,15 @@
 #include "cli/bench_command.h"
 
-#include "infer/bench/attention_benchmark.h"
-#include "infer/bench/extremes_benchmark.h"
-#include "infer/bench/forward_benchmark.h"
-#include "infer/bench/sample_benchmark.h"
-#include "infer/bench/sample_plan_benchmark.h"
-#include "infer/bench/solver_benchmark.h"
-#include "infer/bench/stiff_benchmark.h"
-#include "train/bench/process_benchmark.h"
-#include "train/bench/train_benchmark.h"
+#include "bench/extremes/extremes_benchmark.h"
+#include "bench/kernels/attention_benchmark.h"
+#include "bench/kernels/forward_benchmark.h"
+#include "bench/photogrammetry/stereo_benchmark.h"
+#include "bench/processes/process_benchmark.h"
+#include "bench/sampling/sample_benchmark.h"
+#include "bench/solvers/solver_benchmark.h"
+#include "bench/solvers/stiff_benchmark.h"
+#include "bench/splatting/splat_benchmark.h"
+#include "bench/training/train_benchmark.h"
 
 #include <memory>
 #include <string>
@@ -37,25 +38,29 @@ Command make_bench_command() {
   command.summary = "Measure error against run time, and numerical stability";
   command.description =
       "Examples: gld bench solvers --out runs/solvers\n"
-      "          gld bench sample --synthetic 4 --counts 6,16,49 --guidance-scales 1.5 --out runs/sample\n"
+      "          gld bench sample --synthetic 16 --precisions bfloat16,int8 --write-table --out runs/sample\n"
       "Each writes tables (CSV and Markdown), plots and report.json into its run folder.";
   command.subcommands = {
       report_command("solvers", "Solvers and schedules on flows whose solution is known",
                      run_solver_benchmark),
       report_command("stiff", "Solvers on stiff problems: which finish, which fail and how",
                      run_stiff_benchmark),
-      report_command("sample", "Sampling with a model: latent error, quality and time by solver and guidance",
-                     run_sample_benchmark),
       report_command(
-          "sample-plan",
-          "What leaving work out of sampling saves and what error it makes, beside fewer evaluations",
-          run_sample_plan_benchmark),
+          "sample",
+          "Every way to sample a scene, by solver, count, savings and precision: error against run time",
+          run_sample_benchmark),
       report_command("extremes", "Cameras, logits, norms and flows at the ends of their range",
                      run_extremes_benchmark),
       report_command("attention", "Attention kernels beside LibTorch's composition, as fractions of peak",
                      run_attention_benchmark),
       report_command("forward", "One evaluation of M1 beside LibTorch's composition, as fractions of peak",
                      run_forward_benchmark),
+      report_command("stereo",
+                     "Depth that photographs agree on: seconds, and its loops beside the machine's peaks",
+                     run_stereo_benchmark),
+      report_command("splat",
+                     "Splatting beside a dense rendering by LibTorch, and error of fits against time",
+                     run_splat_benchmark),
       report_command("train", "Training steps, their memory and the optimiser, as fractions of peak",
                      run_train_benchmark),
       report_command(

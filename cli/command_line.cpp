@@ -1,4 +1,5 @@
 #include "cli/command.h"
+#include "cli/option_uses.h"
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
@@ -232,6 +233,11 @@ void require_argument_count(const Command& command, const std::vector<std::strin
   fail({"gld " + command.name, expected, found, "see gld " + command.name + " --help"});
 }
 
+// Mostly of a shell's variable that is not set: taken for the default, it would mean something else than was asked for.
+[[noreturn]] void refuse_empty(const std::string& flag) {
+  fail({flag, "a value", "an empty text", "leave it out for the default, or write --set KEY=\"\" or KEY=[]"});
+}
+
 void apply(const Collected& collected, const Command& command) {
   OptionsGroup& options = *command.options;
   if (!collected.config_file.empty()) {
@@ -241,17 +247,48 @@ void apply(const Collected& collected, const Command& command) {
       load_yaml(options, collected.config_file);
     }
   }
-  for (const auto& setting : collected.settings) apply_setting(options, setting);
+  for (const auto& setting : collected.settings) {
+    if (!setting.empty() && setting.find('=') == setting.size() - 1) refuse_empty("--set " + setting);
+    apply_setting(options, setting);
+  }
   for (const auto& flag : collected.flags) {
+    if (flag.value.empty()) refuse_empty(flag.flag);
     apply_flag(options, flag.key, flag.value, flag.flag);
   }
 }
 
-std::vector<std::string> named_keys(const Collected& collected) {
+std::vector<NamedOption> named_options(const Collected& collected) {
+  std::vector<NamedOption> named;
+  for (const auto& setting : collected.settings) {
+    const std::string key = setting.substr(0, setting.find('='));
+    named.push_back({key, std::string(kSetFlag) + " " + key});
+  }
+  for (const auto& flag : collected.flags) named.push_back({flag.key, flag.flag});
+  return named;
+}
+
+std::vector<std::string> keys_of(const std::vector<NamedOption>& named) {
   std::vector<std::string> keys;
-  for (const auto& setting : collected.settings) keys.push_back(setting.substr(0, setting.find('=')));
-  for (const auto& flag : collected.flags) keys.push_back(flag.key);
+  for (const auto& option : named) keys.push_back(option.key);
   return keys;
+}
+
+// "--resume=maybe", which the parser would take for a number. true and false are what files have.
+void refuse_values_of_switches(const CLI::App& app, const OptionsGroup& options,
+                               const std::vector<std::string>& arguments) {
+  for (const auto& description : describe_options(options)) {
+    if (description.type != "true|false") continue;
+    const auto* option = app.get_option_no_throw("--" + dashed_name(description.key));
+    for (const auto& argument : arguments) {
+      const size_t equals = argument.find('=');
+      if (option == nullptr || equals == std::string::npos || argument.rfind("--", 0) != 0) continue;
+      if (!option->check_name(argument.substr(0, equals))) continue;
+      const std::string value = argument.substr(equals + 1);
+      if (value == "true" || value == "false") continue;
+      const std::string flag = argument.substr(0, equals);
+      fail({flag, "true or false", "'" + value + "'", "write " + flag + " alone, or leave it out"});
+    }
+  }
 }
 
 // A command whose options are read and checked.
@@ -295,6 +332,7 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   if (command.options) add_flags(app, *command.options, outermost, collected);
   try {
     arguments = with_lists_joined(app, command, arguments);
+    if (command.options) refuse_values_of_switches(app, *command.options, arguments);
     std::reverse(arguments.begin(), arguments.end());  // CLI11 takes them last first
     app.parse(arguments);
   } catch (const CLI::CallForHelp&) {
@@ -313,8 +351,10 @@ std::optional<Invocation> parse(const Command& command, std::vector<std::string>
   refuse_repeated(command, app, collected);
   if (command.options) {
     apply(collected, command);
-    if (command.on_named) command.on_named(named_keys(collected));
+    const auto named = named_options(collected);
+    if (command.on_named) command.on_named(keys_of(named));
     check_options(*command.options, "gld " + command.name);
+    refuse_without_effect(command, named);
   }
   return Invocation{&command, left_over, collected.quiet};
 }

@@ -14,7 +14,7 @@ Command make_sample_command() {
       "runs/first\n"
       "Targets are frames of the scene (--targets) or a camera path (--path orbit|spline|cameras.json).\n"
       "How it is sampled: the solver, guidance and approximate options, or instead of them --quality\n"
-      "(published, exact, balanced, fast) or --tolerance (the largest relative error of the latents).";
+      "(published, exact, fast) or --tolerance (the largest relative error of the latents).";
   command.options = options;
   command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {

@@ -1,8 +1,8 @@
 #include "cli/train_command.h"
 
-#include "cli/validation_sheet.h"
 #include "train/stages/feature_stages.h"
 #include "train/stages/latent_stages.h"
+#include "train/stages/validation_sheet.h"
 
 #include <iostream>
 #include <memory>

@@ -1,9 +1,9 @@
 #include "cli/verify_command.h"
 
-#include "cli/reference_training.h"
 #include "gld/base/command_options.h"
 #include "gld/base/json_text.h"
-#include "infer/verify/verification.h"
+#include "verify/reference_runners.h"
+#include "verify/verification.h"
 
 #include <algorithm>
 #include <iostream>
@@ -20,14 +20,14 @@ struct VerifyOptions : OptionsGroup {
     visit_choice(
         visitor,
         {"precision",
-         "what models multiply in: the deviation from the reference in it. bfloat16x3 passes at ten times the "
-         "case's tolerance, bfloat16 at 0.05 and int8 at 0.1 of the largest value"},
+         "what models multiply in: the deviation from the reference in it. bfloat16 passes at 0.05 and int8 at "
+         "0.1 of the largest value"},
         precision, compute_precision_names());
   }
 };
 
 int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {
-  const auto runners = all_reference_runners();
+  const auto runners = reference_runners();
   std::vector<CaseVerification> results;
   for (const auto& folder : folders) {
     results.push_back(verify_case(folder, runners, options.precision));

@@ -39,8 +39,12 @@ gld_require_module(CAIRO cairo libcairo2-dev cairo cairo-svg cairo-png)
 gld_require_module(PANGO Pango libpango1.0-dev pangocairo>=1.44)
 gld_require_module(EXIF libexif libexif-dev libexif)
 gld_require_module(WEBP libwebp libwebp-dev libwebp libwebpdemux)
-gld_require_module(HDF5 HDF5 libhdf5-dev hdf5)
-gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d)
+gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d calib3d)
+gld_require(Ceres libceres-dev 2.1)
+
+if(GLD_BUILD_TESTS)
+  gld_require_module(HDF5 HDF5 libhdf5-dev hdf5)  # writes what our reader of it is tested with
+endif()
 
 if(NOT GLD_SANITIZE)
   include(GldLibTorch)

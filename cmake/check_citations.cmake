@@ -1,5 +1,6 @@
 # cmake -P cmake/check_citations.cmake: what comments and documents cite as DESIGN.md or NUMBERS.md, by section and heading,
-# must be in docs/. -DROOT=DIR checks another tree.
+# must be in docs/, every file that a source or a document names must be in the tree, and every link of a document must lead
+# somewhere. -DROOT=DIR checks another tree.
 cmake_minimum_required(VERSION 3.25)
 if(NOT ROOT)
   get_filename_component(ROOT ${CMAKE_CURRENT_LIST_DIR}/.. ABSOLUTE)
@@ -7,7 +8,7 @@ endif()
 
 set(problems "")
 set(citations 0)
-foreach(folder gld models datasets train infer ablate cli tests configs docs .)
+foreach(folder gld models datasets train infer bench verify ablate cli tests configs docs .)
   set(files "")
   if(folder STREQUAL ".")
     file(GLOB files RELATIVE ${ROOT} ${ROOT}/*.md)
@@ -17,6 +18,29 @@ foreach(folder gld models datasets train infer ablate cli tests configs docs .)
   endif()
   foreach(file IN LISTS files)
     file(READ ${ROOT}/${file} text)
+    # Reports of runs under docs/measured say what was there when they were made.
+    if(NOT file MATCHES "\\.yaml$|^docs/measured/")
+      string(REGEX MATCHALL "(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests|cmake|scripts|docs)/[A-Za-z0-9_/]*[A-Za-z0-9_]\\.(h|cpp|txt|cmake|sh|py|md)" named "${text}")
+      list(REMOVE_DUPLICATES named)
+      # What CONTRIBUTING.md says of any room (tests/ROOM/x_test.cpp).
+      list(FILTER named EXCLUDE REGEX "/ROOM/|/x_[a-z]+\\.")
+      foreach(name IN LISTS named)
+        if(NOT EXISTS ${ROOT}/${name})
+          list(APPEND problems "${file}: expected a file of the tree, found ${name}")
+        endif()
+      endforeach()
+    endif()
+    if(file MATCHES "\\.md$" AND NOT file MATCHES "^docs/measured/")
+      get_filename_component(beside ${ROOT}/${file} DIRECTORY)
+      string(REPLACE "](" "<link>" linked "${text}")  # a list of CMake's may not hold half a bracket
+      string(REGEX MATCHALL "<link>[^)#:]+[)#]" links "${linked}")
+      foreach(link IN LISTS links)
+        string(REGEX REPLACE "^<link>(.*)[)#]$" "\\1" target "${link}")
+        if(NOT EXISTS ${beside}/${target})
+          list(APPEND problems "${file}: expected a link to what is there, found ${target}")
+        endif()
+      endforeach()
+    endif()
     if(NOT text MATCHES "(DESIGN|NUMBERS|HOUSE|EVALUATION)\\.md")
       continue()
     endif()

@@ -1,18 +1,22 @@
 #!/usr/bin/env python3
-"""Makes the reference cases rgb_decoder_vggt and dpt_head_da3_replaced, and tests/data/dpt_decoder, with the published modules.
+"""Makes the reference cases rgb_decoder_vggt and dpt_head_da3_replaced, tests/data/dpt_decoder, and the cases splat_* with the
+published modules.
 
-Needs PyTorch, safetensors, transformers (of RAE's decoder) and checkouts of
-  --gld  cvlab-kaist/Geometric-Latent-Diffusion
-  --da3  ByteDance-Seed/Depth-Anything-3
+Needs PyTorch, safetensors, and for the first two transformers (of RAE's decoder). Each case is made where the checkouts that
+it needs are given:
+  --gld     cvlab-kaist/Geometric-Latent-Diffusion, of rgb_decoder_vggt and, together with
+  --da3     ByteDance-Seed/Depth-Anything-3, of dpt_head_da3_replaced
+  --gsplat  nerfstudio-project/gsplat at v1.5.3, of splat_*
 Weights and inputs are random and exact in float16; outputs are float32, and the note of each case says how far they lie from
-the same modules in float64.
-    scripts/make_published_cases.py --gld DIR --da3 DIR --out tests/data
+the same modules in float64. Those of splat_* are float64, from inputs exact in float32.
+    scripts/make_published_cases.py --gld DIR --da3 DIR --gsplat DIR --out tests/data
 """
 import argparse
 import ast
 import copy
 import importlib.util
 import json
+import math
 import pathlib
 import sys
 import types
@@ -65,7 +69,8 @@ def write_case(folder, case, inputs, outputs, weights):
     folder.mkdir(parents=True, exist_ok=True)
     save_file(inputs, folder / "inputs.safetensors")
     save_file({name: tensor.contiguous() for name, tensor in outputs.items()}, folder / "outputs.safetensors")
-    save_file(weights, folder / "weights.safetensors")
+    if weights:
+        save_file(weights, folder / "weights.safetensors")
     (folder / "case.json").write_text(json.dumps(case, indent=2))
 
 
@@ -179,13 +184,203 @@ def replaced_head_case(gld, da3, out):
                half(replaced.state_dict(), "model.head."))
 
 
+def random_splats(seed, count, degree, smallest, largest):
+    """Gaussians in a box around (0, 0, 4), some of them behind the cameras and some far beside the pictures."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low, high, *shape):
+        return low + (high - low) * torch.rand(*shape, generator=generator)
+
+    means = uniform(-1, 1, count, 3) * torch.tensor([1.2, 1.0, 1.5]) + torch.tensor([0.0, 0.0, 4.0])
+    means[::8] *= torch.tensor([4.0, 4.0, 1.0])
+    means[3::16, 2] -= 6
+    return {"means": means,
+            "log_scales": uniform(math.log(smallest), math.log(largest), count, 3),
+            "rotations": uniform(-1, 1, count, 4) * uniform(0.2, 3, count, 1),
+            "logit_opacities": uniform(-2, 4, count),
+            "harmonics": uniform(-1, 1, count, (degree + 1) ** 2, 3)
+            * torch.tensor([1.5] + [0.4] * ((degree + 1) ** 2 - 1)).reshape(1, -1, 1)}
+
+
+def splat_cameras(views, width, height):
+    poses, intrinsics = [], []
+    for view in range(views):
+        turn, tilt = 0.12 * (view - 1), 0.08 * view
+        about_y = torch.tensor([[math.cos(turn), 0, math.sin(turn)], [0, 1, 0], [-math.sin(turn), 0, math.cos(turn)]])
+        about_z = torch.tensor([[math.cos(tilt), -math.sin(tilt), 0], [math.sin(tilt), math.cos(tilt), 0], [0, 0, 1]])
+        pose = torch.eye(4)
+        pose[:3, :3] = about_y @ about_z
+        pose[:3, 3] = torch.tensor([0.3 * (view - 1), 0.1, 0.2 * view])
+        poses.append(pose)
+        intrinsics.append(torch.tensor([[(1.1 + 0.2 * view) * width, 0, 0.53 * width], [0, 1.2 * width, 0.44 * height],
+                                        [0, 0, 1]]))
+    return {"camera_to_world": torch.stack(poses), "intrinsics": torch.stack(intrinsics)}
+
+
+class Splats:
+    """The published functions on double inputs of which gradients are asked."""
+
+    def __init__(self, gsplat, inputs, config):
+        self.published = gsplat
+        self.config = config
+        double = {name: tensor.double() for name, tensor in inputs.items()}
+        self.leaves = {name: double[name].requires_grad_()
+                       for name in ("means", "log_scales", "rotations", "logit_opacities", "harmonics")}
+        rotations = double["camera_to_world"][:, :3, :3]
+        self.centres = double["camera_to_world"][:, :3, 3]
+        self.world_to_camera = torch.eye(4, dtype=torch.float64).repeat(len(rotations), 1, 1)
+        self.world_to_camera[:, :3, :3] = rotations.transpose(1, 2)
+        self.world_to_camera[:, :3, 3] = -(rotations.transpose(1, 2) @ self.centres[..., None])[..., 0]
+        covariances, _ = gsplat._quat_scale_to_covar_preci(self.leaves["rotations"], self.leaves["log_scales"].exp(),
+                                                           compute_preci=False)
+        _, self.places, self.depths, self.conics, compensations = gsplat._fully_fused_projection(
+            self.leaves["means"], covariances, self.world_to_camera, double["intrinsics"], config["width"],
+            config["height"], near_plane=config["near"], calc_compensations=config["antialias"])
+        self.opacities = torch.sigmoid(self.leaves["logit_opacities"]).expand(self.depths.shape)
+        if config["antialias"]:
+            self.opacities = self.opacities * compensations
+        self.seen = self.depths > config["near"]
+
+    def colours(self, view):
+        directions = self.leaves["means"] - self.centres[view]
+        return torch.clamp_min(self.published._spherical_harmonics(
+            self.config["degree"], directions, self.leaves["harmonics"]) + 0.5, 0)
+
+    def gradients(self, loss, names):
+        found = torch.autograd.grad(loss, [self.leaves[name] for name in names])
+        return {f"gradient.{name}": gradient for name, gradient in zip(names, found)}
+
+
+SHAPE = ("means", "log_scales", "rotations", "logit_opacities")
+
+
+def splat_projection_case(gsplat, out, name, seed, antialias):
+    config = {"width": 96, "height": 61, "near": 0.2, "antialias": antialias, "degree": 3}
+    # So large that antialiasing leaves each an opacity that is drawn: what is not is no part of the published functions.
+    inputs = {**random_splats(seed, 64, 3, 0.03 if antialias else 0.003, 0.4), **splat_cameras(3, 96, 61)}
+    generator = torch.Generator().manual_seed(seed + 1)
+    for of, last in (("places", 2), ("conics", 3), ("opacities", None)):
+        shape = (3, 64) + (() if last is None else (last,))
+        inputs["of_" + of] = torch.rand(shape, generator=generator) * 2 - 1
+    splats = Splats(gsplat, inputs, config)
+    seen = splats.seen.double()
+    assert splats.opacities[splats.seen].min() > 1 / 255
+
+    def visible(tensor):
+        return torch.where(splats.seen.reshape(seen.shape + (1,) * (tensor.dim() - 2)), tensor, torch.zeros_like(tensor))
+
+    outputs = {"seen": seen, "depths": visible(splats.depths), "places": visible(splats.places),
+               "conics": visible(splats.conics), "opacities": visible(splats.opacities)}
+    loss = sum((outputs[of] * inputs["of_" + of].double()).sum() for of in ("places", "conics", "opacities"))
+    outputs.update(splats.gradients(loss, SHAPE))
+    del inputs["harmonics"]
+    case = {"kind": "splat_projection", "config": {**config, "degree": 0}, "relative_tolerance": 1e-11,
+            "note": "projection and covariance of gsplat 1.5.3's _torch_impl.py in float64, and its autograd's gradients of "
+                    "the sum of of_places, of_conics and of_opacities times them, over the views; 0 for Gaussians before the "
+                    f"near plane | seed {seed}; inputs exact in float32"}
+    write_case(out / "reference_cases" / name, case, inputs, {k: v.detach() for k, v in outputs.items()}, {})
+
+
+def splat_colours_case(gsplat, out):
+    config = {"width": 96, "height": 61, "near": 0.2, "antialias": False, "degree": 3}
+    inputs = {**random_splats(21, 64, 3, 0.003, 0.4), **splat_cameras(3, 96, 61)}
+    inputs["of_colours"] = torch.rand(3, 64, 3, generator=torch.Generator().manual_seed(22)) * 2 - 1
+    splats = Splats(gsplat, inputs, config)
+    colours = torch.stack([splats.colours(view) for view in range(3)])
+    outputs = {"colours": colours, **splats.gradients((colours * inputs["of_colours"].double()).sum(), ("means", "harmonics"))}
+    outputs["gradient_through_colours.means"] = outputs.pop("gradient.means")
+    case = {"kind": "splat_projection", "config": config, "relative_tolerance": 3e-7,
+            "note": "spherical harmonics of gsplat 1.5.3's _torch_impl.py in float64, as its rasterization adds 1/2 and cuts at "
+                    "0, and its autograd's gradients; this program keeps sums for coefficients as float32 | seed 21; inputs "
+                    "exact in float32"}
+    write_case(out / "reference_cases/splat_colours", case, inputs, {k: v.detach() for k, v in outputs.items()}, {})
+
+
+def composite_densely(splats, view, features, background):
+    """3DGS's compositing, every pixel against every Gaussian; gsplat's own needs CUDA. Also how near alphas and transmittances
+    come to where they jump, relatively."""
+    width, height = splats.config["width"], splats.config["height"]
+    order = torch.argsort(splats.depths[view], stable=True)
+    order = order[splats.seen[view][order]]
+    rows, columns = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    pixels = torch.stack([columns, rows], -1).reshape(-1, 1, 2).double()
+    d = pixels - splats.places[view][order]
+    q = splats.conics[view][order]
+    value = splats.opacities[view][order] * torch.exp(
+        -0.5 * (q[:, 0] * d[..., 0] ** 2 + q[:, 2] * d[..., 1] ** 2) - q[:, 1] * d[..., 0] * d[..., 1])
+    alpha = torch.where(value >= 1 / 255, value.clamp(max=0.99), torch.zeros_like(value))
+    left = torch.cumprod(1 - alpha, 1)
+    # The first Gaussian that would leave less than 1e-4 ends its pixel; all before it stay, since left only falls.
+    alpha = torch.where(left >= 1e-4, alpha, torch.zeros_like(alpha))
+    left = torch.cumprod(1 - alpha, 1)
+    before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
+    picture = (alpha * before) @ features[order] + left[:, -1:] * background
+    jumps = [(value * 255 - 1).abs().min(), (value / 0.99 - 1).abs().min(), (torch.cumprod(1 - alpha, 1) * 1e4 - 1).abs().min()]
+    # As before the cut, so that a transmittance just below 1e-4 counts as well.
+    first = torch.where(value >= 1 / 255, value.clamp(max=0.99), torch.zeros_like(value))
+    jumps.append((torch.cumprod(1 - first, 1) * 1e4 - 1).abs().min())
+    shape = (height, width, -1)
+    return picture.reshape(shape).permute(2, 0, 1), left[:, -1].reshape(height, width), min(jumps).item()
+
+
+def splat_compositing_case(gsplat, out, name, channels, antialias):
+    """channels None: the colours, of spherical harmonics, on black."""
+    width, height, count = 45, 29, 70
+    degree = 2 if channels is None else 0
+    config = {"width": width, "height": height, "near": 0.2, "antialias": antialias, "degree": degree}
+    for seed in range(31, 1000):
+        inputs = {**random_splats(seed, count, degree, 0.02, 0.5), **splat_cameras(2, width, height)}
+        generator = torch.Generator().manual_seed(seed + 1)
+        if channels is not None:
+            inputs["features"] = torch.rand(count, channels, generator=generator) * 2 - 1
+            inputs["background"] = torch.rand(channels, generator=generator)
+        inputs["of_pictures"] = torch.rand(2, channels or 3, height, width, generator=generator) * 2 - 1
+        splats = Splats(gsplat, inputs, config)
+        features = inputs["features"].double().requires_grad_() if channels is not None else None
+        background = inputs["background"].double() if channels is not None else torch.zeros(3, dtype=torch.float64)
+        results = [composite_densely(splats, view, splats.colours(view) if features is None else features, background)
+                   for view in range(2)]
+        # Where float32 takes the other side of a jump nothing can be compared.
+        if min(jump for _, _, jump in results) > 3e-5:
+            break
+    else:
+        raise SystemExit(f"{name}: no seed keeps away from jumps")
+    outputs = {"pictures": torch.stack([picture for picture, _, _ in results]),
+               "transmittances": torch.stack([left for _, left, _ in results])}
+    loss = (outputs["pictures"] * inputs["of_pictures"].double()).sum()
+    if features is not None:
+        outputs["gradient.features"], = torch.autograd.grad(loss, [features], retain_graph=True)
+        del inputs["harmonics"]
+    outputs.update(splats.gradients(loss, SHAPE if features is not None else SHAPE + ("harmonics",)))
+    case = {"kind": "splat_compositing", "config": config, "relative_tolerance": 2e-6,
+            "note": "gsplat 1.5.3's projection, covariance and spherical harmonics in float64, composited densely by PyTorch with "
+                    "3DGS's bounds (1/255, .99, 1e-4), and autograd's gradients of the sum of of_pictures times pictures | seed "
+                    f"{seed}, the first whose alphas and transmittances stay 3e-5 of themselves away from where they jump; "
+                    "inputs exact in float32"}
+    write_case(out / "reference_cases" / name, case, inputs, {k: v.detach() for k, v in outputs.items()}, {})
+
+
+def splat_cases(checkout, out):
+    gsplat = module_of("gsplat_torch", checkout / "gsplat/cuda/_torch_impl.py")
+    splat_projection_case(gsplat, out, "splat_projection", 11, False)
+    splat_projection_case(gsplat, out, "splat_projection_antialias", 12, True)
+    splat_colours_case(gsplat, out)
+    splat_compositing_case(gsplat, out, "splat_compositing", 5, False)
+    splat_compositing_case(gsplat, out, "splat_picture", None, True)
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("gld", "da3", "out"):
-        parser.add_argument("--" + name, type=pathlib.Path, required=True)
+    for name in ("gld", "da3", "gsplat"):
+        parser.add_argument("--" + name, type=pathlib.Path)
+    parser.add_argument("--out", type=pathlib.Path, required=True)
     options = parser.parse_args()
-    rgb_decoder_case(options.gld, options.out)
-    replaced_head_case(options.gld, options.da3, options.out)
+    if options.gld:
+        rgb_decoder_case(options.gld, options.out)
+    if options.gld and options.da3:
+        replaced_head_case(options.gld, options.da3, options.out)
+    if options.gsplat:
+        splat_cases(options.gsplat, options.out)
 
 
 if __name__ == "__main__":

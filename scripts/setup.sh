@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
-#   --development             also what checks the sources
+#   --development             also what checks the sources, and COLMAP, which tests of the label shared run
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
 #                             build/; what it is and how large is said first, and where it lies at the end
@@ -32,13 +32,13 @@ done
 
 packages=(
   g++ cmake ninja-build pkg-config
-  libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
+  libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libceres-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
   libssl-dev
 )
 if [ -n "$development" ]; then
-  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
+  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev colmap)
 fi
 if [ -n "$libtorch_version" ]; then
   packages+=(python3-venv)

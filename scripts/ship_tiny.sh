@@ -32,6 +32,9 @@ if ! build/release/cli/gld eval --model "$together" --synthetic 1 --pictures 0 -
 fi
 
 cp "$runs"/model/*.safetensors "$tiny/"
+# What it was trained on, as gld stats noted it.
+rm -f "$tiny/seen_scenes.json"
+if [ -f "$runs/model/seen_scenes.json" ]; then cp "$runs/model/seen_scenes.json" "$tiny/"; fi
 rm -rf "$tiny/evaluation"
 mkdir -p "$tiny/training" "$tiny/evaluation"
 if [ "$recipe" != "$tiny" ]; then
@@ -72,5 +75,5 @@ cp "$runs"/eval/{config.yaml,eval.csv,report.json} "$tiny/evaluation/"
 if [ "$recipe" != "$tiny" ]; then rm -rf "$recipe"; fi
 # Its errors were those of other weights.
 rm -f "$tiny/plan_errors.json"
-echo "ship_tiny: $bytes bytes of weights are in $tiny; measure their sampling errors with gld bench sample-plan" \
-  "--model $tiny --write-table --out docs/measured/sample_plan"
+echo "ship_tiny: $bytes bytes of weights are in $tiny; measure their sampling errors with gld bench sample" \
+  "--model $tiny --synthetic 16 --write-table --precisions bfloat16,int8 --out docs/measured/sample"

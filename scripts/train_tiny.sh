@@ -82,6 +82,7 @@ prepare_level() {
   rm -rf "$level_base"
   mkdir -p "$level_base"
   cp "$base"/*.safetensors "$recipe/model.yaml" "$level_base/"
+  if [ -f "$base/seen_scenes.json" ]; then cp "$base/seen_scenes.json" "$level_base/"; fi
   cp "$head/dpt_head.safetensors" "$level_base/"
   if [ "$level_start" != - ]; then cp "$recipe/level1.safetensors" "$level_base/"; fi
 }
@@ -158,6 +159,7 @@ if [ "$action" = keep ]; then
     part backbone "$runs/backbone_$step" backbone dpt_head
   fi
   if [ -f "$runs/stats/report.json" ]; then cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"; fi
+  if [ -f "$runs/stats/model/seen_scenes.json" ]; then cp "$runs/stats/model/seen_scenes.json" "$recipe/"; fi
   if has_checkpoint level; then
     step=$(newest_step level)
     branch level level "$level_base" "$step" 0

@@ -30,7 +30,7 @@ Summary summary_of(const Ablation& ablation, const VariantNumbers& numbers, cons
   BootstrapOptions bootstrap;
   bootstrap.replicates = ablation.options.bootstrap;
   summary.mean = mean_of_seed_means(means);
-  summary.interval = bootstrap_interval(means, bootstrap);
+  summary.interval = interval_of_seed_means(means, bootstrap);
   summary.scenes = scene_count(means);
   summary.seeds = static_cast<int64_t>(means.size());
   return summary;

@@ -2,9 +2,9 @@
 
 #include "ablate/configuration/ablation.h"
 #include "ablate/run/assembled_bundle.h"
-#include "ablate/run/child_process.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/atomic_folder.h"
+#include "gld/base/child_process.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/printable_text.h"

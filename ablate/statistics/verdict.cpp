@@ -25,7 +25,7 @@ std::string verdict_name(Verdict verdict) {
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options) {
   Comparison result;
   result.mean = mean_of_seed_means(gain);
-  result.interval = bootstrap_interval(gain, options);
+  result.interval = interval_of_seed_means(gain, options);
   result.signs = sign_test(gain);
   result.scenes = scene_count(gain);
   result.seeds = static_cast<int64_t>(gain.size());

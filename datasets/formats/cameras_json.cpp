@@ -80,6 +80,7 @@ CameraList list_from_json(const json& root, const std::string& where) {
   const std::string unit = json_text(root, "unit", where);
   if (unit != "metres" && unit != "scene") fail({where, "the unit metres or scene", unit, "correct it"});
   cameras.metric = unit == "metres";
+  cameras.points = text_or_empty(root, "points", where);
   const auto frames = root.find("frames");
   if (frames == root.end() || !frames->is_array() || frames->empty()) {
     fail({where, "a list of at least one camera as \"frames\"",
@@ -110,6 +111,7 @@ std::string cameras_json_text(const CameraList& cameras) {
   root["convention"] =
       "OpenCV cameras (x right, y down, z forward); pixel (0, 0) has its centre at (0.5, 0.5)";
   root["unit"] = cameras.metric ? "metres" : "scene";
+  if (!cameras.points.empty()) root["points"] = cameras.points;
   root["frames"] = ordered_json::array();
   for (const CameraRecord& record : cameras.records) root["frames"].push_back(record_json(record));
   return json_text(root, 1) + "\n";

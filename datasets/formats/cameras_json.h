@@ -20,6 +20,7 @@ struct CameraRecord {
 
 struct CameraList {
   bool metric = false;  // poses and depth are in metres
+  std::string points;   // sparse points in the world, (points, 3) as npy; empty when there are none
   std::vector<CameraRecord> records;
 };
 

@@ -56,6 +56,9 @@ Scene CamerasJsonReader::read(const std::filesystem::path& path, const SceneRead
     });
   }
   builder.scene().metric = cameras.metric;
+  if (!cameras.points.empty()) {
+    builder.scene().points_in_world = read_points_npy(inside(folder, cameras.points, file.string()));
+  }
   return builder.finish();
 }
 

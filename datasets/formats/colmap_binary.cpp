@@ -102,7 +102,9 @@ void read_cameras_bin(const std::filesystem::path& file, ColmapModel& model) {
   reader.check_end();
 }
 
-void read_images_bin(const std::filesystem::path& file, ColmapModel& model) {
+// Calls take(image, reader) for each image, the reader at the count of its observations, which take must pass.
+template <class Take>
+void read_images(const std::filesystem::path& file, const Take& take) {
   BinaryReader reader(file);
   const uint64_t count = reader.count(kSmallestImage);
   for (uint64_t i = 0; i < count; ++i) {
@@ -114,13 +116,19 @@ void read_images_bin(const std::filesystem::path& file, ColmapModel& model) {
     image.translation = reader.vector();
     image.camera_id = reader.get<int32_t>();
     image.name = reader.text();
-    reader.skip(reader.count(kObservationBytes) * kObservationBytes);
-    model.images.push_back(image);
+    take(image, reader);
   }
   reader.check_end();
 }
 
-void read_points_bin(const std::filesystem::path& file, ColmapModel& model) {
+void read_images_bin(const std::filesystem::path& file, ColmapModel& model) {
+  read_images(file, [&](const ColmapImage& image, BinaryReader& reader) {
+    reader.skip(reader.count(kObservationBytes) * kObservationBytes);
+    model.images.push_back(image);
+  });
+}
+
+std::map<uint64_t, Eigen::Vector3d> read_points_bin(const std::filesystem::path& file) {
   BinaryReader reader(file);
   const uint64_t count = reader.count(kSmallestPoint);
   std::map<uint64_t, Eigen::Vector3d> points;
@@ -131,7 +139,7 @@ void read_points_bin(const std::filesystem::path& file, ColmapModel& model) {
     reader.skip(reader.count(kTrackBytes) * kTrackBytes);
   }
   reader.check_end();
-  for (const auto& item : points) model.points_in_world.push_back(item.second);
+  return points;
 }
 
 class BinaryWriter {
@@ -166,8 +174,27 @@ ColmapModel read_colmap_binary(const std::filesystem::path& folder) {
   read_cameras_bin(folder / "cameras.bin", model);
   read_images_bin(folder / "images.bin", model);
   const auto points = folder / "points3D.bin";
-  if (std::filesystem::exists(points)) read_points_bin(points, model);
+  if (!std::filesystem::exists(points)) return model;
+  for (const auto& item : read_points_bin(points)) model.points_in_world.push_back(item.second);
   return model;
+}
+
+ColmapSightings read_colmap_sightings(const std::filesystem::path& folder) {
+  ColmapSightings sightings;
+  sightings.points_in_world = read_points_bin(folder / "points3D.bin");
+  read_images(folder / "images.bin", [&](const ColmapImage& image, BinaryReader& reader) {
+    auto& places = sightings.images[image.name];
+    const uint64_t count = reader.count(kObservationBytes);
+    for (uint64_t i = 0; i < count; ++i) {
+      ColmapSighting sighting;
+      sighting.position.x() = reader.get<double>();
+      sighting.position.y() = reader.get<double>();
+      sighting.point = reader.get<uint64_t>();
+      // The largest number stands for a place without a point.
+      if (sightings.points_in_world.count(sighting.point) > 0) places.push_back(sighting);
+    }
+  });
+  return sightings;
 }
 
 void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel& model) {

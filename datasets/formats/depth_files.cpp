@@ -38,6 +38,29 @@ void write_depth_npy(const std::filesystem::path& file, const DepthMap& depth) {
   write_npy(file, npy_from_floats({depth.height, depth.width}, depth.metres.data()));
 }
 
+std::vector<Eigen::Vector3d> read_points_npy(const std::filesystem::path& file) {
+  constexpr uint64_t kMostBytes = uint64_t{1} << 30;
+  const NpyArray array = read_npy(file, kMostBytes);
+  if (array.shape.size() != 2 || array.shape[1] != 3 || !is_floating(array.dtype)) {
+    fail({file.string(), "points as (points, 3) of floating type", "another array", "check the file"});
+  }
+  const std::vector<double> values = array.to_doubles();
+  std::vector<Eigen::Vector3d> points;
+  for (size_t i = 0; i + 2 < values.size(); i += 3) {
+    points.emplace_back(values[i], values[i + 1], values[i + 2]);
+    if (!points.back().allFinite()) {
+      fail({file.string(), "finite points", "another one in row " + std::to_string(i / 3), "check the file"});
+    }
+  }
+  return points;
+}
+
+void write_points_npy(const std::filesystem::path& file, const std::vector<Eigen::Vector3d>& points) {
+  std::vector<double> values;
+  for (const Eigen::Vector3d& point : points) values.insert(values.end(), {point.x(), point.y(), point.z()});
+  write_npy(file, npy_from_doubles({static_cast<int64_t>(points.size()), 3}, values.data()));
+}
+
 DepthMap read_depth_raw(const std::filesystem::path& file, int64_t width, int64_t height) {
   // The size is what a text file says: no memory for it before the file has that many bytes.
   check_picture_size(width, height, file.string());

@@ -2,13 +2,13 @@
 
 #include "datasets/formats/depth_files.h"
 #include "datasets/formats/file_listing.h"
-#include "datasets/formats/hdf5_file.h"
 #include "datasets/formats/hypersim_camera.h"
 #include "datasets/formats/scene_builder.h"
 #include "datasets/images/decoded_pixels.h"
 #include "datasets/images/image_file.h"
 #include "datasets/scenes/frame_checks.h"
 #include "gld/base/error.h"
+#include "gld/files/hdf5_array.h"
 
 #include <algorithm>
 #include <cmath>
@@ -34,7 +34,7 @@ void check_shape(const Hdf5Array& array, const std::vector<int64_t>& shape,
 
 Image read_colour(const std::filesystem::path& file) {
   if (file.extension() != ".hdf5") return read_image(file);
-  const Hdf5Array array = read_hdf5(file, "dataset", 3 * kMostPixels);
+  const Hdf5Array array = read_hdf5_array(file, "dataset", 3 * kMostPixels);
   if (array.shape.size() != 3) check_shape(array, {768, 1024, 3}, file);
   check_shape(array, {array.shape[0], array.shape[1], 3}, file);
   check_picture_size(array.shape[1], array.shape[0], file.string());
@@ -42,7 +42,7 @@ Image read_colour(const std::filesystem::path& file) {
 }
 
 DepthMap read_distance(const std::filesystem::path& file) {
-  const Hdf5Array array = read_hdf5(file, "dataset", kMostPixels);
+  const Hdf5Array array = read_hdf5_array(file, "dataset", kMostPixels);
   if (array.shape.size() != 2) check_shape(array, {768, 1024}, file);
   check_picture_size(array.shape[1], array.shape[0], file.string());
   DepthMap distance;
@@ -92,16 +92,16 @@ Image tone_mapped(const std::vector<float>& linear_rgb, int64_t width, int64_t h
 std::map<int64_t, Eigen::Matrix4d> read_hypersim_trajectory(const std::filesystem::path& folder,
                                                             double metres_per_asset_unit) {
   const Hdf5Array positions =
-      read_hdf5(folder / "camera_keyframe_positions.hdf5", "dataset", 3 * kMostKeyframes);
+      read_hdf5_array(folder / "camera_keyframe_positions.hdf5", "dataset", 3 * kMostKeyframes);
   const int64_t count = positions.shape.empty() ? 0 : positions.shape[0];
   check_shape(positions, {count, 3}, folder / "camera_keyframe_positions.hdf5");
   const auto orientation_file = folder / "camera_keyframe_orientations.hdf5";
-  const Hdf5Array orientations = read_hdf5(orientation_file, "dataset", 9 * kMostKeyframes);
+  const Hdf5Array orientations = read_hdf5_array(orientation_file, "dataset", 9 * kMostKeyframes);
   check_shape(orientations, {count, 3, 3}, orientation_file);
   std::vector<float> frames;
   const auto index_file = folder / "camera_keyframe_frame_indices.hdf5";
   if (std::filesystem::is_regular_file(index_file)) {
-    const Hdf5Array indices = read_hdf5(index_file, "dataset", kMostKeyframes);
+    const Hdf5Array indices = read_hdf5_array(index_file, "dataset", kMostKeyframes);
     check_shape(indices, {count}, index_file);
     frames = indices.values;
   }

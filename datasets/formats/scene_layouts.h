@@ -12,7 +12,6 @@ void write_npz_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_nerfstudio_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_re10k_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_tartanair_layout(const Scene& scene, const std::filesystem::path& folder);
-void write_hypersim_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_colmap_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_colmap_text_layout(const Scene& scene, const std::filesystem::path& folder);
 void write_eth3d_layout(const Scene& scene, const std::filesystem::path& folder);

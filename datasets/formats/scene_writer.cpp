@@ -14,15 +14,11 @@ struct Layout {
 };
 
 const std::vector<Layout>& layouts() {
-  static const std::vector<Layout> known{{"cameras-json", write_cameras_json_layout},
-                                         {"npz", write_npz_layout},
-                                         {"nerfstudio", write_nerfstudio_layout},
-                                         {"re10k", write_re10k_layout},
-                                         {"tartanair", write_tartanair_layout},
-                                         {"hypersim", write_hypersim_layout},
-                                         {"colmap", write_colmap_layout},
-                                         {"colmap-text", write_colmap_text_layout},
-                                         {"eth3d", write_eth3d_layout}};
+  static const std::vector<Layout> known{
+      {"cameras-json", write_cameras_json_layout}, {"npz", write_npz_layout},
+      {"nerfstudio", write_nerfstudio_layout},     {"re10k", write_re10k_layout},
+      {"tartanair", write_tartanair_layout},       {"colmap", write_colmap_layout},
+      {"colmap-text", write_colmap_text_layout},   {"eth3d", write_eth3d_layout}};
   return known;
 }
 

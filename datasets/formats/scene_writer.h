@@ -8,7 +8,8 @@
 
 namespace gld {
 
-// Writes a scene with images (PNG where the layout allows it) in one of the layouts that the readers know, so that
+// Writes a scene with images (PNG where the layout allows it) in one of the layouts that the readers know (all but
+// HyperSim's, whose files are HDF5, which is only read), so that
 // they can be tested end to end and other programs can use generated scenes. The folder is created; files appear
 // whole or not at all.
 //   cameras-json  cameras.json, images/, depth/*.npy
@@ -16,7 +17,6 @@ namespace gld {
 //   nerfstudio    transforms.json, images/, depth/*.npy
 //   re10k         CLIP.txt, CLIP/TIME.png
 //   tartanair     image_left/, depth_left/, pose_left.txt
-//   hypersim      _detail/, images/, metadata_camera_parameters.csv
 //   colmap        sparse/0/*.bin, images/
 //   colmap-text   sparse/0/*.txt, images/
 //   eth3d         dslr_calibration_jpg/, images/dslr_images/, ground_truth_depth/

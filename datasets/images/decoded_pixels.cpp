@@ -18,6 +18,10 @@ void check_picture_size(int64_t width, int64_t height, const std::string& where)
         size_text(width, height), "check the file, or scale the picture down"});
 }
 
+void fail_short_image(const std::string& where) {
+  fail({where, "a whole image file", "one that ends early", "copy or download it again"});
+}
+
 void check_compressed_picture_size(int64_t width, int64_t height, size_t file_bytes,
                                    const std::string& where) {
   check_picture_size(width, height, where);

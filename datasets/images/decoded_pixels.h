@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace gld {
@@ -21,11 +22,17 @@ struct DecodedPixels {
 constexpr int64_t kMostPixels = int64_t{1} << 28;
 constexpr int64_t kLargestSide = 65535;
 
-// Error unless 1 <= sides <= kLargestSide and there are at most kMostPixels; where names the file.
+// Throws Error unless 1 <= sides <= kLargestSide and there are at most kMostPixels; where names the file.
 void check_picture_size(int64_t width, int64_t height, const std::string& where);
 
-// The same for files whose few bytes may stand for any number of equal pixels: beyond 2^24 pixels a file must have a
-// byte for 4096 of them, of which photographs have a thousand times as many.
+// Throws the Error of a file whose bytes end before what they began; where names it.
+[[noreturn]] void fail_short_image(const std::string& where);
+
+// This is how EXIF metadata begin in a JPEG file, before a TIFF structure; libexif asks for it.
+constexpr std::string_view kExifStart("Exif\0\0", 6);
+
+// Checks a file whose few bytes may stand for any number of equal pixels: beyond what check_picture_size refuses, more
+// than 2^24 pixels need a byte for 4096 of them, of which photographs have a thousand times as many.
 void check_compressed_picture_size(int64_t width, int64_t height, size_t file_bytes,
                                    const std::string& where);
 

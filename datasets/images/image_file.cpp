@@ -1,6 +1,5 @@
 #include "datasets/images/image_file.h"
 
-#include "datasets/images/bmp_file.h"
 #include "datasets/images/decoded_pixels.h"
 #include "datasets/images/image_format.h"
 #include "datasets/images/image_probe.h"
@@ -34,15 +33,13 @@ DecodedPixels decode(const std::string& bytes, const std::string& where) {
       return decode_webp(bytes, where);
     case ImageFormat::kTiff:
       return decode_tiff(bytes, where);
-    case ImageFormat::kBmp:
-      return decode_bmp(bytes, where);
     case ImageFormat::kPng:
       break;
   }
   return decode_png(bytes, where);
 }
 
-// Over the bytes of pixels, which must live as long.
+// The matrix lies over the bytes of pixels, which must live as long.
 cv::Mat matrix_of(DecodedPixels& pixels) {
   const int type = CV_MAKETYPE(pixels.bits == 16 ? CV_16U : CV_8U, pixels.channels);
   return {static_cast<int>(pixels.height), static_cast<int>(pixels.width), type, pixels.bytes.data()};
@@ -157,15 +154,6 @@ void write_png(const std::filesystem::path& file, const Image& image) {
 
 void write_jpeg(const std::filesystem::path& file, const Image& image, int quality) {
   write_file_atomically(file, encode_jpeg(image, quality, file.string()));
-}
-
-void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit) {
-  Grey16 pixels{depth.width, depth.height, {}};
-  for (const float metres : depth.metres) {
-    const double units = std::round(metres / metres_per_unit);
-    pixels.values.push_back(static_cast<uint16_t>(std::clamp(units, 0.0, 65535.0)));
-  }
-  write_file_atomically(file, encode_png(pixels, {}));
 }
 
 }  // namespace gld

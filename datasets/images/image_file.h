@@ -25,13 +25,10 @@ DepthMap read_depth_png(const std::filesystem::path& file, double metres_per_uni
 // A mask image: pixels above half brightness are valid.
 ValidityMask read_mask(const std::filesystem::path& file);
 
-// Lossless; the file appears whole or not at all.
+// Writes a lossless file, which appears whole or not at all.
 void write_png(const std::filesystem::path& file, const Image& image);
 
-// For writing photographs in a layout that wants JPEG; quality from 1 to 100.
+// Writes a photograph for a layout that wants JPEG; quality goes from 1 to 100.
 void write_jpeg(const std::filesystem::path& file, const Image& image, int quality);
-
-// 16-bit PNG of round(metres / metres_per_unit), saturating.
-void write_depth_png(const std::filesystem::path& file, const DepthMap& depth, double metres_per_unit);
 
 }  // namespace gld

@@ -20,17 +20,16 @@ std::optional<ImageFormat> image_format(std::string_view bytes) {
   for (const auto start : {"II\x2A\0"sv, "MM\0\x2A"sv, "II\x2B\0"sv, "MM\0\x2B"sv}) {
     if (starts_with(bytes, start)) return ImageFormat::kTiff;
   }
-  if (starts_with(bytes, "BM"sv)) return ImageFormat::kBmp;
   return std::nullopt;
 }
 
 const std::string& image_format_names() {
-  static const std::string names = "PNG, JPEG, WebP, TIFF or BMP";
+  static const std::string names = "PNG, JPEG, WebP or TIFF";
   return names;
 }
 
 const std::vector<std::string>& image_extensions() {
-  static const std::vector<std::string> extensions{".png", ".jpg", ".jpeg", ".webp", ".tiff", ".tif", ".bmp"};
+  static const std::vector<std::string> extensions{".png", ".jpg", ".jpeg", ".webp", ".tiff", ".tif"};
   return extensions;
 }
 

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <string_view>
 
 namespace gld {
 
@@ -11,21 +12,24 @@ struct ImageFileInfo {
   int64_t width = 0;    // as stored
   int64_t height = 0;   // as stored
   int orientation = 1;  // EXIF orientation, 1..8; 1 when the file has none
+  // By EXIF, over the longer side of the picture (of the sensor, as of its picture); 0 where nothing tells.
+  double focal_length = 0;
 
   // True for the four orientations that swap width and height.
   bool turned() const { return orientation >= 5; }
 };
 
-// Reads no more than the header, so that opening a scene of many large photographs is quick. Throws Error when the file
-// is missing, is no image, ends within the header, or is one pixel wide or high.
+// Looks at no more than the header, so that opening a scene of many large photographs is quick. Throws Error when the
+// file is missing, is no image, ends within the header, or is one pixel wide or high, and with the words of the library
+// that reads its format where the header is damaged. EXIF metadata of a PNG file count where they stand before the
+// pixels.
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
-// Throws Error where the file ends early, as far as its structure tells without decoding: by the last bytes of a PNG,
-// JPEG or WebP file, or what leads to them. Of TIFF and BMP files it looks at the header.
+// The same, and an Error where the file ends early, as far as that can be told without decoding: a PNG or JPEG file has
+// a mark at its end, a WebP file its length at the start. Of TIFF files it looks at the header.
 void check_image_end(const std::filesystem::path& file);
 
-// The same as probe_image_file for a whole file in memory, and an Error when it
-// ends early anywhere; where names it in errors.
-ImageFileInfo probe_image_bytes(const std::string& bytes, const std::string& where);
+// The same as probe_image_file for a file in memory; where names it in errors.
+ImageFileInfo probe_image_bytes(std::string_view bytes, const std::string& where);
 
 }  // namespace gld

@@ -20,6 +20,9 @@ namespace {
 // A progressive file of few bytes may ask for thousands of passes over all pixels.
 constexpr int kMostScans = 200;
 
+constexpr int kExifMarker = JPEG_APP0 + 1;  // other metadata have it too
+constexpr unsigned int kLongestMarker = 0xFFFF;
+
 // libjpeg leaves a function by longjmp(), which runs no destructors: read_header() and read_rows() own nothing.
 struct JpegErrors {
   jpeg_error_mgr manager{};  // first, so that libjpeg's pointer to it is one to this
@@ -34,7 +37,7 @@ JpegErrors& errors_of(j_common_ptr info) { return *reinterpret_cast<JpegErrors*>
   std::longjmp(errors_of(info).leave, 1);
 }
 
-// Complaints about what lies beside the pixels. Every other one means that blocks were made up.
+// Some complaints are about what lies beside the pixels. Every other one means that blocks were made up.
 bool is_harmless(int code) {
   return code == JWRN_ADOBE_XFORM || code == JWRN_JFIF_MAJOR || code == JWRN_BOGUS_ICC;
 }
@@ -88,7 +91,7 @@ struct JpegWriter {
   JpegWriter& operator=(const JpegWriter&) = delete;
 };
 
-// Whether all was written; otherwise the errors' text says why not.
+// Says whether all was written; otherwise the errors' text says why not.
 bool write_rows(JpegWriter& writer, const Image& image, int quality) {
   if (setjmp(writer.errors.leave) != 0) return false;
   jpeg_create_compress(&writer.info);
@@ -108,13 +111,14 @@ bool write_rows(JpegWriter& writer, const Image& image, int quality) {
   return true;
 }
 
-// Whether the header was read and the output chosen; otherwise the errors' text says why not.
-bool read_header(JpegReader& reader, const std::string& bytes) {
+// Says whether the header was read and the output chosen; otherwise the errors' text says why not.
+bool read_header(JpegReader& reader, std::string_view bytes) {
   if (setjmp(reader.errors.leave) != 0) return false;
   jpeg_create_decompress(&reader.info);
   reader.info.progress = &reader.progress;
   jpeg_mem_src(&reader.info, reinterpret_cast<const unsigned char*>(bytes.data()),
                static_cast<unsigned long>(bytes.size()));
+  jpeg_save_markers(&reader.info, kExifMarker, kLongestMarker);
   jpeg_read_header(&reader.info, TRUE);
   if (reader.info.num_components == 4) {
     reader.info.out_color_space = JCS_CMYK;
@@ -134,12 +138,12 @@ bool read_rows(JpegReader& reader, uint8_t* rows) {
     JSAMPROW row = rows + reader.info.output_scanline * stride;
     jpeg_read_scanlines(&reader.info, &row, 1);
   }
-  // Reads up to the end marker: bytes that no block used are a complaint.
+  // This reads up to the end marker: bytes that no block used are a complaint.
   jpeg_finish_decompress(&reader.info);
   return true;
 }
 
-// Ink, stored inverted, over white paper.
+// The colours that ink, stored inverted, gives on white paper.
 void bgr_from_cmyk(DecodedPixels& pixels) {
   const size_t count = pixels.bytes.size() / 4;
   for (size_t i = 0; i < count; ++i) {
@@ -157,12 +161,30 @@ void bgr_from_cmyk(DecodedPixels& pixels) {
 }
 
 [[noreturn]] void fail_jpeg(const JpegReader& reader, const std::string& where) {
+  const int code = reader.errors.manager.msg_code;
+  if (code == JWRN_JPEG_EOF || code == JERR_INPUT_EMPTY) fail_short_image(where);
   fail({where, "an image that can be decoded",
         std::string("damaged data (libjpeg: ") + reader.errors.text.data() + ")",
         "copy or download it again"});
 }
 
 }  // namespace
+
+JpegHeader read_jpeg_header(std::string_view bytes, const std::string& where) {
+  JpegReader reader;
+  if (!read_header(reader, bytes)) fail_jpeg(reader, where);
+  JpegHeader header;
+  header.width = reader.info.image_width;
+  header.height = reader.info.image_height;
+  header.pixels = bytes.size() - reader.info.src->bytes_in_buffer;
+  for (const jpeg_marker_struct* marker = reader.info.marker_list; marker != nullptr; marker = marker->next) {
+    const std::string_view data(reinterpret_cast<const char*>(marker->data), marker->data_length);
+    if (data.substr(0, kExifStart.size()) != kExifStart) continue;
+    header.exif = data;
+    break;
+  }
+  return header;
+}
 
 DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where) {
   JpegReader reader;

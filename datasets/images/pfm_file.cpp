@@ -3,17 +3,10 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstring>
-#include <sstream>
 
 namespace gld {
-namespace {
-
-constexpr int64_t kLargestPfmSide = 1 << 20;
-
-}  // namespace
 
 void write_pfm(const std::filesystem::path& file, const DepthMap& depth) {
   if (depth.empty() || depth.metres.size() != static_cast<size_t>(depth.width * depth.height)) {
@@ -35,32 +28,6 @@ void write_pfm(const std::filesystem::path& file, const DepthMap& depth) {
     }
   }
   write_file_atomically(file, bytes);
-}
-
-DepthMap read_pfm(const std::filesystem::path& file) {
-  const std::string bytes = read_file(file);
-  std::istringstream stream(bytes.substr(0, 80));
-  std::string magic;
-  int64_t width = 0;
-  int64_t height = 0;
-  double scale = 0;
-  stream >> magic >> width >> height >> scale;
-  if (!stream || magic != "Pf" || width < 1 || height < 1 || width > kLargestPfmSide ||
-      height > kLargestPfmSide || scale >= 0) {
-    fail({file.string(), "a little-endian one-channel PFM file", "another header", "check the path"});
-  }
-  const size_t header = static_cast<size_t>(stream.tellg()) + 1;  // one white-space character ends it
-  DepthMap depth;
-  if (bytes.size() != header + 4 * static_cast<size_t>(width) * static_cast<size_t>(height)) {
-    fail({file.string(), std::to_string(width) + "x" + std::to_string(height) + " values of 4 bytes",
-          std::to_string(bytes.size() - std::min(header, bytes.size())) + " bytes", "write it again"});
-  }
-  depth = DepthMap(width, height);
-  for (int64_t y = 0; y < height; ++y) {
-    std::memcpy(depth.metres.data() + (height - 1 - y) * width,
-                bytes.data() + header + 4 * static_cast<size_t>(y * width), 4 * static_cast<size_t>(width));
-  }
-  return depth;
 }
 
 }  // namespace gld

@@ -10,7 +10,4 @@ namespace gld {
 // not positive and finite are written as 0 (unknown). Atomic; Error when the map is not width x height.
 void write_pfm(const std::filesystem::path& file, const DepthMap& depth);
 
-// Throws Error when it is no one-channel PFM file or its size does not fit its header.
-DepthMap read_pfm(const std::filesystem::path& file);
-
 }  // namespace gld

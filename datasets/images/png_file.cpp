@@ -1,6 +1,5 @@
 #include "datasets/images/png_file.h"
 
-#include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 
 #include <algorithm>
@@ -14,7 +13,7 @@
 namespace gld {
 namespace {
 
-// What libpng has to say, instead of printing it.
+// Keeps what libpng has to say, which it would print.
 struct Complaint {
   std::array<char, 200> text{};
 };
@@ -80,7 +79,7 @@ void append(png_structp png, png_bytep data, size_t count) {
 
 void flush_nothing(png_structp) {}
 
-// Whether libpng wrote the picture; otherwise the writer's complaint says why not.
+// Says whether libpng wrote the picture; otherwise the writer's complaint says why not.
 bool write(Writer& writer, const Raster& raster, std::vector<png_text>& texts, std::string& bytes) {
   if (writer.info == nullptr) return false;
   if (setjmp(png_jmpbuf(writer.png)) != 0) return false;
@@ -101,7 +100,7 @@ bool is_ascii(const std::string& text) {
   return std::all_of(text.begin(), text.end(), [](char c) { return (c >= 32 && c < 127) || c == '\n'; });
 }
 
-// Points into name and text.
+// The chunk points into name and text.
 png_text text_chunk(const std::string& name, const std::string& text) {
   if (name.empty() || name.size() > PNG_KEYWORD_MAX_LENGTH || !is_ascii(name)) {
     fail({"PNG text", "a name of 1 to 79 ASCII characters", "\"" + name + "\"", "shorten it"});
@@ -155,7 +154,7 @@ Raster raster_of(int64_t width, int64_t height, const std::vector<Value>& values
 
 // Bytes in memory that libpng reads.
 struct Source {
-  const std::string& bytes;
+  std::string_view bytes;
   size_t at = 0;
   bool ended_early = false;
 };
@@ -170,42 +169,30 @@ void take(png_structp png, png_bytep data, size_t count) {
   source->at += count;
 }
 
-// Whether the whole file was read, row being room for its pixels; otherwise the reader's complaint says why not.
-bool read(Reader& reader, Source& source, std::vector<png_byte>& row) {
+// Says whether all that stands before the pixels was read; otherwise the reader's complaint says why not.
+bool read_info(Reader& reader, Source& source) {
   if (reader.info == nullptr) return false;
   if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
   png_set_read_fn(reader.png, &source, take);
   // A chunk longer than the file is an error before room for it is made.
   png_set_chunk_malloc_max(reader.png, source.bytes.size());
-  png_set_benign_errors(reader.png, 0);
+  // A transparency that is left out for its checksum gives other pixels: no chunk may be damaged.
   png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
   png_read_info(reader.png, reader.info);
-  const int passes = png_set_interlace_handling(reader.png);
-  png_read_update_info(reader.png, reader.info);
-  row.resize(png_get_rowbytes(reader.png, reader.info));
-  const png_uint_32 height = png_get_image_height(reader.png, reader.info);
-  for (int pass = 0; pass < passes; ++pass) {
-    for (png_uint_32 y = 0; y < height; ++y) png_read_row(reader.png, row.data(), nullptr);
-  }
-  png_read_end(reader.png, reader.info);
   return true;
 }
 
 [[noreturn]] void fail_damaged_png(const std::string& where, const Source& source, const Reader& reader) {
-  const std::string found = std::string("damaged data (libpng: ") + reader.complaint.text.data() + ")";
-  fail({where, "an image that can be decoded", source.ended_early ? "one that ends early" : found,
+  if (source.ended_early) fail_short_image(where);
+  fail({where, "an image that can be decoded",
+        std::string("damaged data (libpng: ") + reader.complaint.text.data() + ")",
         "copy or download it again"});
 }
 
-// Whether the header was read and the form of the rows chosen; otherwise the reader's complaint says why not.
+// Says whether the header was read and the form of the rows chosen; otherwise the reader's complaint says why not.
 bool start_pixels(Reader& reader, Source& source) {
-  if (reader.info == nullptr) return false;
+  if (!read_info(reader, source)) return false;
   if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
-  png_set_read_fn(reader.png, &source, take);
-  png_set_chunk_malloc_max(reader.png, source.bytes.size());
-  // A transparency that is left out for its checksum gives other pixels: no chunk may be damaged.
-  png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
-  png_read_info(reader.png, reader.info);
   png_set_expand(reader.png);  // palettes, grey of few bits, transparency as a channel
   const int colour = png_get_color_type(reader.png, reader.info);
   const bool transparent =
@@ -226,6 +213,21 @@ bool read_pixels(Reader& reader, png_bytepp rows) {
 }
 
 }  // namespace
+
+PngHeader read_png_header(std::string_view bytes, const std::string& where) {
+  Source source{bytes};
+  Reader reader;
+  if (!read_info(reader, source)) fail_damaged_png(where, source, reader);
+  PngHeader header;
+  header.width = png_get_image_width(reader.png, reader.info);
+  header.height = png_get_image_height(reader.png, reader.info);
+  png_uint_32 size = 0;
+  png_bytep exif = nullptr;
+  if (png_get_eXIf_1(reader.png, reader.info, &size, &exif) != 0) {
+    header.exif = std::string(kExifStart) + std::string(reinterpret_cast<const char*>(exif), size);
+  }
+  return header;
+}
 
 DecodedPixels decode_png(const std::string& bytes, const std::string& where) {
   Source source{bytes};
@@ -252,29 +254,6 @@ std::string encode_png(const Image& image, const TextItems& texts) {
 
 std::string encode_png(const Grey16& image, const TextItems& texts) {
   return encode(raster_of(image.width, image.height, image.values, 1), texts);
-}
-
-TextItems read_png_texts(const std::filesystem::path& file) {
-  const std::string bytes = read_file(file);
-  constexpr size_t kSignature = 8;
-  if (bytes.size() < kSignature ||
-      png_sig_cmp(reinterpret_cast<png_const_bytep>(bytes.data()), 0, kSignature) != 0) {
-    fail({file.string(), "a PNG file", "another one", "check the path"});
-  }
-  Source source{bytes};
-  Reader reader;
-  std::vector<png_byte> row;
-  if (!read(reader, source, row)) {
-    const std::string found = std::string("\"") + reader.complaint.text.data() + "\"";
-    fail({file.string(), "a whole PNG file", source.ended_early ? "one that ends early" : found,
-          "write it again"});
-  }
-  png_textp chunks = nullptr;
-  int count = 0;
-  png_get_text(reader.png, reader.info, &chunks, &count);
-  TextItems texts;
-  for (int i = 0; i < count; ++i) texts.emplace_back(chunks[i].key, chunks[i].text);
-  return texts;
 }
 
 }  // namespace gld

@@ -5,8 +5,8 @@
 #include "gld/report/provenance.h"
 
 #include <cstdint>
-#include <filesystem>
 #include <string>
+#include <string_view>
 #include <vector>
 
 namespace gld {
@@ -24,8 +24,14 @@ struct Grey16 {
 std::string encode_png(const Image& image, const TextItems& texts);
 std::string encode_png(const Grey16& image, const TextItems& texts);
 
-// All text chunks of a PNG file, in its order. Throws Error when it is no PNG, ends early, or is damaged anywhere.
-TextItems read_png_texts(const std::filesystem::path& file);
+struct PngHeader {
+  int64_t width = 0;
+  int64_t height = 0;
+  std::string exif;  // metadata behind kExifStart; empty when there are none before the pixels
+};
+
+// Reads what stands before the pixels. Throws Error where the bytes end before them or libpng complains.
+PngHeader read_png_header(std::string_view bytes, const std::string& where);
 
 // Decodes a whole PNG file in memory: palettes and grey of few bits become 8 bits, transparency becomes a fourth
 // channel (with grey repeated). Throws Error with libpng's words where a checksum is wrong anywhere, or anything is

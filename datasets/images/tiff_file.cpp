@@ -131,9 +131,22 @@ int64_t checked_bytes(TIFF* tiff, const TiffHeader& header, size_t file_bytes, c
   if (compression != COMPRESSION_NONE) {
     check_compressed_picture_size(header.width, header.height, file_bytes, where);
   } else if (unpacked / 4 > static_cast<int64_t>(file_bytes)) {  // colours may be stored for 2x2 pixels
-    fail({where, "a whole image file", "one that ends early", "copy or download it again"});
+    fail_short_image(where);
   }
   return unpacked;
+}
+
+// Which page is meant cannot be known; a smaller copy of the first, as cameras write, is no page of its own.
+void require_one_page(std::string_view bytes, const std::string& where) {
+  TiffSource source;
+  source.bytes = bytes;
+  const TiffHandle tiff = open_tiff(source, kDirectoryMemory, where);
+  while (TIFFReadDirectory(tiff.get()) != 0) {
+    uint32_t kind = 0;
+    TIFFGetFieldDefaulted(tiff.get(), TIFFTAG_SUBFILETYPE, &kind);
+    if ((kind & FILETYPE_REDUCEDIMAGE) != 0) continue;
+    fail({where, "a TIFF file of one page", "several", "save the page as a file of its own"});
+  }
 }
 
 // What the channel behind the colours is in libtiff's packed pixels.
@@ -202,6 +215,7 @@ DecodedPixels decode_tiff(std::string_view bytes, const std::string& where) {
           "convert it"});
   }
   opened.begun = true;
+  require_one_page(bytes, where);
   opened.image.req_orientation = opened.image.orientation;  // as stored: not turned
   source.warnings_count = true;
   std::vector<uint32_t> raster(static_cast<size_t>(header.width * header.height));

@@ -25,16 +25,12 @@ struct OpenedWebp {
         "copy or download it again"});
 }
 
-[[noreturn]] void fail_short_webp(const std::string& where) {
-  fail({where, "a whole image file", "one that ends early", "copy or download it again"});
-}
-
 OpenedWebp open_webp(std::string_view bytes, const std::string& where) {
   const WebPData data{reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()};
   OpenedWebp opened;
   opened.demuxer.reset(WebPDemuxPartial(&data, &opened.state));
   if (opened.state == WEBP_DEMUX_PARSE_ERROR) fail_damaged_webp(where, "no valid file");
-  if (opened.demuxer == nullptr || opened.state == WEBP_DEMUX_PARSING_HEADER) fail_short_webp(where);
+  if (opened.demuxer == nullptr || opened.state == WEBP_DEMUX_PARSING_HEADER) fail_short_image(where);
   return opened;
 }
 
@@ -44,8 +40,7 @@ std::string exif_of(const OpenedWebp& opened) {
   if (WebPDemuxGetChunk(opened.demuxer.get(), "EXIF", 1, &chunk) != 0) {
     exif.assign(reinterpret_cast<const char*>(chunk.chunk.bytes), chunk.chunk.size);
     // Some writers put what a JPEG file has before it.
-    const std::string start("Exif\0\0", 6);
-    if (exif.compare(0, start.size(), start) != 0) exif = start + exif;
+    if (exif.compare(0, kExifStart.size(), kExifStart) != 0) exif.insert(0, kExifStart);
   }
   WebPDemuxReleaseChunkIterator(&chunk);
   return exif;
@@ -91,14 +86,14 @@ WebpHeader read_webp_header(std::string_view bytes, const std::string& where) {
   header.height = opened.feature(WEBP_FF_CANVAS_HEIGHT);
   header.whole = opened.state == WEBP_DEMUX_DONE;
   const bool has_exif = (opened.feature(WEBP_FF_FORMAT_FLAGS) & EXIF_FLAG) != 0;
-  if (has_exif && !header.whole) fail_short_webp(where);
+  if (has_exif && !header.whole) fail_short_image(where);
   if (has_exif) header.exif = exif_of(opened);
   return header;
 }
 
 DecodedPixels decode_webp(std::string_view bytes, const std::string& where) {
   const OpenedWebp opened = open_webp(bytes, where);
-  if (opened.state != WEBP_DEMUX_DONE) fail_short_webp(where);
+  if (opened.state != WEBP_DEMUX_DONE) fail_short_image(where);
   const std::string_view picture = picture_of(opened, where);
   WebPDecoderConfig config;
   if (WebPInitDecoderConfig(&config) == 0) fail_damaged_webp(where, "another version of the library");

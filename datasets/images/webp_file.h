@@ -11,13 +11,12 @@ namespace gld {
 struct WebpHeader {
   int64_t width = 0;
   int64_t height = 0;
-  std::string
-      exif;  // EXIF metadata as JPEG files have them, behind "Exif" and two zeros; empty when there are none
+  std::string exif;    // metadata behind kExifStart; empty when there are none
   bool whole = false;  // whether the bytes hold the file to its end
 };
 
-// What stands before the pixels and, where the bytes go that far, behind them. Error where they are no WebP file or end
-// before that is known: metadata stand behind the pixels.
+// Reads what stands before the pixels and, where the bytes go that far, behind them. Throws Error where they are no
+// WebP file or end before that is known: metadata stand behind the pixels.
 WebpHeader read_webp_header(std::string_view bytes, const std::string& where);
 
 // A whole still picture, lossy or lossless, 3 channels or 4. Whatever libwebp complains about ends up in the Error, as

@@ -72,7 +72,8 @@ int64_t bands(const Section& section, int64_t columns) {
 }
 
 int64_t header_height(const SheetText& text) {
-  return (text.title.empty() ? 0 : kTitle) + (text.subtitle.empty() ? 0 : kSubtitle);
+  return (text.title.empty() ? 0 : kTitle) + static_cast<int64_t>(text.verdict.size()) * kSubtitle +
+         (text.subtitle.empty() ? 0 : kSubtitle);
 }
 
 bool has_depth(const std::vector<Section>& sections) {
@@ -222,7 +223,9 @@ Image draw_sheet(const std::vector<Section>& sections, const SheetText& text, co
   const int64_t content = layout.labels + columns_used * (layout.pitch + kGap) - kGap;
   const TextStyle title{22, kSheetInk, TextWeight::kBold};
   const TextStyle subtitle{14, kFaintInk, TextWeight::kRegular};
-  const int64_t widest_text = std::max(text_width(text.title, title), text_width(text.subtitle, subtitle));
+  const TextStyle verdict{14, kSheetInk, TextWeight::kBold};
+  int64_t widest_text = std::max(text_width(text.title, title), text_width(text.subtitle, subtitle));
+  for (const std::string& line : text.verdict) widest_text = std::max(widest_text, text_width(line, verdict));
   const int64_t inner =
       std::max({content, std::min(widest_text, limits.width - 2 * kSheetMargin), int64_t{280}});
   const int64_t width = inner + 2 * kSheetMargin;
@@ -232,6 +235,10 @@ Image draw_sheet(const std::vector<Section>& sections, const SheetText& text, co
   if (!text.title.empty()) {
     draw_text(sheet, kSheetMargin, y, fitted_text(text.title, inner, title), title);
     y += kTitle;
+  }
+  for (const std::string& line : text.verdict) {
+    draw_text(sheet, kSheetMargin, y, fitted_text(line, inner, verdict), verdict);
+    y += kSubtitle;
   }
   if (!text.subtitle.empty()) {
     draw_text(sheet, kSheetMargin, y, fitted_text(text.subtitle, inner, subtitle), subtitle);

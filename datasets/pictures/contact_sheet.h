@@ -23,8 +23,9 @@ struct SheetView {
 };
 
 struct SheetText {
-  std::string title;     // "gld sample, scene 5e040cd0"
-  std::string subtitle;  // "seed 3, 16 evaluations, ..."
+  std::string title;                 // "gld sample, scene 5e040cd0"
+  std::vector<std::string> verdict;  // lines under the title, as they are: what the pictures are worth
+  std::string subtitle;              // "seed 3, 16 evaluations, ..."
   // Written under the sheet as a colour bar when a view has depth; all views must be coloured by this one range.
   DepthRange depth_range;
   std::string depth_unit;  // "m", or empty

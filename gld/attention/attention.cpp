@@ -31,15 +31,6 @@ void check_inputs(const AttentionInputs& inputs) {
     require(query.sizes() == key.sizes(), "as many queries as keys with a camera encoding",
             c10::str(query.sizes(), " and ", key.sizes()));
   }
-  if (!inputs.view_mask.defined()) return;
-  const auto& mask = inputs.view_mask;
-  require(mask.dim() == 2 && mask.size(0) == mask.size(1) && mask.scalar_type() == torch::kBool &&
-              mask.device().is_cpu(),
-          "a view mask of shape (views, views) and type bool on the CPU",
-          c10::str(mask.sizes(), " of type ", mask.scalar_type()));
-  require(mask.size(0) > 0 && query.size(1) % mask.size(0) == 0 && key.size(1) % mask.size(0) == 0,
-          "token counts that the view mask's views divide",
-          c10::str(query.size(1), " queries and ", key.size(1), " keys for ", mask.size(0), " views"));
 }
 
 }  // namespace
@@ -47,9 +38,7 @@ void check_inputs(const AttentionInputs& inputs) {
 torch::Tensor attention(const AttentionInputs& inputs) {
   check_inputs(inputs);
   if (fused_attention_applies(inputs)) return fused_attention(inputs);
-  // A mask would have to be dense there, which the row-blocked version saves.
-  if (has_library_attention(inputs.query.device()) && !inputs.view_mask.defined())
-    return library_attention(inputs);
+  if (has_library_attention(inputs.query.device())) return library_attention(inputs);
   return row_blocked_attention(inputs);
 }
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "gld/cameras/prope.h"
+#include "gld/camera_encoding/prope.h"
 #include "gld/machine/matrix_unit.h"
 
 #include <cstdint>
@@ -20,11 +20,8 @@ struct AttentionInputs {
   // Camera encoding applied to query, key, value and the output (PRoPE); none when null. The batch is then 1 scene
   // and the tokens are views x (prefix + grid).
   const PropeTables* prope = nullptr;
-  // Which (query view, key view) pairs attend: bool (views, views), on the CPU; every pair when undefined.
-  torch::Tensor view_mask;
   // kFloat32, or kBFloat16 for the products of float32 tensors, of their gradients too; softmax and sums are float32
-  // then too. By kernels of ours on the CPU; elsewhere by LibTorch's fused attention, and without it (a view mask) in
-  // float32.
+  // then too. By kernels of ours on the CPU; elsewhere by LibTorch's fused attention, and without it in float32.
   ComputePrecision precision = ComputePrecision::kFloat32;
 };
 

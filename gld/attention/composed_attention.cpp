@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include <torch/types.h>
@@ -67,56 +66,17 @@ torch::Tensor attend(const torch::Tensor& query, const torch::Tensor& key, const
   return blocks.size() == 1 ? blocks.front() : torch::cat(blocks, 1);
 }
 
-// The tokens of the views that `attends` names, (batch * heads, tokens, head_dim).
-torch::Tensor select_views(const torch::Tensor& tokens, const bool* attends, int64_t views) {
-  const int64_t per_view = tokens.size(1) / views;
-  std::vector<torch::Tensor> seen;
-  for (int64_t view = 0; view < views; ++view) {
-    if (attends[view]) seen.push_back(tokens.narrow(1, view * per_view, per_view));
-  }
-  if (seen.empty()) return {};
-  return torch::cat(seen, 1);
-}
-
-torch::Tensor attend_masked(const HeadsFirst& arrays, const torch::Tensor& view_mask) {
-  const auto mask = view_mask.contiguous();
-  const int64_t views = mask.size(0);
-  const int64_t queries_per_view = arrays.query.size(1) / views;
-  std::vector<torch::Tensor> outputs;
-  for (int64_t view = 0; view < views; ++view) {
-    const bool* attends = mask.data_ptr<bool>() + view * views;
-    const auto part = arrays.query.narrow(1, view * queries_per_view, queries_per_view);
-    const auto seen_keys = select_views(arrays.key, attends, views);
-    outputs.push_back(seen_keys.defined()
-                          ? attend(part, seen_keys, select_views(arrays.value, attends, views))
-                          : torch::zeros_like(part));
-  }
-  return torch::cat(outputs, 1);
-}
-
 }  // namespace
 
 torch::Tensor composed_attention(const AttentionInputs& inputs) {
   const auto arrays = heads_first(inputs);
-  auto logits = torch::bmm(arrays.query, arrays.key.transpose(1, 2));
-  if (!inputs.view_mask.defined()) {
-    return finish(inputs, torch::bmm(torch::softmax(logits, -1), arrays.value));
-  }
-  const int64_t views = inputs.view_mask.size(0);
-  const auto left_out = inputs.view_mask.logical_not()
-                            .repeat_interleave(logits.size(1) / views, 0)
-                            .repeat_interleave(logits.size(2) / views, 1)
-                            .to(logits.device());
-  logits = logits.masked_fill(left_out, -std::numeric_limits<double>::infinity());
-  // The softmax of a row without keys is not a number.
-  const auto probabilities = torch::softmax(logits, -1).masked_fill(left_out, 0.0);
-  return finish(inputs, torch::bmm(probabilities, arrays.value));
+  const auto logits = torch::bmm(arrays.query, arrays.key.transpose(1, 2));
+  return finish(inputs, torch::bmm(torch::softmax(logits, -1), arrays.value));
 }
 
 torch::Tensor row_blocked_attention(const AttentionInputs& inputs) {
   const auto arrays = heads_first(inputs);
-  return finish(inputs, inputs.view_mask.defined() ? attend_masked(arrays, inputs.view_mask)
-                                                   : attend(arrays.query, arrays.key, arrays.value));
+  return finish(inputs, attend(arrays.query, arrays.key, arrays.value));
 }
 
 torch::Tensor library_attention(const AttentionInputs& inputs) {

@@ -13,10 +13,10 @@ namespace gld {
 // All logits at once, (batch * heads, queries, keys): what a model written with LibTorch's operations does.
 torch::Tensor composed_attention(const AttentionInputs& inputs);
 
-// The same with at most 64 MB of logits at a time, and without those of pairs of views that do not attend.
+// The same with at most 64 MB of logits at a time.
 torch::Tensor row_blocked_attention(const AttentionInputs& inputs);
 
-// By LibTorch's fused kernel (2.0 and newer, else an Error), without a view mask. In bfloat16 the encoded queries, keys
+// By LibTorch's fused kernel (2.0 and newer, else an Error). In bfloat16 the encoded queries, keys
 // and values are rounded, and the result is float32 again.
 torch::Tensor library_attention(const AttentionInputs& inputs);
 

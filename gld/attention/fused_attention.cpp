@@ -28,7 +28,7 @@ StridedHeads<Float> pointers(const torch::Tensor& x) {
 // What the kernel reads besides queries, keys and values, kept alive together with the pointers into it.
 class Context {
  public:
-  Context(const PropeTables* prope, const torch::Tensor& view_mask) {
+  explicit Context(const PropeTables* prope) {
     if (prope != nullptr) {
       tables_ = *prope;
       for (auto* table : table_tensors(tables_)) *table = table->to(torch::kFloat32).contiguous();
@@ -46,10 +46,6 @@ class Context {
       p.row_sin = tables_.row_sin.data_ptr<float>();
       prope_ = p;
     }
-    if (view_mask.defined()) {
-      mask_tensor_ = view_mask.to(torch::kUInt8).contiguous();
-      mask_ = ViewMask{mask_tensor_.size(0), mask_tensor_.data_ptr<uint8_t>()};
-    }
   }
 
   AttentionForward arrays(const torch::Tensor& query, const torch::Tensor& key, const torch::Tensor& value,
@@ -60,20 +56,18 @@ class Context {
     arrays.key = pointers<const float>(key);
     arrays.value = pointers<const float>(value);
     arrays.prope = prope_ ? &*prope_ : nullptr;
-    arrays.mask = mask_ ? &*mask_ : nullptr;
     arrays.output = pointers<float>(output);
     arrays.log_sum_exp = log_sum_exp.defined() ? log_sum_exp.data_ptr<float>() : nullptr;
     return arrays;
   }
 
-  // For the autograd graph, which keeps tensors and integers: grid and prefix, then the tables and the mask.
+  // For the autograd graph, which keeps tensors and integers: grid and prefix, then the tables.
   std::vector<int64_t> save_sizes() const {
     return {tables_.grid.views, tables_.grid.height, tables_.grid.width, tables_.prefix_tokens};
   }
   std::vector<torch::Tensor> save_tensors() {
     std::vector<torch::Tensor> saved;
     for (auto* table : table_tensors(tables_)) saved.push_back(*table);
-    saved.push_back(mask_tensor_);
     return saved;
   }
   static Context restore(const std::vector<int64_t>& sizes, const torch::Tensor* saved) {
@@ -81,14 +75,12 @@ class Context {
     tables.grid = {sizes[0], sizes[1], sizes[2]};
     tables.prefix_tokens = sizes[3];
     for (auto* table : table_tensors(tables)) *table = *saved++;
-    return Context(tables.query_matrix.defined() ? &tables : nullptr, *saved);
+    return Context(tables.query_matrix.defined() ? &tables : nullptr);
   }
 
  private:
   PropeTables tables_;
-  torch::Tensor mask_tensor_;
   std::optional<PropePointers> prope_;
-  std::optional<ViewMask> mask_;
 };
 
 KernelSettings settings(ComputePrecision precision) {
@@ -164,7 +156,7 @@ bool fused_attention_applies(const AttentionInputs& inputs) {
 }
 
 torch::Tensor fused_attention(const AttentionInputs& inputs) {
-  Context context(inputs.prope, inputs.view_mask);
+  Context context(inputs.prope);
   const auto query = with_contiguous_channels(inputs.query);
   const auto key = with_contiguous_channels(inputs.key);
   const auto value = with_contiguous_channels(inputs.value);
@@ -179,7 +171,7 @@ torch::Tensor fused_attention(const AttentionInputs& inputs) {
 
 AttentionResult fused_attention_result(const AttentionInputs& inputs) {
   const torch::NoGradGuard no_grad;
-  const Context context(inputs.prope, inputs.view_mask);
+  const Context context(inputs.prope);
   const auto query = with_contiguous_channels(inputs.query);
   AttentionResult result;
   result.output = torch::empty_like(query, torch::MemoryFormat::Contiguous);
@@ -197,7 +189,7 @@ AttentionGradients fused_attention_gradients(const AttentionInputs& inputs, cons
   for (auto* tensor : {&contiguous.query, &contiguous.key, &contiguous.value}) {
     *tensor = with_contiguous_channels(*tensor);
   }
-  return gradients_of(Context(inputs.prope, inputs.view_mask), contiguous, result, output_gradient);
+  return gradients_of(Context(inputs.prope), contiguous, result, output_gradient);
 }
 
 }  // namespace gld

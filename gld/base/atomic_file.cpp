@@ -1,7 +1,6 @@
 #include "gld/base/atomic_file.h"
 
 #include "gld/base/error.h"
-#include "gld/base/interrupt.h"
 #include "gld/base/run_journal.h"
 
 #include <atomic>
@@ -27,18 +26,16 @@ std::filesystem::path temporary_name(const std::filesystem::path& target) {
 }  // namespace
 
 AtomicFile::AtomicFile(std::filesystem::path target)
-    : target_(std::move(target)), temporary_(temporary_name(target_)) {
+    : target_(std::move(target)), temporary_(temporary_name(target_)), unfinished_(temporary_) {
   const auto folder = target_.parent_path().empty() ? std::filesystem::path(".") : target_.parent_path();
   std::error_code error;
   if (!std::filesystem::is_directory(folder, error)) {
     fail({target_.string(), "an existing folder to write into", "no folder " + folder.string(),
           "create it or choose another output"});
   }
-  remove_if_unfinished(temporary_.string());
 }
 
 AtomicFile::~AtomicFile() {
-  finished(temporary_.string());
   if (committed_) return;
   std::error_code ignored;
   std::filesystem::remove(temporary_, ignored);

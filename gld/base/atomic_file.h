@@ -1,5 +1,7 @@
 #pragma once
 
+#include "gld/base/interrupt.h"
+
 #include <cstdint>
 #include <filesystem>
 #include <string>
@@ -23,6 +25,7 @@ class AtomicFile {
  private:
   std::filesystem::path target_;
   std::filesystem::path temporary_;
+  Unfinished unfinished_;
   bool committed_ = false;
 };
 

@@ -10,6 +10,7 @@
 #include <system_error>
 #include <vector>
 
+#include <fcntl.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -23,6 +24,16 @@ void require(const std::error_code& error, const std::filesystem::path& path, co
   fail({path.string(), expected, "an error: " + error.message(),
         "check the folder's permissions and the disk"});
 }
+
+struct OpenFile {
+  explicit OpenFile(int opened) : number(opened) {}
+  ~OpenFile() {
+    if (number >= 0) ::close(number);
+  }
+  OpenFile(const OpenFile&) = delete;
+  OpenFile& operator=(const OpenFile&) = delete;
+  int number;
+};
 
 bool runs(long process) { return ::kill(static_cast<pid_t>(process), 0) == 0 || errno == EPERM; }
 
@@ -46,6 +57,7 @@ AtomicFolder::AtomicFolder(std::filesystem::path target) : target_(std::move(tar
     fail({target_.string(), "a new or empty folder", "one with other files",
           "move them or choose another output"});
   }
+  unfinished_.emplace(holder_);
   std::filesystem::create_directories(temporary_, error);
   require(error, target_, "to create a folder");
 }
@@ -67,10 +79,24 @@ void AtomicFolder::commit() {
 
 void copy_file_atomically(const std::filesystem::path& from, const std::filesystem::path& to) {
   AtomicFile file(to);
-  std::error_code error;
-  std::filesystem::copy_file(from, file.temporary(), std::filesystem::copy_options::overwrite_existing,
-                             error);
-  require(error, to, "a copy of " + from.string());
+  // Not by std::filesystem, which says EIO where the disk is full.
+  const OpenFile source(::open(from.c_str(), O_RDONLY | O_CLOEXEC));
+  const OpenFile target(::open(file.temporary().c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666));
+  const auto require_done = [&](bool done) {
+    require(done ? std::error_code() : std::error_code(errno, std::generic_category()), to,
+            "a copy of " + from.string());
+  };
+  require_done(source.number >= 0 && target.number >= 0);
+  std::vector<char> bytes(size_t{1} << 20);
+  for (ssize_t count = 0; (count = ::read(source.number, bytes.data(), bytes.size())) != 0;) {
+    require_done(count > 0);
+    for (ssize_t written = 0; written < count;) {
+      const ssize_t now =
+          ::write(target.number, bytes.data() + written, static_cast<size_t>(count - written));
+      require_done(now > 0);
+      written += now;
+    }
+  }
   file.commit();
 }
 

@@ -1,6 +1,9 @@
 #pragma once
 
+#include "gld/base/interrupt.h"
+
 #include <filesystem>
+#include <optional>
 #include <string>
 
 namespace gld {
@@ -23,6 +26,7 @@ class AtomicFolder {
   std::filesystem::path target_;
   std::filesystem::path holder_;  // hidden; holds temporary_
   std::filesystem::path temporary_;
+  std::optional<Unfinished> unfinished_;
 };
 
 // A copy that appears whole or not at all.

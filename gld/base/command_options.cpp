@@ -10,7 +10,7 @@ namespace gld {
 void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite) {
   visitor.text({"out", "folder to write into: a new one, or see --overwrite"}, out);
   visitor.boolean(
-      {"overwrite", "remove what an earlier run of this command wrote into the folder, then begin"},
+      {"overwrite", "begin anew: what an earlier run of this command wrote goes with the first result"},
       overwrite);
 }
 

@@ -3,11 +3,20 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupted_end.h"
 
-#include <array>
 #include <atomic>
+#include <cerrno>
 #include <csignal>
-#include <cstring>
+#include <cstdint>
+#include <ctime>
+#include <exception>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
 
+#include <semaphore.h>
 #include <unistd.h>
 
 namespace gld {
@@ -16,41 +25,90 @@ namespace {
 // A signal handler can reach nothing but static objects.
 volatile std::sig_atomic_t requested = 0;
 volatile std::sig_atomic_t has_deadline = 0;
+std::atomic<int64_t> requested_at{0};  // by now()
+std::atomic<bool> waits{false};        // whether the watch waits for the safe point
 
-constexpr size_t kLongestName = 1000;
-struct UnfinishedFile {
-  enum State { kFree, kBeingNamed, kNamed };
-  std::atomic<int> state{kFree};
-  std::array<char, kLongestName + 1> name{};
-};
-std::array<UnfinishedFile, 64> unfinished_files;
+struct Watch {
+  sem_t asked{};  // a stop within the deadline was asked for
+  sem_t met{};    // and the safe point was reached
+  std::mutex mutex;
+  std::map<const void*, std::function<void()>> unfinished;  // by what registered it
 
-// Only what is safe in a signal handler: no lock, no memory.
-[[noreturn]] void end_process_saying(const char* text, size_t length) {
-  for (auto& file : unfinished_files) {
-    if (file.state.load() == UnfinishedFile::kNamed) ::unlink(file.name.data());
+  Watch() {
+    ::sem_init(&asked, 0, 0);
+    ::sem_init(&met, 0, 0);
   }
-  if (::write(STDERR_FILENO, text, length) < 0) ::_exit(kInterruptedStatus);
+};
+
+// Never destroyed: its thread waits until the process ends.
+Watch& watch() {
+  static Watch* const only = new Watch;
+  return *only;
+}
+
+[[noreturn]] void end_process_saying(const std::string& text) {
+  const std::lock_guard<std::mutex> lock(watch().mutex);
+  for (const auto& [owner, undo] : watch().unfinished) {
+    try {
+      undo();
+    } catch (const std::exception&) {
+      // The others are undone all the same.
+    }
+  }
+  if (::write(STDERR_FILENO, text.data(), text.size()) < 0) ::_exit(kInterruptedStatus);
   ::_exit(kInterruptedStatus);
 }
 
-void end_process(int) {
-  constexpr char kText[] = "interrupted: stopped in the middle of its work; files that are there are whole\n";
-  end_process_saying(kText, sizeof(kText) - 1);
+// A thread, because the end removes files, which a signal handler may not: it may neither lock nor take memory.
+void end_at_the_deadline() {
+  while (true) {
+    while (::sem_wait(&watch().asked) != 0) {
+    }
+    timespec deadline{};
+    // Not the time of day, which may be set back meanwhile.
+    ::clock_gettime(CLOCK_MONOTONIC, &deadline);
+    deadline.tv_sec += 1;
+    int met = 0;
+    do {
+      met = ::sem_clockwait(&watch().met, CLOCK_MONOTONIC, &deadline);
+    } while (met != 0 && errno == EINTR);
+    if (met == 0) continue;
+    end_process_saying("interrupted: stopped in the middle of its work; files that are there are whole\n");
+  }
 }
 
+// Milliseconds of a clock that only moves on; may be called in a signal handler.
+int64_t now() {
+  timespec time{};
+  ::clock_gettime(CLOCK_MONOTONIC, &time);
+  return int64_t{time.tv_sec} * 1000 + time.tv_nsec / 1'000'000;
+}
+
+// A parent of several threads that is killed sends its PR_SET_PDEATHSIG once for each thread that the child was handed
+// on to while it died: these are one request and not a second one. No hand is so fast.
+constexpr int64_t kOneRequest = 100;  // ms
+
 void request(int signal) {
+  if (requested == 0) {
+    requested_at = now();
+  } else if (now() - requested_at > kOneRequest) {
+    std::signal(signal, SIG_DFL);  // the second one stops at once
+    ::raise(signal);
+    return;
+  }
   requested = 1;
-  std::signal(signal, SIG_DFL);  // the second one stops at once
-  if (has_deadline != 0) ::alarm(1);
+  if (has_deadline == 0 || waits.exchange(true)) return;
+  ::sem_post(&watch().asked);
 }
 
 }  // namespace
 
 void install_interrupt_handler(StopDeadline deadline) {
+  static pid_t watched = 0;  // by a thread, which a child of the process does not have
+  if (watched != ::getpid()) std::thread(end_at_the_deadline).detach();
+  watched = ::getpid();
   requested = 0;
   has_deadline = deadline == StopDeadline::kOneSecond ? 1 : 0;
-  std::signal(SIGALRM, end_process);
   std::signal(SIGINT, request);
   std::signal(SIGTERM, request);
 }
@@ -59,32 +117,33 @@ bool interrupt_requested() { return requested != 0; }
 
 void stop_if_interrupted(const std::string& done) {
   if (!interrupt_requested()) return;
-  ::alarm(0);
+  if (waits.exchange(false)) ::sem_post(&watch().met);
   throw Interrupted(done);
 }
 
-void end_interrupted_process(const std::string& done) {
-  const std::string text = "interrupted: " + done + "\n";
-  end_process_saying(text.data(), text.size());
+void end_interrupted_process(const std::string& done) { end_process_saying("interrupted: " + done + "\n"); }
+
+Unfinished::Unfinished(std::filesystem::path path) : path_(std::move(path)) {
+  const std::lock_guard<std::mutex> lock(watch().mutex);
+  watch().unfinished[this] = [path = path_] {
+    std::error_code ignored;
+    std::filesystem::remove_all(path, ignored);
+  };
 }
 
-void remove_if_unfinished(const std::string& file) {
-  if (file.size() > kLongestName) return;
-  for (auto& slot : unfinished_files) {
-    int free = UnfinishedFile::kFree;
-    if (!slot.state.compare_exchange_strong(free, UnfinishedFile::kBeingNamed)) continue;
-    std::memcpy(slot.name.data(), file.c_str(), file.size() + 1);
-    slot.state.store(UnfinishedFile::kNamed);
-    return;
-  }
+Unfinished::~Unfinished() {
+  const std::lock_guard<std::mutex> lock(watch().mutex);
+  watch().unfinished.erase(this);
 }
 
-void finished(const std::string& file) {
-  for (auto& slot : unfinished_files) {
-    if (slot.state.load() == UnfinishedFile::kNamed && file == slot.name.data()) {
-      slot.state.store(UnfinishedFile::kFree);
-    }
-  }
+UndoneAtEnd::UndoneAtEnd(std::function<void()> undo) {
+  const std::lock_guard<std::mutex> lock(watch().mutex);
+  watch().unfinished[this] = std::move(undo);
+}
+
+UndoneAtEnd::~UndoneAtEnd() {
+  const std::lock_guard<std::mutex> lock(watch().mutex);
+  watch().unfinished.erase(this);
 }
 
 }  // namespace gld

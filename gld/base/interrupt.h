@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <string>
 
 namespace gld {
@@ -9,7 +10,7 @@ namespace gld {
 // How long a command that was asked to stop may go on.
 enum class StopDeadline {
   // To its next safe point, but no longer than a second: then the process ends wherever it is, with the exit status of
-  // an interrupt. Files under their final names are whole, and unfinished ones are removed.
+  // an interrupt. Files and folders under their final names are whole, and unfinished ones are removed.
   kOneSecond,
   // To its next safe point, however long that takes: for work that would be lost, as training is before its checkpoint.
   kSafePoint,
@@ -23,9 +24,16 @@ void stop_if_interrupted(const std::string& done);
 
 constexpr int kInterruptedStatus = 130;  // exit status: the shell's convention for SIGINT
 
-// An unfinished file, which is removed when the deadline ends the process, until finished() is called with the same
-// name. Names longer than 1000 bytes, and more than 64 files at once, are left lying.
-void remove_if_unfinished(const std::string& file);
-void finished(const std::string& file);
+// A file or folder that is not finished, and is removed when the deadline ends the process while this lives.
+class Unfinished {
+ public:
+  explicit Unfinished(std::filesystem::path path);
+  ~Unfinished();
+  Unfinished(const Unfinished&) = delete;
+  Unfinished& operator=(const Unfinished&) = delete;
+
+ private:
+  std::filesystem::path path_;
+};
 
 }  // namespace gld

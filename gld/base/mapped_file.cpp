@@ -34,7 +34,8 @@ class Descriptor {
 }  // namespace
 
 std::shared_ptr<const MappedFile> MappedFile::open(const std::filesystem::path& file) {
-  const Descriptor descriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+  // NONBLOCK: opening a pipe would otherwise wait for somebody who writes to it.
+  const Descriptor descriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
   if (descriptor.value() < 0) fail_to_open(file);
   struct stat status {};
   if (::fstat(descriptor.value(), &status) != 0) fail_to_open(file);

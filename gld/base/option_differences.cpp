@@ -4,6 +4,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/base/run_journal.h"
 #include "gld/base/yaml_text.h"
 
 #include <algorithm>
@@ -51,7 +52,7 @@ bool is_beside_the_result(const std::string& key) {
 
 void refuse_other_options(const std::filesystem::path& run, const OptionsGroup& options,
                           const std::vector<std::string>& may_differ) {
-  const auto file = run / "config.yaml";
+  const auto file = run / kRunConfiguration;
   if (!std::filesystem::is_regular_file(file)) return;
   for (const auto& difference : differences_from(read_file(file), file.string(), options)) {
     if (is_beside_the_result(difference.key)) continue;

@@ -1,12 +1,14 @@
 #include "gld/base/run_journal.h"
 
 #include "gld/base/error.h"
+#include "gld/base/interrupted_end.h"
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
 #include <fstream>
+#include <mutex>
 #include <set>
 
 #include <fcntl.h>
@@ -18,6 +20,7 @@ namespace gld {
 namespace {
 
 constexpr const char* kJournalName = ".gld-run";
+constexpr const char* kEarlierRun = ".gld-earlier-run";
 // Of fixed length, so that it is replaced in place: another name would lose the lock.
 constexpr size_t kHeaderLength = 256;
 
@@ -63,6 +66,35 @@ std::string line_of(const std::string& name) {
     return nlohmann::json(name).dump();
   } catch (const nlohmann::json::type_error&) {
     return nlohmann::json(std::vector<uint8_t>(name.begin(), name.end())).dump();
+  }
+}
+
+// Held while a journal or what is aside changes.
+std::mutex& notes_mutex() {
+  static std::mutex only;
+  return only;
+}
+
+// Whether a noted name is of a file of the run: a damaged journal must reach neither outside nor itself, and what lies
+// behind a symbolic link is somebody else's.
+bool lies_below(const std::filesystem::path& folder, const std::filesystem::path& relative) {
+  if (relative.is_absolute() || relative.empty()) return false;
+  const auto first = *relative.begin();
+  if (first == ".." || first == "." || first == kJournalName || first == kEarlierRun) return false;
+  std::error_code error;
+  for (auto above = relative.parent_path(); !above.empty(); above = above.parent_path()) {
+    if (std::filesystem::is_symlink(folder / above, error)) return false;
+  }
+  return true;
+}
+
+void move_file(const std::filesystem::path& from, const std::filesystem::path& to) {
+  std::error_code error;
+  std::filesystem::create_directories(to.parent_path(), error);
+  std::filesystem::rename(from, to, error);
+  if (error) {
+    fail({from.string(), "to move a file of the earlier run", "an error: " + error.message(),
+          "check the folder's permissions or choose another --out"});
   }
 }
 
@@ -134,13 +166,21 @@ RunJournal::RunJournal(const std::filesystem::path& folder) : folder_(folder) {
     fail_running(folder);
   }
   write_header(/*running=*/true);
+  beginning_ = std::make_unique<UndoneAtEnd>([this] {
+    // Another thread may be noting the first result, and then nothing is to be put back.
+    const std::unique_lock<std::mutex> notes(notes_mutex(), std::try_to_lock);
+    if (notes) put_earlier_back();
+  });
 }
 
 RunJournal::~RunJournal() {
   try {
+    const std::lock_guard<std::mutex> notes(notes_mutex());
+    put_earlier_back();
     write_header(/*running=*/false);
   } catch (const std::exception&) {
-    // Out of memory: the journal goes on naming this process, which a later one finds gone by the lock.
+    // A disk that fails or no memory: what is aside stays there, and the journal goes on naming this process, which a
+    // later one finds gone by the lock.
   }
   ::close(file_);  // releases the lock
 }
@@ -151,19 +191,27 @@ void RunJournal::write_header(bool running) const {
   if (::pwrite(file_, text.data(), text.size(), 0) < 0) return;
 }
 
-void RunJournal::remove_written() {
+bool RunJournal::has_earlier_aside(const std::filesystem::path& folder) {
+  std::error_code error;
+  return std::filesystem::is_directory(std::filesystem::symlink_status(folder / kEarlierRun, error));
+}
+
+void RunJournal::put_earlier_aside() {
+  const std::lock_guard<std::mutex> lock(notes_mutex());
+  const auto aside = folder_ / kEarlierRun;
   std::set<std::filesystem::path> folders;
   std::error_code error;
   const auto found = find(folder_);
+  if (!found) return;
   for (const auto& name : found->written) {
     const auto relative = std::filesystem::path(name).lexically_normal();
-    // A damaged journal must not reach outside.
-    if (relative.is_absolute() || relative.empty() || *relative.begin() == "..") continue;
-    if (!std::filesystem::is_directory(folder_ / relative, error)) {
-      std::filesystem::remove(folder_ / relative, error);
-      if (error) {
-        fail({(folder_ / relative).string(), "to remove a file of the earlier run",
-              "an error: " + error.message(), "check the folder's permissions or choose another --out"});
+    if (!lies_below(folder_, relative)) continue;
+    if (!std::filesystem::is_directory(std::filesystem::symlink_status(folder_ / relative, error))) {
+      // One that was killed before its first result was beginning anew as well, and has a configuration only.
+      if (std::filesystem::exists(std::filesystem::symlink_status(aside / relative, error))) {
+        std::filesystem::remove(folder_ / relative, error);
+      } else {
+        move_file(folder_ / relative, aside / relative);
       }
     }
     for (auto above = relative.parent_path(); !above.empty(); above = above.parent_path()) {
@@ -176,10 +224,51 @@ void RunJournal::remove_written() {
     return std::distance(a.begin(), a.end()) > std::distance(b.begin(), b.end());
   });
   for (const auto& folder : inner_first) std::filesystem::remove(folder_ / folder, error);
-  if (::ftruncate(file_, static_cast<off_t>(kHeaderLength)) != 0) {
-    fail({(folder_ / kJournalName).string(), "to be shortened", std::strerror(errno), "check the disk"});
+}
+
+void RunJournal::put_earlier_back() const {
+  if (!has_earlier_aside(folder_)) return;
+  const auto aside = folder_ / kEarlierRun;
+  std::error_code error;
+  std::filesystem::remove(folder_ / kRunConfiguration, error);  // of the run that came to nothing
+  std::vector<std::filesystem::path> files;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(aside)) {
+    if (!std::filesystem::is_directory(entry.symlink_status())) files.push_back(entry.path());
+  }
+  for (const auto& file : files) move_file(file, folder_ / file.lexically_relative(aside));
+  std::filesystem::remove_all(aside, error);
+}
+
+namespace {
+
+// The new run has its first result. In one step, so that what is aside is whole or of no run.
+void forget_earlier(const std::filesystem::path& folder) {
+  const auto going = folder / (std::string(kEarlierRun) + ".partial-" + std::to_string(::getpid()) + "-0");
+  std::error_code error;
+  std::filesystem::remove_all(going, error);
+  std::filesystem::rename(folder / kEarlierRun, going, error);
+  if (error) {
+    fail({(folder / kEarlierRun).string(), "to move the earlier run away", "an error: " + error.message(),
+          "check the folder's permissions or choose another --out"});
+  }
+  std::filesystem::remove_all(going, error);
+  // Its notes go too, or they would tell the next run of files of those names that somebody else has put there.
+  std::string lines;
+  const auto left = RunJournal::find(folder);
+  if (!left) return;
+  for (const auto& name : left->written) lines += line_of(name) + "\n";
+  const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_CLOEXEC);
+  if (journal < 0) return;
+  const auto written = ::pwrite(journal, lines.data(), lines.size(), kHeaderLength);
+  const bool shortened = written == static_cast<ssize_t>(lines.size()) &&
+                         ::ftruncate(journal, static_cast<off_t>(kHeaderLength + lines.size())) == 0;
+  ::close(journal);
+  if (!shortened) {
+    fail({(folder / kJournalName).string(), "to be shortened", std::strerror(errno), "check the disk"});
   }
 }
+
+}  // namespace
 
 void note_written(const std::filesystem::path& file) {
   std::error_code error;
@@ -195,7 +284,8 @@ void note_written(const std::filesystem::path& file) {
       header.value("host", nlohmann::json()) != host_name()) {
     return;  // an earlier run's folder, into which this process puts something of its own
   }
-  const std::string line = line_of(target.lexically_relative(folder).string()) + "\n";
+  const std::string name = target.lexically_relative(folder).string();
+  const std::string line = line_of(name) + "\n";
   const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_APPEND | O_CLOEXEC);
   if (journal < 0) return;
   // The header of a killed run may name a process of the same number; only one that runs holds the lock.
@@ -203,6 +293,8 @@ void note_written(const std::filesystem::path& file) {
     ::close(journal);
     return;
   }
+  const std::lock_guard<std::mutex> lock(notes_mutex());
+  if (name != kRunConfiguration && RunJournal::has_earlier_aside(folder)) forget_earlier(folder);
   const auto written = ::write(journal, line.data(), line.size());  // one call: lines of threads do not mix
   ::close(journal);
   if (written != static_cast<ssize_t>(line.size())) {

@@ -1,11 +1,17 @@
 #pragma once
 
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 namespace gld {
+
+class UndoneAtEnd;
+
+// What every run writes first. It is no result yet.
+inline constexpr const char* kRunConfiguration = "config.yaml";
 
 // What a run has written into its folder, noted in the folder while it runs, so that a later run can remove exactly
 // that; and the lock that keeps a second run out. The file is .gld-run: a line about the process that writes, then a
@@ -30,16 +36,23 @@ class RunJournal {
   RunJournal(const RunJournal&) = delete;
   RunJournal& operator=(const RunJournal&) = delete;
 
-  // Removes every file that is noted, then the folders below that are empty for it, and forgets them. Nothing else is
-  // touched.
-  void remove_written();
+  // For a run that begins anew: moves every file that is noted into a hidden folder below, and removes folders that are
+  // empty for it. Nothing else is touched, and no symbolic link is followed. The first file that is noted afterwards,
+  // kRunConfiguration apart, is the new run's first result: with it the earlier run goes for good. Where this object
+  // goes before that, or a stop ends the process, the earlier run is put back; where the process is killed, the next
+  // run that is to begin anew finds it aside and keeps it so. Throws Error where a file cannot be moved.
+  void put_earlier_aside();
+  // Whether a folder has an earlier run aside.
+  static bool has_earlier_aside(const std::filesystem::path& folder);
 
  private:
   void write_header(bool running) const;
+  void put_earlier_back() const;  // with notes_mutex() held
 
   std::filesystem::path folder_;
   int file_ = -1;
   bool complete_ = true;
+  std::unique_ptr<UndoneAtEnd> beginning_;  // puts back what is aside
 };
 
 // Notes the file in the journal of the nearest folder above it, where this process has one open there.

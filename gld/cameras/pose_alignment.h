@@ -22,7 +22,7 @@ struct Similarity {
 struct PoseAlignment {
   Similarity b_from_a;
   // False: the cameras stand at one place in a or b (or contradict), and scale is 1. True says only that there is a
-  // scale that fits best; how well it explains the cameras is for gld/cameras/depth_scale.h to judge.
+  // scale that fits best; how well it explains the cameras is for gld/photogrammetry/depth_scale.h to judge.
   bool scale_known = false;
   double scale_deviation = 0;  // standard error of the scale by what is left between the centres
   double rotation_error = 0;   // mean angle left between the cameras, degrees
@@ -33,7 +33,7 @@ struct PoseAlignment {
 // The similarity that maps the cameras of frame a (such as those recovered from rays) onto the same cameras in frame b
 // (the world). The rotation is the mean of the cameras' own rotations and not fitted to the centres, because centres
 // along a line leave it open. Its scale is one estimate of the length of the
-// rays' unit (gld/cameras/depth_scale.h).
+// rays' unit (gld/photogrammetry/depth_scale.h).
 // Error unless both have the same number of cameras, at least one.
 PoseAlignment align_poses(const std::vector<Camera>& in_a, const std::vector<Camera>& in_b);
 

@@ -24,7 +24,7 @@ struct RelativeCameras {
   // multiplied by translation_scale. View order is kept.
   Views views;
   // The cameras in the world's own frame, translations multiplied by the same scale. They carry the distance of the
-  // scene from the origin; only published models with special tokens need them (gld/cameras/prope.h).
+  // scene from the origin; only published models with special tokens need them (gld/camera_encoding/prope.h).
   Views world_views;
   // 1 / (the unit + 1e-8), in 1 / world units; 1 where there is no baseline.
   double translation_scale = 1;

@@ -1,12 +1,17 @@
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
 #include "gld/distributed/process_team.h"
 #include "gld/distributed/signs_of_life.h"
 #include "gld/report/provenance.h"
 #include "gld/tensors/torch_version.h"
 
 #include <algorithm>
+#include <cerrno>
 #include <chrono>
+#include <cstring>
 #include <exception>
+#include <future>
+#include <memory>
 #include <optional>
 #include <thread>
 #include <utility>
@@ -20,6 +25,8 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 #include <netdb.h>
+#include <netinet/in.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -203,11 +210,111 @@ class Meeting {
   StorePointer store_;
 };
 
+// LibTorch would say it in its own words, and in lines of its log.
+void require_free_port(const ProcessPlacement& placement) {
+  const SocketOnce socket{::socket(AF_INET6, SOCK_STREAM, 0)};
+  if (socket.number < 0) return;  // a machine without IPv6
+  const int yes = 1, no = 0;
+  ::setsockopt(socket.number, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
+  ::setsockopt(socket.number, IPPROTO_IPV6, IPV6_V6ONLY, &no, sizeof(no));
+  sockaddr_in6 address = {};
+  address.sin6_family = AF_INET6;
+  address.sin6_addr = in6addr_any;
+  address.sin6_port = htons(static_cast<uint16_t>(placement.master_port));
+  if (::bind(socket.number, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0) return;
+  if (errno != EADDRINUSE && errno != EACCES) return;
+  fail({endpoint(placement), "a free port for the store of rank 0",
+        std::to_string(placement.master_port) + " (" + std::strerror(errno) + ")",
+        "choose another with --processes.master-port (MASTER_PORT), the same for every process"});
+}
+
+// Something else that listens where the store of rank 0 should.
+ErrorParts not_a_store(const ProcessPlacement& placement) {
+  return {endpoint(placement), "the store of rank 0, of LibTorch " + torch_version(),
+          "something else that listens there",
+          "correct --processes.master-address and --processes.master-port"};
+}
+
+// A store says nothing until it is asked. What talks first would end this process: LibTorch 1.13 reads its bytes in a
+// thread of its own, as a size, and nobody catches what that throws. What cannot be reached yet is left to LibTorch.
+void refuse_what_talks_first(const ProcessPlacement& placement) {
+  constexpr int kMilliseconds = 200;
+  addrinfo hints = {};
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* list = nullptr;
+  if (::getaddrinfo(placement.master_address.c_str(), std::to_string(placement.master_port).c_str(), &hints,
+                    &list) != 0) {
+    return;
+  }
+  bool talks = false;
+  for (const addrinfo* item = list; item != nullptr && !talks; item = item->ai_next) {
+    const SocketOnce socket{::socket(item->ai_family, SOCK_STREAM | SOCK_NONBLOCK, 0)};
+    if (socket.number < 0) continue;
+    if (::connect(socket.number, item->ai_addr, item->ai_addrlen) != 0 && errno != EINPROGRESS) continue;
+    pollfd connected = {socket.number, POLLOUT, 0}, readable = {socket.number, POLLIN, 0};
+    if (::poll(&connected, 1, kMilliseconds) <= 0 || ::poll(&readable, 1, kMilliseconds) <= 0) continue;
+    char byte = 0;
+    talks = ::recv(socket.number, &byte, 1, 0) == 1;
+  }
+  ::freeaddrinfo(list);
+  if (talks) fail(not_a_store(placement));
+}
+
+// What the processes have agreed on.
+struct Joined {
+  StorePointer store;
+  StorePointer store_of_life;
+  std::vector<std::string> addresses;
+};
+
+Joined join(const ProcessPlacement& placement) {
+  if (holds_the_store(placement)) {
+    require_free_port(placement);
+  } else {
+    refuse_what_talks_first(placement);
+  }
+  Joined joined;
+  joined.store = connect_to_store(placement, holds_the_store(placement));
+  joined.addresses = Meeting(placement, joined.store).addresses();
+  joined.store_of_life = connect_to_store(placement, false);
+  return joined;
+}
+
+// join() within its time, whatever answers at the address: LibTorch waits without an end for one that says nothing,
+// and takes the bytes of another protocol for sizes. A thread that waits for such a one is left behind, for the
+// process ends with the error.
+Joined join_in_time(const ProcessPlacement& placement) {
+  // Connecting and the meeting may each take that long, and say better what is missing.
+  const auto patience = std::chrono::duration<double>(2 * placement.join_seconds + 2);
+  const auto promise = std::make_shared<std::promise<Joined>>();
+  auto future = promise->get_future();
+  std::thread([promise, placement] {
+    try {
+      promise->set_value(join(placement));
+    } catch (...) {
+      promise->set_exception(std::current_exception());
+    }
+  }).detach();
+  const auto end = std::chrono::steady_clock::now() + patience;
+  while (future.wait_for(std::chrono::milliseconds(100)) != std::future_status::ready) {
+    stop_if_interrupted("joining the other processes was stopped");
+    if (std::chrono::steady_clock::now() > end) fail(not_a_store(placement));
+  }
+  try {
+    return future.get();
+  } catch (const Error&) {
+    throw;
+  } catch (const std::exception&) {
+    fail(not_a_store(placement));
+  }
+}
+
 class GlooTeam final : public ProcessTeam {
  public:
-  explicit GlooTeam(const ProcessPlacement& placement)
-      : placement_(placement), store_(connect_to_store(placement, holds_the_store(placement))) {
-    const auto addresses = Meeting(placement_, store_).addresses();
+  explicit GlooTeam(const ProcessPlacement& placement) : placement_(placement) {
+    const Joined joined = join_in_time(placement);
+    store_ = joined.store;
+    const auto& addresses = joined.addresses;
     const std::string& own = addresses[static_cast<size_t>(placement.rank)];
     local_count_ = std::count(addresses.begin(), addresses.end(), own);
     LifePlan plan;
@@ -215,7 +322,7 @@ class GlooTeam final : public ProcessTeam {
     plan.count = placement.count;
     plan.store = endpoint(placement) + (placement.store_is_hosted ? ", of torchrun" : ", of rank 0");
     plan.holds_the_store = holds_the_store(placement);
-    life_.emplace(connect_to_store(placement, false), plan);
+    life_.emplace(joined.store_of_life, plan);
     const auto options = c10d::ProcessGroupGloo::Options::create(kCollectiveTimeout);
     try {
       options->devices.push_back(c10d::ProcessGroupGloo::createDeviceForHostname(own));

@@ -26,6 +26,8 @@ class ProcessTeam {
   // What every process gave, in the order of ranks; the same everywhere.
   virtual std::vector<std::string> gather(const std::string& mine) = 0;
 
+  bool alone() const { return count() == 1; }
+
   // A flat tensor is cut into count() pieces of piece_length(); the last may be shorter. Piece r is owned by rank r.
   int64_t piece_length(int64_t length) const;
   // Adds this process's piece of every process's `given` to owned_sum (piece_length), in the order of ranks: the same
@@ -41,6 +43,20 @@ class ProcessTeam {
 
   // Seconds spent in the functions above since the last call of this one, waiting for slower processes included.
   virtual double take_communication_seconds() = 0;
+};
+
+// A process that works alone: rank 0 of 1, who has what it gave.
+class TeamOfOne final : public ProcessTeam {
+ public:
+  int64_t rank() const override { return 0; }
+  int64_t count() const override { return 1; }
+  int64_t local_count() const override { return 1; }
+  std::vector<std::string> gather(const std::string& mine) override { return {mine}; }
+  void add_at_owners(const torch::Tensor& given, torch::Tensor& owned_sum) override;
+  void gather_pieces(const torch::Tensor& owned, torch::Tensor& whole) override;
+  void broadcast(torch::Tensor& /*tensor*/, int64_t /*from*/) override {}
+  void finish() override {}
+  double take_communication_seconds() override { return 0; }
 };
 
 // The engines of this build: "gloo", or none.

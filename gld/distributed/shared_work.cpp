@@ -12,12 +12,12 @@
 namespace gld {
 
 int64_t ProcessShare::threads(int64_t asked) const {
-  if (asked > 0 || team == nullptr) return asked;
+  if (asked > 0 || team->alone()) return asked;
   return std::max<int64_t>(1, threads_to_use(0) / team->local_count());
 }
 
 std::string ProcessShare::device(const std::string& asked) const {
-  return team != nullptr && asked == "cuda" ? "cuda:" + std::to_string(placement.local_rank) : asked;
+  return !team->alone() && asked == "cuda" ? "cuda:" + std::to_string(placement.local_rank) : asked;
 }
 
 ProcessShare join_others(const ProcessesOptions& options) {
@@ -55,12 +55,12 @@ void check_same_work(ProcessTeam& team, const OptionsGroup& options, const std::
 }
 
 void share_pieces(const ProcessShare& share, const std::vector<int64_t>& pieces, const PieceOfWork& work) {
-  const size_t processes = share.team == nullptr ? 1 : static_cast<size_t>(share.team->count());
+  const auto processes = static_cast<size_t>(share.team->count());
   const auto own = static_cast<size_t>(share.placement.rank);
   for (size_t first = 0; first < pieces.size(); first += processes) {
     std::string made;
     if (first + own < pieces.size()) made = work.make(pieces[first + own]);
-    const auto all = share.team == nullptr ? std::vector<std::string>{made} : share.team->gather(made);
+    const auto all = share.team->gather(made);
     for (size_t i = 0; i < processes && first + i < pieces.size(); ++i) work.take(pieces[first + i], all[i]);
   }
 }

@@ -12,10 +12,10 @@
 
 namespace gld {
 
-// This process among those that work together, or alone: then there is no team, and it is rank 0 of 1.
+// This process among those that work together, or alone: then it is a team of one.
 struct ProcessShare {
   ProcessPlacement placement;
-  std::unique_ptr<ProcessTeam> team;
+  std::unique_ptr<ProcessTeam> team = std::make_unique<TeamOfOne>();
 
   // Rank 0 says what is said once and writes the run folder.
   bool leads() const { return placement.rank == 0; }

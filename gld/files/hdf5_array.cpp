@@ -1,5 +1,6 @@
 #include "gld/files/hdf5_array.h"
 
+#include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 #include "gld/base/printable_text.h"
 #include "gld/files/dtype.h"
@@ -466,6 +467,14 @@ class Hdf5Parser {
 Hdf5Array parse_hdf5_array(ByteView file, const std::string& dataset, int64_t most_elements,
                            const std::string& where) {
   return Hdf5Parser(file, dataset, most_elements, where).parse();
+}
+
+Hdf5Array read_hdf5_array(const std::filesystem::path& file, const std::string& dataset,
+                          int64_t most_elements) {
+  constexpr uint64_t kLargestFile = uint64_t{1} << 31;
+  const std::string bytes = read_file(file, kLargestFile);
+  return parse_hdf5_array({reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}, dataset,
+                          most_elements, file.string());
 }
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include "gld/base/mapped_file.h"
 
 #include <cstdint>
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -19,7 +20,8 @@ struct Hdf5Array {
 // filters deflate, shuffle and fletcher32, integers and IEEE floats of either byte order. Everything else is refused by
 // name, links, data in other files and unwritten chunks included.
 //
-// It is our own because libhdf5 1.10.8 writes and reads outside its memory on damaged files, which no check around a
+// The product only reads HDF5, and links no library for it; tests write what they read with libhdf5. The reader is our
+// own because libhdf5 1.10.8 writes and reads outside its memory on damaged files, which no check around a
 // call can prevent. A child process for each read would contain the crash, but not what a crafted file makes it run,
 // would have to fork a process with LibTorch's threads (a child may then call next to nothing that takes a lock), and
 // cost milliseconds per gigabyte of the parent for each of a training's files. This reader keeps no state: any number
@@ -28,5 +30,9 @@ struct Hdf5Array {
 // Source: HDF5 File Format Specification, version 2.0 (The HDF Group).
 Hdf5Array parse_hdf5_array(ByteView file, const std::string& dataset, int64_t most_elements,
                            const std::string& where);
+
+// The same from a file of at most 2 GiB.
+Hdf5Array read_hdf5_array(const std::filesystem::path& file, const std::string& dataset,
+                          int64_t most_elements);
 
 }  // namespace gld

@@ -292,32 +292,12 @@ std::vector<float> NpyArray::to_floats() const {
   return values;
 }
 
-std::vector<int64_t> NpyArray::to_integers(const std::string& where) const {
-  if (is_floating(dtype))
-    fail({where, "integers", dtype_name(dtype), "save the array with an integer dtype"});
-  std::vector<int64_t> values;
-  values.reserve(static_cast<size_t>(element_count()));
-  for_each(*this, [&](auto value) {
-    if constexpr (std::is_same_v<decltype(value), uint64_t>) {
-      if (value > static_cast<uint64_t>(std::numeric_limits<int64_t>::max())) {
-        fail({where, "integers below 2^63", std::to_string(value), "save the array as int64"});
-      }
-    }
-    values.push_back(static_cast<int64_t>(value));
-  });
-  return values;
-}
-
 NpyArray npy_from_floats(const std::vector<int64_t>& shape, const float* values) {
   return array_from(DType::kFloat32, shape, values);
 }
 
 NpyArray npy_from_doubles(const std::vector<int64_t>& shape, const double* values) {
   return array_from(DType::kFloat64, shape, values);
-}
-
-NpyArray npy_from_integers(const std::vector<int64_t>& shape, const int64_t* values) {
-  return array_from(DType::kInt64, shape, values);
 }
 
 NpyArray parse_npy(ByteView file, const std::string& where) {

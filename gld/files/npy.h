@@ -22,13 +22,10 @@ struct NpyArray {
   // All elements, converted; 64-bit integers beyond 2^53 are rounded by to_doubles and refused by nobody.
   std::vector<double> to_doubles() const;
   std::vector<float> to_floats() const;
-  // Integers and booleans only; a floating-point array or a value beyond int64 is an Error naming `where`.
-  std::vector<int64_t> to_integers(const std::string& where) const;
 };
 
 NpyArray npy_from_floats(const std::vector<int64_t>& shape, const float* values);
 NpyArray npy_from_doubles(const std::vector<int64_t>& shape, const double* values);
-NpyArray npy_from_integers(const std::vector<int64_t>& shape, const int64_t* values);
 
 // .npy, versions 1 to 3, both orders; dtypes of DType except bfloat16. Objects, strings, records and complex
 // numbers are refused. Throws Error naming `where` or the file.

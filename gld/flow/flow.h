@@ -17,20 +17,13 @@ torch::Tensor velocity_target(const torch::Tensor& data, const torch::Tensor& no
 // What a velocity v at (x, t) predicts: data = x - t v, noise = x + (1 - t) v. Exact at both ends.
 torch::Tensor data_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 torch::Tensor noise_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
-// The inverses need a division: by t, or by 1 - t. velocity_from_data throws Error at t = 0 and velocity_from_noise at
-// t = 1, where x is already what they are given.
-torch::Tensor velocity_from_data(const torch::Tensor& x, const torch::Tensor& data, double t);
-torch::Tensor velocity_from_noise(const torch::Tensor& x, const torch::Tensor& noise, double t);
 
 // t times the score, t grad log p_t(x) = -noise, which stays finite as t goes to 0, where the score itself does not
 // exist for data on a point.
 torch::Tensor scaled_score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
-// grad log p_t(x) = -(x + (1 - t) v) / t. Throws Error at t = 0; at t = 1 it is -x.
-torch::Tensor score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 
 // The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al.
-// 2024):
-// 62.4 for DA3-Base at 504 x 504 with 8 views.
+// 2024): 62.4 for DA3-Base at 504 x 504 with 8 views.
 double time_shift_of(const LatentGrid& grid, int64_t channels);
 // The shift that a model was given, or, where that is 0, time_shift_of its latent.
 double resolved_time_shift(double given, const LatentGrid& grid, int64_t channels);

@@ -2,8 +2,6 @@
 
 #include "gld/base/error.h"
 
-#include <algorithm>
-
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
@@ -19,9 +17,6 @@ void GuidanceOptions::visit(FieldVisitor& visitor) {
                {0, 1000});
   visitor.reals({"guidance_interval", "flow times [low, high] where guidance acts, both included"},
                 guidance_interval, {0, 1});
-  visitor.real({"guidance_tolerance",
-                "leave out the unconditional branch where guidance adds less than this, relative; 0 never"},
-               guidance_tolerance, {0, 1});
   visit_choice(visitor,
                {"guidance_branches",
                 "both branches in one pass, or one after the other; automatic: in one for small scenes"},
@@ -62,26 +57,8 @@ torch::Tensor GuidedField::velocity(const torch::Tensor& state, double t) {
     ++report_.outside_interval;
     return field_.conditional(state, t);
   }
-  if (options_.guidance_tolerance > 0) return adaptive_velocity(state, t);
   ++report_.unconditional;
   return field_.guided(state, t, options_.guidance_scale);
-}
-
-torch::Tensor GuidedField::adaptive_velocity(const torch::Tensor& state, double t) {
-  constexpr int64_t kEvaluationsBetweenChecks = 4;
-  if (agreed_ && ++since_check_ < kEvaluationsBetweenChecks) {
-    ++report_.dropped;
-    return field_.conditional(state, t);
-  }
-  since_check_ = 0;
-  ++report_.unconditional;
-  const auto branches = field_.both(state, t);
-  const auto difference = branches.conditional - branches.unconditional;
-  const double added = std::abs(options_.guidance_scale - 1) * difference.norm().item<double>();
-  const double relative = added / std::max(branches.conditional.norm().item<double>(), 1e-300);
-  agreed_ = relative < options_.guidance_tolerance;
-  if (agreed_) report_.largest_neglected = std::max(report_.largest_neglected, relative);
-  return branches.unconditional + options_.guidance_scale * difference;
 }
 
 }  // namespace gld

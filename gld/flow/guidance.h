@@ -26,9 +26,6 @@ const std::vector<std::string>& branch_evaluation_names();
 struct GuidanceOptions : OptionsGroup {
   double guidance_scale = 1.5;
   std::vector<double> guidance_interval{0, 1};
-  // Above 0: once what guidance adds, RMS of (g - 1)(v_c - v_u) over RMS of v_c, falls below this, the unconditional
-  // branch is left out and only tried again every fourth evaluation. An approximation, off by default.
-  double guidance_tolerance = 0;
   BranchEvaluation guidance_branches = BranchEvaluation::kAutomatic;
   double guidance_batch_memory = 256;  // megabytes that automatic lets a batch of both branches use
 
@@ -56,14 +53,11 @@ class BranchedField {
   virtual torch::Tensor guided(const torch::Tensor& state, double t, double scale);
 };
 
-// What a solve cost by branch, and what leaving out the unconditional one neglected.
+// What a solve cost by branch.
 struct GuidanceReport {
   int64_t evaluations = 0;       // of the guided field
   int64_t unconditional = 0;     // of them with the unconditional branch
   int64_t outside_interval = 0;  // without it because of the interval or a scale of 1
-  int64_t dropped = 0;           // without it because the branches agreed
-  double largest_neglected =
-      0;  // largest relative contribution of guidance measured when it was dropped or kept so
 };
 
 class GuidedField : public VelocityField {
@@ -75,13 +69,9 @@ class GuidedField : public VelocityField {
   const GuidanceReport& report() const { return report_; }
 
  private:
-  torch::Tensor adaptive_velocity(const torch::Tensor& state, double t);
-
   BranchedField& field_;
   GuidanceOptions options_;
   GuidanceReport report_;
-  bool agreed_ = false;
-  int64_t since_check_ = 0;
 };
 
 }  // namespace gld

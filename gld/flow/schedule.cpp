@@ -93,6 +93,12 @@ std::vector<double> times_of_file(const std::string& file) {
     at = end;
   }
   check_times(times, file);
+  // A state there is more noise than data: x = (1 - t) data + t noise.
+  constexpr double kLatestEnd = 0.5;
+  if (times.back() > kLatestEnd) {
+    fail({file, fmt::format("times that end at 0, or near it (at most {})", kLatestEnd),
+          fmt::format("{}", times.back()), "go on with the times down to 0, or the images are noise"});
+  }
   return times;
 }
 

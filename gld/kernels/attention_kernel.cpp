@@ -104,8 +104,7 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
   const AttentionShape& shape = arrays.shape;
   const ForwardPlan plan = plan_forward(arrays, kernels, settings.threads);
   const Encoder encoder(arrays, kernels);
-  const auto query_segments = segments(arrays, SegmentSide::queries);
-  const auto query_tiles = tiles(query_segments, plan.tile_queries);
+  const auto query_tiles = tiles(shape.queries, plan.tile_queries);
   const auto num_tiles = static_cast<int64_t>(query_tiles.size());
   const int64_t row_chunks = (shape.keys + kPackedRowPadding + kPackRows - 1) / kPackRows;
   const float factor = query_factor(shape.head_dim);
@@ -134,9 +133,9 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
         const int64_t head = item / num_tiles;
         const int64_t batch = (first_head + head) / shape.heads;
         const int64_t head_in_batch = (first_head + head) % shape.heads;
-        const Tile& tile = query_tiles[static_cast<std::size_t>(item % num_tiles)];
-        for (int64_t i = 0; i < tile.own.count; ++i) {
-          const int64_t token = tile.own.first + i;
+        const TokenRange& tile = query_tiles[static_cast<std::size_t>(item % num_tiles)];
+        for (int64_t i = 0; i < tile.count; ++i) {
+          const int64_t token = tile.first + i;
           float* row = queries + i * plan.stride;
           const float* from = row_of(arrays.query, batch, head_in_batch, token);
           prefetch_row(from + kPrefetchRows * arrays.query.token_stride, shape.head_dim);
@@ -145,19 +144,18 @@ void attention_forward(const AttentionForward& arrays, const KernelSettings& set
         }
         AttentionForwardTile kernel_tile = {};
         kernel_tile.queries = queries;
-        kernel_tile.query_count = tile.own.count;
+        kernel_tile.query_count = tile.count;
         kernel_tile.keys = packed.data() + 2 * head * plan.head_floats;
         kernel_tile.values = kernel_tile.keys + plan.head_floats;
         kernel_tile.stride = plan.stride;
         kernel_tile.head_dim = plan.padded_head_dim;
-        kernel_tile.key_ranges = tile.segment->partners.data();
-        kernel_tile.key_range_count = static_cast<int64_t>(tile.segment->partners.size());
+        kernel_tile.key_count = shape.keys;
         kernel_tile.scratch = base2_lse + rounded_up(plan.tile_queries, 16);
         kernel_tile.output = outputs;
         kernel_tile.base2_lse = base2_lse;
         kernels.attention_forward(kernel_tile);
-        for (int64_t i = 0; i < tile.own.count; ++i) {
-          const int64_t token = tile.own.first + i;
+        for (int64_t i = 0; i < tile.count; ++i) {
+          const int64_t token = tile.first + i;
           float* to = row_of(arrays.output, batch, head_in_batch, token);
           prefetch_row(to + kPrefetchRows * arrays.output.token_stride, shape.head_dim);
           encoder.apply(Encoding::output, token, 1.0f, outputs + i * plan.stride, to);
@@ -183,12 +181,11 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
   const Encoder encoder(forward, kernels);
   const int64_t stride = packed_stride(shape.head_dim);
   const int64_t padded_head_dim = rounded_up(shape.head_dim, 8);
-  const auto key_segments = segments(forward, SegmentSide::keys);
   // Large tiles read queries less often, but the tiles of one head are shared between the threads.
   const int64_t share = shape.keys / (kBackwardTilesAThread * settings.threads);
   const int64_t tile_keys =
       std::clamp(share / kernels.tile_lanes * kernels.tile_lanes, kernels.tile_lanes, kernels.backward_keys);
-  const auto key_tiles = tiles(key_segments, tile_keys);
+  const auto key_tiles = tiles(shape.keys, tile_keys);
   const auto num_tiles = static_cast<int64_t>(key_tiles.size());
   const double scale = 1.0 / std::sqrt(static_cast<double>(shape.head_dim));
   const float factor = query_factor(shape.head_dim);
@@ -253,26 +250,25 @@ void attention_backward(const AttentionBackward& arrays, const KernelSettings& s
       // A fixed assignment of tiles to threads keeps the order of every sum.
 #pragma omp for schedule(static, 1)
       for (int64_t item = 0; item < num_tiles; ++item) {
-        const Tile& tile = key_tiles[static_cast<std::size_t>(item)];
+        const TokenRange& tile = key_tiles[static_cast<std::size_t>(item)];
         AttentionBackwardTile kernel_tile = {};
         kernel_tile.queries = queries;
         kernel_tile.output_gradients = output_gradients;
         kernel_tile.base2_lse = base2_lse;
         kernel_tile.output_dot = output_dot;
-        kernel_tile.keys = keys + tile.own.first * stride;
-        kernel_tile.values = values + tile.own.first * stride;
-        kernel_tile.key_count = tile.own.count;
+        kernel_tile.keys = keys + tile.first * stride;
+        kernel_tile.values = values + tile.first * stride;
+        kernel_tile.key_count = tile.count;
         kernel_tile.stride = stride;
         kernel_tile.head_dim = padded_head_dim;
-        kernel_tile.query_ranges = tile.segment->partners.data();
-        kernel_tile.query_range_count = static_cast<int64_t>(tile.segment->partners.size());
+        kernel_tile.query_count = shape.queries;
         kernel_tile.scratch = row_scratch + stride;
         kernel_tile.query_gradients = query_gradients;
         kernel_tile.key_gradients = key_gradients;
         kernel_tile.value_gradients = value_gradients;
         kernels.attention_backward(kernel_tile);
-        for (int64_t i = 0; i < tile.own.count; ++i) {
-          const int64_t token = tile.own.first + i;
+        for (int64_t i = 0; i < tile.count; ++i) {
+          const int64_t token = tile.first + i;
           // The packed queries carry log2(e) / sqrt(head_dim); the logits' gradient wants 1 / sqrt(head_dim).
           encoder.apply_transposed(Encoding::key_value, token, static_cast<float>(kLn2),
                                    key_gradients + i * stride,

@@ -27,7 +27,7 @@ struct StridedHeads {
   int64_t head_stride = 0;
 };
 
-// The tables of gld/cameras/prope.h as pointers. Tokens are views x (prefix_tokens + grid_height * grid_width);
+// The tables of gld/camera_encoding/prope.h as pointers. Tokens are views x (prefix_tokens + grid_height * grid_width);
 // head_dim is a multiple of 8.
 struct PropePointers {
   int64_t views = 0;
@@ -41,12 +41,6 @@ struct PropePointers {
   const float* column_sin = nullptr;
   const float* row_cos = nullptr;  // (grid_height, head_dim / 8)
   const float* row_sin = nullptr;
-};
-
-// attends[q * views + k] != 0: the tokens of view q attend to those of view k. Tokens divide evenly into views.
-struct ViewMask {
-  int64_t views = 0;
-  const uint8_t* attends = nullptr;
 };
 
 struct KernelSettings {
@@ -66,7 +60,6 @@ struct AttentionForward {
   StridedHeads<const float> key;
   StridedHeads<const float> value;
   const PropePointers* prope = nullptr;
-  const ViewMask* mask = nullptr;
   StridedHeads<float> output;
   // (batch, heads, queries), the natural logarithm of the sum of exp(logit); -inf without keys. Null: not wanted.
   float* log_sum_exp = nullptr;

@@ -6,51 +6,10 @@
 
 namespace gld {
 
-std::vector<Segment> segments(const AttentionForward& arrays, SegmentSide side) {
-  const bool of_queries = side == SegmentSide::queries;
-  const int64_t own_tokens = of_queries ? arrays.shape.queries : arrays.shape.keys;
-  const int64_t partner_tokens = of_queries ? arrays.shape.keys : arrays.shape.queries;
-  if (arrays.mask == nullptr) {
-    if (partner_tokens == 0) return {{{0, own_tokens}, {}}};
-    return {{{0, own_tokens}, {{0, partner_tokens}}}};
-  }
-  const int64_t views = arrays.mask->views;
-  const int64_t own_view = own_tokens / views;
-  const int64_t partner_view = partner_tokens / views;
-  const auto attends = [&](int64_t own, int64_t partner) {
-    return arrays.mask->attends[of_queries ? own * views + partner : partner * views + own] != 0;
-  };
-  std::vector<Segment> result;
-  for (int64_t view = 0; view < views; ++view) {
-    bool same_as_before = view > 0;
-    for (int64_t partner = 0; same_as_before && partner < views; ++partner) {
-      same_as_before = attends(view, partner) == attends(view - 1, partner);
-    }
-    if (same_as_before) {
-      result.back().own.count += own_view;
-      continue;
-    }
-    Segment segment = {{view * own_view, own_view}, {}};
-    for (int64_t partner = 0; partner < views; ++partner) {
-      if (!attends(view, partner)) continue;
-      if (!segment.partners.empty() &&
-          segment.partners.back().first + segment.partners.back().count == partner * partner_view) {
-        segment.partners.back().count += partner_view;
-      } else {
-        segment.partners.push_back({partner * partner_view, partner_view});
-      }
-    }
-    result.push_back(std::move(segment));
-  }
-  return result;
-}
-
-std::vector<Tile> tiles(const std::vector<Segment>& segments, int64_t lanes) {
-  std::vector<Tile> result;
-  for (const Segment& segment : segments) {
-    for (int64_t done = 0; done < segment.own.count; done += lanes) {
-      result.push_back({{segment.own.first + done, std::min(lanes, segment.own.count - done)}, &segment});
-    }
+std::vector<TokenRange> tiles(int64_t tokens, int64_t lanes) {
+  std::vector<TokenRange> result;
+  for (int64_t first = 0; first < tokens; first += lanes) {
+    result.push_back({first, std::min(lanes, tokens - first)});
   }
   return result;
 }
@@ -84,12 +43,6 @@ void check_attention(const AttentionForward& arrays, const KernelSettings& setti
           std::to_string(shape.head_dim) + " channels, " + std::to_string(shape.queries) + " queries, " +
               std::to_string(shape.keys) + " keys, " + std::to_string(settings.threads) + " threads",
           ""});
-  }
-  if (arrays.mask != nullptr && (arrays.mask->views < 1 || shape.queries % arrays.mask->views != 0 ||
-                                 shape.keys % arrays.mask->views != 0)) {
-    fail({"attention kernel",
-          "tokens that divide evenly into the " + std::to_string(arrays.mask->views) + " views of the mask",
-          std::to_string(shape.queries) + " queries and " + std::to_string(shape.keys) + " keys", ""});
   }
   if (arrays.prope != nullptr) {
     const PropePointers& prope = *arrays.prope;

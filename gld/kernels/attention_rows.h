@@ -7,8 +7,8 @@
 #include <cmath>
 #include <vector>
 
-// What attention in float32 and on matrix units share: which tokens attend to which, and rows of strided arrays with
-// their camera encoding.
+// What attention in float32 and on matrix units share: tokens in tiles, and rows of strided arrays with their camera
+// encoding.
 namespace gld {
 
 constexpr double kLog2E = 1.4426950408889634;
@@ -23,24 +23,8 @@ inline float query_factor(int64_t head_dim) {
   return static_cast<float>(kLog2E / std::sqrt(static_cast<double>(head_dim)));
 }
 
-// A run of tokens and the runs of tokens on the other side that it attends to (or that attend to it).
-struct Segment {
-  TokenRange own;
-  std::vector<TokenRange> partners;
-};
-
-enum class SegmentSide { queries, keys };
-
-// Neighbouring views with equal rows (columns) of the mask form one segment.
-std::vector<Segment> segments(const AttentionForward& arrays, SegmentSide side);
-
-// Part of a segment that fits the lanes of one tile.
-struct Tile {
-  TokenRange own;
-  const Segment* segment;
-};
-
-std::vector<Tile> tiles(const std::vector<Segment>& segments, int64_t lanes);
+// All tokens in runs of as many as fit the lanes of one tile.
+std::vector<TokenRange> tiles(int64_t tokens, int64_t lanes);
 
 // A run of (batch, head) pairs, counted head first.
 struct HeadRange {

@@ -142,13 +142,11 @@ void attention_forward_tile(const AttentionForwardTile& tile) {
     for (int64_t i = 0; i < kTileLanes; ++i) maxima[i] = kLowest;
     for (int64_t i = 0; i < kTileLanes; ++i) maxima[kTileLanes + i] = 0;
   }
-  for (int64_t r = 0; r < tile.key_range_count; ++r) {
-    const int64_t end = tile.key_ranges[r].first + tile.key_ranges[r].count;
-    for (int64_t first = tile.key_ranges[r].first; first < end; first += kForwardKeys) {
-      const int64_t count = end - first < kForwardKeys ? end - first : kForwardKeys;
-      for (int64_t g = 0; g < groups; ++g) {
-        forward_step(tile, first, count, tile.scratch + g * group_floats, probabilities);
-      }
+  for (int64_t first = 0; first < tile.key_count; first += kForwardKeys) {
+    const int64_t left = tile.key_count - first;
+    const int64_t count = left < kForwardKeys ? left : kForwardKeys;
+    for (int64_t g = 0; g < groups; ++g) {
+      forward_step(tile, first, count, tile.scratch + g * group_floats, probabilities);
     }
   }
   for (int64_t g = 0; g < groups; ++g) {
@@ -297,13 +295,11 @@ void attention_backward_tile(const AttentionBackwardTile& tile) {
                    group + matrix);
     for (int64_t i = 0; i < 2 * matrix; ++i) group[2 * matrix + i] = 0;
   }
-  for (int64_t r = 0; r < tile.query_range_count; ++r) {
-    const int64_t end = tile.query_ranges[r].first + tile.query_ranges[r].count;
-    for (int64_t start = tile.query_ranges[r].first; start < end; start += kBackwardQueries) {
-      const int64_t count = end - start < kBackwardQueries ? end - start : kBackwardQueries;
-      for (int64_t g = 0; g < groups; ++g) {
-        backward_step(tile, start, count, keys[g], tile.scratch + g * group_floats, probabilities);
-      }
+  for (int64_t first = 0; first < tile.query_count; first += kBackwardQueries) {
+    const int64_t left = tile.query_count - first;
+    const int64_t count = left < kBackwardQueries ? left : kBackwardQueries;
+    for (int64_t g = 0; g < groups; ++g) {
+      backward_step(tile, first, count, keys[g], tile.scratch + g * group_floats, probabilities);
     }
   }
   for (int64_t lane = 0; lane < kTileLanes; ++lane) probabilities[lane] = 1;

@@ -179,6 +179,33 @@ void linear_product(const LinearProduct& product, const KernelSettings& settings
   }
 }
 
+void few_rows_product(const LinearProduct& product, const KernelSettings& settings) {
+  check_product(product, settings);
+  if (product.rows == 0) return;
+  const KernelTable& kernels = kernel_table(settings.instruction_set);
+  // Outputs a thread takes at a time, and multiplications below which waking another thread costs more than it does.
+  constexpr int64_t kOutputsAPart = 48;
+  constexpr int64_t kFewestShared = 1 << 17;
+  const int64_t parts = parts_of(product.outputs, kOutputsAPart);
+  const bool shared = product.rows * product.inputs * product.outputs >= kFewestShared;
+#pragma omp parallel for num_threads(shared ? settings.threads : 1) schedule(static)
+  for (int64_t part = 0; part < parts; ++part) {
+    const int64_t first = part * kOutputsAPart;
+    FewRowsTile tile = {};
+    tile.x = product.x;
+    tile.x_stride = product.x_stride;
+    tile.rows = product.rows;
+    tile.weight = product.weight + first * product.weight_stride;
+    tile.weight_stride = product.weight_stride;
+    tile.outputs = std::min(kOutputsAPart, product.outputs - first);
+    tile.inputs = product.inputs;
+    tile.bias = product.bias == nullptr ? nullptr : product.bias + first;
+    tile.y = product.y + first;
+    tile.y_stride = product.y_stride;
+    kernels.few_rows_product(tile);
+  }
+}
+
 int64_t packed_weight_floats(int64_t outputs, int64_t inputs, const KernelSettings& settings) {
   return rounded_up(outputs, kernel_table(settings.instruction_set).tile_lanes) * inputs;
 }

@@ -26,6 +26,11 @@ struct LinearProduct {
 // y = x weight^T + bias. The same bits for any number of threads.
 void linear_product(const LinearProduct& product, const KernelSettings& settings);
 
+// The same without packing, for few rows: below kFewestPackedRows it is the faster one. packed_weight is not read. The
+// same bits for any number of threads and of rows, but not those of linear_product, whose sums are cut elsewhere.
+void few_rows_product(const LinearProduct& product, const KernelSettings& settings);
+constexpr int64_t kFewestPackedRows = 48;
+
 // The weights of product as linear_product reads them with the same instruction set and cache, (packed_weight_floats);
 // products with them give the same bits.
 int64_t packed_weight_floats(int64_t outputs, int64_t inputs, const KernelSettings& settings);

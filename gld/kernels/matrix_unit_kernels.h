@@ -49,16 +49,15 @@ constexpr int64_t kBlockPairs = kBlockTokens / 2;
 
 // Some queries against the keys of one head, in bfloat16 with a softmax in float32.
 struct UnitAttentionTile {
-  const uint32_t* queries;         // query_count rows of head_words, multiplied by log2(e) / sqrt(head size)
-  int64_t query_count;             // at most MatrixUnitKernels::forward_queries
-  const uint32_t* keys;            // blocks of kBlockTokens rows of head_words
-  const uint32_t* values;          // blocks of head_rows rows (channels) of kBlockPairs (pairs of keys)
-  const int32_t* block_keys;       // how many keys of a block are there; the others are zero
-  int64_t head_words;              // of a row: channels / 2, padded to whole steps
-  int64_t head_rows;               // channels, padded to whole MatrixUnitKernels::rows
-  int64_t head_dim;                // a multiple of 8
-  const TokenRange* block_ranges;  // runs of blocks
-  int64_t block_range_count;
+  const uint32_t* queries;    // query_count rows of head_words, multiplied by log2(e) / sqrt(head size)
+  int64_t query_count;        // at most MatrixUnitKernels::forward_queries
+  const uint32_t* keys;       // blocks of kBlockTokens rows of head_words
+  const uint32_t* values;     // blocks of head_rows rows (channels) of kBlockPairs (pairs of keys)
+  const int32_t* block_keys;  // how many keys of a block are there; the others are zero
+  int64_t head_words;         // of a row: channels / 2, padded to whole steps
+  int64_t head_rows;          // channels, padded to whole MatrixUnitKernels::rows
+  int64_t head_dim;           // a multiple of 8
+  int64_t blocks;
   float* scratch;  // MatrixUnitKernels::forward_scratch floats, 64-byte aligned
   float* output;   // query_count rows of output_stride
   int64_t output_stride;
@@ -80,8 +79,7 @@ struct UnitAttentionBackwardTile {
   int64_t head_words;
   int64_t head_rows;
   int64_t head_dim;
-  const TokenRange* block_ranges;  // runs of blocks
-  int64_t block_range_count;
+  int64_t blocks;
   float* scratch;                 // MatrixUnitKernels::backward_scratch floats, 64-byte aligned
   float* query_gradients;         // (blocks, kBlockTokens, query_gradient_stride), added to
   int64_t query_gradient_stride;  // whole panels of MatrixUnitKernels::lanes channels
@@ -90,31 +88,31 @@ struct UnitAttentionBackwardTile {
   int64_t gradient_stride;
 };
 
+// Filled by kernels_of() of matrix_unit_loops.h; kernel_table_test refuses an entry that is not.
 struct MatrixUnitKernels {
-  MatrixUnit unit;
-  int64_t rows;             // of a product's strip
-  int64_t lanes;            // of a panel of columns
-  int64_t step_words;       // depths are multiples of it
-  int64_t block_words;      // of a row that is multiplied before sums go to y
-  int64_t block_columns;    // whose panels stay in the second-level cache
-  int64_t forward_queries;  // the most queries in an attention tile
-  int64_t (*forward_scratch)(int64_t head_words, int64_t head_rows);
-  int64_t backward_keys;  // the most keys in a tile of the backward pass
-  int64_t (*backward_scratch)(int64_t head_words, int64_t head_rows);
-  void (*bfloat16_product)(const UnitProductTile& tile);
-  void (*int8_product)(const UnitProductTile& tile);
-  void (*attention_forward)(const UnitAttentionTile& tile);
-  void (*attention_backward)(const UnitAttentionBackwardTile& tile);
+  MatrixUnit unit = MatrixUnit::kPlain;
+  int64_t rows = 0;             // of a product's strip
+  int64_t lanes = 0;            // of a panel of columns
+  int64_t step_words = 0;       // depths are multiples of it
+  int64_t block_words = 0;      // of a row that is multiplied before sums go to y
+  int64_t block_columns = 0;    // whose panels stay in the second-level cache
+  int64_t forward_queries = 0;  // the most queries in an attention tile
+  int64_t (*forward_scratch)(int64_t head_words, int64_t head_rows) = nullptr;
+  int64_t backward_keys = 0;  // the most keys in a tile of the backward pass
+  int64_t (*backward_scratch)(int64_t head_words, int64_t head_rows) = nullptr;
+  void (*bfloat16_product)(const UnitProductTile& tile) = nullptr;
+  void (*int8_product)(const UnitProductTile& tile) = nullptr;
+  void (*attention_forward)(const UnitAttentionTile& tile) = nullptr;
+  void (*attention_backward)(const UnitAttentionBackwardTile& tile) = nullptr;
   // Rounded to the nearest, ties to even; NaN stays NaN. From count to padded: zeros.
-  void (*to_bfloat16)(const float* x, int64_t count, int64_t padded, uint16_t* y);
-  // x = high + low to 16 bits.
-  void (*split_bfloat16)(const float* x, int64_t count, int64_t padded, uint16_t* high, uint16_t* low);
+  void (*to_bfloat16)(const float* x, int64_t count, int64_t padded, uint16_t* y) = nullptr;
   // The scale that holds all numbers and 0; NaN where one is NaN or infinite.
-  ByteScale (*byte_scale)(const float* x, int64_t count);
-  void (*to_bytes)(const float* x, int64_t count, int64_t padded, const ByteScale& scale, uint8_t* y);
+  ByteScale (*byte_scale)(const float* x, int64_t count) = nullptr;
+  void (*to_bytes)(const float* x, int64_t count, int64_t padded, const ByteScale& scale,
+                   uint8_t* y) = nullptr;
   // Run rounds of independent products in registers and return how many operations that was.
-  double (*bfloat16_rounds)(int64_t rounds);
-  double (*int8_rounds)(int64_t rounds);
+  double (*bfloat16_rounds)(int64_t rounds) = nullptr;
+  double (*int8_rounds)(int64_t rounds) = nullptr;
 };
 
 // The kernels of one unit, which must be available for that precision (not float32) on this processor.

@@ -82,20 +82,6 @@ void to_bfloat16(const float* x, int64_t count, int64_t padded, uint16_t* y) {
   for (; i < padded; ++i) y[i] = 0;
 }
 
-void split_bfloat16(const float* x, int64_t count, int64_t padded, uint16_t* high, uint16_t* low) {
-  int64_t i = 0;
-  for (; i + Simd::lanes <= count; i += Simd::lanes) {
-    const Vector all = Simd::load(x + i);
-    UnitSimd::store_bfloat16(high + i, all);
-    UnitSimd::store_bfloat16(low + i, Simd::subtract(all, UnitSimd::load_bfloat16(high + i)));
-  }
-  for (; i < count; ++i) {
-    high[i] = bfloat16_of(x[i]);
-    low[i] = bfloat16_of(x[i] - float_of(high[i]));
-  }
-  for (; i < padded; ++i) high[i] = low[i] = 0;
-}
-
 ByteScale byte_scale(const float* x, int64_t count) {
   constexpr float kSmallest = 1.1754944e-38f;
   float lowest = 0, highest = 0, unfinite = 0;
@@ -153,26 +139,27 @@ double unit_rounds(int64_t rounds) {
 
 template <class Unit>
 MatrixUnitKernels kernels_of(MatrixUnit unit) {
-  return {unit,
-          Unit::rows,
-          Unit::lanes,
-          Unit::step_words,
-          Unit::block_words,
-          Unit::block_columns,
-          kUnitGroups * Unit::lanes,
-          unit_forward_scratch<Unit>,
-          kUnitGroups * Unit::lanes,
-          unit_backward_scratch<Unit>,
-          unit_product<Unit, OperandKind::kBFloat16>,
-          unit_product<Unit, OperandKind::kInt8>,
-          unit_attention_forward<Unit>,
-          unit_attention_backward<Unit>,
-          to_bfloat16,
-          split_bfloat16,
-          byte_scale,
-          to_bytes,
-          unit_rounds<Unit, OperandKind::kBFloat16>,
-          unit_rounds<Unit, OperandKind::kInt8>};
+  MatrixUnitKernels kernels;
+  kernels.unit = unit;
+  kernels.rows = Unit::rows;
+  kernels.lanes = Unit::lanes;
+  kernels.step_words = Unit::step_words;
+  kernels.block_words = Unit::block_words;
+  kernels.block_columns = Unit::block_columns;
+  kernels.forward_queries = kUnitGroups * Unit::lanes;
+  kernels.forward_scratch = unit_forward_scratch<Unit>;
+  kernels.backward_keys = kUnitGroups * Unit::lanes;
+  kernels.backward_scratch = unit_backward_scratch<Unit>;
+  kernels.bfloat16_product = unit_product<Unit, OperandKind::kBFloat16>;
+  kernels.int8_product = unit_product<Unit, OperandKind::kInt8>;
+  kernels.attention_forward = unit_attention_forward<Unit>;
+  kernels.attention_backward = unit_attention_backward<Unit>;
+  kernels.to_bfloat16 = to_bfloat16;
+  kernels.byte_scale = byte_scale;
+  kernels.to_bytes = to_bytes;
+  kernels.bfloat16_rounds = unit_rounds<Unit, OperandKind::kBFloat16>;
+  kernels.int8_rounds = unit_rounds<Unit, OperandKind::kInt8>;
+  return kernels;
 }
 
 }  // namespace

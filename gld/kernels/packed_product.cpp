@@ -18,11 +18,9 @@
 namespace gld {
 namespace {
 
-// How rows of one precision lie in words: one run, or for bfloat16x3 three, of which the left operand has [high | high
-// | low] and the right one [high | low | high], so that one product gives the three terms.
+// How rows of one precision lie in words.
 struct WordLayout {
-  int64_t run;  // words of a run, whole steps
-  int64_t words;
+  int64_t words;  // of a row, whole steps
   int64_t block;  // words of a block, whole steps
 };
 
@@ -30,8 +28,7 @@ int64_t numbers_a_word(ComputePrecision precision) { return precision == Compute
 
 WordLayout word_layout(int64_t inputs, ComputePrecision precision, const MatrixUnitKernels& unit) {
   WordLayout layout = {};
-  layout.run = rounded_up(parts_of(inputs, numbers_a_word(precision)), kStepWords);
-  layout.words = layout.run * (precision == ComputePrecision::kBFloat16x3 ? 3 : 1);
+  layout.words = rounded_up(parts_of(inputs, numbers_a_word(precision)), kStepWords);
   layout.block = equal_share(layout.words, unit.block_words, kStepWords);
   return layout;
 }
@@ -45,20 +42,6 @@ int64_t row_stride(const WordLayout& layout) {
 template <class Number>
 Number* numbers(uint32_t* words) {
   return reinterpret_cast<Number*>(words);
-}
-
-enum class Side { kRows, kColumns };
-
-// Floats as words of bfloat16 or of its two parts.
-void bfloat16_words(const MatrixUnitKernels& unit, const WordLayout& layout, Side side, const float* x,
-                    int64_t count, uint32_t* words) {
-  if (layout.words == layout.run) {
-    unit.to_bfloat16(x, count, 2 * layout.run, numbers<uint16_t>(words));
-    return;
-  }
-  uint32_t* low = words + (side == Side::kRows ? 2 : 1) * layout.run;
-  unit.split_bfloat16(x, count, 2 * layout.run, numbers<uint16_t>(words), numbers<uint16_t>(low));
-  std::copy_n(words, layout.run, words + (side == Side::kRows ? 1 : 2) * layout.run);
 }
 
 // One output's weights as signed bytes; returns their scale.
@@ -152,7 +135,7 @@ void fill_row(const PackedProduct& product, const MatrixUnitKernels& unit, const
   }
   const float* x = product.x + from * product.x_stride;
   if (weights.settings().precision != ComputePrecision::kInt8) {
-    bfloat16_words(unit, layout, Side::kRows, x, weights.inputs(), words);
+    unit.to_bfloat16(x, weights.inputs(), 2 * layout.words, numbers<uint16_t>(words));
     return;
   }
   const ByteScale scale = unit.byte_scale(x, weights.inputs());
@@ -303,7 +286,7 @@ PackedWeights::PackedWeights(const WeightMatrix& weights, const PackingSettings&
         if (int8) {
           column_scales_[static_cast<std::size_t>(first + lane)] = weight_bytes(x, inputs_, layout, words);
         } else {
-          bfloat16_words(unit, layout, Side::kColumns, x, inputs_, words);
+          unit.to_bfloat16(x, inputs_, 2 * layout.words, numbers<uint16_t>(words));
         }
       }
       for (int64_t k = 0; k < layout.words; k += layout.block) {

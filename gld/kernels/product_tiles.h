@@ -92,5 +92,79 @@ void product_tile(const ProductTile& tile) {
   for (int64_t column = 0; column < tile.columns; column += kTileLanes) product_panel(tile, column);
 }
 
+// Vectors that are summed up in one accumulator; longer sums lose digits.
+constexpr int64_t kDotVectors = 256;
+
+// Zeros behind the last input, which add nothing.
+GLD_INLINE Vector load_first(const float* p, int64_t count) {
+  float values[Simd::lanes] = {};
+  for (int64_t i = 0; i < count; ++i) values[i] = p[i];
+  return Simd::load(values);
+}
+
+template <int rows, int outputs, class Load>
+GLD_INLINE void dot_step(const FewRowsTile& tile, const float* x, const float* weight, const Load& load,
+                         Vector (&c)[rows][outputs]) {
+  Vector operand[outputs];
+#pragma GCC unroll 8
+  for (int n = 0; n < outputs; ++n) operand[n] = load(weight + n * tile.weight_stride);
+#pragma GCC unroll 8
+  for (int m = 0; m < rows; ++m) {
+    const Vector factor = load(x + m * tile.x_stride);
+#pragma GCC unroll 8
+    for (int n = 0; n < outputs; ++n) c[m][n] = Simd::accumulate(factor, operand[n], c[m][n]);
+  }
+}
+
+// Every element of y is the same operations in the same order, whatever tile it lies in.
+template <int rows, int outputs>
+GLD_INLINE void dot_tile(const FewRowsTile& tile, int64_t first_row, int64_t first_output) {
+  const float* x = tile.x + first_row * tile.x_stride;
+  const float* weight = tile.weight + first_output * tile.weight_stride;
+  float sums[rows][outputs] = {};
+  for (int64_t begin = 0; begin < tile.inputs; begin += kDotVectors * Simd::lanes) {
+    const int64_t left = tile.inputs - begin;
+    const int64_t count = left < kDotVectors * Simd::lanes ? left : kDotVectors * Simd::lanes;
+    Vector c[rows][outputs];
+    clear_tile(c);
+    int64_t k = begin;
+    for (; k + Simd::lanes <= begin + count; k += Simd::lanes) {
+      dot_step<rows, outputs>(
+          tile, x + k, weight + k, [](const float* p) { return Simd::load(p); }, c);
+    }
+    if (k < begin + count) {
+      const int64_t rest = begin + count - k;
+      dot_step<rows, outputs>(
+          tile, x + k, weight + k, [rest](const float* p) { return load_first(p, rest); }, c);
+    }
+#pragma GCC unroll 8
+    for (int m = 0; m < rows; ++m) {
+#pragma GCC unroll 8
+      for (int n = 0; n < outputs; ++n) sums[m][n] += Simd::sum(c[m][n]);
+    }
+  }
+  for (int m = 0; m < rows; ++m) {
+    for (int n = 0; n < outputs; ++n) {
+      const float bias = tile.bias == nullptr ? 0 : tile.bias[first_output + n];
+      tile.y[(first_row + m) * tile.y_stride + first_output + n] = sums[m][n] + bias;
+    }
+  }
+}
+
+template <int outputs>
+GLD_INLINE void dot_rows(const FewRowsTile& tile, int64_t first_output) {
+  int64_t row = 0;
+  for (; row + 4 <= tile.rows; row += 4) dot_tile<4, outputs>(tile, row, first_output);
+  for (; row < tile.rows; ++row) dot_tile<1, outputs>(tile, row, first_output);
+}
+
+// 4 x 3 sums, 3 operands and a factor fill AVX2's 16 registers. The rows pass while three rows of weights stay in the
+// first-level cache, so that all weights are read from memory once.
+void few_rows_tile(const FewRowsTile& tile) {
+  int64_t output = 0;
+  for (; output + 3 <= tile.outputs; output += 3) dot_rows<3>(tile, output);
+  for (; output < tile.outputs; ++output) dot_rows<1>(tile, output);
+}
+
 }  // namespace
 }  // namespace gld

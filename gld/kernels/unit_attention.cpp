@@ -53,7 +53,7 @@ class UnitAttention {
         shape_(arrays.shape),
         unit_(attention_unit(settings)),
         encoder_(arrays, kernel_table(settings.instruction_set)),
-        blocks_(token_blocks(arrays.shape.keys, arrays.mask)),
+        blocks_(token_blocks(arrays.shape.keys)),
         plan_(unit_attention_plan(arrays, blocks_, unit_, settings.threads)),
         threads_(settings.threads) {}
 
@@ -63,9 +63,7 @@ class UnitAttention {
   }
 
   void run() const {
-    const auto query_segments = segments(arrays_, SegmentSide::queries);
-    const auto query_tiles = tiles(query_segments, plan_.tile_queries);
-    const auto runs = block_runs(query_segments, blocks_);
+    const auto query_tiles = tiles(shape_.queries, plan_.tile_queries);
     const auto num_tiles = static_cast<int64_t>(query_tiles.size());
     const AlignedFloats packed(plan_.heads_at_once * plan_.head_packed);
     const AlignedFloats scratch(threads_ * plan_.thread_floats);
@@ -85,9 +83,8 @@ class UnitAttention {
 #pragma omp for schedule(dynamic, 1)
         for (int64_t item = 0; item < heads.count * num_tiles; ++item) {
           const int64_t head = item / num_tiles;
-          const Tile& tile = query_tiles[static_cast<std::size_t>(item % num_tiles)];
-          const auto segment = static_cast<std::size_t>(tile.segment - query_segments.data());
-          attend(heads.first + head, tile, runs[segment], words + head * plan_.head_packed, own);
+          const TokenRange& tile = query_tiles[static_cast<std::size_t>(item % num_tiles)];
+          attend(heads.first + head, tile, words + head * plan_.head_packed, own);
         }
       }
     }
@@ -120,8 +117,7 @@ class UnitAttention {
     pack_channels(plan_.head, value_rows, dim, values);
   }
 
-  void attend(int64_t index, const Tile& tile, const std::vector<TokenRange>& runs, const uint32_t* packed,
-              float* own) const {
+  void attend(int64_t index, const TokenRange& tile, const uint32_t* packed, float* own) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads, dim = plan_.head.head_dim;
     const float factor = query_factor(shape_.head_dim);
     float* scratch = own;
@@ -131,8 +127,8 @@ class UnitAttention {
     float* base2_lse = outputs + plan_.tile_queries * dim;
     float* row = base2_lse + rounded_up(plan_.tile_queries, 16);
     std::fill(row, row + dim, 0.0f);
-    for (int64_t i = 0; i < tile.own.count; ++i) {
-      const int64_t token = tile.own.first + i;
+    for (int64_t i = 0; i < tile.count; ++i) {
+      const int64_t token = tile.first + i;
       const float* from = row_of(arrays_.query, batch, head, token);
       prefetch_row(from + kPrefetchRows * arrays_.query.token_stride, shape_.head_dim);
       encoder_.apply(Encoding::query, token, factor, from, row);
@@ -140,22 +136,21 @@ class UnitAttention {
     }
     UnitAttentionTile kernel_tile = {};
     kernel_tile.queries = queries;
-    kernel_tile.query_count = tile.own.count;
+    kernel_tile.query_count = tile.count;
     kernel_tile.keys = packed;
     kernel_tile.values = packed + plan_.key_words;
     kernel_tile.block_keys = blocks_.counts.data();
     kernel_tile.head_words = plan_.head.head_words;
     kernel_tile.head_rows = plan_.head.head_rows;
     kernel_tile.head_dim = dim;
-    kernel_tile.block_ranges = runs.data();
-    kernel_tile.block_range_count = static_cast<int64_t>(runs.size());
+    kernel_tile.blocks = blocks_.count();
     kernel_tile.scratch = scratch;
     kernel_tile.output = outputs;
     kernel_tile.output_stride = dim;
     kernel_tile.base2_lse = base2_lse;
     unit_.attention_forward(kernel_tile);
-    for (int64_t i = 0; i < tile.own.count; ++i) {
-      const int64_t token = tile.own.first + i;
+    for (int64_t i = 0; i < tile.count; ++i) {
+      const int64_t token = tile.first + i;
       float* to = row_of(arrays_.output, batch, head, token);
       prefetch_row(to + kPrefetchRows * arrays_.output.token_stride, shape_.head_dim);
       encoder_.apply(Encoding::output, token, 1.0f, outputs + i * dim, to);

@@ -21,7 +21,7 @@ class UnitAttentionBackward {
         unit_(attention_unit(settings)),
         encoder_(arrays.forward, kernel_table(settings.instruction_set)),
         head_(shape_.head_dim, unit_),
-        blocks_(token_blocks(shape_.queries, forward_.mask)),
+        blocks_(token_blocks(shape_.queries)),
         threads_(settings.threads),
         gradient_stride_(rounded_up(head_.head_dim, unit_.lanes)),
         query_floats_(blocks_.count() * kBlockTokens * gradient_stride_) {
@@ -32,9 +32,7 @@ class UnitAttentionBackward {
   }
 
   void run() const {
-    const auto key_segments = segments(forward_, SegmentSide::keys);
-    const auto key_tiles = tiles(key_segments, tile_keys_);
-    const auto runs = block_runs(key_segments, blocks_);
+    const auto key_tiles = tiles(shape_.keys, tile_keys_);
     Packed packed(*this);
     const int64_t thread_floats = places_.floats;
     const AlignedFloats scratch(threads_ * thread_floats);
@@ -52,9 +50,8 @@ class UnitAttentionBackward {
         // A fixed assignment of tiles to threads keeps the order of every sum.
 #pragma omp for schedule(static, 1)
         for (int64_t item = 0; item < static_cast<int64_t>(key_tiles.size()); ++item) {
-          const Tile& tile = key_tiles[static_cast<std::size_t>(item)];
-          const auto segment = static_cast<std::size_t>(tile.segment - key_segments.data());
-          add_tile(index, tile, runs[segment], packed, own);
+          const TokenRange& tile = key_tiles[static_cast<std::size_t>(item)];
+          add_tile(index, tile, packed, own);
         }
         const int team = omp_get_num_threads();
 #pragma omp for schedule(static)
@@ -162,8 +159,7 @@ class UnitAttentionBackward {
     to_row(row, packed.values + token * head_.head_words);
   }
 
-  void add_tile(int64_t index, const Tile& tile, const std::vector<TokenRange>& runs, const Packed& packed,
-                float* own) const {
+  void add_tile(int64_t index, const TokenRange& tile, const Packed& packed, float* own) const {
     const int64_t batch = index / shape_.heads, head = index % shape_.heads;
     UnitAttentionBackwardTile kernel_tile = {};
     kernel_tile.queries = packed.queries;
@@ -173,14 +169,13 @@ class UnitAttentionBackward {
     kernel_tile.block_queries = blocks_.counts.data();
     kernel_tile.base2_lse = packed.base2_lse;
     kernel_tile.output_dot = packed.output_dot;
-    kernel_tile.keys = packed.keys + tile.own.first * head_.head_words;
-    kernel_tile.values = packed.values + tile.own.first * head_.head_words;
-    kernel_tile.key_count = tile.own.count;
+    kernel_tile.keys = packed.keys + tile.first * head_.head_words;
+    kernel_tile.values = packed.values + tile.first * head_.head_words;
+    kernel_tile.key_count = tile.count;
     kernel_tile.head_words = head_.head_words;
     kernel_tile.head_rows = head_.head_rows;
     kernel_tile.head_dim = head_.head_dim;
-    kernel_tile.block_ranges = runs.data();
-    kernel_tile.block_range_count = static_cast<int64_t>(runs.size());
+    kernel_tile.blocks = blocks_.count();
     kernel_tile.scratch = own + places_.kernel;
     kernel_tile.query_gradients = own;
     kernel_tile.query_gradient_stride = gradient_stride_;
@@ -188,8 +183,8 @@ class UnitAttentionBackward {
     kernel_tile.value_gradients = own + places_.value_gradients;
     kernel_tile.gradient_stride = gradient_stride_;
     unit_.attention_backward(kernel_tile);
-    for (int64_t i = 0; i < tile.own.count; ++i) {
-      const int64_t token = tile.own.first + i;
+    for (int64_t i = 0; i < tile.count; ++i) {
+      const int64_t token = tile.first + i;
       // The packed queries carry log2(e) / sqrt(head_dim); the logits' gradient wants 1 / sqrt(head_dim).
       encoder_.apply_transposed(Encoding::key_value, token, static_cast<float>(kLn2),
                                 kernel_tile.key_gradients + i * gradient_stride_,

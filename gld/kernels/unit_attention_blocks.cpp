@@ -14,31 +14,11 @@ const MatrixUnitKernels& attention_unit(const KernelSettings& settings) {
   return matrix_unit_kernels(settings.unit, settings.precision);
 }
 
-TokenBlocks token_blocks(int64_t tokens, const ViewMask* mask) {
+TokenBlocks token_blocks(int64_t tokens) {
   TokenBlocks blocks;
-  blocks.views = mask == nullptr ? 1 : mask->views;
-  blocks.view_tokens = tokens / blocks.views;
-  for (int64_t view = 0; view < blocks.views; ++view) {
-    for (int64_t first = 0; first < blocks.view_tokens; first += kBlockTokens) {
-      blocks.tokens.push_back(
-          {view * blocks.view_tokens + first, std::min(kBlockTokens, blocks.view_tokens - first)});
-      blocks.counts.push_back(static_cast<int32_t>(blocks.tokens.back().count));
-    }
-  }
+  blocks.tokens = tiles(tokens, kBlockTokens);
+  for (const TokenRange& block : blocks.tokens) blocks.counts.push_back(static_cast<int32_t>(block.count));
   return blocks;
-}
-
-std::vector<std::vector<TokenRange>> block_runs(const std::vector<Segment>& segments,
-                                                const TokenBlocks& blocks) {
-  std::vector<std::vector<TokenRange>> runs(segments.size());
-  if (blocks.view_tokens == 0) return runs;
-  for (std::size_t i = 0; i < segments.size(); ++i) {
-    for (const TokenRange& tokens : segments[i].partners) {
-      runs[i].push_back({tokens.first / blocks.view_tokens * blocks.a_view(),
-                         tokens.count / blocks.view_tokens * blocks.a_view()});
-    }
-  }
-  return runs;
 }
 
 UnitHead::UnitHead(int64_t channels, const MatrixUnitKernels& unit)

@@ -12,23 +12,15 @@ namespace gld {
 // The unit's kernels. Throws Error for another precision than bfloat16.
 const MatrixUnitKernels& attention_unit(const KernelSettings& settings);
 
-// Tokens in blocks of kBlockTokens. A mask parts them by views, so that every view starts a block.
+// Tokens in blocks of kBlockTokens.
 struct TokenBlocks {
   std::vector<TokenRange> tokens;  // of each block
   std::vector<int32_t> counts;     // the same as the kernels take it
-  int64_t views = 1;
-  int64_t view_tokens = 0;
 
   int64_t count() const { return static_cast<int64_t>(tokens.size()); }
-  int64_t a_view() const { return count() / views; }
 };
 
-// tokens: of all views, of which there is one without a mask.
-TokenBlocks token_blocks(int64_t tokens, const ViewMask* mask);
-
-// The tokens that each segment attends to or is attended by, which begin and end with views, as runs of blocks.
-std::vector<std::vector<TokenRange>> block_runs(const std::vector<Segment>& segments,
-                                                const TokenBlocks& blocks);
+TokenBlocks token_blocks(int64_t tokens);
 
 // Sizes of one head's packed tokens.
 struct UnitHead {

@@ -130,12 +130,9 @@ void unit_attention_forward(const UnitAttentionTile& tile) {
     for (int64_t i = 0; i < lanes; ++i) maxima[i] = kLowest;
     for (int64_t i = 0; i < lanes; ++i) maxima[lanes + i] = 0;
   }
-  for (int64_t r = 0; r < tile.block_range_count; ++r) {
-    const TokenRange& range = tile.block_ranges[r];
-    for (int64_t block = range.first; block < range.first + range.count; ++block) {
-      for (int64_t g = 0; g < groups; ++g) {
-        unit_forward_step<Unit>(tile, block, tile.scratch + g * group_floats, logits, pairs);
-      }
+  for (int64_t block = 0; block < tile.blocks; ++block) {
+    for (int64_t g = 0; g < groups; ++g) {
+      unit_forward_step<Unit>(tile, block, tile.scratch + g * group_floats, logits, pairs);
     }
   }
   for (int64_t g = 0; g < groups; ++g) {
@@ -343,12 +340,9 @@ void unit_attention_backward(const UnitAttentionBackwardTile& tile) {
     pair_keys<Unit>(tile, tile.keys + first, group_keys(g), words_at(scratch.key_pairs));
     for (int64_t i = 0; i < 2 * tile.head_rows * lanes; ++i) scratch.key_sums[i] = 0;
   }
-  for (int64_t r = 0; r < tile.block_range_count; ++r) {
-    const TokenRange& range = tile.block_ranges[r];
-    for (int64_t block = range.first; block < range.first + range.count; ++block) {
-      for (int64_t g = 0; g < groups; ++g) {
-        unit_backward_step<Unit>(tile, block, group_keys(g), scratch_of(g));
-      }
+  for (int64_t block = 0; block < tile.blocks; ++block) {
+    for (int64_t g = 0; g < groups; ++g) {
+      unit_backward_step<Unit>(tile, block, group_keys(g), scratch_of(g));
     }
   }
   for (int64_t g = 0; g < groups; ++g) {

@@ -45,10 +45,6 @@ struct UnitSimd {
   static GLD_INLINE void store_bfloat16(uint16_t* y, Vector x) {
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(y), reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(x)));
   }
-  static GLD_INLINE Vector load_bfloat16(const uint16_t* x) {
-    const __m256i halves = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(x));
-    return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_cvtepu16_epi32(halves), 16));
-  }
   // clamp(round(x * inverse) + zero, 0, 255).
   static GLD_INLINE void store_bytes(uint8_t* y, Vector x, float inverse, int32_t zero) {
     __m512i whole = _mm512_cvtps_epi32(Simd::multiply(x, Simd::broadcast(inverse)));
@@ -89,11 +85,6 @@ struct UnitSimd {
     float values[Simd::lanes];
     Simd::store(values, x);
     for (int i = 0; i < Simd::lanes; ++i) y[i] = bfloat16_of(values[i]);
-  }
-  static GLD_INLINE Vector load_bfloat16(const uint16_t* x) {
-    float values[Simd::lanes];
-    for (int i = 0; i < Simd::lanes; ++i) values[i] = float_of(x[i]);
-    return Simd::load(values);
   }
   static GLD_INLINE void store_bytes(uint8_t* y, Vector x, float inverse, int32_t zero) {
     float values[Simd::lanes];

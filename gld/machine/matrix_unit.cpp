@@ -42,7 +42,7 @@ AmxFeatures amx_features() {
 }  // namespace
 
 const std::vector<std::string>& compute_precision_names() {
-  static const std::vector<std::string> names = {"float32", "bfloat16", "bfloat16x3", "int8"};
+  static const std::vector<std::string> names = {"float32", "bfloat16", "int8"};
   return names;
 }
 

@@ -8,13 +8,12 @@ namespace gld {
 
 // What matrix products and attention are computed in. Sums are float32 (int32 for int8) in all of them; softmax, norms,
 // residual stream, camera encoding, statistics and the flow's state are float32 whatever is chosen.
-//   float32     as before there were others, bit for bit
-//   bfloat16    operands rounded to 8 significant bits
-//   bfloat16x3  operands split into a high and a low bfloat16, the three larger of the four products: 16 bits
-//   int8        linear layers with a scale an output channel and a scale and zero a token; attention in bfloat16
-enum class ComputePrecision { kFloat32, kBFloat16, kBFloat16x3, kInt8 };
+//   float32   as before there were others, bit for bit
+//   bfloat16  operands rounded to 8 significant bits
+//   int8      linear layers with a scale an output channel and a scale and zero a token; attention in bfloat16
+enum class ComputePrecision { kFloat32, kBFloat16, kInt8 };
 
-// "float32", "bfloat16", "bfloat16x3", "int8", in that order.
+// "float32", "bfloat16", "int8", in that order.
 const std::vector<std::string>& compute_precision_names();
 const std::string& compute_precision_name(ComputePrecision precision);
 

@@ -16,10 +16,17 @@ void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice) {
 }
 
 ComputePrecision precision_of(PrecisionChoice choice) {
-  if (choice == PrecisionChoice::kAutomatic) {
-    fail({"--precision", "a precision here", "'automatic'", "name one"});
+  switch (choice) {
+    case PrecisionChoice::kFloat32:
+      return ComputePrecision::kFloat32;
+    case PrecisionChoice::kBFloat16:
+      return ComputePrecision::kBFloat16;
+    case PrecisionChoice::kInt8:
+      return ComputePrecision::kInt8;
+    case PrecisionChoice::kAutomatic:
+      break;
   }
-  return static_cast<ComputePrecision>(choice);
+  fail({"--precision", "a precision here", "'automatic'", "name one"});
 }
 
 void check_precision_on(const std::string& device, ComputePrecision precision) {

@@ -7,16 +7,16 @@
 
 namespace gld {
 
-// --precision of the commands that run models: the values of ComputePrecision in their order, then automatic.
-enum class PrecisionChoice { kFloat32, kBFloat16, kBFloat16x3, kInt8, kAutomatic };
+// --precision of the commands that run models: the names of ComputePrecision in their order, then automatic.
+enum class PrecisionChoice { kFloat32, kBFloat16, kInt8, kAutomatic };
 
 void visit_precision(FieldVisitor& visitor, PrecisionChoice& choice);
 
 // The precision that a choice other than kAutomatic names.
 ComputePrecision precision_of(PrecisionChoice choice);
 
-// Throws Error, one sentence, where the device ("cpu", "cuda:0") does not compute in it: bfloat16x3 and int8 are
-// kernels of ours for the CPU.
+// Throws Error, one sentence, where the device ("cpu", "cuda:0") does not compute in it: int8 is of our kernels for the
+// CPU.
 void check_precision_on(const std::string& device, ComputePrecision precision);
 
 // "bfloat16 on AVX512-BF16", or of a GPU "bfloat16 on cuda:0"; "float32".

@@ -2,9 +2,11 @@
 
 #include "gld/machine/block_memory.h"
 
+#include <algorithm>
 #include <fstream>
 
 #include <fmt/format.h>
+#include <sys/resource.h>
 
 namespace gld {
 namespace {
@@ -59,7 +61,6 @@ nlohmann::ordered_json StageRecords::to_json() const {
   return list;
 }
 
-int64_t resident_bytes() { return proc_bytes("/proc/self/status", "VmRSS"); }
 int64_t peak_resident_bytes() { return proc_bytes("/proc/self/status", "VmHWM"); }
 
 void reset_peak_resident_bytes() {
@@ -68,7 +69,14 @@ void reset_peak_resident_bytes() {
 }
 
 int64_t total_memory_bytes() { return proc_bytes("/proc/meminfo", "MemTotal"); }
-int64_t available_memory_bytes() { return proc_bytes("/proc/meminfo", "MemAvailable"); }
+int64_t available_memory_bytes() {
+  const int64_t available = proc_bytes("/proc/meminfo", "MemAvailable");
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_AS, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY) return available;
+  // What this process may still map, of ulimit -v.
+  const int64_t left = static_cast<int64_t>(limit.rlim_cur) - proc_bytes("/proc/self/status", "VmSize");
+  return std::min(available, std::max<int64_t>(left, 1));
+}
 
 std::string bytes_text(int64_t bytes) {
   const auto value = static_cast<double>(bytes);

@@ -30,9 +30,8 @@ class StageRecords {
   std::vector<StageRecord> records_;
 };
 
-// Resident memory of this process now, and its largest value since the last reset, in bytes; 0 where the
-// system does not tell (they come from Linux's /proc).
-int64_t resident_bytes();
+// Largest resident memory of this process since the last reset, in bytes; 0 where the system does not tell (it comes
+// from Linux's /proc).
 int64_t peak_resident_bytes();
 // Starts a new maximum. Where the system refuses, the maximum stays that of the whole process.
 void reset_peak_resident_bytes();

@@ -39,6 +39,8 @@ double median_cloud_distance(const torch::Tensor& points, const torch::Tensor& s
   return torch::cat(nearest).median().item<double>();
 }
 
+namespace {
+
 Metric depth_scale_ratio_metric() {
   return {"depth_scale_ratio",
           "",
@@ -65,5 +67,9 @@ Metric cloud_distance_metric() {
             return one_value(median_cloud_distance(inputs.cloud, inputs.true_surface) / size);
           }};
 }
+
+}  // namespace
+
+std::vector<Metric> cloud_metrics() { return {depth_scale_ratio_metric(), cloud_distance_metric()}; }
 
 }  // namespace gld

@@ -117,6 +117,9 @@ double correct_keypoints(const std::vector<double>& errors, double threshold) {
 
 namespace {
 
+// As many as the published backbones have; of a level that a backbone lacks, the metric is absent.
+constexpr int64_t kComparedLevels = 4;
+
 // Mean over the pairs of the first view with each other one.
 Metric pck_of_level(int64_t level) {
   return {"pck_level" + std::to_string(level),
@@ -146,9 +149,10 @@ Metric pck_of_level(int64_t level) {
 
 }  // namespace
 
-Metric pck_level0_metric() { return pck_of_level(0); }
-Metric pck_level1_metric() { return pck_of_level(1); }
-Metric pck_level2_metric() { return pck_of_level(2); }
-Metric pck_level3_metric() { return pck_of_level(3); }
+std::vector<Metric> correspondence_metrics() {
+  std::vector<Metric> metrics;
+  for (int64_t level = 0; level < kComparedLevels; ++level) metrics.push_back(pck_of_level(level));
+  return metrics;
+}
 
 }  // namespace gld

@@ -11,7 +11,7 @@ namespace gld {
 namespace {
 
 constexpr double kSmallestPrediction = 1e-3;
-constexpr double kDelta1 = 1.25;
+constexpr double kDeltaRatio = 1.25;
 
 void require_same_maps(const torch::Tensor& truth, const torch::Tensor& prediction) {
   if (truth.dim() != 3 || truth.sizes() != prediction.sizes()) {
@@ -49,6 +49,35 @@ enum class DepthScaling {
   kCameras,  // one factor a scene, of the similarity between predicted and true cameras; no true depth goes in
 };
 
+struct NamedScaling {
+  DepthScaling scaling;
+  const char* name;  // as metrics end
+};
+
+const std::vector<NamedScaling>& depth_scalings() {
+  static const std::vector<NamedScaling> scalings{
+      {DepthScaling::kNone, "unscaled"},
+      {DepthScaling::kMedian, "median_scaled"},
+      {DepthScaling::kMedianPerView, "median_scaled_per_view"},
+      {DepthScaling::kLeastSquaresPerView, "least_squares_scaled_per_view"},
+      {DepthScaling::kCameras, "camera_scaled"}};
+  return scalings;
+}
+
+struct NamedError {
+  torch::Tensor DepthErrors::*values;
+  const char* name;
+  bool has_length;  // is a length, in the unit of the depth, and no ratio
+  Better better;
+};
+
+const NamedError kAbsRel{&DepthErrors::abs_rel, "abs_rel", false, Better::kLower};
+const NamedError kSqRel{&DepthErrors::sq_rel, "sq_rel", true, Better::kLower};
+const NamedError kRmse{&DepthErrors::rmse, "rmse", true, Better::kLower};
+const NamedError kDelta1{&DepthErrors::delta1, "delta1", false, Better::kHigher};
+const NamedError kDelta2{&DepthErrors::delta2, "delta2", false, Better::kHigher};
+const NamedError kDelta3{&DepthErrors::delta3, "delta3", false, Better::kHigher};
+
 // A factor for each view, (views, 1, 1) or of one element; NaN for a view without a pixel to align.
 torch::Tensor depth_factors(const MetricInputs& inputs, const torch::Tensor& truth,
                             const torch::Tensor& depth, DepthScaling scaling) {
@@ -74,8 +103,7 @@ torch::Tensor depth_factors(const MetricInputs& inputs, const torch::Tensor& tru
   return factors;
 }
 
-template <torch::Tensor DepthErrors::*error>
-MetricValue depth_value(const MetricInputs& inputs, DepthScaling scaling) {
+MetricValue depth_value(const MetricInputs& inputs, const NamedError& error, DepthScaling scaling) {
   const auto truth = inputs.true_depth.to(torch::kCPU);
   const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
   const std::string no_pixel = "no pixel of a target view has a true depth";
@@ -85,35 +113,39 @@ MetricValue depth_value(const MetricInputs& inputs, DepthScaling scaling) {
   if (from_truth && !(valid_mask(truth) & valid_mask(depth)).any().item<bool>()) {
     return absent_metric("no predicted depth is positive where the true one is known");
   }
-  return metric_of_views(depth_errors(truth, depth * depth_factors(inputs, truth, depth, scaling)).*error,
-                         no_pixel);
+  const auto scaled = depth * depth_factors(inputs, truth, depth, scaling);
+  return metric_of_views(depth_errors(truth, scaled).*error.values, no_pixel);
 }
 
-template <torch::Tensor DepthErrors::*error>
-Metric depth_metric(const std::string& name, const std::string& unit, Better better, DepthScaling scaling) {
-  Metric metric{name, unit, better, {MetricNeed::kTrueDepth, MetricNeed::kDepth}, nullptr};
-  if (scaling == DepthScaling::kNone) metric.needs.push_back(MetricNeed::kDepthScale);
-  if (scaling == DepthScaling::kCameras) metric.needs.push_back(MetricNeed::kCameraScale);
-  metric.compute = [scaling](const MetricInputs& inputs) { return depth_value<error>(inputs, scaling); };
+Metric depth_metric(const NamedError& error, const NamedScaling& scaled) {
+  Metric metric;
+  metric.name = std::string("depth_") + error.name + "_" + scaled.name;
+  metric.unit = error.has_length ? "scene units" : "";
+  metric.better = error.better;
+  metric.needs = {MetricNeed::kTrueDepth, MetricNeed::kDepth};
+  if (scaled.scaling == DepthScaling::kNone) metric.needs.push_back(MetricNeed::kDepthScale);
+  if (scaled.scaling == DepthScaling::kCameras) metric.needs.push_back(MetricNeed::kCameraScale);
+  metric.compute = [error, scaling = scaled.scaling](const MetricInputs& inputs) {
+    return depth_value(inputs, error, scaling);
+  };
   return metric;
 }
 
 // Against what the same model says of the true pictures, whose unit is the same: nothing is aligned (GLD's Table 2).
-template <torch::Tensor DepthErrors::*error>
-Metric pseudo_depth_metric(const std::string& name, const std::string& unit, Better better) {
-  return {name, unit, better, {MetricNeed::kPseudoDepth, MetricNeed::kDepth}, [](const MetricInputs& inputs) {
-            const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
-            if (!depth.isfinite().all().item<bool>()) {
-              return absent_metric("the predicted depth is not finite");
-            }
-            return metric_of_views(depth_errors(inputs.pseudo_depth.to(torch::kCPU), depth).*error,
-                                   "the depth of the true pictures is nowhere positive");
-          }};
+Metric pseudo_depth_metric(const NamedError& error) {
+  Metric metric;
+  metric.name = std::string("pseudo_depth_") + error.name;
+  metric.unit = error.has_length ? "model units" : "";
+  metric.better = error.better;
+  metric.needs = {MetricNeed::kPseudoDepth, MetricNeed::kDepth};
+  metric.compute = [error](const MetricInputs& inputs) {
+    const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
+    if (!depth.isfinite().all().item<bool>()) return absent_metric("the predicted depth is not finite");
+    return metric_of_views(depth_errors(inputs.pseudo_depth.to(torch::kCPU), depth).*error.values,
+                           "the depth of the true pictures is nowhere positive");
+  };
+  return metric;
 }
-
-const std::string kSceneUnit = "scene units";
-const std::string kModelUnit = "model units";
-const std::string kRatio;
 
 }  // namespace
 
@@ -143,9 +175,9 @@ DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& predic
     const auto share_below = [&](double limit) { return (ratio < limit).to(torch::kFloat64).mean(); };
     // A scale that is not known makes the errors unknown, and the deltas with them.
     if (p.isnan().any().item<bool>()) continue;
-    errors.delta1[view] = share_below(kDelta1);
-    errors.delta2[view] = share_below(kDelta1 * kDelta1);
-    errors.delta3[view] = share_below(kDelta1 * kDelta1 * kDelta1);
+    errors.delta1[view] = share_below(kDeltaRatio);
+    errors.delta2[view] = share_below(kDeltaRatio * kDeltaRatio);
+    errors.delta3[view] = share_below(kDeltaRatio * kDeltaRatio * kDeltaRatio);
   }
   return errors;
 }
@@ -163,42 +195,16 @@ double least_squares_depth_scale(const torch::Tensor& truth, const torch::Tensor
   return ((p * pairs.truth).sum() / p.square().sum() / unit).item<double>();
 }
 
-// The six errors under one way to scale.
-#define GLD_DEPTH_METRICS(SUFFIX, SCALING)                                                                   \
-  Metric depth_abs_rel_##SUFFIX##_metric() {                                                                 \
-    return depth_metric<&DepthErrors::abs_rel>("depth_abs_rel_" #SUFFIX, kRatio, Better::kLower, SCALING);   \
-  }                                                                                                          \
-  Metric depth_sq_rel_##SUFFIX##_metric() {                                                                  \
-    return depth_metric<&DepthErrors::sq_rel>("depth_sq_rel_" #SUFFIX, kSceneUnit, Better::kLower, SCALING); \
-  }                                                                                                          \
-  Metric depth_rmse_##SUFFIX##_metric() {                                                                    \
-    return depth_metric<&DepthErrors::rmse>("depth_rmse_" #SUFFIX, kSceneUnit, Better::kLower, SCALING);     \
-  }                                                                                                          \
-  Metric depth_delta1_##SUFFIX##_metric() {                                                                  \
-    return depth_metric<&DepthErrors::delta1>("depth_delta1_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
-  }                                                                                                          \
-  Metric depth_delta2_##SUFFIX##_metric() {                                                                  \
-    return depth_metric<&DepthErrors::delta2>("depth_delta2_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
-  }                                                                                                          \
-  Metric depth_delta3_##SUFFIX##_metric() {                                                                  \
-    return depth_metric<&DepthErrors::delta3>("depth_delta3_" #SUFFIX, kRatio, Better::kHigher, SCALING);    \
+// Every error under every way to scale.
+std::vector<Metric> depth_metrics() {
+  std::vector<Metric> metrics;
+  for (const NamedScaling& scaling : depth_scalings()) {
+    for (const NamedError& error : {kAbsRel, kSqRel, kRmse, kDelta1, kDelta2, kDelta3}) {
+      metrics.push_back(depth_metric(error, scaling));
+    }
   }
-
-GLD_DEPTH_METRICS(unscaled, DepthScaling::kNone)
-GLD_DEPTH_METRICS(median_scaled, DepthScaling::kMedian)
-GLD_DEPTH_METRICS(median_scaled_per_view, DepthScaling::kMedianPerView)
-GLD_DEPTH_METRICS(least_squares_scaled_per_view, DepthScaling::kLeastSquaresPerView)
-GLD_DEPTH_METRICS(camera_scaled, DepthScaling::kCameras)
-#undef GLD_DEPTH_METRICS
-
-Metric pseudo_depth_abs_rel_metric() {
-  return pseudo_depth_metric<&DepthErrors::abs_rel>("pseudo_depth_abs_rel", kRatio, Better::kLower);
-}
-Metric pseudo_depth_rmse_metric() {
-  return pseudo_depth_metric<&DepthErrors::rmse>("pseudo_depth_rmse", kModelUnit, Better::kLower);
-}
-Metric pseudo_depth_delta1_metric() {
-  return pseudo_depth_metric<&DepthErrors::delta1>("pseudo_depth_delta1", kRatio, Better::kHigher);
+  for (const NamedError& error : {kAbsRel, kRmse, kDelta1}) metrics.push_back(pseudo_depth_metric(error));
+  return metrics;
 }
 
 }  // namespace gld

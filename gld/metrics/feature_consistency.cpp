@@ -161,24 +161,15 @@ Metric consistency_metric(const std::string& name, Better better, ConsistentPict
 
 }  // namespace
 
-Metric met3r_like_metric() {
-  return consistency_metric("met3r_like", Better::kLower, ConsistentPictures::kPredicted,
-                            ConsistencyGeometry::kPredicted, &FeatureConsistency::distance);
-}
-
-Metric met3r_like_coverage_metric() {
-  return consistency_metric("met3r_like_coverage", Better::kHigher, ConsistentPictures::kPredicted,
-                            ConsistencyGeometry::kPredicted, &FeatureConsistency::coverage);
-}
-
-Metric met3r_like_true_geometry_metric() {
-  return consistency_metric("met3r_like_true_geometry", Better::kLower, ConsistentPictures::kPredicted,
-                            ConsistencyGeometry::kTrue, &FeatureConsistency::distance);
-}
-
-Metric met3r_like_of_truth_metric() {
-  return consistency_metric("met3r_like_of_truth", Better::kLower, ConsistentPictures::kTrue,
-                            ConsistencyGeometry::kTrue, &FeatureConsistency::distance);
+std::vector<Metric> feature_consistency_metrics() {
+  return {consistency_metric("met3r_like", Better::kLower, ConsistentPictures::kPredicted,
+                             ConsistencyGeometry::kPredicted, &FeatureConsistency::distance),
+          consistency_metric("met3r_like_coverage", Better::kHigher, ConsistentPictures::kPredicted,
+                             ConsistencyGeometry::kPredicted, &FeatureConsistency::coverage),
+          consistency_metric("met3r_like_true_geometry", Better::kLower, ConsistentPictures::kPredicted,
+                             ConsistencyGeometry::kTrue, &FeatureConsistency::distance),
+          consistency_metric("met3r_like_of_truth", Better::kLower, ConsistentPictures::kTrue,
+                             ConsistencyGeometry::kTrue, &FeatureConsistency::distance)};
 }
 
 }  // namespace gld

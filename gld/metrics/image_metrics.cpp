@@ -67,10 +67,41 @@ torch::Tensor ssim(const torch::Tensor& image, const torch::Tensor& prediction) 
   return similarity.reshape({image.size(0), -1}).mean(1);
 }
 
+namespace {
+
 Metric psnr_metric() {
   return {"psnr", "dB", Better::kHigher, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
             return metric_of_views(psnr(inputs.true_images, inputs.images), "the images are not finite");
           }};
+}
+
+// PSNR over some of the target views' pixels: a view without any has none.
+MetricValue psnr_of_pixels(const MetricInputs& inputs, const torch::Tensor& pixels) {
+  const auto& truth = inputs.true_images;
+  if (truth.size(0) != pixels.size(0)) return absent_metric("the images are not those of the target views");
+  const auto squares = (truth.to(torch::kFloat64).clamp(0, 1) - inputs.images.to(torch::kFloat64).clamp(0, 1))
+                           .square()
+                           .mean(1);
+  const auto chosen = pixels.to(torch::kFloat64);
+  // 0 / 0, which is not a number, where there is no such pixel.
+  return metric_of_views(((squares * chosen).sum({1, 2}) / chosen.sum({1, 2})).log10() * -10,
+                         "no target view has such a pixel");
+}
+
+Metric psnr_seen_metric() {
+  return {"psnr_seen",
+          "dB",
+          Better::kHigher,
+          {MetricNeed::kImages, MetricNeed::kShownPixels},
+          [](const MetricInputs& inputs) { return psnr_of_pixels(inputs, inputs.shown); }};
+}
+
+Metric psnr_unseen_metric() {
+  return {"psnr_unseen",
+          "dB",
+          Better::kHigher,
+          {MetricNeed::kImages, MetricNeed::kShownPixels},
+          [](const MetricInputs& inputs) { return psnr_of_pixels(inputs, inputs.shown.logical_not()); }};
 }
 
 Metric ssim_metric() {
@@ -82,6 +113,12 @@ Metric ssim_metric() {
             }
             return metric_of_views(ssim(truth, inputs.images), "the images are not finite");
           }};
+}
+
+}  // namespace
+
+std::vector<Metric> pixel_metrics() {
+  return {psnr_metric(), psnr_seen_metric(), psnr_unseen_metric(), ssim_metric()};
 }
 
 }  // namespace gld

@@ -26,7 +26,8 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "there are no features of the views",
                                                 "there are no features of the true pictures",
                                                 "a view of the scene has no true depth",
-                                                "there are no levels of the true pictures"};
+                                                "there are no levels of the true pictures",
+                                                "no photographs were carried into the target views"};
   return phrases.at(static_cast<size_t>(need));
 }
 
@@ -69,6 +70,8 @@ bool MetricInputs::has(MetricNeed need) const {
       return all_true_depth.defined();
     case MetricNeed::kTrueLevels:
       return !true_levels.empty();
+    case MetricNeed::kShownPixels:
+      return shown.defined();
     case MetricNeed::kRays:
       return rays.defined() && !predicted_cameras.empty();
   }
@@ -115,25 +118,26 @@ MetricValue measure_images(const Metric& metric, const torch::Tensor& truth, con
 
 SceneStatistics statistics_over_scenes(const std::vector<double>& values) {
   SceneStatistics result;
+  std::vector<double> finite;
   double sum = 0;
   for (const double value : values) {
     if (std::isinf(value)) ++result.infinite;
     if (!std::isfinite(value)) continue;
     sum += value;
-    ++result.count;
+    finite.push_back(value);
   }
-  if (result.count == 0) {
-    result.mean = result.deviation = result.half_width = kNaN;
+  result.count = static_cast<int64_t>(finite.size());
+  result.interval = {kNaN, kNaN};
+  if (finite.empty()) {
+    result.mean = result.deviation = kNaN;
     return result;
   }
   const auto count = static_cast<double>(result.count);
   result.mean = sum / count;
   double squares = 0;
-  for (const double value : values) {
-    if (std::isfinite(value)) squares += (value - result.mean) * (value - result.mean);
-  }
+  for (const double value : finite) squares += (value - result.mean) * (value - result.mean);
   result.deviation = std::sqrt(squares / count);
-  if (result.count > 1) result.half_width = 1.96 * std::sqrt(squares / (count - 1) / count);
+  if (finite.size() > 1) result.interval = bootstrap_interval({finite});
   return result;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/base/bootstrap.h"
 #include "gld/cameras/camera.h"
 
 #include <functional>
@@ -33,6 +34,7 @@ enum class MetricNeed {
   kTrueFeatures,      // features of all views' true pictures, each alone
   kAllTrueDepth,      // true depth of all views
   kTrueLevels,        // a backbone's levels of the true pictures of all views
+  kShownPixels,       // which pixels of the target views photographs show
 };
 
 // A scene's truth beside what was predicted. A quantity that is not known stays as it is here; `missing` says why.
@@ -41,6 +43,7 @@ struct MetricInputs {
   torch::Tensor images;       // of the same shape; metrics clamp it to [0, 1]
   // Two batches of images in [0, 1], (targets, 3, height, width) -> (targets): LPIPS, where its weights are there.
   std::function<torch::Tensor(const torch::Tensor&, const torch::Tensor&)> perceptual_distance;
+  torch::Tensor shown;                // (targets, height, width), bool: what photographs show
   torch::Tensor true_depth;           // (targets, height, width) in the scene's unit, 0 where unknown
   torch::Tensor depth;                // (targets, height, width) in the model's own unit
   std::optional<double> depth_scale;  // scene units in one of the model's
@@ -97,13 +100,14 @@ MetricValue measure(const Metric& metric, const MetricInputs& inputs);
 // The same for a metric that needs nothing but images, (views, 3, height, width) each.
 MetricValue measure_images(const Metric& metric, const torch::Tensor& truth, const torch::Tensor& images);
 
-// A metric over scenes (docs/FILES.md): mean, population standard deviation and 95 % interval of the finite values.
+// A metric over scenes (docs/FILES.md), of the finite values.
 struct SceneStatistics {
-  double mean = 0;  // NaN without a finite value
-  double deviation = 0;
-  double half_width = 0;  // of the 95 % confidence interval, 1.96 standard errors
-  int64_t count = 0;      // finite values
-  int64_t infinite = 0;   // left out: PSNRs of perfect predictions
+  double mean = 0;       // NaN without a finite value
+  double deviation = 0;  // of the population
+  // 95 % of the mean, by the bootstrap over scenes; NaN with fewer than 2, which say nothing of how scenes differ.
+  Interval interval;
+  int64_t count = 0;     // finite values
+  int64_t infinite = 0;  // left out: PSNRs of perfect predictions
 };
 SceneStatistics statistics_over_scenes(const std::vector<double>& values);
 

@@ -8,7 +8,7 @@
 namespace gld {
 
 // Every metric of the program, in the order of tables: gld eval, benchmarks and the rest take them from here. A new one
-// is a file that defines `Metric NAME_metric()` and a line in metric_list.cpp.
+// is an entry of its file's list, and a new file a line in metric_list.cpp.
 const std::vector<Metric>& metric_list();
 
 // Those that compare images.

@@ -3,8 +3,8 @@
 #include "gld/base/error.h"
 #include "gld/cameras/angles.h"
 #include "gld/cameras/pose_alignment.h"
-#include "gld/cameras/pose_from_rays.h"
 #include "gld/metrics/metric.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 
 #include <algorithm>
 #include <cmath>
@@ -156,37 +156,20 @@ Metric pose_metric(const std::string& name, const std::string& unit, const std::
 
 }  // namespace
 
-Metric rotation_error_metric() {
-  return pose_metric<&PoseErrors::rotation>("rotation_error", "degrees", "no predicted camera is finite");
-}
-
-Metric photo_rotation_error_metric() {
-  return photo_metric<&EstimatedCameraErrors::rotation>("photo_rotation_error", "degrees",
-                                                        "there is one view");
-}
-
-Metric photo_translation_direction_error_metric() {
-  return photo_metric<&EstimatedCameraErrors::translation_direction>(
-      "photo_translation_direction_error", "degrees", "the cameras, true or estimated, stand at one place");
-}
-
-Metric photo_centre_error_metric() {
-  return photo_metric<&EstimatedCameraErrors::centre>("photo_centre_error", "baselines",
-                                                      "the scene's cameras stand at one place");
-}
-
-Metric translation_direction_error_metric() {
-  return pose_metric<&PoseErrors::translation_direction>(
-      "translation_direction_error", "degrees", "the cameras, true or predicted, stand at one place");
-}
-
-Metric ray_angle_error_metric() {
-  return pose_metric<&PoseErrors::ray_angle>("ray_angle_error", "degrees", "no predicted ray is finite");
-}
-
-Metric ray_origin_error_metric() {
-  return pose_metric<&PoseErrors::ray_origin>("ray_origin_error", "baselines",
-                                              "the scene's cameras stand at one place");
+std::vector<Metric> pose_metrics() {
+  return {
+      pose_metric<&PoseErrors::rotation>("rotation_error", "degrees", "no predicted camera is finite"),
+      pose_metric<&PoseErrors::translation_direction>("translation_direction_error", "degrees",
+                                                      "the cameras, true or predicted, stand at one place"),
+      pose_metric<&PoseErrors::ray_angle>("ray_angle_error", "degrees", "no predicted ray is finite"),
+      pose_metric<&PoseErrors::ray_origin>("ray_origin_error", "baselines",
+                                           "the scene's cameras stand at one place"),
+      photo_metric<&EstimatedCameraErrors::rotation>("photo_rotation_error", "degrees", "there is one view"),
+      photo_metric<&EstimatedCameraErrors::translation_direction>(
+          "photo_translation_direction_error", "degrees",
+          "the cameras, true or estimated, stand at one place"),
+      photo_metric<&EstimatedCameraErrors::centre>("photo_centre_error", "baselines",
+                                                   "the scene's cameras stand at one place")};
 }
 
 }  // namespace gld

@@ -77,6 +77,8 @@ torch::Tensor random_feature_distance(const torch::Tensor& images, const torch::
   return sum / static_cast<double>(of_images.size());
 }
 
+namespace {
+
 Metric random_features_metric() {
   return {"random_features", "", Better::kLower, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
             if (std::min(inputs.images.size(2), inputs.images.size(3)) < kLeastSide) {
@@ -86,5 +88,9 @@ Metric random_features_metric() {
                                    "the distance is not a number");
           }};
 }
+
+}  // namespace
+
+std::vector<Metric> random_feature_metrics() { return {random_features_metric()}; }
 
 }  // namespace gld

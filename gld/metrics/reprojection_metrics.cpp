@@ -250,8 +250,6 @@ Metric round_trip_metric(const std::string& name, const std::string& unit, Bette
           }};
 }
 
-}  // namespace
-
 Metric reprojection_mse_metric() {
   return {
       "reprojection_mse", "", Better::kLower, {MetricNeed::kViewGeometry}, [](const MetricInputs& inputs) {
@@ -300,6 +298,14 @@ Metric reprojection_baseline_ratio_metric() {
 
 Metric reprojection_agreement_metric() {
   return round_trip_metric("reprojection_agreement", "", Better::kHigher, &RoundTrip::agreement);
+}
+
+}  // namespace
+
+std::vector<Metric> reprojection_metrics() {
+  return {reprojection_mse_metric(),       reprojection_perceptual_metric(),
+          reprojection_score_metric(),     reprojection_pixels_metric(),
+          reprojection_agreement_metric(), reprojection_baseline_ratio_metric()};
 }
 
 }  // namespace gld

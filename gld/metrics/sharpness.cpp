@@ -25,11 +25,17 @@ torch::Tensor sharpness(const torch::Tensor& image, const torch::Tensor& predict
                       torch::full_like(truth, std::numeric_limits<double>::quiet_NaN()));
 }
 
+namespace {
+
 Metric sharpness_metric() {
   return {"sharpness", "", Better::kNearOne, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
             return metric_of_views(sharpness(inputs.true_images, inputs.images),
                                    "the true images have no edges");
           }};
 }
+
+}  // namespace
+
+std::vector<Metric> sharpness_metrics() { return {sharpness_metric()}; }
 
 }  // namespace gld

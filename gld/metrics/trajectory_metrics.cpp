@@ -207,42 +207,22 @@ Metric pair_metric(const std::string& name, double PairAccuracy::*share) {
 
 }  // namespace
 
-Metric ate_metric() {
-  return trajectory_metric("ate", kSceneUnits, &TrajectoryErrors::ate, TrajectoryViews::kTargets);
-}
-
-Metric ate_over_spread_metric() {
-  return trajectory_metric("ate_over_spread", "", &TrajectoryErrors::ate_over_spread,
-                           TrajectoryViews::kTargets);
-}
-
-Metric rpe_translation_metric() {
-  return trajectory_metric("rpe_translation", kSceneUnits, &TrajectoryErrors::rpe_translation,
-                           TrajectoryViews::kTargets);
-}
-
-Metric rpe_rotation_metric() {
-  return trajectory_metric("rpe_rotation", "degrees", &TrajectoryErrors::rpe_rotation,
-                           TrajectoryViews::kTargets);
-}
-
-Metric ate_of_all_views_metric() {
-  return trajectory_metric("ate_of_all_views", kSceneUnits, &TrajectoryErrors::ate, TrajectoryViews::kAll);
-}
-
-Metric ate_of_all_views_over_spread_metric() {
-  return trajectory_metric("ate_of_all_views_over_spread", "", &TrajectoryErrors::ate_over_spread,
-                           TrajectoryViews::kAll);
-}
-
-Metric pose_auc_3_metric() { return pair_metric("pose_auc_3", &PairAccuracy::auc_3); }
-Metric pose_auc_30_metric() { return pair_metric("pose_auc_30", &PairAccuracy::auc_30); }
-Metric pose_maa_30_metric() { return pair_metric("pose_maa_30", &PairAccuracy::maa_30); }
-Metric rotation_accuracy_15_metric() {
-  return pair_metric("rotation_accuracy_15", &PairAccuracy::rotation_15);
-}
-Metric translation_accuracy_15_metric() {
-  return pair_metric("translation_accuracy_15", &PairAccuracy::direction_15);
+std::vector<Metric> trajectory_metrics() {
+  return {
+      trajectory_metric("ate", kSceneUnits, &TrajectoryErrors::ate, TrajectoryViews::kTargets),
+      trajectory_metric("ate_over_spread", "", &TrajectoryErrors::ate_over_spread, TrajectoryViews::kTargets),
+      trajectory_metric("rpe_translation", kSceneUnits, &TrajectoryErrors::rpe_translation,
+                        TrajectoryViews::kTargets),
+      trajectory_metric("rpe_rotation", "degrees", &TrajectoryErrors::rpe_rotation,
+                        TrajectoryViews::kTargets),
+      trajectory_metric("ate_of_all_views", kSceneUnits, &TrajectoryErrors::ate, TrajectoryViews::kAll),
+      trajectory_metric("ate_of_all_views_over_spread", "", &TrajectoryErrors::ate_over_spread,
+                        TrajectoryViews::kAll),
+      pair_metric("rotation_accuracy_15", &PairAccuracy::rotation_15),
+      pair_metric("translation_accuracy_15", &PairAccuracy::direction_15),
+      pair_metric("pose_auc_3", &PairAccuracy::auc_3),
+      pair_metric("pose_auc_30", &PairAccuracy::auc_30),
+      pair_metric("pose_maa_30", &PairAccuracy::maa_30)};
 }
 
 }  // namespace gld

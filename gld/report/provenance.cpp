@@ -51,11 +51,4 @@ TextItems provenance_items(const Provenance& provenance) {
   return items;
 }
 
-std::string find_text(const TextItems& items, const std::string& name) {
-  for (const auto& [key, text] : items) {
-    if (key == name) return text;
-  }
-  return {};
-}
-
 }  // namespace gld

@@ -33,7 +33,4 @@ Provenance make_provenance(const std::string& command, const OptionsGroup& optio
 // "Software", "gld:command", "gld:options", "gld:model", "gld:seed", "gld:precision"; empty texts are left out.
 TextItems provenance_items(const Provenance& provenance);
 
-// The value of a name; empty when there is none.
-std::string find_text(const TextItems& items, const std::string& name);
-
 }  // namespace gld

@@ -19,8 +19,6 @@
 namespace gld {
 namespace {
 
-constexpr const char* kConfigurationFile = "config.yaml";
-
 std::string configuration_header(const std::string& command) {
   return "# gld " + command + ": the options of this run, defaults included";
 }
@@ -39,6 +37,12 @@ bool holds_nothing(const std::filesystem::path& folder) {
     if (process_of_temporary_name(item.path().filename().string()) == 0) return false;
   }
   return !error;
+}
+
+// Of a run that was killed as it began.
+bool has_no_result(const RunJournal::Found& journal) {
+  return std::all_of(journal.written.begin(), journal.written.end(),
+                     [](const std::string& name) { return name == kRunConfiguration; });
 }
 
 // Nobody can write below a file, and not everybody into every folder.
@@ -85,7 +89,7 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
   if (!std::filesystem::exists(folder, error)) return;
   RunJournal::refuse_running(folder);
   if (holds_nothing(folder)) return;
-  const std::string found = first_line(folder / kConfigurationFile);
+  const std::string found = first_line(folder / kRunConfiguration);
   const auto journal = RunJournal::find(folder);
   // Killed before it wrote its configuration, a run has only begun.
   const bool begun = found.empty() && journal;
@@ -98,7 +102,7 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
   }
   if (earlier == EarlierRun::kContinue) return;
   if (earlier == EarlierRun::kRefuse) {
-    if (begun && journal->written.empty()) return;
+    if (journal && !RunJournal::has_earlier_aside(folder) && has_no_result(*journal)) return;
     fail({folder.string(), "a new or empty folder", "an earlier run of gld " + command,
           "choose another --out, or add --overwrite to remove what that run wrote"});
   }
@@ -113,9 +117,9 @@ RunFolder::RunFolder(const std::filesystem::path& folder, const std::string& com
                      const OptionsGroup& options, EarlierRun earlier)
     : folder_(made_folder(folder, command, earlier)), journal_(folder_) {
   remove_abandoned_files(folder_);
-  if (earlier == EarlierRun::kOverwrite) journal_.remove_written();
-  write_file_atomically(folder_ / kConfigurationFile, configuration_header(command) + "\n" +
-                                                          to_yaml_without(options, {"overwrite", "resume"}));
+  if (earlier == EarlierRun::kOverwrite) journal_.put_earlier_aside();
+  write_file_atomically(folder_ / kRunConfiguration, configuration_header(command) + "\n" +
+                                                         to_yaml_without(options, {"overwrite", "resume"}));
 }
 
 std::filesystem::path RunFolder::subfolder(const std::string& name) const {

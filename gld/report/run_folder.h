@@ -15,7 +15,9 @@ namespace gld {
 // What becomes of a run that is in the folder already.
 enum class EarlierRun {
   kRefuse,
-  kOverwrite,  // what it wrote is removed, nothing else (gld/base/run_journal.h)
+  // What it wrote is removed, and nothing else, with the first result of the new run; where that comes to none, what
+  // the earlier run wrote is put back (RunJournal::put_earlier_aside).
+  kOverwrite,
   kContinue,
 };
 // Of a command that has --overwrite and cannot go on with a run.
@@ -31,7 +33,8 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
 class RunFolder {
  public:
   // Creates the folder and writes config.yaml, without the options that say what becomes of an earlier run. A folder
-  // that holds something is refused unless it is a run of the same command, for which `earlier` says what to do.
+  // that holds something is refused unless it is a run of the same command, for which `earlier` says what to do; one
+  // that was killed before it had a result may begin again.
   RunFolder(const std::filesystem::path& folder, const std::string& command, const OptionsGroup& options,
             EarlierRun earlier);
 

@@ -56,9 +56,8 @@ bool learning_product_applies(const torch::Tensor& x, const torch::Tensor& weigh
 
 torch::Tensor learning_product(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias,
                                ComputePrecision precision) {
-  if (precision == ComputePrecision::kFloat32 || precision == ComputePrecision::kInt8) {
-    fail({"learning product", "bfloat16 or bfloat16x3", compute_precision_name(precision),
-          "train in float32 or bfloat16"});
+  if (precision != ComputePrecision::kBFloat16) {
+    fail({"learning product", "bfloat16", compute_precision_name(precision), "train in float32 or bfloat16"});
   }
   auto shape = x.sizes().vec();
   shape.back() = weight.size(0);

@@ -1,11 +1,18 @@
 #include "gld/tensors/packed_layer.h"
 
+#include "gld/kernels/matrix_product.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/transposed_product.h"
 
 #include <torch/types.h>
 
 namespace gld {
+namespace {
+
+// In float32, weights of fewer inputs are not worth being packed.
+constexpr int64_t kFewestPackedInputs = 32;
+
+}  // namespace
 
 PackedLayer::PackedLayer(const torch::Tensor& weight, int64_t parts, ComputePrecision precision)
     : outputs_a_part_(weight.size(0) / parts) {
@@ -22,7 +29,7 @@ PackedLayer::PackedLayer(const torch::Tensor& weight, int64_t parts, ComputePrec
 
 bool PackedLayer::applies(const torch::Tensor& weight, ComputePrecision precision) {
   return weight.is_cpu() && weight.scalar_type() == torch::kFloat32 && weight.numel() > 0 &&
-         (precision != ComputePrecision::kFloat32 || weight.size(1) >= kFewestProductInputs);
+         (precision != ComputePrecision::kFloat32 || weight.size(1) >= kFewestPackedInputs);
 }
 
 torch::Tensor PackedLayer::times(const torch::Tensor& x, const torch::Tensor& bias, int64_t first,
@@ -35,7 +42,7 @@ torch::Tensor PackedLayer::times(const torch::Tensor& x, const torch::Tensor& bi
   auto flat = x.reshape({-1, inputs});
   if (flat.stride(1) != 1 || flat.stride(0) < inputs) flat = flat.contiguous();
   const bool float32 = parts_.front().settings().precision == ComputePrecision::kFloat32;
-  if (float32 && flat.size(0) < kFewestProductRows)
+  if (float32 && flat.size(0) < kFewestPackedRows)
     return times_transposed(x, unpacked(first, count), own_bias);
   const auto y = torch::empty({flat.size(0), outputs}, x.options());
   PackedProduct product;

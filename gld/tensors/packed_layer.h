@@ -16,7 +16,7 @@ class PackedLayer {
   // weight: (outputs, inputs), float32 on the CPU. parts: equal shares of the outputs that can be computed apart.
   PackedLayer(const torch::Tensor& weight, int64_t parts, ComputePrecision precision);
 
-  // Whether packing such weights is worth anything: in float32 not for few inputs, which LibTorch multiplies.
+  // Whether packing such weights is worth anything: in float32 not for few inputs.
   static bool applies(const torch::Tensor& weight, ComputePrecision precision);
 
   // x weight^T + bias for parts first .. first + count - 1: (..., inputs) -> (..., count shares of outputs). bias: of

@@ -11,29 +11,43 @@ namespace {
 bool suits(const torch::Tensor& x) { return x.is_cpu() && x.scalar_type() == torch::kFloat32; }
 
 bool own_product_applies(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
-  const bool gradients = torch::GradMode::is_enabled() && (x.requires_grad() || weight.requires_grad());
-  return !gradients && suits(x) && suits(weight) &&
-         (!bias.defined() || (suits(bias) && bias.is_contiguous())) && x.size(0) >= kFewestProductRows &&
-         weight.size(1) >= kFewestProductInputs && weight.stride(1) == 1 &&
-         weight.stride(0) >= weight.size(1) && x.stride(1) == 1 && x.stride(0) >= x.size(1);
+  const bool gradients = torch::GradMode::is_enabled() && (x.requires_grad() || weight.requires_grad() ||
+                                                           (bias.defined() && bias.requires_grad()));
+  return !gradients && suits(x) && suits(weight) && (!bias.defined() || suits(bias)) && weight.dim() == 2 &&
+         x.numel() > 0 && weight.numel() > 0 && x.size(1) == weight.size(1);
 }
 
-torch::Tensor own_product(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
+// The matrix with its rows in one piece each, any distance apart.
+torch::Tensor with_whole_rows(const torch::Tensor& matrix) {
+  const bool whole = (matrix.stride(1) == 1 || matrix.size(1) == 1) &&
+                     (matrix.stride(0) >= matrix.size(1) || matrix.size(0) == 1);
+  return whole ? matrix : matrix.clone(torch::MemoryFormat::Contiguous);
+}
+
+// Of a single row any stride may be noted.
+int64_t row_stride(const torch::Tensor& matrix) {
+  return matrix.size(0) == 1 ? matrix.size(1) : matrix.stride(0);
+}
+
+torch::Tensor own_product(const torch::Tensor& given_x, const torch::Tensor& given_weight,
+                          const torch::Tensor& given_bias) {
+  const auto x = with_whole_rows(given_x), weight = with_whole_rows(given_weight);
+  const auto bias = given_bias.defined() ? given_bias.contiguous() : given_bias;
   auto y = torch::empty({x.size(0), weight.size(0)}, x.options());
   LinearProduct product;
   product.rows = x.size(0);
   product.inputs = x.size(1);
   product.outputs = weight.size(0);
   product.x = x.data_ptr<float>();
-  product.x_stride = x.stride(0);
+  product.x_stride = row_stride(x);
   product.weight = weight.data_ptr<float>();
-  product.weight_stride = weight.stride(0);
+  product.weight_stride = row_stride(weight);
   product.bias = bias.defined() ? bias.data_ptr<float>() : nullptr;
   product.y = y.data_ptr<float>();
-  product.y_stride = y.stride(0);
+  product.y_stride = weight.size(0);
   KernelSettings settings;
   settings.threads = thread_count();
-  linear_product(product, settings);
+  product.rows < kFewestPackedRows ? few_rows_product(product, settings) : linear_product(product, settings);
   return y;
 }
 

@@ -2,11 +2,12 @@
 
 #include "datasets/loading/batching.h"
 #include "gld/metrics/correspondence_metrics.h"
-#include "gld/metrics/scene_bootstrap.h"
-#include "infer/pipeline/scene_request.h"
+#include "gld/metrics/metric.h"
+#include "infer/request/scene_request.h"
+#include "models/conditioning/level_conditioning.h"
+#include "models/conditioning/source_conditioning.h"
 #include "models/dit/flow_matching_loss.h"
-#include "models/latent_spaces/geometric_latent_space.h"
-#include "models/scene_geometry/source_warp.h"
+#include "models/latent_spaces/latent_space.h"
 
 #include <algorithm>
 #include <cmath>
@@ -31,41 +32,29 @@ struct ShownScene {
 // Normalised latents of the true pictures of all views, by generator, and of the sources encoded alone.
 std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const SamplingScene& scene,
                                      const torch::Tensor& images) {
-  const GeometricLatentSpace space(models.models.backbone(), models.models.levels.boundary);
+  const LatentSpace space(models.models.backbone(), models.models.levels.boundary);
   const auto& generators = models.models.levels.generators;
   int64_t deepest = 0;
   for (const LevelGenerator& generator : generators) {
     deepest = std::max({deepest, generator.level, generator.deeper.value_or(0)});
   }
   const auto raw = space.encode(images.to(models.device), deepest);
-  SourceEncoding wanted;
-  const int64_t warped_sources = models.models.levels.warped_sources;
-  const bool warps = warped_sources > 0 && scene.views.num_sources > 1;
-  wanted.deepest = warps ? models.models.levels.levels - 1 : deepest;
-  wanted.carried = false;
-  const auto photographs = images.narrow(0, 0, scene.views.num_sources).to(models.device);
-  const auto sources = space.encode_sources(photographs, wanted);
-  CarriedSources carried;
-  if (warps) {
-    carried = carry_sources(space, scene.views, photographs,
-                            models.models.dpt_head()->forward(geometry_inputs(space, sources), sources.grid,
-                                                              GeometryMaps::kDepthAndRays),
-                            {warped_sources, deepest});
-  }
+  const SourceScene given{scene.views, images.narrow(0, 0, scene.views.num_sources).to(models.device), {}};
+  const auto needs = conditioning_needs(given, deepest, models.models.levels.warped_sources);
+  const auto head = needs.head_depth ? models.models.geometry_head() : nullptr;
+  const SourceConditioning sources = condition_on_sources(space, head.get(), given, needs);
   std::vector<ShownScene> shown(generators.size());
   std::map<int64_t, torch::Tensor> clean;
   for (size_t i = 0; i < generators.size(); ++i) {
     const LevelStatistics& statistics = models.models.statistics[i];
-    const auto normalised = [&](const torch::Tensor& level) {
-      return statistics.normalise(generated_tokens(level, space.leading_tokens(), statistics.special_tokens));
-    };
-    const auto level = static_cast<size_t>(generators[i].level);
-    clean[generators[i].level] = shown[i].clean = normalised(raw[level]);
-    shown[i].inputs.views = scene.views;
-    shown[i].inputs.source_features = normalised(sources.levels[level]);
-    set_warp(shown[i].inputs, models.bundle.generator(generators[i]).dit, carried.agreement,
-             carried.levels.empty() ? torch::Tensor() : statistics.normalise(carried.levels[level]));
-    if (generators[i].is_cascade()) shown[i].inputs.deeper_level = clean.at(*generators[i].deeper);
+    const int64_t level = generators[i].level;
+    clean[level] = shown[i].clean =
+        latent_of_level(raw[static_cast<size_t>(level)], sources.grid, statistics);
+    shown[i].inputs = condition_on_source_level(
+        {level, models.bundle.generator(generators[i]).dit, statistics}, scene.views, sources);
+    if (generators[i].is_cascade()) {
+      condition_on_deeper_level(shown[i].inputs, clean.at(*generators[i].deeper));
+    }
   }
   return shown;
 }
@@ -204,7 +193,7 @@ std::vector<AttentionCorrespondence> attention_from_record(const nlohmann::json&
 std::string attention_csv(const std::vector<std::vector<AttentionCorrespondence>>& scenes) {
   std::string text = "stage,block,part,time,pck,low_95,high_95,scenes\n";
   for (const OverScenes& row : over_scenes(scenes)) {
-    const MeanInterval interval = bootstrap_mean_interval(row.values);
+    const Interval interval = statistics_over_scenes(row.values).interval;
     const auto cell = [](double value) {
       return std::isnan(value) ? std::string() : fmt::format("{:.4f}", value);
     };

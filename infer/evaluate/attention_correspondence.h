@@ -2,7 +2,7 @@
 
 #include "gld/report/plot.h"
 #include "infer/evaluate/scene_evaluation.h"
-#include "infer/pipeline/sampling_scene.h"
+#include "infer/request/sampling_scene.h"
 
 #include <cstdint>
 #include <string>

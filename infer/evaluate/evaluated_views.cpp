@@ -1,15 +1,25 @@
 #include "infer/evaluate/evaluated_views.h"
 
 #include "gld/base/error.h"
-#include "infer/pipeline/held_out_scenes.h"
+#include "infer/request/held_out_scenes.h"
 
 #include <algorithm>
 #include <cstddef>
+#include <set>
 #include <string>
 #include <utility>
 
 namespace gld {
 namespace {
+
+void check_frames(const std::vector<int64_t>& frames, const char* flag, const Scene& scene) {
+  const auto last = static_cast<int64_t>(scene.frames.size()) - 1;
+  for (const int64_t frame : frames) {
+    if (frame <= last) continue;
+    fail({flag, "frames from 0 to " + std::to_string(last) + ", which scene '" + scene.name + "' has",
+          std::to_string(frame), "choose among its frames, or leave the scene out"});
+  }
+}
 
 // `count` of the frames, spread evenly from the first to the last.
 std::vector<int64_t> spread(const std::vector<int64_t>& frames, int64_t count) {
@@ -40,6 +50,10 @@ void check_evaluated_views(const EvaluatedViews& views) {
     if (count >= 1) continue;
     fail({"--source-counts", "numbers from 1", std::to_string(count), "leave it out"});
   }
+  const std::set<int64_t> different(views.source_counts.begin(), views.source_counts.end());
+  if (different.size() < views.source_counts.size()) {
+    fail({"--source-counts", "different numbers", "one of them twice", "leave out all but one"});
+  }
   const int64_t most = most_sources(views);
   if (!views.source_frames.empty()) {
     if (views.source_counts.empty() || most <= static_cast<int64_t>(views.source_frames.size())) return;
@@ -56,6 +70,8 @@ void check_evaluated_views(const EvaluatedViews& views) {
 std::vector<ViewSelection> evaluated_views(const EvaluatedViews& views, const Scene& scene,
                                            const SampleKey& key) {
   std::vector<int64_t> sources = views.source_frames, targets = views.target_frames;
+  check_frames(sources, "--source-frames", scene);
+  check_frames(targets, "--target-frames", scene);
   if (sources.empty()) {
     ViewSampling sampling = views.sampling;
     if (!views.source_counts.empty()) sampling.fewest_sources = sampling.most_sources = most_sources(views);

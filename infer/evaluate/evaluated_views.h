@@ -2,7 +2,7 @@
 
 #include "datasets/scenes/scene.h"
 #include "datasets/scenes/view_sampling.h"
-#include "infer/pipeline/sampling_scene.h"
+#include "infer/request/sampling_scene.h"
 
 #include <cstdint>
 #include <vector>

@@ -11,6 +11,7 @@
 #include "gld/base/interrupt.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/sha256.h"
 #include "gld/distributed/shared_work.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
@@ -74,26 +75,35 @@ struct MeasuredScene {
   std::string sheet;  // its contact sheet as PNG; empty where none was asked for
 };
 
+// Over everything but itself.
+std::string checksum_of(nlohmann::ordered_json kept) {
+  kept.erase("checksum");
+  Sha256 hash;
+  hash.update(kept.dump());
+  return hash.hex_digest();
+}
+
 std::string text_of(const KeptScene& scene) {
   nlohmann::ordered_json kept{{"by_sources", nlohmann::ordered_json::array()},
                               {"attention", attention_record(scene.attention)}};
   for (const SceneEvaluation& entry : scene.by_count) kept["by_sources"].push_back(scene_record(entry));
+  kept["checksum"] = checksum_of(kept);
   return kept.dump(1) + "\n";
 }
 
-// Throws Error naming the file for text that is no record.
-KeptScene scene_of(const std::string& text, const std::filesystem::path& file) {
+// Nothing for text that is no record, or a damaged one.
+std::optional<KeptScene> scene_of(const std::string& text, const std::string& where) {
   try {
-    const auto kept = nlohmann::json::parse(text);
+    const auto kept = nlohmann::ordered_json::parse(text);
+    if (kept.at("checksum") != checksum_of(kept)) return std::nullopt;
     KeptScene scene;
-    for (const auto& entry : kept.at("by_sources")) {
-      scene.by_count.push_back(scene_from_record(entry, file.string()));
-    }
+    for (const auto& entry : kept.at("by_sources")) scene.by_count.push_back(scene_from_record(entry, where));
     scene.attention = attention_from_record(kept.at("attention"));
     return scene;
-  } catch (const nlohmann::json::exception& error) {
-    fail({file.string(), "a scene that gld eval has measured", error.what(),
-          "remove the file: the scene is measured again"});
+  } catch (const nlohmann::json::exception&) {
+    return std::nullopt;
+  } catch (const Error&) {
+    return std::nullopt;
   }
 }
 
@@ -104,11 +114,11 @@ class SceneRecords {
 
   std::filesystem::path sheet(int64_t index) const { return folder_ / fmt::format("{:06}.png", index); }
 
-  // Nothing where the scene is still to be measured. Throws Error for a file that is no record.
+  // Nothing where the scene is still to be measured, which one with a damaged record is.
   std::optional<KeptScene> find(int64_t index) const {
     const auto file = record(index);
     if (!std::filesystem::is_regular_file(file)) return std::nullopt;
-    return scene_of(read_file(file), file);
+    return scene_of(read_file(file), file.string());
   }
 
   // The sheet first: a scene that has a record is done.
@@ -189,6 +199,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
                    source_frames, {0, 1'000'000});
   visitor.integers({"target_frames", "frames that are targets in every scene"}, target_frames,
                    {0, 1'000'000});
+  visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
+                photograph_use);
   visitor.integer({"samples", "samples of each scene; numbers are means over them"}, samples, {1, 10'000});
   visitor.group({"solver", "solver of both flows, for the samples"}, solver);
   visitor.group({"guidance", "guidance of both flows, for the samples"}, guidance);
@@ -230,12 +242,8 @@ void EvaluationOptions::check() const {
   check_out(out, "runs/eval");
 }
 
-SamplingMethod EvaluationOptions::sampling_method(const BundleOptions& bundle) const {
-  SampleOptions sample;
-  sample.solver = solver;
-  sample.guidance = guidance;
-  sample.precision = static_cast<PrecisionChoice>(precision);
-  return sample.method(bundle);
+SamplingMethod EvaluationOptions::sampling_method() const {
+  return method_of_options(solver, guidance, ApproximateSavings(), precision);
 }
 
 EvaluatedViews EvaluationOptions::evaluated_views() const {
@@ -261,14 +269,15 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   models.models = kept_bundle_models(bundle, device, options.precision);
   models.lpips = load_lpips(options.lpips);
   models.device = device;
+  models.photographs = photograph_use_of(options.photograph_use, models.bundle);
   models.poses = options.poses;
   const auto seeing_head = [](const BundleOptions& model) {
-    return model.dpt_head.predicts_rays() ? model.dpt_head.architecture().kind() : "";
+    return model.geometry_head.predicts_rays() ? model.geometry_head.architecture().kind() : "";
   };
   std::string head = seeing_head(bundle.options());
   if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {
     const auto pose_model = ModelBundle::open(options.pose_model);
-    if (!pose_model.options().dpt_head.predicts_rays() || !pose_model.has(BundlePart::dpt_head())) {
+    if (!pose_model.options().geometry_head.predicts_rays() || !pose_model.has(BundlePart::geometry_head())) {
       fail({"--pose-model", "a bundle with a geometry head that sees cameras",
             pose_model.folder().string() + ", which has none", "choose a DA3 or VGGT model"});
     }
@@ -286,8 +295,7 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
 // Evaluates a scene with each number of sources; draws the sheet of the first.
 MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOptions& options,
                              const Scene& scene, int64_t index) {
-  const FlowSettings sampling =
-      flow_settings(options.sampling_method(models.bundle), options.guidance, models.bundle);
+  const FlowSettings sampling = flow_settings(options.sampling_method(), options.guidance, models.bundle);
   MeasuredScene measured;
   for (const ViewSelection& selection :
        evaluated_views(options.evaluated_views(), scene, held_out_key(options.synthetic_seed, index))) {
@@ -327,7 +335,6 @@ std::vector<int64_t> scenes_to_measure(const ProcessShare& share, const SceneRec
   for (int64_t index = 0; records != nullptr && index < count; ++index) {
     if (!records->find(index)) missing.push_back(index);
   }
-  if (share.team == nullptr) return missing;
   return nlohmann::json::parse(share.team->gather(nlohmann::json(missing).dump()).front())
       .get<std::vector<int64_t>>();
 }
@@ -352,7 +359,7 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
     const auto text = measured.at("record").get<std::string>();
     const auto& sheet = measured.at("sheet").get_binary();
     records->write(index, text, {sheet.begin(), sheet.end()});
-    progress->update(done, progress_note(scene_of(text, "a measured scene")));
+    progress->update(done, progress_note(scene_of(text, "a measured scene").value()));
   };
   share_pieces(share, missing, scenes);
   if (progress) progress->finish();
@@ -401,7 +408,7 @@ std::string evaluate(const EvaluationOptions& options) {
     if (options.resume) refuse_other_options(options.out, options);
   }
   const auto bundle = ModelBundle::open(options.model);
-  if (share.team != nullptr) check_same_work(*share.team, options, bundle.content_hash());
+  if (!share.team->alone()) check_same_work(*share.team, options, bundle.content_hash());
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {
     if (bundle.has(part)) parts.push_back(part);
@@ -425,7 +432,7 @@ std::string evaluate(const EvaluationOptions& options) {
   if (!share.leads()) return {};
   RunFolder& folder = *lead_folder;
   const SceneRecords& records = *lead_records;
-  const SamplingMethod method = options.sampling_method(bundle.options());
+  const SamplingMethod method = options.sampling_method();
 
   std::vector<std::vector<SceneEvaluation>> by_count(std::max<size_t>(1, options.source_counts.size()));
   std::vector<std::vector<AttentionCorrespondence>> attention;

@@ -9,7 +9,7 @@
 #include "infer/evaluate/evaluated_views.h"
 #include "infer/evaluate/pose_estimation.h"
 #include "infer/method/sample_options.h"
-#include "infer/pipeline/held_out_scenes.h"
+#include "infer/request/held_out_scenes.h"
 #include "models/losses/lpips_files.h"
 
 #include <cstdint>
@@ -34,6 +34,7 @@ struct EvaluationOptions : OptionsGroup {
   std::vector<int64_t> source_counts;
   std::vector<int64_t> source_frames;
   std::vector<int64_t> target_frames;
+  PhotographOptions photograph_use;
   int64_t samples = 1;  // a scene and number of sources
   SolverOptions solver = SampleOptions().solver;
   GuidanceOptions guidance = SampleOptions().guidance;
@@ -55,7 +56,7 @@ struct EvaluationOptions : OptionsGroup {
 
   EvaluatedViews evaluated_views() const;
   // How gld sample would draw the samples with this solver and guidance.
-  SamplingMethod sampling_method(const BundleOptions& bundle) const;
+  SamplingMethod sampling_method() const;
 };
 
 // Runs the evaluation and writes the run folder (docs/FILES.md). A scene that is done is kept in scenes/, from where

@@ -6,12 +6,12 @@
 
 namespace gld {
 
-std::string column_name(Predictor predictor, const Metric& metric) {
+std::string column_name(const Predictor& predictor, const Metric& metric) {
   return is_trivial(predictor) ? metric.name + "_" + predictor_name(predictor)
                                : predictor_name(predictor) + "_" + metric.name;
 }
 
-bool is_trivial(Predictor predictor) {
+bool is_trivial(const Predictor& predictor) {
   const auto& trivial = trivial_predictors();
   return std::find(trivial.begin(), trivial.end(), predictor) != trivial.end();
 }
@@ -26,16 +26,23 @@ const std::vector<Predictor>& all_predictors() {
 }
 
 const std::vector<Predictor>& main_predictors() {
-  static const std::vector<Predictor> predictors{
-      Predictor::kSample,    Predictor::kMeanPrediction, Predictor::kNearestSource, Predictor::kMeanSource,
-      Predictor::kMeanColor, Predictor::kWarpedSources,  Predictor::kReconstruction};
+  static const std::vector<Predictor> predictors{Predictor::kSample,        Predictor::kMeanPrediction,
+                                                 Predictor::kNearestSource, Predictor::kMeanSource,
+                                                 Predictor::kMeanColor,     Predictor::kWarpedSources,
+                                                 Predictor::kFill,          Predictor::kFillByTrueDepth,
+                                                 Predictor::kGenerated,     Predictor::kReconstruction};
   return predictors;
 }
 
 const std::vector<Predictor>& level_predictors() {
-  static const std::vector<Predictor> predictors{
-      Predictor::kReconstructionLevel0, Predictor::kReconstructionLevel1, Predictor::kReconstructionLevel2,
-      Predictor::kReconstructionLevel3};
+  constexpr int64_t kLevelColumns = 4;
+  static const std::vector<Predictor> predictors = [] {
+    std::vector<Predictor> levels;
+    for (int64_t level = 0; level < kLevelColumns; ++level) {
+      levels.emplace_back(Predictor::kReconstructionOfLevel, level);
+    }
+    return levels;
+  }();
   return predictors;
 }
 
@@ -45,13 +52,13 @@ const std::vector<Predictor>& trivial_predictors() {
   return predictors;
 }
 
-std::string predictor_name(Predictor predictor) {
-  static const std::vector<std::string> names{"sample",        "mean_prediction", "nearest_source",
-                                              "mean_source",   "mean_color",      "warped_sources",
-                                              "reconstruction"};
-  const auto number = static_cast<size_t>(predictor);
-  if (number < names.size()) return names[number];
-  return "reconstruction_level" + std::to_string(number - names.size());
+std::string predictor_name(const Predictor& predictor) {
+  static const std::vector<std::string> names{"sample",         "mean_prediction",     "nearest_source",
+                                              "mean_source",    "mean_color",          "warped_sources",
+                                              "fill",           "fill_by_true_depth",  "generated",
+                                              "reconstruction", "reconstruction_level"};
+  const std::string& name = names[static_cast<size_t>(predictor.kind)];
+  return predictor.kind == Predictor::kReconstructionOfLevel ? name + std::to_string(predictor.level) : name;
 }
 
 namespace {
@@ -79,7 +86,7 @@ const std::vector<EvaluationColumn>& evaluation_columns() {
         }
         continue;
       }
-      for (const Predictor predictor : all_predictors()) {
+      for (const Predictor& predictor : all_predictors()) {
         list.push_back({column_name(predictor, metric), metric, predictor});
       }
     }

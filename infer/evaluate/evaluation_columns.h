@@ -2,39 +2,54 @@
 
 #include "gld/metrics/metric.h"
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
 namespace gld {
 
 // Whose images are compared with the true ones.
-enum class Predictor {
-  kSample,          // a sample of the model, as gld sample draws it
-  kMeanPrediction,  // the model's prediction of the mean, mean_prediction_settings
-  // Trivial ones, which know the sources only:
-  kNearestSource,  // the source whose camera is nearest, copied
-  kMeanSource,     // pixel by pixel mean of the sources
-  kMeanColor,      // the mean colour of the sources
-  // The sources carried into the target by their depth, as a model with warped_sources is shown them, and for depth
-  // that of the nearest source as the target sees it (models/scene_geometry/source_warp.h). Not trivial: it takes the
-  // model's depth, but nothing is generated.
-  kWarpedSources,
-  // All views, sources too, encoded and decoded: what the decoder can do at best.
-  kReconstruction,
-  // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says
-  // something of the level only where the decoder was trained with levels left out.
-  kReconstructionLevel0,
-  kReconstructionLevel1,
-  kReconstructionLevel2,
-  kReconstructionLevel3,
+struct Predictor {
+  enum Kind {
+    kSample,          // a sample of the model, as gld sample draws it
+    kMeanPrediction,  // the model's prediction of the mean, mean_prediction_settings
+    // Trivial ones, which know the sources only:
+    kNearestSource,  // the source whose camera is nearest, copied
+    kMeanSource,     // pixel by pixel mean of the sources
+    kMeanColor,      // the mean colour of the sources
+    // The sources carried into the target by their depth, as a model with warped_sources is shown them, and for depth
+    // that of the nearest source as the target sees it (models/scene_geometry/source_warp.h). Not trivial: it takes
+    // the model's depth, but nothing is generated.
+    kWarpedSources,
+    // The same kept at the photographs' own resolution, and gaps filled smoothly from around them: what a generated
+    // part has to beat.
+    kFill,
+    // The same by the true depth of the sources: how much of what samples miss is the depth that carries photographs.
+    kFillByTrueDepth,
+    // The sample before what photographs show was kept in it.
+    kGenerated,
+    // All views, sources too, encoded and decoded: what the decoder can do at best.
+    kReconstruction,
+    // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says
+    // something of the level only where the decoder was trained with levels left out.
+    kReconstructionOfLevel,
+  };
+  Kind kind = kSample;
+  int64_t level = 0;  // of kReconstructionOfLevel
+
+  Predictor(Kind which, int64_t level_alone = 0) : kind(which), level(level_alone) {}
+  bool operator==(const Predictor& other) const { return kind == other.kind && level == other.level; }
+  bool operator!=(const Predictor& other) const { return !(*this == other); }
+  // Of reconstructions, which are of all views and not of the targets alone.
+  bool of_all_views() const { return kind == kReconstruction || kind == kReconstructionOfLevel; }
 };
 const std::vector<Predictor>& all_predictors();
 const std::vector<Predictor>& main_predictors();  // without those of one level
-// Those of one level alone, by level: four columns, whatever backbone there is.
+// Those of one level alone, by level: four columns, whatever backbone there is, because files have as many.
 const std::vector<Predictor>& level_predictors();
 const std::vector<Predictor>& trivial_predictors();
-bool is_trivial(Predictor predictor);
-std::string predictor_name(Predictor predictor);  // "mean_prediction"
+bool is_trivial(const Predictor& predictor);
+std::string predictor_name(const Predictor& predictor);  // "mean_prediction", "reconstruction_level0"
 
 // A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
 // "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the
@@ -47,6 +62,6 @@ struct EvaluationColumn {
 };
 const std::vector<EvaluationColumn>& evaluation_columns();
 // Of a metric of a predictor's images, as above.
-std::string column_name(Predictor predictor, const Metric& metric);
+std::string column_name(const Predictor& predictor, const Metric& metric);
 
 }  // namespace gld

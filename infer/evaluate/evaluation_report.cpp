@@ -1,7 +1,6 @@
 #include "infer/evaluate/evaluation_report.h"
 
 #include "gld/metrics/metric_list.h"
-#include "gld/metrics/scene_bootstrap.h"
 #include "gld/report/table.h"
 
 #include <algorithm>
@@ -35,9 +34,8 @@ nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
   int64_t absent_samples = 0;
   for (const SceneEvaluation& scene : scenes) absent_samples += scene.number(column.name).absent_samples;
   const SceneStatistics statistics = statistics_over_scenes(values);
-  const MeanInterval interval = bootstrap_mean_interval(values);
+  const Interval& interval = statistics.interval;
   nlohmann::ordered_json json{{"mean", number_or_null(statistics.mean)},
-                              {"confidence_95", number_or_null(statistics.half_width)},
                               {"interval_95", {number_or_null(interval.low), number_or_null(interval.high)}},
                               {"deviation", number_or_null(statistics.deviation)},
                               {"scenes", statistics.count},
@@ -57,7 +55,7 @@ double median_over_scenes(std::vector<double> values) {
   return *middle;
 }
 
-const EvaluationColumn* column_of(const Metric& metric, Predictor predictor) {
+const EvaluationColumn* column_of(const Metric& metric, const Predictor& predictor) {
   for (const EvaluationColumn& column : evaluation_columns()) {
     if (column.metric.name == metric.name && column.of == predictor) return &column;
   }
@@ -68,12 +66,15 @@ std::string with_interval(const nlohmann::ordered_json& statistics, const std::s
   if (statistics.at("mean").is_null()) return statistics.contains("infinite") ? "infinite" : "absent";
   const double mean = statistics.at("mean").get<double>();
   // A small number keeps two digits of its own.
-  if (mean != 0 && std::abs(mean) < 0.01) {
-    return fmt::format("{:.1e} +- {:.1e}", mean, statistics.at("confidence_95").get<double>());
-  }
+  const bool small = mean != 0 && std::abs(mean) < 0.01;
   const int digits = unit == "dB" || unit == "degrees" ? 2 : 3;
-  return fmt::format("{:.{}f} +- {:.{}f}", statistics.at("mean").get<double>(), digits,
-                     statistics.at("confidence_95").get<double>(), digits);
+  const auto text = [&](double value) {
+    return small ? fmt::format("{:.1e}", value) : fmt::format("{:.{}f}", value, digits);
+  };
+  const auto& interval = statistics.at("interval_95");
+  if (interval.at(0).is_null()) return text(mean);
+  return fmt::format("{} [{}, {}]", text(mean), text(interval.at(0).get<double>()),
+                     text(interval.at(1).get<double>()));
 }
 
 std::string name_with_unit(const Metric& metric) {
@@ -106,7 +107,7 @@ std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
 
 std::string image_table(const nlohmann::ordered_json& means) {
   std::vector<std::string> header{"target views"};
-  for (const Predictor predictor : main_predictors()) {
+  for (const Predictor& predictor : main_predictors()) {
     std::string name = predictor_name(predictor);
     std::replace(name.begin(), name.end(), '_', ' ');
     header.push_back(name);
@@ -114,7 +115,7 @@ std::string image_table(const nlohmann::ordered_json& means) {
   Table table(header);
   for (const Metric& metric : image_metric_list()) {
     std::vector<TableCell> row{name_with_unit(metric)};
-    for (const Predictor predictor : main_predictors()) {
+    for (const Predictor& predictor : main_predictors()) {
       row.emplace_back(with_interval(means.at(column_of(metric, predictor)->name), metric.unit));
     }
     table.add_row(row);
@@ -164,14 +165,14 @@ std::vector<double> sorted_values(const std::vector<SceneEvaluation>& scenes, co
 std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
   std::string text = "scene";
   for (const EvaluationColumn& column : evaluation_columns()) text += "," + column.name;
-  for (const Predictor trivial : trivial_predictors()) text += ",sample_beats_" + predictor_name(trivial);
+  for (const Predictor& trivial : trivial_predictors()) text += ",sample_beats_" + predictor_name(trivial);
   text += ",sources,samples\n";
   for (const SceneEvaluation& scene : scenes) {
     text += csv_cell(scene.scene);
     for (const SceneNumber& number : scene.numbers) {
       text += number.absent.empty() ? fmt::format(",{:.6f}", number.value) : ",";
     }
-    for (const Predictor trivial : trivial_predictors()) text += scene.sample_beats(trivial) ? ",1" : ",0";
+    for (const Predictor& trivial : trivial_predictors()) text += scene.sample_beats(trivial) ? ",1" : ",0";
     text += fmt::format(",{},{}\n", scene.sources.size(), scene.samples);
   }
   return text;
@@ -209,7 +210,7 @@ std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& s
     PlotPanel panel;
     panel.x.label = "scenes, sorted";
     panel.y.label = name_with_unit(metric) + ", " + better_name(metric.better) + " is better";
-    for (const Predictor predictor : main_predictors()) {
+    for (const Predictor& predictor : main_predictors()) {
       const EvaluationColumn* column = column_of(metric, predictor);
       if (column == nullptr) continue;
       const auto values = sorted_values(scenes, column->name);
@@ -234,19 +235,20 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
     means[column.name] = statistics_json(column, scenes);
   }
   const Metric& metric = metric_named("psnr");
-  const auto mean_psnr = [&](Predictor predictor) {
+  const auto mean_psnr = [&](const Predictor& predictor) {
     return number_of(means.at(column_of(metric, predictor)->name).at("mean"));
   };
   const auto& trivial = trivial_predictors();
-  const Predictor best = *std::max_element(
-      trivial.begin(), trivial.end(), [&](Predictor a, Predictor b) { return mean_psnr(a) < mean_psnr(b); });
+  const Predictor best =
+      *std::max_element(trivial.begin(), trivial.end(),
+                        [&](const Predictor& a, const Predictor& b) { return mean_psnr(a) < mean_psnr(b); });
   nlohmann::ordered_json summary = {{"scenes", scenes.size()}, {"means", means}};
   summary["best_trivial_predictor"] = column_of(metric, best)->name;
   summary["sample_margin_over_best_trivial_db"] =
       number_or_null(mean_psnr(Predictor::kSample) - mean_psnr(best));
   summary["mean_prediction_margin_over_best_trivial_db"] =
       number_or_null(mean_psnr(Predictor::kMeanPrediction) - mean_psnr(best));
-  for (const Predictor predictor : trivial) {
+  for (const Predictor& predictor : trivial) {
     summary["sample_beats"][predictor_name(predictor)] =
         std::count_if(scenes.begin(), scenes.end(),
                       [&](const SceneEvaluation& scene) { return scene.sample_beats(predictor); });

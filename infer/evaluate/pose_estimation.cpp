@@ -1,7 +1,7 @@
 #include "infer/evaluate/pose_estimation.h"
 
 #include "gld/base/error.h"
-#include "gld/cameras/published_pose_from_rays.h"
+#include "gld/photogrammetry/published_pose_from_rays.h"
 #include "models/scene_geometry/predicted_cameras.h"
 
 #include <algorithm>

@@ -14,8 +14,8 @@ namespace gld {
 // How cameras are found in what a geometry head says of views.
 enum class PoseEstimator {
   kNone,
-  kOurs,  // gld/cameras/pose_from_rays.h, with the given principal points
-  kDa3,   // gld/cameras/published_pose_from_rays.h
+  kOurs,  // gld/photogrammetry/pose_from_rays.h, with the given principal points
+  kDa3,   // gld/photogrammetry/published_pose_from_rays.h
   kGld,
   kVggt,  // VGGT's camera head, whose cameras are the heads' rays
 };

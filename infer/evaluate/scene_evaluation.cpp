@@ -6,14 +6,19 @@
 #include "gld/metrics/metric_list.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
-#include "infer/pipeline/photo_cameras.h"
 #include "infer/pipeline/placed_cloud.h"
-#include "infer/pipeline/scale_evidence.h"
-#include "infer/pipeline/scene_request.h"
+#include "infer/request/photo_cameras.h"
+#include "infer/request/scale_evidence.h"
+#include "infer/request/scene_request.h"
+#include "models/conditioning/decoder_inputs.h"
+#include "models/scene_geometry/composed_views.h"
+#include "models/scene_geometry/photograph_depth.h"
 #include "models/scene_geometry/source_warp.h"
 
 #include <algorithm>
 #include <limits>
+#include <map>
+#include <optional>
 
 #include <fmt/format.h>
 
@@ -49,7 +54,7 @@ TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& 
   for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
     pictures.levels.push_back(backbone->decodable(level).patches);
   }
-  if (models.bundle.dpt_head.predicts_rays()) {
+  if (models.bundle.geometry_head.predicts_rays()) {
     pictures.geometry =
         geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
   }
@@ -59,12 +64,12 @@ TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& 
 // All levels that the decoder takes, or `alone` with the others zero.
 torch::Tensor reconstruction(const EvaluationModels& models, const TruePictures& pictures,
                              std::optional<int64_t> alone) {
-  std::vector<torch::Tensor> levels;
-  for (const int64_t level : models.models.levels.decoded_levels()) {
-    const auto& patches = pictures.levels.at(static_cast<size_t>(level));
-    levels.push_back(alone && *alone != level ? torch::zeros_like(patches) : patches);
+  auto levels = pictures.levels;
+  for (size_t level = 0; alone && level < levels.size(); ++level) {
+    if (static_cast<int64_t>(level) != *alone) levels[level] = torch::Tensor();
   }
-  return models.models.rgb_decoder()->decode(torch::cat(levels, 2), pictures.grid).to(torch::kCPU);
+  const auto features = image_features(levels, models.models.levels.decoded_levels());
+  return models.models.rgb_decoder()->decode(features, pictures.grid).to(torch::kCPU);
 }
 
 // (views, tokens, channels) -> (views, channels, rows, columns).
@@ -155,21 +160,53 @@ struct WarpedSources {
   torch::Tensor depth;    // of the nearest source, in the scene's unit; undefined where that is not known
   std::string no_images;  // why there are none; empty where there are
   std::string no_depth;
+  FilledViews filled;  // undefined where nothing could be carried
 };
 
+// What the true depth of the sources would carry; undefined unless every source has a depth map.
+FilledViews filled_by_true_depth(const SamplingScene& scene) {
+  SourceDepth depth;
+  depth.from = "the scene";
+  depth.reach = 0;
+  for (const DepthMap& map : scene.source_depths) {
+    if (map.empty()) return {};
+    depth.views.push_back({map.width, map.height, map.metres});
+  }
+  if (!depth.known()) return {};
+  return filled_views(scene.views,
+                      scene.photographs.views.empty()
+                          ? photographs_of_images(scene.views, stacked(scene.source_images))
+                          : scene.photographs,
+                      depth);
+}
+
 WarpedSources warped_sources(const EvaluationModels& models, const SamplingScene& scene) {
-  if (!models.bundle.dpt_head.predicts_rays()) return {{}, {}, kNoHead, kNoHead};
-  const auto photographs = stacked(scene.source_images);
-  const GeometryOutput geometry =
-      geometry_of_pictures(models.models, photographs, GeometryMaps::kDepthAndRays, models.device);
-  const SourceWarp warp = warp_sources(scene.views, photographs, geometry, 1);
-  const NearestSourceDepth nearest = nearest_source_depth(scene.views, photographs, geometry);
-  return {warp.completed, nearest.depth, warp.doubt, nearest.doubt};
+  const auto pictures = stacked(scene.source_images);
+  const SourcePhotographs photographs =
+      scene.photographs.views.empty() ? photographs_of_images(scene.views, pictures) : scene.photographs;
+  const PhotographUse& use = models.photographs;
+  std::optional<GeometryOutput> head;
+  if (models.bundle.geometry_head.predicts_rays()) {
+    head = geometry_of_pictures(models.models, pictures, GeometryMaps::kDepthAndRays, models.device);
+  } else if (!use.matches()) {
+    return {{}, {}, kNoHead, kNoHead, {}};
+  }
+  const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
+  const SourceDepth depth = use.matches() ? photograph_depth(scene.views, pictures, photographs,
+                                                             asks_head && head ? &*head : nullptr, use.stereo)
+                                                .depth
+                                          : source_depth_of_head(scene.views, pictures, *head);
+  const SourceWarp warp = warp_sources(scene.views, pictures, depth, 1);
+  const NearestSourceDepth nearest = nearest_source_depth(scene.views, depth);
+  WarpedSources warped{warp.completed, nearest.depth, warp.doubt, nearest.doubt, {}};
+  if (depth.known()) warped.filled = filled_views(scene.views, photographs, depth);
+  return warped;
 }
 
 PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, const FlowSettings& settings,
-                   int64_t noise_seed, DecodedViews geometry_views) {
+                   const PhotographUse& photographs, int64_t noise_seed, DecodedViews geometry_views) {
   PipelineRequest request = scene_request(scene, models.bundle, noise_seed, models.device);
+  request.photographs = photographs;
   request.flow = settings;
   request.image_views = DecodedViews::kTargets;
   request.geometry_views = geometry_views;
@@ -182,9 +219,10 @@ PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, c
 class SceneMetrics {
  public:
   // Both must outlive this object.
-  SceneMetrics(const EvaluationModels& models, const SamplingScene& scene)
+  SceneMetrics(const EvaluationModels& models, const SamplingScene& scene, const torch::Tensor& shown)
       : models_(models), scene_(scene), lpips_(models.lpips) {
     truth_.true_images = true_images(scene);
+    truth_.shown = shown;
     truth_.true_depth = true_depth(scene);
     truth_.all_true_depth = all_true_depth(scene);
     truth_.views = scene.views;
@@ -239,8 +277,8 @@ class SceneMetrics {
     }
     inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     inputs.rays = geometry.rays;
-    const GeometryPlacement placement =
-        place_geometry(geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence()));
+    const GeometryPlacement placement = place_geometry(
+        geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence(), sample.stereo));
     inputs.predicted_cameras = placement.predicted;
     inputs.missing[MetricNeed::kRays] = "no camera fits the predicted rays";
     inputs.missing[MetricNeed::kDepthScale] = "the scale of the predicted depth is not known";
@@ -315,11 +353,10 @@ class SceneMetrics {
 };
 
 // What a metric has for the targets: nothing where it is of the scene. A reconstruction is of all views.
-std::vector<double> of_targets(const MetricValue& value, const Views& views, Predictor predictor) {
+std::vector<double> of_targets(const MetricValue& value, const Views& views, const Predictor& predictor) {
   if (!value.per_view.defined()) return {};
-  const bool of_all_views = !is_trivial(predictor) && predictor >= Predictor::kReconstruction;
   const int64_t count = value.per_view.size(0);
-  if (count != (of_all_views ? views.size() : views.num_targets())) return {};
+  if (count != (predictor.of_all_views() ? views.size() : views.num_targets())) return {};
   const auto numbers = value.per_view.narrow(0, count - views.num_targets(), views.num_targets())
                            .to(torch::kFloat64)
                            .contiguous();
@@ -335,7 +372,9 @@ bool depends_on_sample(const EvaluationColumn& column) {
       return std::find(needs.begin(), needs.end(), need) != needs.end();
     });
   };
-  if (column.metric.of_images() || column.of != Predictor::kSample) return column.of == Predictor::kSample;
+  if (column.metric.of_images() || column.of != Predictor::kSample) {
+    return column.of == Predictor::kSample || column.of == Predictor::kGenerated;
+  }
   return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures});
 }
 
@@ -374,7 +413,7 @@ const SceneNumber& SceneEvaluation::number(const std::string& column) const {
   fail({"evaluation of " + scene, "a column of eval.csv", "'" + column + "'", "choose among its first line"});
 }
 
-bool SceneEvaluation::sample_beats(Predictor trivial) const {
+bool SceneEvaluation::sample_beats(const Predictor& trivial) const {
   const Metric& metric = metric_named("psnr");
   return number(column_name(Predictor::kSample, metric)).value > number(column_name(trivial, metric)).value;
 }
@@ -382,7 +421,7 @@ bool SceneEvaluation::sample_beats(Predictor trivial) const {
 bool SceneEvaluation::sample_beats_every_trivial() const {
   const auto& trivial = trivial_predictors();
   return std::all_of(trivial.begin(), trivial.end(),
-                     [&](Predictor predictor) { return sample_beats(predictor); });
+                     [&](const Predictor& predictor) { return sample_beats(predictor); });
 }
 
 EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScene& scene,
@@ -390,31 +429,42 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   const torch::NoGradGuard no_gradients;
   if (noise_seeds.empty()) fail({"evaluation", "at least one sample", "none", "give a seed"});
   EvaluatedScene result;
-  result.mean_prediction =
-      run(models, scene, mean_prediction_settings(models.bundle), noise_seeds.front(), DecodedViews::kNone);
-  const SceneMetrics metrics(models, scene);
+  // The prediction of the mean is the model's own: nothing is kept in it, so that it says what the model learnt.
+  PhotographUse shown_only = models.photographs;
+  shown_only.composition = Composition::kNone;
+  result.mean_prediction = run(models, scene, mean_prediction_settings(models.bundle), shown_only,
+                               noise_seeds.front(), DecodedViews::kNone);
+  const WarpedSources warped = warped_sources(models, scene);
+  const SceneMetrics metrics(models, scene, warped.filled.shown);
   const auto sources = stacked(scene.source_images);
   const int64_t targets = scene.views.num_targets();
   const auto for_every_target = [&](const torch::Tensor& image) {
     return image.expand({targets, 3, scene.size.height, scene.size.width});
   };
-  std::vector<MetricInputs> by_predictor(all_predictors().size());
-  const auto set = [&](Predictor predictor, MetricInputs inputs) {
-    by_predictor[static_cast<size_t>(predictor)] = std::move(inputs);
+  std::map<std::string, MetricInputs> by_predictor;
+  const auto set = [&](const Predictor& predictor, MetricInputs inputs) {
+    by_predictor[predictor_name(predictor)] = std::move(inputs);
   };
   set(Predictor::kMeanPrediction, metrics.of_images(result.mean_prediction.images));
   set(Predictor::kNearestSource, metrics.of_images(nearest_sources(scene.views, sources)));
   set(Predictor::kMeanSource, metrics.of_images(for_every_target(sources.mean(0, /*keepdim=*/true))));
   set(Predictor::kMeanColor, metrics.of_images(for_every_target(sources.mean({0, 2, 3}, /*keepdim=*/true))));
-  const WarpedSources warped = warped_sources(models, scene);
   MetricInputs of_warped = metrics.of_images(warped.images);
   of_warped.depth = warped.depth;
   of_warped.depth_scale = 1;
   if (!warped.no_images.empty()) of_warped.missing[MetricNeed::kImages] = warped.no_images;
   of_warped.missing[MetricNeed::kDepth] = warped.no_depth;
   set(Predictor::kWarpedSources, std::move(of_warped));
+  MetricInputs of_fill = metrics.of_images(warped.filled.images);
+  if (!warped.no_images.empty()) of_fill.missing[MetricNeed::kImages] = warped.no_images;
+  set(Predictor::kFill, std::move(of_fill));
+  MetricInputs of_true_depth = metrics.of_images(filled_by_true_depth(scene).images);
+  if (!of_true_depth.images.defined()) {
+    of_true_depth.missing[MetricNeed::kImages] = "a source view of the scene has no true depth";
+  }
+  set(Predictor::kFillByTrueDepth, std::move(of_true_depth));
   const TruePictures& pictures = metrics.pictures();
-  const auto set_reconstruction = [&](Predictor predictor, std::optional<int64_t> alone) {
+  const auto set_reconstruction = [&](const Predictor& predictor, std::optional<int64_t> alone) {
     MetricInputs inputs = metrics.of_images(torch::Tensor());
     const auto decoded = models.models.levels.decoded_levels();
     if (alone && std::find(decoded.begin(), decoded.end(), *alone) == decoded.end()) {
@@ -425,24 +475,27 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     set(predictor, std::move(inputs));
   };
   set_reconstruction(Predictor::kReconstruction, std::nullopt);
-  for (size_t level = 0; level < level_predictors().size(); ++level) {
-    set_reconstruction(level_predictors()[level], static_cast<int64_t>(level));
-  }
+  for (const Predictor& of_level : level_predictors()) set_reconstruction(of_level, of_level.level);
 
   const auto& columns = evaluation_columns();
   std::vector<std::vector<MetricValue>> values(columns.size());
   for (const int64_t seed : noise_seeds) {
     PipelineResult sample =
-        run(models, scene, sampling, seed,
-            models.bundle.dpt_head.predicts_rays() ? DecodedViews::kAll : DecodedViews::kNone);
+        run(models, scene, sampling, models.photographs, seed,
+            models.bundle.geometry_head.predicts_rays() ? DecodedViews::kAll : DecodedViews::kNone);
     set(Predictor::kSample, metrics.of_images(sample.images));
+    MetricInputs generated = metrics.of_images(sample.generated_images);
+    if (!sample.generated_images.defined()) {
+      generated.missing[MetricNeed::kImages] =
+          "nothing of the photographs is kept in samples: they are generated";
+    }
+    set(Predictor::kGenerated, std::move(generated));
     const MetricInputs geometry = metrics.of_geometry(sample);
     for (size_t i = 0; i < columns.size(); ++i) {
       if (!values[i].empty() && !depends_on_sample(columns[i])) continue;
       const bool of_sample_geometry = !columns[i].metric.of_images() && columns[i].of == Predictor::kSample;
-      values[i].push_back(measure(columns[i].metric, of_sample_geometry
-                                                         ? geometry
-                                                         : by_predictor[static_cast<size_t>(columns[i].of)]));
+      values[i].push_back(measure(
+          columns[i].metric, of_sample_geometry ? geometry : by_predictor.at(predictor_name(columns[i].of))));
     }
     if (seed == noise_seeds.front()) result.sample = std::move(sample);
   }

@@ -4,7 +4,7 @@
 #include "infer/evaluate/evaluation_columns.h"
 #include "infer/evaluate/pose_estimation.h"
 #include "infer/pipeline/sampling_pipeline.h"
-#include "infer/pipeline/sampling_scene.h"
+#include "infer/request/sampling_scene.h"
 #include "models/bundle/bundle.h"
 #include "models/losses/lpips.h"
 
@@ -38,7 +38,7 @@ struct SceneEvaluation {
   // By the name of its column. Throws Error for a name that is none.
   const SceneNumber& number(const std::string& column) const;
   // Whether the PSNR of a trivial predictor is below that of the sample.
-  bool sample_beats(Predictor trivial) const;
+  bool sample_beats(const Predictor& trivial) const;
   bool sample_beats_every_trivial() const;
 };
 
@@ -55,6 +55,7 @@ struct EvaluationModels {
   PipelineModels models;
   std::shared_ptr<Lpips> lpips;  // null without weights
   torch::Device device = torch::kCPU;
+  PhotographUse photographs;  // of the samples
   PoseEstimator poses = PoseEstimator::kOurs;
   // Whose geometry head looks at the sources and the generated pictures, for poses; the model's own reads the levels.
   std::optional<PipelineModels> pose_model;

@@ -5,7 +5,7 @@
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
 #include "gld/cameras/pose_alignment.h"
-#include "gld/cameras/view_maps.h"
+#include "gld/photogrammetry/view_maps.h"
 
 #include <cstdint>
 #include <string>
@@ -69,9 +69,9 @@ struct PointCloud {
 };
 
 // Lifts the depth of every view. depth_scale is the length of one unit of the depth maps, in the world where cameras
-// lift (gld/cameras/depth_scale.h finds it where the DPT head has a scale of its own), in the frame of the rays where
-// they do. The order is view by view, row by row. A view whose depth and confidence differ in size, or whose image is
-// empty, or that lacks the rays or points that lift it, is an Error.
+// lift (gld/photogrammetry/depth_scale.h finds it where the geometry head has a scale of its own), in the frame of the
+// rays where they do. The order is view by view, row by row. A view whose depth and confidence differ in size, or whose
+// image is empty, or that lacks the rays or points that lift it, is an Error.
 PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_scale,
                              const PointCloudOptions& options);
 

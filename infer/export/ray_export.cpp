@@ -30,18 +30,6 @@ NpyArray provenance_array(const Provenance& provenance) {
   return array;
 }
 
-TextItems items_of(const NpyArray& array, const std::string& where) {
-  const auto object = parse_ordered_json(std::string(array.bytes.begin(), array.bytes.end()), where);
-  TextItems items;
-  if (!object.is_object()) {
-    fail({where, "a JSON object as provenance", "something else", "write it again"});
-  }
-  for (const auto& [name, text] : object.items()) {
-    if (text.is_string()) items.emplace_back(name, text.get<std::string>());
-  }
-  return items;
-}
-
 }  // namespace
 
 int64_t export_rays(const std::filesystem::path& file, const RayMap& rays, const ConfidenceMap& confidence,
@@ -72,24 +60,6 @@ int64_t export_rays(const std::filesystem::path& file, const RayMap& rays, const
   arrays["provenance"] = provenance_array(provenance);
   write_npz(file, arrays);
   return not_finite;
-}
-
-RayFile read_rays(const std::filesystem::path& file) {
-  const NpzFile npz = NpzFile::open(file);
-  const NpyArray rays = npz.read("rays");
-  const NpyArray confidence = npz.read("confidence");
-  if (rays.shape.size() != 3 || rays.shape[2] != 6 || confidence.shape.size() != 2 ||
-      confidence.shape[0] != rays.shape[0] || confidence.shape[1] != rays.shape[1]) {
-    fail({file.string(), "rays (height, width, 6) and confidence (height, width)", "other shapes",
-          "write it again"});
-  }
-  RayFile result;
-  result.rays.width = result.confidence.width = rays.shape[1];
-  result.rays.height = result.confidence.height = rays.shape[0];
-  result.rays.values = rays.to_floats();
-  result.confidence.values = confidence.to_floats();
-  if (npz.has("provenance")) result.provenance = items_of(npz.read("provenance"), file.string());
-  return result;
 }
 
 }  // namespace gld

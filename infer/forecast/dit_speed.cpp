@@ -72,7 +72,6 @@ DitSpeed measure_dit_speed(const DitOptions& options, const PlanRequest& request
     model.velocity_from_features(model.velocity_features(branches, own, condition), state, kFlowTime);
   });
   const auto scale = [&](double& seconds, size_t runs, Cost whole, const Cost& measured) {
-    whole.attention_flop *= request.attention_share();
     const LayerPrecision precision = layer_precision(request.flow.precision, ModelKind::kGenerator);
     seconds *= computing_seconds(whole, speed, precision) / computing_seconds(measured, speed, precision) /
                static_cast<double>(runs);

@@ -36,7 +36,8 @@ struct Machine {
   int64_t total_memory = 0;
   int64_t available_memory = 0;
   MachineSpeed speed;
-  std::string origin;  // of the speed, a sentence
+  std::string origin;               // of the speed, a sentence
+  std::vector<std::string> doubts;  // about it
 };
 
 Machine examine_machine(const DoctorOptions& options) {
@@ -52,16 +53,16 @@ Machine examine_machine(const DoctorOptions& options) {
   const auto file = machine_rates_file();
   const auto kept =
       options.measure || file.empty() ? std::nullopt : kept_machine_speed(file, present_rate_key());
-  const KnownSpeed known =
-      kept ? KnownSpeed{*kept, "rates kept in " + file.string() + "; --measure renews them"}
-           : renew_machine_speed();
+  const KnownSpeed known = kept ? known_machine_speed() : renew_machine_speed();
   machine.speed = known.speed;
-  machine.origin = known.origin;
+  machine.origin =
+      kept ? known.origin + ", kept in " + file.string() + "; --measure renews them" : known.origin;
+  machine.doubts = known.doubts;
   return machine;
 }
 
 std::vector<std::string> complaints(const Machine& machine) {
-  std::vector<std::string> list;
+  std::vector<std::string> list = machine.doubts;
   if (machine.blas == "reference") {
     list.emplace_back(
         "libblas.so.3 is the reference BLAS, tens of times too slow: install libopenblas0-pthread.");
@@ -121,6 +122,14 @@ std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOption
   return advice;
 }
 
+// What can be told before the machine is measured.
+void check_forecast(const DoctorOptions& options) {
+  const ImageSize size = image_size_from_text(options.size, "--size");
+  if (!options.model.empty()) {
+    ModelBundle::open(options.model).options().backbone.grid_of(options.views, size.height, size.width);
+  }
+}
+
 Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   const ModelBundle bundle = ModelBundle::open(options.model);
   const ImageSize size = image_size_from_text(options.size, "--size");
@@ -129,11 +138,10 @@ Forecast forecast(const DoctorOptions& options, const Machine& machine) {
   request.num_sources = options.sources;
   request.outputs.image = true;
   request.outputs.depth = request.outputs.points =
-      bundle.options().has_geometry() && bundle.options().dpt_head.predicts_rays();
+      bundle.options().has_geometry() && bundle.options().geometry_head.predicts_rays();
   SamplingMethod method;
   method.solver = options.solver;
   method.guidance_interval = options.guidance.guidance_interval;
-  method.guidance_tolerance = options.guidance.guidance_tolerance;
   request.flow = flow_settings(method, options.guidance, bundle.options());
   Forecast result;
   result.plan = plan_sampling(bundle.options(), request);
@@ -162,7 +170,6 @@ nlohmann::ordered_json machine_json(const Machine& machine) {
              matrix_unit_name(best_matrix_unit(ComputePrecision::kBFloat16), ComputePrecision::kBFloat16)},
             {"int8", matrix_unit_name(best_matrix_unit(ComputePrecision::kInt8), ComputePrecision::kInt8)}}},
           {"bfloat16_linear_over_float32", machine.speed.bfloat16_linear},
-          {"bfloat16x3_linear_over_float32", machine.speed.bfloat16x3_linear},
           {"int8_linear_over_float32", machine.speed.int8_linear},
           {"bfloat16_attention_over_float32", machine.speed.bfloat16_attention},
           {"loading_gigabytes_per_second", machine.speed.loading / 1e9},
@@ -184,7 +191,6 @@ std::string machine_text(const Machine& machine) {
       "linear layers    {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "attention        {:.0f} GFLOP/s, {:.0f} % of the peak\n"
       "in bfloat16      {}: linear layers {:.2f} times as fast, attention {:.2f}\n"
-      "in bfloat16x3    linear layers {:.2f} times as fast\n"
       "in int8          {}: linear layers {:.2f} times as fast\n"
       "loading weights  {:.1f} GB/s\n"
       "small models     {:.2f} of the time of their products, large ones {:.2f}\n"
@@ -199,7 +205,7 @@ std::string machine_text(const Machine& machine) {
       100 * speed.linear / speed.multiply_add_peak, speed.attention / 1e9,
       100 * speed.attention / speed.multiply_add_peak,
       matrix_unit_name(best_matrix_unit(ComputePrecision::kBFloat16), ComputePrecision::kBFloat16),
-      speed.bfloat16_linear, speed.bfloat16_attention, speed.bfloat16x3_linear,
+      speed.bfloat16_linear, speed.bfloat16_attention,
       matrix_unit_name(best_matrix_unit(ComputePrecision::kInt8), ComputePrecision::kInt8), speed.int8_linear,
       speed.loading / 1e9, speed.small_model, speed.large_model, machine.origin);
 }
@@ -231,6 +237,7 @@ void DoctorOptions::check() const {
 
 ReportText doctor_report(const DoctorOptions& options, const std::vector<std::string>& process_engines) {
   use_threads(options.threads);
+  check_forecast(options);
   Machine machine = examine_machine(options);
   machine.process_engines = process_engines;
   const auto wrong = complaints(machine);

@@ -7,6 +7,7 @@
 #include "gld/base/user_cache.h"
 #include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/block_memory.h"
+#include "gld/machine/processor_name.h"
 #include "gld/machine/timing.h"
 #include "gld/report/provenance.h"
 #include "gld/tensors/packed_layer.h"
@@ -19,13 +20,14 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <fstream>
+#include <ctime>
 #include <functional>
 #include <utility>
 
 #include <ATen/ops/randn.h>
 #include <ATen/ops/zeros.h>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
@@ -94,7 +96,6 @@ void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, Mach
     return has_matrix_unit(precision) ? packed_speed(rows, precision, timing) / speed.linear : kPlainUnit;
   };
   speed.bfloat16_linear = linear(ComputePrecision::kBFloat16);
-  speed.bfloat16x3_linear = linear(ComputePrecision::kBFloat16x3);
   speed.int8_linear = linear(ComputePrecision::kInt8);
   speed.bfloat16_attention =
       has_matrix_unit(ComputePrecision::kBFloat16)
@@ -111,15 +112,6 @@ double model_factor(const DitOptions& options, const LatentGrid& grid, const Mac
                            computing_seconds(dit_cost(options, grid), speed));
 }
 
-std::string processor_name() {
-  std::ifstream file("/proc/cpuinfo");
-  for (std::string line; std::getline(file, line);) {
-    const auto colon = line.find(": ");
-    if (line.rfind("model name", 0) == 0 && colon != std::string::npos) return line.substr(colon + 2);
-  }
-  return "unknown";
-}
-
 struct Entry {
   const char* name;
   double MachineSpeed::*value;
@@ -132,9 +124,69 @@ constexpr Entry kEntries[] = {{"multiply_add_peak", &MachineSpeed::multiply_add_
                               {"small_model", &MachineSpeed::small_model},
                               {"large_model", &MachineSpeed::large_model},
                               {"bfloat16_linear", &MachineSpeed::bfloat16_linear},
-                              {"bfloat16x3_linear", &MachineSpeed::bfloat16x3_linear},
                               {"int8_linear", &MachineSpeed::int8_linear},
                               {"bfloat16_attention", &MachineSpeed::bfloat16_attention}};
+
+// Rates that contradict themselves below these bounds are noise: what LibTorch's products reach of a peak that was
+// measured in the same second, and repeats.
+constexpr double kAbovePeak = 1.05, kWidestSpread = 0.3, kLeastInt8 = 0.5;
+constexpr size_t kRepeats = 5;
+// How many runs of a precision are remembered.
+constexpr size_t kRemembered = 8;
+
+// One repeat of all kinds of work.
+MachineSpeed one_repeat() {
+  const Timing timing = [](const std::function<void()>& action) {
+    action();
+    return std::min(seconds_of(action), seconds_of(action));
+  };
+  PeakMeasurement measurement;
+  measurement.settings.threads = thread_count();
+  MachineSpeed speed;
+  speed.multiply_add_peak = measure_multiply_add_peak(measurement);
+  speed.matrix_product = measure_sgemm_peak();
+  speed.linear = linear_speed(1296, timing);
+  speed.attention = attention_speed(1440, ComputePrecision::kFloat32, timing);
+  measure_precisions(1296, 1440, timing, speed);
+  speed.loading = loading_speed(16'000'000);
+  speed.small_model = model_factor(small_model(), kSmallGrid, speed);
+  speed.large_model = model_factor(DitOptions(), kLargeGrid, speed);
+  return speed;
+}
+
+double median_of(std::vector<double> values) { return spread_of(std::move(values)).median; }
+
+constexpr std::pair<ComputePrecision, double MachineSpeed::*> kStages[] = {
+    {ComputePrecision::kFloat32, &MachineSpeed::float32_stages},
+    {ComputePrecision::kBFloat16, &MachineSpeed::bfloat16_stages},
+    {ComputePrecision::kInt8, &MachineSpeed::int8_stages}};
+
+// From the runs that are remembered.
+void set_stages(MeasuredSpeed& measured) {
+  for (const auto& [precision, stages] : kStages) {
+    auto ratios = measured.runs[precision];
+    ratios.push_back(1);
+    measured.speed.*stages = median_of(std::move(ratios));
+  }
+}
+
+std::string time_text(int64_t seconds) {
+  const auto time = static_cast<std::time_t>(seconds);
+  std::tm parts{};
+  std::array<char, 64> text{};
+  if (::gmtime_r(&time, &parts) == nullptr) return "an unknown day";
+  std::strftime(text.data(), text.size(), "%Y-%m-%d %H:%M UTC", &parts);
+  return text.data();
+}
+
+// "measured on 2026-11-24 03:50 UTC, repeats within 6 %, and mended by 3 runs"
+std::string certainty_text(const MeasuredSpeed& measured) {
+  size_t runs = 0;
+  for (const auto& [precision, ratios] : measured.runs) runs += ratios.size();
+  return fmt::format("measured on {}, repeats within {:.0f} %{}", time_text(measured.measured_at),
+                     100 * measured.spread,
+                     runs == 0 ? "" : fmt::format(", and mended by {} run{}", runs, runs == 1 ? "" : "s"));
+}
 
 nlohmann::ordered_json key_json(const RateKey& key) {
   return {
@@ -161,20 +213,51 @@ bool has_key(const nlohmann::ordered_json& entry, const RateKey& key) {
 
 }  // namespace
 
-MachineSpeed measure_machine_speed() {
+MeasuredSpeed measure_machine_speed() {
   const torch::NoGradGuard no_gradients;
-  PeakMeasurement measurement;
-  measurement.settings.threads = thread_count();
-  MachineSpeed speed;
-  speed.multiply_add_peak = measure_multiply_add_peak(measurement);
-  speed.matrix_product = measure_sgemm_peak();
-  speed.linear = linear_speed(1296, fastest_seconds_of);
-  speed.attention = attention_speed(1440, ComputePrecision::kFloat32, fastest_seconds_of);
-  measure_precisions(1296, 1440, fastest_seconds_of, speed);
-  speed.loading = loading_speed(16'000'000);
-  speed.small_model = model_factor(small_model(), kSmallGrid, speed);
-  speed.large_model = model_factor(DitOptions(), kLargeGrid, speed);
-  return speed;
+  std::vector<MachineSpeed> repeats;
+  for (size_t i = 0; i < kRepeats; ++i) repeats.push_back(one_repeat());
+  MeasuredSpeed measured;
+  measured.measured_at = static_cast<int64_t>(std::time(nullptr));
+  for (const auto& [name, value] : kEntries) {
+    std::vector<double> values;
+    for (const auto& repeat : repeats) values.push_back(repeat.*value);
+    std::sort(values.begin(), values.end());
+    if (value == &MachineSpeed::multiply_add_peak) {
+      measured.speed.*value = values.back();
+      continue;
+    }
+    const double median = values[kRepeats / 2], spread = (values[kRepeats - 2] - values[1]) / median;
+    measured.speed.*value = median;
+    if (spread <= measured.spread) continue;
+    measured.spread = spread;
+    measured.widest = name;
+  }
+  return measured;
+}
+
+std::vector<std::string> contradictions(const MeasuredSpeed& measured) {
+  const MachineSpeed& speed = measured.speed;
+  std::vector<std::string> sentences;
+  const std::pair<const char*, double> parts[] = {{"BLAS products", speed.matrix_product},
+                                                  {"Linear layers", speed.linear},
+                                                  {"Attention", speed.attention}};
+  for (const auto& [name, rate] : parts) {
+    if (rate <= kAbovePeak * speed.multiply_add_peak) continue;
+    sentences.push_back(fmt::format("{} reached {:.0f} % of the multiply-add peak, which nothing can.", name,
+                                    100 * rate / speed.multiply_add_peak));
+  }
+  const bool units = speed.int8_linear != kPlainUnit && speed.bfloat16_linear != kPlainUnit;
+  if (units && speed.int8_linear < kLeastInt8 * speed.bfloat16_linear) {
+    sentences.push_back(fmt::format(
+        "Linear layers were {:.2f} times as fast in int8 as in bfloat16, and a processor with both is no slower.",
+        speed.int8_linear / speed.bfloat16_linear));
+  }
+  if (measured.spread > kWidestSpread) {
+    sentences.push_back(
+        fmt::format("Repeats of {} lay {:.0f} % apart.", measured.widest, 100 * measured.spread));
+  }
+  return sentences;
 }
 
 MachineSpeed estimate_machine_speed() {
@@ -196,8 +279,6 @@ double MachineSpeed::linear_in(ComputePrecision precision) const {
   switch (precision) {
     case ComputePrecision::kBFloat16:
       return linear * bfloat16_linear;
-    case ComputePrecision::kBFloat16x3:
-      return linear * bfloat16x3_linear;
     case ComputePrecision::kInt8:
       return linear * int8_linear;
     default:
@@ -207,6 +288,13 @@ double MachineSpeed::linear_in(ComputePrecision precision) const {
 
 double MachineSpeed::attention_in(ComputePrecision precision) const {
   return precision == ComputePrecision::kBFloat16 ? attention * bfloat16_attention : attention;
+}
+
+double MachineSpeed::stages_in(ComputePrecision precision) const {
+  for (const auto& [known, stages] : kStages) {
+    if (known == precision) return this->*stages;
+  }
+  return float32_stages;
 }
 
 double computing_seconds(const Cost& cost, const MachineSpeed& speed, const LayerPrecision& precision) {
@@ -236,28 +324,49 @@ std::filesystem::path machine_rates_file() {
   return folder.empty() ? folder : folder / "machine_rates.json";
 }
 
-std::optional<MachineSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key) {
+std::optional<MeasuredSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key) {
   for (const auto& entry : kept_list(file)) {
     if (!has_key(entry, key)) continue;
-    MachineSpeed speed;
-    for (const auto& [name, value] : kEntries) {
-      const auto found = entry.find(name);
-      if (found == entry.end() || !found->is_number()) return std::nullopt;
-      speed.*value = found->get<double>();
-      if (!(speed.*value > 0) || !std::isfinite(speed.*value)) return std::nullopt;
+    try {
+      MeasuredSpeed measured;
+      for (const auto& [name, value] : kEntries) {
+        const double rate = measured.speed.*value = entry.at(name).get<double>();
+        if (!(rate > 0) || !std::isfinite(rate)) return std::nullopt;
+      }
+      measured.spread = entry.at("spread").get<double>();
+      measured.widest = entry.at("widest").get<std::string>();
+      measured.measured_at = entry.at("measured_at").get<int64_t>();
+      for (const auto& [precision, stages] : kStages) {
+        for (const auto& ratio : entry.at("runs").at(compute_precision_name(precision))) {
+          measured.runs[precision].push_back(ratio.get<double>());
+        }
+      }
+      set_stages(measured);
+      if (!contradictions(measured).empty()) return std::nullopt;
+      return measured;
+    } catch (const nlohmann::json::exception&) {
+      return std::nullopt;  // of a program that kept less, or damaged
     }
-    return speed;
   }
   return std::nullopt;
 }
 
-void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, const MachineSpeed& speed) {
+void keep_machine_speed(const std::filesystem::path& file, const RateKey& key,
+                        const MeasuredSpeed& measured) {
   auto list = nlohmann::ordered_json::array();
   for (auto& entry : kept_list(file)) {
     if (!has_key(entry, key)) list.push_back(std::move(entry));
   }
-  nlohmann::ordered_json entry{{"of", key_json(key)}};
-  for (const auto& [name, value] : kEntries) entry[name] = speed.*value;
+  nlohmann::ordered_json entry{{"of", key_json(key)},
+                               {"measured_at", measured.measured_at},
+                               {"spread", measured.spread},
+                               {"widest", measured.widest}};
+  for (const auto& [name, value] : kEntries) entry[name] = measured.speed.*value;
+  for (const auto& [precision, stages] : kStages) {
+    const auto found = measured.runs.find(precision);
+    entry["runs"][compute_precision_name(precision)] =
+        found == measured.runs.end() ? std::vector<double>() : found->second;
+  }
   list.push_back(std::move(entry));
   std::error_code error;
   std::filesystem::create_directories(file.parent_path(), error);
@@ -270,29 +379,67 @@ void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, c
 
 KnownSpeed known_machine_speed() {
   const auto file = machine_rates_file();
-  if (!file.empty()) {
-    if (const auto kept = kept_machine_speed(file, present_rate_key())) {
-      return {*kept, "time by this machine's rates that gld doctor measured"};
-    }
+  KnownSpeed known;
+  if (const auto kept = file.empty() ? std::nullopt : kept_machine_speed(file, present_rate_key())) {
+    known.speed = kept->speed;
+    known.origin = "time by this machine's rates, " + certainty_text(*kept);
+    known.kept = true;
+    return known;
   }
-  return {estimate_machine_speed(),
-          "time by a quick estimate of this machine's speed; gld doctor --measure measures and keeps it"};
+  known.speed = estimate_machine_speed();
+  known.origin =
+      "time by a quick estimate of this machine's speed, half to twice the truth; gld doctor --measure measures and "
+      "keeps it";
+  return known;
 }
 
 KnownSpeed renew_machine_speed() {
-  KnownSpeed known{measure_machine_speed(), ""};
+  MeasuredSpeed measured = measure_machine_speed();
+  if (!contradictions(measured).empty()) measured = measure_machine_speed();  // something else may have ended
+  KnownSpeed known;
+  known.speed = measured.speed;
+  known.doubts = contradictions(measured);
+  if (!known.doubts.empty()) {
+    known.origin =
+        "rates measured now and not kept, because they contradict themselves: measure again when nothing else runs";
+    return known;
+  }
   const auto file = machine_rates_file();
   if (file.empty()) {
     known.origin = "rates measured now and not kept: neither XDG_CACHE_HOME nor HOME names a folder";
     return known;
   }
   try {
-    keep_machine_speed(file, present_rate_key(), known.speed);
-    known.origin = "rates measured now and kept in " + file.string();
+    keep_machine_speed(file, present_rate_key(), measured);
+    known.origin = fmt::format("rates measured now, repeats within {:.0f} %, and kept in {}",
+                               100 * measured.spread, file.string());
+    known.kept = true;
   } catch (const Error& error) {
     known.origin = std::string("rates measured now and not kept: ") + error.what();
   }
   return known;
+}
+
+void learn_from_run(const std::filesystem::path& file, const RateKey& key,
+                    const std::vector<TimedStage>& stages) {
+  constexpr double kShortest = 0.5;  // seconds; below, starting operations and the clock count for more
+  auto kept = kept_machine_speed(file, key);
+  if (!kept) return;
+  bool learned = false;
+  for (const auto& [precision, factor] : kStages) {
+    double forecast = 0, took = 0;
+    for (const TimedStage& stage : stages) {
+      if (stage.precision != precision) continue;
+      forecast += stage.forecast / (kept->speed.*factor);
+      took += stage.took;
+    }
+    if (!(forecast >= kShortest) || !(took > 0)) continue;
+    auto& runs = kept->runs[precision];
+    runs.push_back(took / forecast);
+    if (runs.size() > kRemembered) runs.erase(runs.begin());
+    learned = true;
+  }
+  if (learned) keep_machine_speed(file, key, *kept);
 }
 
 }  // namespace gld

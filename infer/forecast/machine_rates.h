@@ -5,8 +5,10 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 namespace gld {
 
@@ -23,17 +25,37 @@ struct MachineSpeed {
   double large_model = 1;
   // How many times as fast as in float32 linear layers and attention are in other precisions, with the best unit.
   double bfloat16_linear = 1;
-  double bfloat16x3_linear = 1;
   double int8_linear = 1;
   double bfloat16_attention = 1;
+  // Seconds of whole stages over what the figures above say of them, as runs in each precision found it.
+  double float32_stages = 1;
+  double bfloat16_stages = 1;
+  double int8_stages = 1;
 
+  double stages_in(ComputePrecision precision) const;
   double linear_in(ComputePrecision precision) const;     // operations a second
   double attention_in(ComputePrecision precision) const;  // of float32 and bfloat16
 };
 
-// Runs each kind of work for a while, with the present thread setting: some seconds. It waits until the scheduler has
+// Speeds with what is known of how sure they are.
+struct MeasuredSpeed {
+  MachineSpeed speed;
+  // How far repeats lay apart: the second largest less the second smallest of five, over their median; of the kind of
+  // work where that is most, and its name.
+  double spread = 0;
+  std::string widest;
+  int64_t measured_at = 0;  // seconds since 1970
+  // Of the last runs in each precision what their stages took over the forecast without stages_in(), oldest first.
+  std::map<ComputePrecision, std::vector<double>> runs;
+};
+
+// The median of five repeats of each kind of work, the kinds in turn, so that what else runs on the machine meets all
+// alike; of the peak the best. With the present thread setting, some ten seconds. It waits until the scheduler has
 // spread the threads, so it belongs to gld doctor and never before other work.
-MachineSpeed measure_machine_speed();
+MeasuredSpeed measure_machine_speed();
+// What contradicts itself in a measurement, a sentence each: work faster than the peak, int8 below half of bfloat16,
+// repeats more than 30 % apart. Such rates are of a busy machine.
+std::vector<std::string> contradictions(const MeasuredSpeed& measured);
 // One short run of each kind, at most about 0.1 s on an idle processor and never repeated: may be half of the truth on
 // a busy machine, where threads start on one core.
 MachineSpeed estimate_machine_speed();
@@ -57,20 +79,37 @@ RateKey present_rate_key();  // this machine, build and thread setting
 // machine_rates.json in the user's cache folder; empty where there is none (gld/base/user_cache.h).
 std::filesystem::path machine_rates_file();
 
-// The rates kept under that key; none where the file is missing, damaged or holds other keys only.
-std::optional<MachineSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key);
+// The rates kept under that key; none where the file is missing, damaged or holds other keys only, or where what it
+// holds contradicts itself.
+std::optional<MeasuredSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key);
 // Adds them to the file in the place of earlier ones of that key. A damaged file is replaced. Throws Error where it
 // cannot be written.
-void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, const MachineSpeed& speed);
+void keep_machine_speed(const std::filesystem::path& file, const RateKey& key, const MeasuredSpeed& measured);
 
-// The speeds that a forecast is made with, and a sentence about where they come from.
+// The speeds that a forecast is made with, and a sentence about where they come from, when they were measured and how
+// sure they are.
 struct KnownSpeed {
   MachineSpeed speed;
   std::string origin;
+  std::vector<std::string> doubts;  // contradictions()
+  bool kept = false;                // learn_from_run() may mend them
 };
 // The kept rates, or a quick estimate. Never measures at length and writes nothing.
 KnownSpeed known_machine_speed();
-// Measures anew and keeps the rates; where they cannot be kept, origin says so.
+// Measures anew and keeps the rates, unless they contradict themselves when measured again; where they are not kept,
+// origin says so.
 KnownSpeed renew_machine_speed();
+
+// A stage that a run has been through, in seconds.
+struct TimedStage {
+  ComputePrecision precision = ComputePrecision::kFloat32;
+  double forecast = 0;  // by known_machine_speed()
+  double took = 0;
+};
+// Compares a run with its forecast and mends the kept rates: stages_in() of a precision is the median of the forecast
+// as it was measured, which is 1, and of the last runs that had half a second or more of it, so that one run on a busy
+// machine does not count for all. Keeps nothing where there are no rates.
+void learn_from_run(const std::filesystem::path& file, const RateKey& key,
+                    const std::vector<TimedStage>& stages);
 
 }  // namespace gld

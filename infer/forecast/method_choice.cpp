@@ -56,13 +56,14 @@ bool allowed(const MethodErrors& entry, const SampleOptions& options) {
   return has_matrix_unit(precision) && entry.of_precision <= largest_automatic_error(precision);
 }
 
+std::string size_text(const LatentGrid& grid) {
+  return fmt::format("{} views of {}x{} tokens", grid.views, grid.width, grid.height);
+}
+
 // Where the scene is unlike those that were measured.
 std::vector<std::string> notes_on(const PlanErrors& table, const PlanRequest& request,
                                   double guidance_scale) {
   std::vector<std::string> notes;
-  const auto size_text = [](const LatentGrid& grid) {
-    return fmt::format("{} views of {}x{} tokens", grid.views, grid.width, grid.height);
-  };
   const std::string measured = size_text(table.grid), here = size_text(request.grid);
   if (measured != here) {
     notes.push_back(fmt::format("The sampling error was measured on {}, this scene has {}.", measured, here));
@@ -80,15 +81,15 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   PlanErrors table = read_plan_errors(table_of(bundle));
   if (table.model_hash != model_hash) {
     fail({table_of(bundle).string(), "errors measured with this bundle's weights", "those of other weights",
-          "measure again: gld bench sample-plan --model " + bundle.folder().string() +
-              " --write-table --out RUN"});
+          "measure again: gld bench sample --model " + bundle.folder().string() +
+              " --synthetic 16 --write-table --out RUN"});
   }
   if (options.guidance.guidance_scale > table.guidance_scale) {
     fail({"--tolerance",
           fmt::format("a guidance scale of at most {:g}, with which errors were measured",
                       table.guidance_scale),
           fmt::format("{:g}", options.guidance.guidance_scale),
-          "lower --guidance-scale, or measure with it: gld bench sample-plan --guidance-scale"});
+          "lower --guidance-scale, or measure with it: gld bench sample --guidance-scales"});
   }
   auto& methods = table.methods;
   methods.erase(std::remove_if(methods.begin(), methods.end(),
@@ -101,6 +102,7 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   choice.method = table.methods[best].method;
   choice.errors = table.methods[best];
   choice.measured_scenes = table.scenes;
+  choice.measured_on = fmt::format("{}, guidance {:g}", size_text(table.grid), table.guidance_scale);
   choice.reason = fmt::format("the fastest of {} measured methods with an error below --tolerance {:g}",
                               table.methods.size(), options.tolerance);
   choice.notes = notes_on(table, request, options.guidance.guidance_scale);
@@ -136,14 +138,12 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
   const bool automatic = options.precision == PrecisionChoice::kAutomatic;
   ChosenMethod choice;
   choice.device = options.device;
-  choice.method = options.method(bundle.options());
-  choice.reason = options.quality != SamplingQuality::kOptions   ? "asked for by --quality"
-                  : options.preset == SamplingPreset::kPublished ? "asked for by --preset"
-                                                                 : "by the options";
+  choice.method = options.method();
+  choice.reason = options.quality != SamplingQuality::kOptions ? "asked for by --quality" : "by the options";
   const auto float32_because = [&](const char* reason) {
     if (!automatic) return;
     choice.notes.push_back(
-        fmt::format("{}, so that --precision automatic is float32: gld bench sample-plan measures.", reason));
+        fmt::format("{}, so that --precision automatic is float32: gld bench sample measures.", reason));
   };
   if (!measured) {
     float32_because("No precision was measured with this model");
@@ -167,15 +167,18 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
   if (!errors || table.model_hash != model_hash()) return choice;
   choice.errors = errors;
   choice.measured_scenes = table.scenes;
-  choice.notes = notes_on(table, request, options.guidance.guidance_scale);
+  choice.measured_on = fmt::format("{}, guidance {:g}", size_text(table.grid), table.guidance_scale);
+  // Errors that decided nothing need no warning: what they were measured on stands beside them.
+  if (automatic) choice.notes = notes_on(table, request, options.guidance.guidance_scale);
   return choice;
 }
 
 std::string choice_text(const ChosenMethod& choice) {
   const std::string error =
-      choice.errors ? fmt::format("relative latent error at most {:.2g} (mean {:.2g}, {} scenes)",
-                                  choice.errors->bound, choice.errors->mean, choice.measured_scenes)
-                    : "its error was not measured";
+      choice.errors
+          ? fmt::format("relative latent error at most {:.2g} (mean {:.2g}, {} scenes of {})",
+                        choice.errors->bound, choice.errors->mean, choice.measured_scenes, choice.measured_on)
+          : "its error was not measured";
   return fmt::format("sampling: {}: {}; {}; {}\n", choice.method.name,
                      method_text(choice.method, choice.device), choice.reason, error);
 }
@@ -189,7 +192,8 @@ nlohmann::ordered_json choice_json(const ChosenMethod& choice) {
     object["error_estimate"] = {{"largest_expected", choice.errors->bound},
                                 {"mean_measured", choice.errors->mean},
                                 {"largest_measured", choice.errors->largest},
-                                {"scenes", choice.measured_scenes}};
+                                {"scenes", choice.measured_scenes},
+                                {"measured_on", choice.measured_on}};
   } else {
     object["error_estimate"] = nullptr;
   }

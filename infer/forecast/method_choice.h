@@ -21,7 +21,9 @@ struct ChosenMethod {
   std::string reason;                  // who chose it, in words
   std::optional<MethodErrors> errors;  // what was measured of it with this model, if anything
   int64_t measured_scenes = 0;
-  std::vector<std::string> notes;  // where the measurement may not hold for this scene, a sentence each
+  std::string measured_on;  // the size of those scenes and the guidance, in words
+  // Where what decided may not hold for this scene, a sentence each.
+  std::vector<std::string> notes;
 };
 
 // What options ask for: their own method, the one of --quality, or for --tolerance the one that this machine is

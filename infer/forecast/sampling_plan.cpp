@@ -9,10 +9,8 @@
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "models/cost/branch_choice.h"
 #include "models/dit/encoder_nodes.h"
-#include "models/dit/extrapolated_field.h"
 
 #include <algorithm>
-#include <array>
 
 #include <fmt/format.h>
 
@@ -35,22 +33,6 @@ int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& g
   return std::count_if(times.begin(), times.end(), [&](double t) { return guidance.acts_at(t); });
 }
 
-int64_t extrapolated_runs(const SolverOptions& solver, const GuidanceOptions& guidance, int64_t every) {
-  const auto times = evaluation_times(solver);
-  int64_t runs = 0;
-  std::array<int64_t, 2> newest{kNeverRun, kNeverRun};  // evaluation that a branch was last computed at
-  for (int64_t i = 0; i < static_cast<int64_t>(times.size()); ++i) {
-    const int64_t branches = guidance.acts_at(times[static_cast<size_t>(i)]) ? 2 : 1;
-    for (int64_t branch = 0; branch < branches; ++branch) {
-      auto& last = newest[static_cast<size_t>(branch)];
-      if (!extrapolated_encoder_runs_at(i, last, every)) continue;
-      last = i;
-      ++runs;
-    }
-  }
-  return runs;
-}
-
 bool is_cascade(const DitOptions& options) { return options.conditioning == DitConditioning::kDeeperLevel; }
 
 // Conditions that the approximate savings keep, in bytes.
@@ -62,8 +44,6 @@ int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& so
     for (const auto& nodes : encoder_nodes(solver, flow.guidance, flow.approximate.cascade_encoder_nodes)) {
       kept += static_cast<int64_t>(nodes.size());
     }
-  } else if (!is_cascade(options) && flow.approximate.level1_encoder_every > 1) {
-    kept = 2 * (guided_evaluations(solver, flow.guidance) > 0 ? 2 : 1);
   }
   return kept * request.grid.views * (request.grid.tokens_per_view() + options.num_special_tokens) *
          options.encoder_width() * kFloatBytes;
@@ -86,9 +66,7 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
   const auto encoder_runs = static_cast<double>(stage.parts.condition_encoder);
   const auto decoder_runs = static_cast<double>(stage.parts.velocity_decoder);
   stage.cost.linear_flop = encoder_runs * encoder.linear_flop + decoder_runs * decoder.linear_flop;
-  const double kept = request.attention_share();
-  stage.cost.attention_flop =
-      kept * (encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop);
+  stage.cost.attention_flop = encoder_runs * encoder.attention_flop + decoder_runs * decoder.attention_flop;
   const bool batched =
       stage.with_unconditional > 0 && choose_branches(guidance, options, request.grid).batched;
   // Noise and latents of both levels, source features, the state, its next, and what the solver remembers.
@@ -102,9 +80,6 @@ void price_flow(PlannedStage& stage, const DitOptions& options, SolverOptions so
     stage.reason += fmt::format("; condition encoder {} times instead of {}", stage.parts.condition_encoder,
                                 stage.parts.velocity_decoder);
   }
-  if (kept < 1) {
-    stage.reason += fmt::format("; {:.0f} % of attention between views", 100 * kept);
-  }
 }
 
 // The parts that a stage loads, one after another, and how many latents of all views are there while a stage outside
@@ -115,18 +90,25 @@ struct StageNeeds {
 };
 
 StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, const StageRequest& request) {
-  const bool source_depth = uses_source_depth(bundle.level_set(), request);
   const auto generated = static_cast<int64_t>(bundle.generators.size()), levels = bundle.backbone.levels();
   switch (stage.kind) {
     case StageKind::kSourceEncoding:
       return {{BundlePart::backbone()}, generated};
-    case StageKind::kViewPairs:
-    case StageKind::kSourceWarp: {
+    case StageKind::kSourceDepth: {
       StageNeeds needs{{}, 2 * generated + 1};
-      if (source_depth && stage.kind == source_depth_stage(request)) needs.parts = {BundlePart::dpt_head()};
-      if (source_depth && stage.kind == StageKind::kSourceWarp) needs.parts.push_back(BundlePart::backbone());
+      if (uses_source_depth(bundle.level_set(), request)) needs.parts = {BundlePart::geometry_head()};
       return needs;
     }
+    case StageKind::kSourceWarp: {
+      StageNeeds needs{{}, 2 * generated + 1};
+      if (!needs_source_depth(bundle.level_set(), request)) return needs;
+      needs.parts = {BundlePart::backbone()};
+      if (!has_source_depth_stage(bundle.level_set(), request))
+        needs.parts.push_back(BundlePart::geometry_head());
+      return needs;
+    }
+    case StageKind::kComposition:
+      return {{}, 2 + 2 * levels};
     case StageKind::kFlow:
       return {{BundlePart::of(bundle.generators.at(stage.generator).generator)}, 0};
     case StageKind::kPropagation:
@@ -135,7 +117,7 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
       return {{bundle.has_rgb_decoder() ? BundlePart::rgb_decoder() : BundlePart::backbone()},
               2 + 2 * levels};
     case StageKind::kGeometry:
-      return {{BundlePart::dpt_head()}, 2 + 2 * levels};
+      return {{BundlePart::geometry_head()}, 2 + 2 * levels};
   }
   return {};
 }
@@ -145,8 +127,6 @@ int64_t packed_bytes(int64_t float32_bytes, ComputePrecision precision) {
   switch (precision) {
     case ComputePrecision::kBFloat16:
       return float32_bytes / 2;
-    case ComputePrecision::kBFloat16x3:
-      return float32_bytes / 2 * 3;
     case ComputePrecision::kInt8:
       return float32_bytes / 4;
     default:
@@ -158,7 +138,7 @@ void predict_memory(PlannedStage& stage, const BundleOptions& bundle, const Plan
   const StageNeeds needs = needs_of(stage, bundle, request.stage_request());
   if (stage.kind == StageKind::kGeometry && request.geometry_model) {
     stage.memory.weights = weight_bytes_of(BundlePart::backbone(), *request.geometry_model) +
-                           weight_bytes_of(BundlePart::dpt_head(), *request.geometry_model);
+                           weight_bytes_of(BundlePart::geometry_head(), *request.geometry_model);
   } else {
     for (const BundlePart& part : needs.parts) {
       stage.memory.weights = std::max(stage.memory.weights, weight_bytes_of(part, bundle));
@@ -181,7 +161,7 @@ Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
 // Of geometry_of_pictures(), whose pictures have that grid.
 Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& grid, GeometryMaps maps) {
   Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
-  const Cost head = geometry.dpt_head.cost(grid, maps);
+  const Cost head = geometry.geometry_head.cost(grid, maps);
   cost.add_operations_of(head);
   cost.working_bytes = std::max(cost.working_bytes, head.working_bytes);
   return cost;
@@ -199,8 +179,8 @@ PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest&
                              request.photographs == 1 ? "" : "s", geometry.name);
   stage.precision = layer_precision(ComputePrecision::kFloat32, model_kind_of(stage.kind));
   stage.cost = geometry_of_pictures_cost(geometry, grid, GeometryMaps::kDepthAndRays);
-  stage.read_bytes =
-      weight_bytes_of(BundlePart::backbone(), geometry) + weight_bytes_of(BundlePart::dpt_head(), geometry);
+  stage.read_bytes = weight_bytes_of(BundlePart::backbone(), geometry) +
+                     weight_bytes_of(BundlePart::geometry_head(), geometry);
   stage.memory.weights = stage.read_bytes;
   stage.memory.working = stage.cost.working_bytes;
   // All levels, raw and as the head takes them, and the pictures: bytes, tensors, and what the backbone was given.
@@ -224,25 +204,27 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
   switch (stage.kind) {
     case StageKind::kSourceEncoding: {
       Cost cost = backbone.encoding_cost(sources, deepest_encoded_level(bundle.level_set(), stages));
-      if (stages.decodes() && backbone.encodes_carried_tokens(request.num_sources)) {
+      if (stages.decodes() && backbone.encodes_leading(request.num_sources)) {
         cost.add_operations_of(
-            backbone.encoding_cost(with_views(request.grid, backbone.carried_rows()), bundle.boundary_level));
+            backbone.encoding_cost(with_views(request.grid, backbone.leading_rows()), bundle.boundary_level));
       }
       return cost;
     }
-    case StageKind::kViewPairs:
+    case StageKind::kSourceDepth:
+      return uses_source_depth(bundle.level_set(), stages)
+                 ? bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays)
+                 : Cost();
     case StageKind::kSourceWarp: {
       const LevelSet levels = bundle.level_set();
-      Cost cost;
-      if (!uses_source_depth(levels, stages)) return cost;
-      if (stage.kind == source_depth_stage(stages)) {
-        cost = bundle.dpt_head.cost(sources, GeometryMaps::kDepthAndRays);
-      }
-      if (stage.kind == StageKind::kSourceWarp) {
-        cost.add_operations_of(backbone.encoding_cost(request.grid, levels.deepest_generated()));
-      }
+      if (!needs_source_depth(levels, stages)) return Cost();
+      Cost cost = has_source_depth_stage(levels, stages)
+                      ? Cost()
+                      : bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays);
+      cost.add_operations_of(backbone.encoding_cost(request.grid, levels.deepest_generated()));
       return cost;
     }
+    case StageKind::kComposition:
+      return Cost();
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:
@@ -255,8 +237,8 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
                                          geometry_model_grid(*request.geometry_model, bundle, request.grid),
                                          request.outputs.geometry_maps());
       }
-      return bundle.dpt_head.cost(with_views(request.grid, stages.decoded_views(stages.geometry_views)),
-                                  request.outputs.geometry_maps());
+      return bundle.geometry_head.cost(with_views(request.grid, stages.decoded_views(stages.geometry_views)),
+                                       request.outputs.geometry_maps());
   }
   return Cost();
 }
@@ -269,7 +251,7 @@ StageRequest PlanRequest::stage_request() const {
   stages.num_sources = num_sources;
   stages.image_views = outputs.image_views();
   stages.geometry_views = outputs.geometry_views();
-  stages.view_pairs = flow.approximate.view_pairs;
+  stages.photographs = photographs_used;
   return stages;
 }
 
@@ -291,8 +273,6 @@ PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, c
     for (const auto& nodes : encoder_nodes(solver, flow.guidance, savings.cascade_encoder_nodes)) {
       runs.condition_encoder += static_cast<int64_t>(nodes.size());
     }
-  } else if (!is_cascade(model) && savings.level1_encoder_every > 1) {
-    runs.condition_encoder = extrapolated_runs(solver, flow.guidance, savings.level1_encoder_every);
   }
   return runs;
 }
@@ -361,6 +341,7 @@ void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
     const auto passes = static_cast<double>(stage.parts.condition_encoder + stage.parts.velocity_decoder) / 2;
     stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed, stage.precision) +
                     static_cast<double>(stage.read_bytes) / speed.loading;
+    stage.seconds *= speed.stages_in(stage.precision.linear);
   }
 }
 
@@ -453,6 +434,16 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<Sta
     list.push_back(std::move(object));
   }
   return list;
+}
+
+std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
+  std::vector<TimedStage> timed;
+  for (const auto& stage : plan.stages) {
+    const StageRecord* record = record_of(records, stage.name);
+    if (record == nullptr || !(stage.seconds > 0)) continue;
+    timed.push_back({stage.precision.linear, stage.seconds, record->seconds});
+  }
+  return timed;
 }
 
 std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {

@@ -5,9 +5,9 @@
 #include "gld/machine/stage_record.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/stage_memory.h"
-#include "infer/pipeline/requested_outputs.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/pipeline/sampling_stages.h"
+#include "infer/request/requested_outputs.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/bundle_options.h"
 #include "models/cost/cost_model.h"
@@ -27,6 +27,7 @@ namespace gld {
 struct PlanRequest {
   LatentGrid grid;  // of all views
   int64_t num_sources = 1;
+  PhotographUse photographs_used;
   RequestedOutputs outputs;
   FlowSettings flow;
   // Of the bundle that geometry comes from, where that is another one looking at the generated images; null where not.
@@ -35,16 +36,10 @@ struct PlanRequest {
   // cameras.
   int64_t photographs = 0;
   int64_t photograph_pixels = 0;  // of the largest, as it was taken
-  double visible_share =
-      1;  // of view pairs: those that attend where flow.approximate.view_pairs says visible
   // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.
   std::map<std::string, int64_t> converted_bytes;
 
   StageRequest stage_request() const;
-  // What is computed of the attention between views.
-  double attention_share() const {
-    return flow.approximate.view_pairs == ViewPairs::kVisible ? visible_share : 1;
-  }
 };
 
 // The grid of another backbone that looks at pictures of the bundle's grid: sides in whole patches of its
@@ -104,6 +99,8 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan);
 
 // The same with what every stage took: seconds, peak memory, and both over what was predicted.
 nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
+// What learn_from_run() (infer/forecast/machine_rates.h) takes.
+std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 // One line: the planned stages' seconds and peak memory together, as they were and as predicted.
 std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 

@@ -43,16 +43,16 @@ double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request)
       torch::randn({request.num_sources, 3, request.grid.height * side, request.grid.width * side});
   const StageRequest stages = request.stage_request();
   const int64_t deepest = deepest_encoded_level(bundle.level_set(), stages);
-  const bool carries =
-      stages.decodes() && bundle.backbone.architecture().encodes_carried_tokens(request.num_sources);
+  const bool encodes_leading =
+      stages.decodes() && bundle.backbone.architecture().encodes_leading(request.num_sources);
   return seconds_of([&] {
     backbone->encode(images, deepest);
-    if (carries) backbone->carried_tokens(images.narrow(0, 0, 1), bundle.boundary_level);
+    if (encodes_leading) backbone->leading_for_propagation(images.narrow(0, 0, 1), bundle.boundary_level);
   });
 }
 
 // Of the source photographs and what is carried into the target views, together.
-double carried_encoding_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+double warp_encoding_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   const auto backbone = bundle.backbone.make(ParameterPlacement{});
   fill(*backbone);
   const int64_t side = bundle.backbone.patch_side();
@@ -87,13 +87,18 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
 }
 
 double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, GeometryMaps maps) {
-  const auto head = bundle.dpt_head.make(ParameterPlacement{});
+  const auto head = bundle.geometry_head.make(ParameterPlacement{});
   fill(*head);
   GeometryInputs inputs;
   inputs.levels = random_levels(bundle, grid);
   inputs.leading =
       torch::randn({grid.views, bundle.backbone.leading_tokens(), bundle.backbone.level_channels()});
   return seconds_of([&] { head->forward(inputs, grid, maps); });
+}
+
+// What the head takes to say how deep the source views are.
+double source_geometry_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+  return geometry_seconds(bundle, with_views(request.grid, request.num_sources), GeometryMaps::kDepthAndRays);
 }
 
 // Of another backbone and its head, which look at the generated images.
@@ -117,17 +122,15 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
   switch (stage.kind) {
     case StageKind::kSourceEncoding:
       return encoding_seconds(bundle, request);
-    case StageKind::kViewPairs:
-    case StageKind::kSourceWarp: {
-      if (!uses_source_depth(bundle.level_set(), stages)) return 0;
-      double seconds = 0;
-      if (stage.kind == source_depth_stage(stages)) {
-        seconds += geometry_seconds(bundle, with_views(request.grid, request.num_sources),
-                                    GeometryMaps::kDepthAndRays);
-      }
-      if (stage.kind == StageKind::kSourceWarp) seconds += carried_encoding_seconds(bundle, request);
-      return seconds;
-    }
+    case StageKind::kSourceDepth:
+      return uses_source_depth(bundle.level_set(), stages) ? source_geometry_seconds(bundle, request) : 0;
+    case StageKind::kSourceWarp:
+      if (!needs_source_depth(bundle.level_set(), stages)) return 0;
+      return (has_source_depth_stage(bundle.level_set(), stages) ? 0
+                                                                 : source_geometry_seconds(bundle, request)) +
+             warp_encoding_seconds(bundle, request);
+    case StageKind::kComposition:
+      return 0;  // no network: it is found when it runs
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:

@@ -117,7 +117,8 @@ nlohmann::ordered_json plan_errors_json(const PlanErrors& errors) {
 
 PlanErrors read_plan_errors(const std::filesystem::path& file) {
   constexpr uint64_t kLimit = uint64_t{1} << 24;
-  const std::string remedy = "measure it again: gld bench sample-plan --model BUNDLE --write-table --out RUN";
+  const std::string remedy =
+      "measure it again: gld bench sample --model BUNDLE --synthetic 16 --write-table --out RUN";
   if (!std::filesystem::is_regular_file(file)) {
     fail({file.string(), "the measured errors of sampling with this model", "no such file", remedy});
   }
@@ -126,15 +127,15 @@ PlanErrors read_plan_errors(const std::filesystem::path& file) {
   try {
     document = parse_json(text, file.string());
   } catch (const Error& problem) {
-    fail({problem.parts().where, "a table of gld bench sample-plan", problem.parts().found, remedy});
+    fail({problem.parts().where, "a table of gld bench sample", problem.parts().found, remedy});
   }
   try {
     return from_json(document, file.string());
   } catch (const nlohmann::json::exception&) {
-    fail({file.string(), "a table of gld bench sample-plan",
+    fail({file.string(), "a table of gld bench sample",
           "a key that is missing or has a value of another kind", remedy});
   } catch (const std::invalid_argument& problem) {
-    fail({file.string(), "a table of gld bench sample-plan", problem.what(), remedy});
+    fail({file.string(), "a table of gld bench sample", problem.what(), remedy});
   }
 }
 

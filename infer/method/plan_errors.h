@@ -13,7 +13,7 @@
 
 namespace gld {
 
-// What `gld bench sample-plan` measured of one method. An error is the RMS of the latents' difference from a converged
+// What `gld bench sample` measured of one method. An error is the RMS of the latents' difference from a converged
 // solve of the same noise over that solve's RMS, of level 1 or level 0, whichever is larger.
 struct MethodErrors {
   SamplingMethod method;
@@ -25,7 +25,7 @@ struct MethodErrors {
   double seconds = 0;  // of the flows of one scene; 0 in a table of a program that did not note it
 };
 
-// What of_precision may be for --precision automatic to choose a precision: 0.02 for bfloat16 and bfloat16x3, 0.04 for
+// What of_precision may be for --precision automatic to choose a precision: 0.02 for bfloat16, 0.04 for
 // int8; nothing for float32.
 double largest_automatic_error(ComputePrecision precision);
 

@@ -16,8 +16,8 @@ namespace {
 
 // Fields that make up a SamplingMethod.
 bool decides_the_method(const std::string& key) {
-  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 || key == "preset" ||
-         key == "guidance.guidance_interval" || key == "guidance.guidance_tolerance";
+  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 ||
+         key == "guidance.guidance_interval";
 }
 
 // The first field of the method that the command line names or a file changes; empty for none.
@@ -36,8 +36,15 @@ std::string method_field_asked_for(const SampleOptions& options) {
 
 bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
 
-// "--orbit-center" for "views.orbit_center".
-std::string flag_of(const std::string& key) { return "--" + dashed_name(key.substr(key.find('.') + 1)); }
+// "--orbit-center" for "views.orbit_center", and the whole key where the command has an option of that name outside
+// groups: "--tolerance" is another one than "--solver.tolerance".
+std::string flag_of(const std::string& key) {
+  const std::string last = key.substr(key.find('.') + 1);
+  for (const auto& option : describe_options(SampleOptions())) {
+    if (option.key == last) return "--" + dashed_name(key);
+  }
+  return "--" + dashed_name(last);
+}
 
 // When something looks at an option: all whose key begins so need `given`.
 struct Use {
@@ -62,11 +69,11 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"solver.first_time", logsnr_or_karras, grids},
       {"solver.final_time", logsnr_or_karras, grids},
       {"solver.tolerance", is_adaptive(solver.solver), adaptive},
+      {"solver.evaluations", !is_adaptive(solver.solver), "a --solver of fixed steps"},
       {"solver.max_evaluations", is_adaptive(solver.solver), adaptive},
       {"solver.diffusion", is_stochastic(solver.solver), stochastic},  // and diffusion_strength
       {"solver.noise_seed", is_stochastic(solver.solver), stochastic},
       {"guidance.guidance_interval", guided, guidance},
-      {"guidance.guidance_tolerance", guided, guidance},
       {"guidance.guidance_branches", guided, guidance},
       {"guidance.guidance_batch_memory", guided, guidance},
       {"points.", options.requested().points, "points among --outputs"},
@@ -84,12 +91,8 @@ void refuse_without_effect(const SampleOptions& options) {
       fail({flag_of(key), use.what + ", without which nothing looks at it", "none",
             "add it, or leave " + flag_of(key) + " out"});
     }
-    if (options.preset == SamplingPreset::kPublished && begins_with(key, "solver.")) {
-      fail({"--preset published", "no solver option beside it, the preset decides about all of them",
-            flag_of(key), "leave out one of the two"});
-    }
-    if (key == "photo_lens" && options.photos.files.empty()) {
-      fail({"--photo-lens", "--photos, which it is an option of", "--scene", "leave out one of the two"});
+    if ((key == "photo_lens" || key == "photo_cameras") && options.photos.files.empty()) {
+      fail({flag_of(key), "--photos, which it is an option of", "--scene", "leave out one of the two"});
     }
     const bool of_a_path =
         begins_with(key, "views.") && key != "views.sources" && key != "views.targets" && key != "views.path";
@@ -134,7 +137,7 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visit_scene(visitor, scene);
   visitor.texts(
       {"photos",
-       "instead of a scene: photographs without cameras, files or folders; the model estimates the cameras"},
+       "instead of a scene: photographs without cameras, files or folders; --photo-cameras says what finds them"},
       photos.files);
   visit_choice(
       visitor,
@@ -142,16 +145,26 @@ void SampleOptions::visit(FieldVisitor& visitor) {
        "which photographs have one lens: those of one size (upright or turned), all (shared), or none "
        "(own)"},
       photos.lens, {"by_size", "shared", "own"});
+  visit_choice(
+      visitor,
+      {"photo_cameras",
+       "what finds the cameras of photographs: the program colmap, features that they share, the rays that "
+       "the model sees, or the first of these that can"},
+      photos.cameras, {"automatic", "colmap", "features", "rays"});
   visitor.group({"reading", "how the scene is read"}, reading);
   visitor.group({"views", "which views"}, views);
-  visitor.text({"size", "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect"}, size);
+  visitor.text(
+      {"size",
+       "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect; photographs: as auto for the "
+       "model, with pictures as large as the photographs"},
+      size);
+  visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
+                photograph_use);
   visitor.texts({"outputs", "what to make: image, depth, rays, points, latents"}, outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
                geometry_model);
   visit_seed(visitor, seed, "the noise");
-  visit_choice(visitor, {"preset", "published: the release's sampler, whatever the solver options say"},
-               preset, {"options", "published"});
   visit_choice(visitor,
                {"quality",
                 "how to sample: as the solver, guidance and approximate options say, "
@@ -220,7 +233,7 @@ void SampleOptions::check() const {
   }
   if (quality == SamplingQuality::kExact && precision != PrecisionChoice::kFloat32) {
     fail({"--quality exact", "--precision float32, which is part of it", "another one",
-          "choose --quality balanced or fast, or solver options"});
+          "choose --quality fast, or solver options"});
   }
 }
 
@@ -248,6 +261,9 @@ RequestedOutputs SampleOptions::requested() const {
     bool found = false;
     for (const auto& output : known) {
       if (name != output.name) continue;
+      if (requested.*(output.member)) {
+        fail({"--outputs", "every output once", "'" + name + "' twice", "leave out one of the two"});
+      }
       requested.*(output.member) = true;
       found = true;
     }
@@ -262,25 +278,12 @@ RequestedOutputs SampleOptions::requested() const {
   return requested;
 }
 
-SamplingMethod SampleOptions::method(const BundleOptions& bundle) const {
+SamplingMethod SampleOptions::method() const {
   const ComputePrecision asked =
       precision == PrecisionChoice::kAutomatic ? ComputePrecision::kFloat32 : precision_of(precision);
-  if (quality != SamplingQuality::kOptions) {
-    SamplingMethod method = quality_method(quality, bundle);
-    method.precision = asked;
-    return method;
-  }
-  SamplingMethod method;
+  if (quality == SamplingQuality::kOptions) return method_of_options(solver, guidance, approximate, asked);
+  SamplingMethod method = quality_method(quality);
   method.precision = asked;
-  method.name = "as the options say";
-  method.solver = solver;
-  method.guidance_interval = guidance.guidance_interval;
-  method.guidance_tolerance = guidance.guidance_tolerance;
-  method.approximate = approximate;
-  if (preset == SamplingPreset::kPublished) {
-    method.name = "published";
-    method.solver = quality_method(SamplingQuality::kPublished, bundle).solver;
-  }
   return method;
 }
 

@@ -7,10 +7,11 @@
 #include "gld/machine/precision_option.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
-#include "infer/pipeline/photo_selection.h"
-#include "infer/pipeline/requested_outputs.h"
-#include "infer/pipeline/sampling_scene.h"
-#include "infer/pipeline/scale_evidence.h"
+#include "infer/pipeline/photograph_use.h"
+#include "infer/request/photo_selection.h"
+#include "infer/request/requested_outputs.h"
+#include "infer/request/sampling_scene.h"
+#include "infer/request/scale_evidence.h"
 #include "models/dit/approximate_savings.h"
 #include "models/dit/exact_savings.h"
 
@@ -20,11 +21,6 @@
 
 namespace gld {
 
-enum class SamplingPreset {
-  kOptions,  // as the options say
-  kPublished,  // the release's sampler exactly: 49 Euler steps on its shifted grid, whatever the solver options say
-};
-
 struct SampleOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string scene;
@@ -32,11 +28,11 @@ struct SampleOptions : OptionsGroup {
   SceneReading reading;
   ViewSelection views;
   std::string size = "auto";
+  PhotographOptions photograph_use;
   std::vector<std::string> outputs{"image", "depth", "points"};
   // Bundle whose backbone and geometry head look at the generated images; empty for the model's own levels.
   std::string geometry_model;
   int64_t seed = 0;
-  SamplingPreset preset = SamplingPreset::kOptions;
   // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays
   // below a tolerance (infer/method/plan_errors.h; 0 for none). Neither goes together with those options.
   SamplingQuality quality = SamplingQuality::kOptions;
@@ -66,8 +62,8 @@ struct SampleOptions : OptionsGroup {
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // What all options but tolerance say, for that model; float32 for an automatic precision.
-  SamplingMethod method(const BundleOptions& bundle) const;
+  // What all options but tolerance say; float32 for an automatic precision.
+  SamplingMethod method() const;
 };
 
 // Error where the command line names options of an orbit (views.orbit_*) and the targets lie on that other path.

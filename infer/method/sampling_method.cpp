@@ -12,13 +12,12 @@ namespace {
 
 constexpr int64_t kPublishedEvaluations = 49;  // 50 times
 
-SamplingMethod default_solver_method(const std::string& name, int64_t evaluations, int64_t nodes) {
+SamplingMethod default_solver_method(const std::string& name, int64_t evaluations) {
   SamplingMethod method;
   method.name = name;
   method.solver.solver = SolverKind::kUniPc3;
   method.solver.evaluations = evaluations;
   method.solver.schedule.schedule = ScheduleKind::kLogSnr;
-  method.approximate.cascade_encoder_nodes = nodes;
   return method;
 }
 
@@ -50,11 +49,19 @@ void SamplingMethod::visit(FieldVisitor& visitor) {
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.reals({"guidance_interval", "flow times [low, high] where guidance acts, both included"},
                 guidance_interval, {0, 1});
-  visitor.real(
-      {"guidance_tolerance", "leave out the unconditional branch where guidance adds less than this"},
-      guidance_tolerance, {0, 1});
   visitor.group({"approximate", "approximate savings"}, approximate);
   visit_choice(visitor, {"precision", "what models multiply in"}, precision, compute_precision_names());
+}
+
+SamplingMethod method_of_options(const SolverOptions& solver, const GuidanceOptions& guidance,
+                                 const ApproximateSavings& approximate, ComputePrecision precision) {
+  SamplingMethod method;
+  method.name = "as the options say";
+  method.solver = solver;
+  method.guidance_interval = guidance.guidance_interval;
+  method.approximate = approximate;
+  method.precision = precision;
+  return method;
 }
 
 bool same_method(const SamplingMethod& a, const SamplingMethod& b) {
@@ -73,23 +80,16 @@ std::string method_text(const SamplingMethod& method, const std::string& device)
     text += fmt::format("; guidance from t = {:g} to {:g}", method.guidance_interval[1],
                         method.guidance_interval[0]);
   }
-  if (method.guidance_tolerance > 0) {
-    text += fmt::format("; guidance dropped below {:g}", method.guidance_tolerance);
-  }
   const auto& savings = method.approximate;
   if (savings.cascade_encoder_nodes > 0) {
     text += fmt::format("; cascade encoder at {} flow times", savings.cascade_encoder_nodes);
   }
-  if (savings.level1_encoder_every > 1) {
-    text += fmt::format("; M1 encoder at every {} evaluations", savings.level1_encoder_every);
-  }
-  if (savings.view_pairs == ViewPairs::kVisible) text += "; attention between views that see common space";
   if (method.precision != ComputePrecision::kFloat32) text += "; " + precision_text(method.precision, device);
   return text;
 }
 
 const std::vector<std::string>& sampling_quality_names() {
-  static const std::vector<std::string> names{"options", "published", "exact", "balanced", "fast"};
+  static const std::vector<std::string> names{"options", "published", "exact", "fast"};
   return names;
 }
 
@@ -99,12 +99,12 @@ bool can_have_encoder_nodes(const BundleOptions& bundle) {
   });
 }
 
-SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bundle) {
+SamplingMethod quality_method(SamplingQuality quality) {
   SamplingMethod method;
   switch (quality) {
     case SamplingQuality::kOptions:
     case SamplingQuality::kExact:
-      method = default_solver_method("exact", 16, 0);
+      method = default_solver_method("exact", 16);
       break;
     case SamplingQuality::kPublished:
       method.name = "published";
@@ -112,15 +112,10 @@ SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bund
       method.solver.evaluations = kPublishedEvaluations;
       method.solver.schedule.schedule = ScheduleKind::kPublished;
       break;
-    case SamplingQuality::kBalanced:
-      method = default_solver_method("balanced", 12, 6);
-      break;
     case SamplingQuality::kFast:
-      method = default_solver_method("fast", 8, 4);
-      method.guidance_interval = {0.5, 1};
+      method = default_solver_method("fast", 6);
       break;
   }
-  if (!can_have_encoder_nodes(bundle)) method.approximate.cascade_encoder_nodes = 0;
   return method;
 }
 
@@ -134,7 +129,6 @@ FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& 
   }
   settings.guidance = guidance;
   settings.guidance.guidance_interval = method.guidance_interval;
-  settings.guidance.guidance_tolerance = method.guidance_tolerance;
   settings.approximate = method.approximate;
   settings.precision = method.precision;
   return settings;

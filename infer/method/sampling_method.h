@@ -18,7 +18,6 @@ struct SamplingMethod : OptionsGroup {
   std::string name;  // for people
   SolverOptions solver;
   std::vector<double> guidance_interval{0, 1};  // flow times where guidance acts, both included
-  double guidance_tolerance = 0;                // gld/flow/guidance.h
   ApproximateSavings approximate;
   ComputePrecision precision = ComputePrecision::kFloat32;
 
@@ -26,30 +25,33 @@ struct SamplingMethod : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
+// What --solver, --guidance and --approximate say, in that precision.
+SamplingMethod method_of_options(const SolverOptions& solver, const GuidanceOptions& guidance,
+                                 const ApproximateSavings& approximate, ComputePrecision precision);
+
 // Whether both sample alike, whatever they are called.
 bool same_method(const SamplingMethod& a, const SamplingMethod& b);
 
 // "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
 std::string method_text(const SamplingMethod& method, const std::string& device = "cpu");
 
-// --quality. `options` is what the other options say; the rest are fixed methods. balanced and fast take what
-// NUMBERS.md expects to pay (fewer evaluations of the default solver, nodes for the cascade's condition encoder, no
-// guidance where the data decide); `gld bench sample-plan` measures all four beside plain fewer evaluations.
+// --quality. `options` is what the other options say; the rest are fixed methods, guided everywhere and without
+// approximate savings, none of which beat fewer steps where it was measured (docs/NUMBERS.md, "What can be left out
+// approximately").
 //
-// | quality   | solver on schedule | evaluations | guidance     | approximate savings     |
-// |-----------|--------------------|-------------|--------------|-------------------------|
-// | published | euler on published | 49          | everywhere   | none                    |
-// | exact     | unipc3 on logsnr   | 16          | everywhere   | none                    |
-// | balanced  | unipc3 on logsnr   | 12          | everywhere   | 6 cascade encoder nodes |
-// | fast      | unipc3 on logsnr   | 8           | from t = 0.5 | 4 cascade encoder nodes |
-enum class SamplingQuality { kOptions, kPublished, kExact, kBalanced, kFast };
+// | quality   | solver on schedule | evaluations |
+// |-----------|--------------------|-------------|
+// | published | euler on published | 49          |
+// | exact     | unipc3 on logsnr   | 16          |
+// | fast      | unipc3 on logsnr   | 6           |
+enum class SamplingQuality { kOptions, kPublished, kExact, kFast };
 const std::vector<std::string>& sampling_quality_names();
 
 // Whether a cascade's condition encoder can be computed at nodes (models/dit/node_field.h).
 bool can_have_encoder_nodes(const BundleOptions& bundle);
 
-// For any but kOptions. Encoder nodes are left out where no cascade can have them.
-SamplingMethod quality_method(SamplingQuality quality, const BundleOptions& bundle);
+// For any but kOptions.
+SamplingMethod quality_method(SamplingQuality quality);
 
 // The method with a model's time shifts and a guidance scale: what the flows are run with.
 // guidance gives what the method does not say: scale and how branches are evaluated. A shift of 0 in the method's

@@ -174,6 +174,11 @@ std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const Orbi
     height *= radius > 0 ? shape.radius / radius : 1;  // the same elevation
     radius = shape.radius;
   }
+  // A camera that stands where it should look at has no direction.
+  if (std::hypot(radius, height) <= 1e-9 * std::max(1e-30, target.norm())) {
+    fail({"--orbit-center", "a point away from the source cameras", "their own place",
+          "choose one in front of them, or add --orbit-radius"});
+  }
   const bool closed = std::abs(shape.degrees) >= 360;
   std::vector<Camera> cameras;
   for (int64_t i = 0; i < shape.frames; ++i) {

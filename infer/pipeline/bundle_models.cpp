@@ -30,16 +30,20 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   models.rgb_decoder = [=] {
     return packed(shared->load_image_decoder(placement), model_kind_of(StageKind::kRgbDecoding));
   };
-  // Stays in float32, as a geometry model does (model_kind_of).
-  models.dpt_head = [=] { return shared->load_dpt_head(placement); };
+  // Stays in float32 (ModelKind::kLeanedOn).
+  models.geometry_head = [=] { return shared->load_geometry_head(placement); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
   }
   return models;
 }
 
+PhotographUse photograph_use_of(const PhotographOptions& options, const BundleOptions& bundle) {
+  return options.use(bundle.level_set().warped_sources, bundle.geometry_head.predicts_rays());
+}
+
 void require_geometry_head(const ModelBundle& bundle) {
-  if (bundle.options().dpt_head.exists()) return;
+  if (bundle.options().geometry_head.exists()) return;
   fail({"--geometry-model", "a bundle with a geometry head", bundle.folder().string() + ", which has none",
         "choose a DA3 or VGGT model"});
 }
@@ -49,8 +53,8 @@ void take_geometry_from(PipelineModels& models, const ModelBundle& bundle, const
   const auto shared = std::make_shared<const ModelBundle>(bundle);
   ParameterPlacement placement;
   placement.device = device;
-  models.geometry_backbone = [=] { return shared->load_backbone(placement); };
-  models.geometry_head = [=] { return shared->load_dpt_head(placement); };
+  models.geometry_model_backbone = [=] { return shared->load_backbone(placement); };
+  models.geometry_model_head = [=] { return shared->load_geometry_head(placement); };
 }
 
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device,
@@ -72,7 +76,7 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
     return kept;
   };
   models.rgb_decoder = keep(models.rgb_decoder);
-  models.dpt_head = keep(models.dpt_head);
+  models.geometry_head = keep(models.geometry_head);
   return models;
 }
 

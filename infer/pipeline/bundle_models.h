@@ -1,5 +1,6 @@
 #pragma once
 
+#include "infer/pipeline/photograph_use.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "models/bundle/bundle.h"
 #include "models/layers/layer_precision.h"
@@ -18,6 +19,9 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
 // for several threads at once.
 PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device& device,
                                   ComputePrecision precision = ComputePrecision::kFloat32);
+
+// What options make of the photographs with that bundle.
+PhotographUse photograph_use_of(const PhotographOptions& options, const BundleOptions& bundle);
 
 // Throws Error, naming --geometry-model, where a bundle has no geometry head.
 void require_geometry_head(const ModelBundle& bundle);

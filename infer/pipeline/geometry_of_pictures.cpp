@@ -1,6 +1,8 @@
 #include "infer/pipeline/geometry_of_pictures.h"
 
 #include "gld/base/error.h"
+#include "models/conditioning/decoder_inputs.h"
+#include "models/latent_spaces/latent_space.h"
 
 #include <algorithm>
 #include <utility>
@@ -24,7 +26,8 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
   GeometryInputs inputs;
   LatentGrid grid;
   {
-    const auto backbone = models.geometry_backbone ? models.geometry_backbone() : models.backbone();
+    const auto backbone =
+        models.geometry_model_backbone ? models.geometry_model_backbone() : models.backbone();
     const auto& architecture = backbone->architecture();
     const int64_t side = architecture.patch_side();
     const std::vector<int64_t> size = {nearest_whole_patches(height, side) * side,
@@ -33,11 +36,11 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
       images = torch::upsample_bilinear2d(images, size, /*align_corners=*/false);
     }
     grid = architecture.grid_of(images.size(0), size[0], size[1]);
-    const auto levels = backbone->encode(images, architecture.levels() - 1);
-    for (const auto& level : levels) inputs.levels.push_back(backbone->decodable(level).patches);
-    inputs.leading = levels.back().narrow(1, 0, architecture.leading_tokens()).contiguous();
+    const int64_t last = architecture.levels() - 1;
+    const LatentSpace space(backbone, last);  // nothing is propagated
+    inputs = geometry_inputs(space, space.encode(images, last));
   }
-  const auto head = models.geometry_head ? models.geometry_head() : models.dpt_head();
+  const auto head = models.geometry_model_head ? models.geometry_model_head() : models.geometry_head();
   auto maps = head->forward(inputs, grid, wanted);
   const auto resized = [&](const torch::Tensor& channels_first) {
     return torch::upsample_bilinear2d(channels_first, {height, width}, /*align_corners=*/false);

@@ -15,8 +15,8 @@ namespace gld {
 int64_t nearest_whole_patches(int64_t pixels, int64_t patch_side);
 
 // What the geometry model sees in finished pictures, (views, 3, height, width) in [0, 1]: the model that
-// models.geometry_backbone belongs to, or else the models' own backbone and head. Pictures whose sides are no whole
-// patches of it are resized for it; maps of pixels come back in the pictures' size, on the pictures' device.
+// models.geometry_model_backbone belongs to, or else the models' own backbone and head. Pictures whose sides are no
+// whole patches of it are resized for it; maps of pixels come back in the pictures' size, on the pictures' device.
 GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
                                     GeometryMaps maps, const torch::Device& device);
 

@@ -3,13 +3,17 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/flow/flow.h"
+#include "gld/latents/latent_divergence.h"
 #include "infer/pipeline/geometry_of_pictures.h"
-#include "infer/pipeline/visible_pairs.h"
-#include "models/dit/extrapolated_field.h"
+#include "models/conditioning/decoder_inputs.h"
+#include "models/conditioning/level_conditioning.h"
+#include "models/conditioning/source_conditioning.h"
 #include "models/dit/node_field.h"
-#include "models/latent_spaces/geometric_latent_space.h"
+#include "models/latent_spaces/latent_space.h"
 #include "models/scene_geometry/source_warp.h"
+#include "models/scene_geometry/tensor_pictures.h"
 
+#include <algorithm>
 #include <map>
 #include <optional>
 #include <utility>
@@ -25,62 +29,110 @@ void require_finite(const torch::Tensor& tensor, const std::string& stage, const
         "check the input images and cameras, and verify the weights with gld verify"});
 }
 
-// What the source images say.
-struct EncodedSources {
-  SourceLatents latents;
-  GeometryInputs decodable;  // what the geometry head takes; empty where nobody asks for their depth
-  std::optional<GeometryOutput> geometry;  // what it says, from the first stage that asked
+// What the stages hand on to each other.
+struct PipelineState {
+  SourceConditioning sources;
+  std::optional<SourceDepth> depth;
+  SourcePhotographs photographs;             // where the request has none
+  std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
 };
 
-EncodedSources encode_sources(const LatentSpace& space, const LevelSet& levels,
-                              const PipelineRequest& request, const std::string& stage) {
-  const StageRequest stages = request.stage_request();
-  SourceEncoding wanted;
-  wanted.deepest = deepest_encoded_level(levels, stages);
-  wanted.carried = stages.decodes();
-  EncodedSources sources;
-  sources.latents = space.encode_sources(request.source_images.to(request.device), wanted);
-  if (uses_source_depth(levels, stages)) sources.decodable = geometry_inputs(space, sources.latents);
-  for (const auto& generator : levels.generators) {
-    require_finite(sources.latents.levels[static_cast<size_t>(generator.level)], stage,
+void run_source_encoding(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                         const std::string& stage) {
+  const LatentSpace space(models.backbone(), models.levels.boundary);
+  state.sources = encode_sources(space, request.source_images.to(request.device),
+                                 conditioning_needs(models.levels, request.stage_request()));
+  for (const auto& generator : models.levels.generators) {
+    require_finite(state.sources.levels[static_cast<size_t>(generator.level)], stage,
                    fmt::format("level {} features", generator.level));
   }
-  // Deeper levels than the generated ones are not needed any more.
-  sources.latents.levels.resize(static_cast<size_t>(levels.deepest_generated()) + 1);
-  return sources;
 }
 
-// Depth and rays of the source views by themselves; null for one of them, whose depth has no scale.
-const GeometryOutput* source_geometry(const PipelineModels& models, EncodedSources& sources) {
-  if (sources.decodable.levels.empty()) return nullptr;
-  if (!sources.geometry) {
-    sources.geometry =
-        models.dpt_head()->forward(sources.decodable, sources.latents.grid, GeometryMaps::kDepthAndRays);
+// How far the source views are from what each generator was trained on, by their patch tokens.
+std::vector<double> source_divergences(const PipelineModels& models, const SourceConditioning& sources) {
+  std::vector<double> divergences;
+  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
+    const auto& level = sources.levels[static_cast<size_t>(models.levels.generators[i].level)];
+    const int64_t leading = level.size(1) - sources.grid.tokens_per_view();
+    divergences.push_back(latent_divergence(level.slice(1, leading), models.statistics[i].patches));
   }
-  return &*sources.geometry;
+  return divergences;
 }
 
-VisiblePairs find_visible_pairs(const PipelineModels& models, const PipelineRequest& request,
-                                EncodedSources& sources) {
-  const GeometryOutput* geometry = source_geometry(models, sources);
-  return geometry == nullptr ? visible_pairs(request.views)
-                             : visible_pairs(request.views, *geometry, request.source_images);
+const SourcePhotographs& photographs_of(const PipelineRequest& request, PipelineState& state) {
+  if (!request.source_photographs.views.empty()) return request.source_photographs;
+  if (state.photographs.views.empty())
+    state.photographs = photographs_of_images(request.views, request.source_images);
+  return state.photographs;
 }
 
-CarriedSources carry_sources(const PipelineModels& models, const PipelineRequest& request,
-                             EncodedSources& sources, std::vector<std::string>& warnings) {
-  const GeometryOutput* geometry = source_geometry(models, sources);
-  if (geometry == nullptr) return {};  // one source: the plan says so
-  const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
-  CarriedSources carried =
-      carry_sources(space, request.views, request.source_images.to(request.device), *geometry,
-                    {models.levels.warped_sources, models.levels.deepest_generated()});
-  if (!carried.doubt.empty()) {
+// What the geometry head says of the source views alone; nothing where it is not asked.
+std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const PipelineState& state) {
+  if (state.sources.for_geometry.levels.empty()) return std::nullopt;
+  return source_geometry(*models.geometry_head(), state.sources);
+}
+
+// The head's maps times the length of its unit in that of the cameras.
+std::vector<PlanarDepth> scaled_depth(const GeometryOutput& head, double unit) {
+  std::vector<PlanarDepth> depth;
+  for (int64_t i = 0; i < head.depth.size(0); ++i) {
+    const auto map = head.depth[i];
+    depth.push_back({map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * unit)});
+  }
+  return depth;
+}
+
+void run_source_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                      PipelineResult& result) {
+  if (state.depth) return;
+  const auto head = head_geometry(models, state);
+  if (!request.photographs.matches()) {
+    state.depth = source_depth_of_head(request.views, request.source_images, head.value());
+    result.head_depth = state.depth->views;
+    return;
+  }
+  PhotographDepth found =
+      photograph_depth(request.views, request.source_images, photographs_of(request, state),
+                       head ? &*head : nullptr, request.photographs.stereo);
+  state.depth = std::move(found.depth);
+  result.stereo = std::move(found.stereo);
+  if (!head) return;
+  const auto& prior = result.stereo->prior;
+  // Where photographs do not tell the head's unit, photograph_depth() had it placed.
+  result.head_depth = prior && prior->pixels > 0 ? scaled_depth(*head, prior->scale) : state.depth->views;
+}
+
+void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                     std::vector<std::string>& warnings) {
+  if (!needs_source_depth(models.levels, request.stage_request())) return;  // one source: the plan says so
+  if (!state.depth) {
+    state.depth =
+        source_depth_of_head(request.views, request.source_images, head_geometry(models, state).value());
+  }
+  const SourceScene scene{request.views, request.source_images.to(request.device), state.depth};
+  const LatentSpace space(models.backbone(), models.levels.boundary);
+  state.sources.warped =
+      warp_into_targets(space, scene, conditioning_needs(models.levels, request.stage_request()));
+  const std::string& doubt = state.sources.warped.doubt;
+  if (!doubt.empty()) {
     warnings.push_back(
         "The model was not shown the source photographs in the target views, as it is trained to be: " +
-        carried.doubt + ".");
+        doubt + ".");
   }
-  return carried;
+}
+
+void run_composition(const PipelineRequest& request, PipelineState& state, PipelineResult& result) {
+  if (!state.depth || !state.depth->known()) {
+    result.warnings.push_back("Nothing of the source photographs is kept in the target views: " +
+                              (state.depth ? state.depth->doubt : std::string("their depth is not known")) +
+                              ".");
+    return;
+  }
+  const int64_t sources = result.images.size(0) - request.views.num_targets();  // where those are decoded too
+  const auto targets = result.images.slice(0, sources);
+  result.composed = compose_views(request.views, photographs_of(request, state), *state.depth, targets);
+  result.generated_images = result.images;
+  result.images = torch::cat({result.images.slice(0, 0, sources), result.composed->images});
 }
 
 struct FlowStage {
@@ -99,9 +151,6 @@ std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const F
     auto nodes = encoder_nodes(stage.solver, request.flow.guidance, savings.cascade_encoder_nodes);
     return std::make_unique<NodeField>(model, std::move(scene), std::move(nodes));
   }
-  if (!cascade && savings.level1_encoder_every > 1) {
-    return std::make_unique<ExtrapolatedField>(model, std::move(scene), savings.level1_encoder_every);
-  }
   return std::make_unique<DitField>(model, std::move(scene));
 }
 
@@ -118,6 +167,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   observer.stage = stage.name;
   observer.on_step = [&](const SolveProgress& progress) {
     if (request.on_step) request.on_step(stage.name, progress);
+    return interrupt_requested() ? SolveDecision::kStop : SolveDecision::kGoOn;
   };
   if (request.on_step) {
     SolveProgress start;
@@ -125,6 +175,10 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
     request.on_step(stage.name, start);
   }
   const auto solved = solve_on(guided, stage.noise.to(request.device), stage.solver, times, observer);
+  if (solved.stopped) {
+    stop_if_interrupted(
+        fmt::format("{}: {} steps to flow time {:.4g}", stage.name, solved.accepted, solved.times.back()));
+  }
   FlowReport report;
   report.stage = stage.name;
   report.generator = stage.generator;
@@ -138,34 +192,29 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   return solved.state;
 }
 
-// The levels of the views to decode, and their grid.
+// The views to decode: their levels by number, and their grid.
 struct DecodableViews {
   std::vector<torch::Tensor> levels;
   LatentGrid grid;
 };
 
-DecodableViews select_views(const PipelineResult& result, const std::vector<int64_t>& levels,
-                            DecodedViews which, int64_t num_sources) {
+DecodableViews select_views(const PipelineResult& result, DecodedViews which, int64_t num_sources) {
   const int64_t first = which == DecodedViews::kTargets ? num_sources : 0;
   DecodableViews selected;
   selected.grid = result.grid;
   selected.grid.views = result.grid.views - first;
-  for (const int64_t level : levels) {
-    selected.levels.push_back(result.levels.at(static_cast<size_t>(level)).slice(0, first).contiguous());
+  for (const torch::Tensor& level : result.levels) {
+    selected.levels.push_back(level.defined() ? level.slice(0, first).contiguous() : level);
   }
   return selected;
 }
 
-std::vector<int64_t> all_levels(const PipelineResult& result, const std::string& stage) {
-  std::vector<int64_t> levels;
-  for (size_t level = 0; level < result.levels.size(); ++level) {
-    if (!result.levels[level].defined()) {
-      fail({stage, "all levels, which the DPT head takes", fmt::format("no level {}", level),
-            "ask for images alone, or use a model that generates it"});
-    }
-    levels.push_back(static_cast<int64_t>(level));
+void require_all_levels(const std::vector<torch::Tensor>& levels, const std::string& stage) {
+  for (size_t level = 0; level < levels.size(); ++level) {
+    if (levels[level].defined()) continue;
+    fail({stage, "all levels, which the DPT head takes", fmt::format("no level {}", level),
+          "ask for images alone, or use a model that generates it"});
   }
-  return levels;
 }
 
 void check_request(const PipelineModels& models, const PipelineRequest& request, const LatentGrid& grid) {
@@ -184,14 +233,6 @@ void check_request(const PipelineModels& models, const PipelineRequest& request,
           "draw it for these views"});
   }
 }
-
-// What the stages hand on to each other.
-struct PipelineState {
-  EncodedSources sources;
-  DitSceneInputs scene;
-  CarriedSources carried;
-  std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
-};
 
 void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
                     PipelineState& state, PipelineResult& result) {
@@ -213,19 +254,14 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
     return;
   }
   const auto model = models.generator(stage.generator);
-  const auto& raw = state.sources.latents.levels[static_cast<size_t>(generator.level)];
-  state.scene.source_features = statistics.normalise(
-      generated_tokens(raw, raw.size(1) - result.grid.tokens_per_view(), statistics.special_tokens));
-  state.scene.deeper_level = generator.is_cascade() ? state.latents.at(*generator.deeper) : torch::Tensor();
-  set_warp(state.scene, model->options(), state.carried.agreement,
-           state.carried.levels.empty()
-               ? torch::Tensor()
-               : statistics.normalise(state.carried.levels[static_cast<size_t>(generator.level)]));
+  DitSceneInputs shown = condition_on_source_level({generator.level, model->options(), statistics},
+                                                   request.views, state.sources);
+  if (generator.is_cascade()) condition_on_deeper_level(shown, state.latents.at(*generator.deeper));
   SolverOptions solver = request.flow.solvers[stage.generator];
   solver.schedule.shift =
       resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
   auto& latent = state.latents[generator.level];
-  latent = run_flow(*model, model->prepare_scene(state.scene, request.savings),
+  latent = run_flow(*model, model->prepare_scene(shown, request.savings),
                     {stage.name, generator, solver, request.noise[stage.generator]}, request, result);
   result.latents[generator.level] = latent.cpu();
   if (request.on_latent) request.on_latent(generator.level, result.latents[generator.level]);
@@ -233,13 +269,13 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
 
 CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
                                 const LatentGrid& grid, const std::string& stage) {
-  const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
+  const LatentSpace space(models.backbone(), models.levels.boundary);
   std::map<int64_t, torch::Tensor> raw;
   for (size_t i = 0; i < models.levels.generators.size(); ++i) {
     const int64_t level = models.levels.generators[i].level;
     raw[level] = models.statistics[i].denormalise(state.latents.at(level));
   }
-  auto levels = space.complete(raw, state.sources.latents.carried, grid);
+  auto levels = space.complete(raw, state.sources.leading, grid);
   for (size_t level = 0; level < levels.patches.size(); ++level) {
     if (levels.patches[level].defined())
       require_finite(levels.patches[level], stage, fmt::format("level {} features", level));
@@ -264,6 +300,75 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   return maps;
 }
 
+// The request without some of its target views (numbers from 0), for what is generated of the others: their pictures.
+PipelineRequest without_targets(const PipelineRequest& request, const std::vector<int64_t>& left_out,
+                                const SourceDepth& depth) {
+  PipelineRequest rest = request;
+  rest.views.cameras.clear();
+  std::vector<int64_t> kept;
+  for (int64_t view = 0; view < request.views.size(); ++view) {
+    if (std::binary_search(left_out.begin(), left_out.end(), view - request.views.num_sources)) continue;
+    kept.push_back(view);
+    rest.views.cameras.push_back(request.views.cameras[static_cast<size_t>(view)]);
+  }
+  const auto index = torch::tensor(kept);
+  for (torch::Tensor& noise : rest.noise) noise = noise.index_select(0, index.to(noise.device()));
+  rest.source_depth = depth;
+  rest.photographs.leaves_out_complete = false;
+  rest.geometry_views = DecodedViews::kNone;
+  rest.on_images = nullptr;
+  return rest;
+}
+
+// Rows of `some` at the places that `numbers` name, and of `others` in order at the other places.
+torch::Tensor merged(const torch::Tensor& some, const std::vector<int64_t>& numbers,
+                     const torch::Tensor& others) {
+  std::vector<torch::Tensor> rows;
+  int64_t taken = 0, other = 0;
+  const auto count = some.size(0) + (others.defined() ? others.size(0) : 0);
+  for (int64_t row = 0; row < count; ++row) {
+    const bool is_some = std::binary_search(numbers.begin(), numbers.end(), row);
+    rows.push_back(is_some ? some[taken++] : others[other++]);
+  }
+  return torch::stack(rows);
+}
+
+// Of some target views the photographs say all, so that flows are run for the others alone, if any: fills in what is
+// left of the result.
+void run_without_complete(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                          const std::vector<int64_t>& complete, PipelineResult& result,
+                          StageRecords& stages) {
+  std::vector<int64_t> others;
+  for (int64_t target = 0; target < request.views.num_targets(); ++target) {
+    if (!std::binary_search(complete.begin(), complete.end(), target)) others.push_back(target);
+  }
+  const Views carried = without_targets(request, others, *state.depth).views;
+  ComposedViews composed = carried_views(carried, photographs_of(request, state), *state.depth);
+  if (!others.empty()) {
+    PipelineResult rest = run_pipeline(models, without_targets(request, complete, *state.depth), stages);
+    composed.images = merged(composed.images, complete, rest.composed->images);
+    composed.shown = merged(composed.shown, complete, rest.composed->shown);
+    composed.large_images = merged(composed.large_images, complete, rest.composed->large_images);
+    composed.large_shown = merged(composed.large_shown, complete, rest.composed->large_shown);
+    result.grid = rest.grid;
+    result.latents = std::move(rest.latents);
+    result.levels = std::move(rest.levels);
+    result.leading = rest.leading;
+    result.flows = std::move(rest.flows);
+    result.warnings.insert(result.warnings.end(), rest.warnings.begin(), rest.warnings.end());
+  }
+  result.carried_only = complete;
+  result.images = composed.images;
+  result.composed = std::move(composed);
+  if (request.on_images) request.on_images(result.images, result.composed);
+  if (request.geometry_views == DecodedViews::kNone) return;
+  const std::string name = "geometry";
+  stages.run(name, [&] {
+    result.geometry = geometry_of_images(models, request, result, name);
+    require_finite_geometry(result.geometry, name);
+  });
+}
+
 }  // namespace
 
 StageRequest PipelineRequest::stage_request() const {
@@ -272,7 +377,8 @@ StageRequest PipelineRequest::stage_request() const {
   stages.num_sources = views.num_sources;
   stages.image_views = image_views;
   stages.geometry_views = geometry_views;
-  stages.view_pairs = flow.approximate.view_pairs;
+  stages.source_depth_given = source_depth.has_value();
+  stages.photographs = photographs;
   return stages;
 }
 
@@ -282,30 +388,24 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
   const int64_t num_sources = request.views.num_sources;
   PipelineResult result;
   PipelineState state;
-  state.scene.views = request.views;
+  state.depth = request.source_depth;
   const auto run = [&](const SamplingStage& stage) {
     switch (stage.kind) {
-      case StageKind::kSourceEncoding: {
-        const GeometricLatentSpace space(models.backbone(), models.levels.boundary);
-        state.sources = encode_sources(space, models.levels, request, stage.name);
-        result.grid = state.sources.latents.grid;
+      case StageKind::kSourceEncoding:
+        run_source_encoding(models, request, state, stage.name);
+        result.divergences = source_divergences(models, state.sources);
+        result.grid = state.sources.grid;
         result.grid.views = request.views.size();
         check_request(models, request, result.grid);
         return;
-      }
-      case StageKind::kViewPairs: {
-        const VisiblePairs pairs = find_visible_pairs(models, request, state.sources);
-        state.scene.view_mask = pairs.view_mask();
-        result.view_pairs = pairs.visibility;
-        result.warnings = pairs.warnings;
+      case StageKind::kSourceDepth:
+        run_source_depth(models, request, state, result);
         return;
-      }
       case StageKind::kSourceWarp:
-        state.carried = carry_sources(models, request, state.sources, result.warnings);
+        run_source_warp(models, request, state, result.warnings);
         return;
       case StageKind::kFlow:
-        state.sources.decodable = {};
-        state.sources.geometry.reset();
+        state.sources.for_geometry = {};
         run_flow_stage(models, request, stage, state, result);
         return;
       case StageKind::kPropagation: {
@@ -315,29 +415,38 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         return;
       }
       case StageKind::kRgbDecoding: {
-        const auto selected =
-            select_views(result, models.levels.decoded_levels(), request.image_views, num_sources);
-        result.images =
-            models.rgb_decoder()->decode(torch::cat(selected.levels, /*dim=*/2), selected.grid).cpu();
+        const auto selected = select_views(result, request.image_views, num_sources);
+        const auto features = image_features(selected.levels, models.levels.decoded_levels());
+        result.images = models.rgb_decoder()->decode(features, selected.grid).cpu();
         require_finite(result.images, stage.name, "images");
         return;
       }
+      case StageKind::kComposition:
+        run_composition(request, state, result);
+        return;
       case StageKind::kGeometry: {
-        if (models.geometry_backbone) {
+        if (models.geometry_model_backbone) {
           result.geometry = geometry_of_images(models, request, result, stage.name);
           require_finite_geometry(result.geometry, stage.name);
           return;
         }
-        const auto selected =
-            select_views(result, all_levels(result, stage.name), request.geometry_views, num_sources);
-        result.geometry = models.dpt_head()->forward(GeometryInputs{selected.levels, result.leading},
-                                                     selected.grid, request.geometry_maps);
+        require_all_levels(result.levels, stage.name);
+        const auto selected = select_views(result, request.geometry_views, num_sources);
+        result.geometry = models.geometry_head()->forward(GeometryInputs{selected.levels, result.leading},
+                                                          selected.grid, request.geometry_maps);
         require_finite_geometry(result.geometry, stage.name);
         return;
       }
     }
   };
-  for (const auto& stage : sampling_stages(models.levels, request.stage_request())) {
+  const auto planned = sampling_stages(models.levels, request.stage_request());
+  const bool composes = std::any_of(planned.begin(), planned.end(), [](const SamplingStage& stage) {
+    return stage.kind == StageKind::kComposition && stage.runs;
+  });
+  const bool may_leave_out = composes && request.photographs.leaves_out_complete && !request.all_latents &&
+                             request.image_views == DecodedViews::kTargets;
+  const StageKind last_image_stage = composes ? StageKind::kComposition : StageKind::kRgbDecoding;
+  for (const auto& stage : planned) {
     if (!stage.runs) continue;
     if (stage.kind == StageKind::kPropagation) {
       stop_if_interrupted("the latents were generated; nothing was decoded");
@@ -345,7 +454,15 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       stop_if_interrupted("images were decoded; depth and rays were not");
     }
     stages.run(stage.name, [&] { run(stage); });
-    if (stage.kind == StageKind::kRgbDecoding && request.on_images) request.on_images(result.images);
+    if (stage.kind == StageKind::kSourceDepth && may_leave_out) {
+      const auto complete = complete_targets(request.views, photographs_of(request, state), *state.depth);
+      if (!complete.empty()) {
+        run_without_complete(models, request, state, complete, result, stages);
+        return result;
+      }
+    }
+    if (stage.kind == last_image_stage && request.on_images)
+      request.on_images(result.images, result.composed);
   }
   return result;
 }

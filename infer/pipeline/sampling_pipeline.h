@@ -1,11 +1,11 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
-#include "gld/cameras/view_visibility.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/latents/level_statistics.h"
 #include "gld/machine/stage_record.h"
+#include "gld/photogrammetry/source_depth.h"
 #include "infer/pipeline/sampling_stages.h"
 #include "models/backbones/backbone.h"
 #include "models/cost/branch_choice.h"
@@ -15,6 +15,8 @@
 #include "models/dit/dit_dh.h"
 #include "models/dit/dit_field.h"
 #include "models/dit/exact_savings.h"
+#include "models/scene_geometry/composed_views.h"
+#include "models/scene_geometry/photograph_depth.h"
 
 #include <cstdint>
 #include <functional>
@@ -35,11 +37,11 @@ struct PipelineModels {
   std::function<std::shared_ptr<Backbone>()> backbone;
   std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
   std::function<std::shared_ptr<ImageDecoder>()> rgb_decoder;
-  std::function<std::shared_ptr<GeometryHead>()> dpt_head;
-  // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read
-  // off the model's own levels by dpt_head.
-  std::function<std::shared_ptr<Backbone>()> geometry_backbone;
   std::function<std::shared_ptr<GeometryHead>()> geometry_head;
+  // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read
+  // off the model's own levels by geometry_head.
+  std::function<std::shared_ptr<Backbone>()> geometry_model_backbone;
+  std::function<std::shared_ptr<GeometryHead>()> geometry_model_head;
   std::vector<LevelStatistics> statistics;  // of what each generator makes
 };
 
@@ -55,6 +57,11 @@ struct FlowSettings {
 struct PipelineRequest {
   Views views;                  // one size, in whole patches
   torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
+  // Depth of the source views where something else than the model's geometry head says it.
+  std::optional<SourceDepth> source_depth;
+  PhotographUse photographs;
+  // Of the source views, for depth that they agree on and for composition; without, source_images serve.
+  SourcePhotographs source_photographs;
   // One a generator: (views, special + patch tokens, channels), standard normal: the state at flow time 1.
   std::vector<torch::Tensor> noise;
   FlowSettings flow;
@@ -69,8 +76,11 @@ struct PipelineRequest {
   std::map<int64_t, torch::Tensor> kept_latents;
   // Called when a flow has generated its level.
   std::function<void(int64_t level, const torch::Tensor& latent)> on_latent;
-  // Called when the images are there and geometry is still to come, so that they can be written already.
-  std::function<void(const torch::Tensor& images)> on_images;
+  // Whether the latents of all views are wanted, so that none is left out of the flows.
+  bool all_latents = false;
+  // Called when the images are there and geometry is still to come, so that they can be written already; composed as in
+  // PipelineResult.
+  std::function<void(const torch::Tensor& images, const std::optional<ComposedViews>& composed)> on_images;
 
   StageRequest stage_request() const;
 };
@@ -98,10 +108,21 @@ struct PipelineResult {
   torch::Tensor
       leading;  // of the last level and all views (CompletedLevels); undefined when nothing is decoded
   torch::Tensor images;  // (decoded views, 3, height, width), RGB, not clamped; undefined when not asked for
+  // What the photographs agree on, of the source views; undefined members where they were not matched.
+  std::optional<StereoScene> stereo;
+  // What the geometry head alone says of the source views, in the unit of their cameras; none where it was not
+  // asked for their depth or the unit is not known.
+  std::vector<PlanarDepth> head_depth;
+  // One a generator: how far the source views' latents are from its statistics (gld/latents/latent_divergence.h).
+  std::vector<double> divergences;
+  // Of the target views, where photographs were kept in them: images are then the composed ones.
+  std::optional<ComposedViews> composed;
+  torch::Tensor generated_images;  // before composition; undefined where there was none, or not for all views
+  // Target views by number from 0 that come from photographs alone: no flow was run for them. Then latents, levels,
+  // leading and grid are of the other views, and geometry is what the head sees in the pictures of all.
+  std::vector<int64_t> carried_only;
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
   std::vector<FlowReport> flows;
-  // Which views attended to each other, where flow.approximate asked to leave some out.
-  std::optional<ViewVisibility> view_pairs;
   std::vector<std::string> warnings;
 };
 

@@ -12,14 +12,16 @@ const char* name_of(StageKind kind) {
   switch (kind) {
     case StageKind::kSourceEncoding:
       return "source encoding";
-    case StageKind::kViewPairs:
-      return "view pairs";
+    case StageKind::kSourceDepth:
+      return "source depth";
     case StageKind::kSourceWarp:
       return "source warp";
     case StageKind::kPropagation:
       return "propagation";
     case StageKind::kRgbDecoding:
       return "RGB decoding";
+    case StageKind::kComposition:
+      return "composition";
     case StageKind::kGeometry:
       return "geometry";
     case StageKind::kFlow:
@@ -49,19 +51,47 @@ std::string propagation_reason(const LevelSet& levels) {
   return which + " of all views, which attend to each other";
 }
 
-}  // namespace
-
-bool uses_source_depth(const LevelSet& levels, const StageRequest& request) {
-  return request.num_sources > 1 && (request.view_pairs == ViewPairs::kVisible || levels.warped_sources > 0);
+std::string source_depth_reason(const StageRequest& request) {
+  if (request.source_depth_given) return "given";
+  switch (request.photographs.depth) {
+    case SourceDepthOrigin::kStereo:
+      return "what the photographs agree on";
+    case SourceDepthOrigin::kFused:
+      return "what the photographs agree on, with the geometry head's depth as prior";
+    case SourceDepthOrigin::kHead:
+      break;
+  }
+  return "the geometry head's";
 }
 
-StageKind source_depth_stage(const StageRequest& request) {
-  return request.view_pairs == ViewPairs::kVisible ? StageKind::kViewPairs : StageKind::kSourceWarp;
+}  // namespace
+
+bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request) {
+  return (request.photographs.matches() || request.photographs.composes()) &&
+         needs_source_depth(levels, request);
+}
+
+bool needs_source_depth(const LevelSet& levels, const StageRequest& request) {
+  const bool composes = request.photographs.composes() && request.image_views != DecodedViews::kNone;
+  return request.num_sources > 1 && (levels.warped_sources > 0 || composes);
+}
+
+bool uses_source_depth(const LevelSet& levels, const StageRequest& request) {
+  return !request.source_depth_given && request.photographs.depth != SourceDepthOrigin::kStereo &&
+         needs_source_depth(levels, request);
+}
+
+ConditioningNeeds conditioning_needs(const LevelSet& levels, const StageRequest& request) {
+  ConditioningNeeds needs;
+  needs.deepest_shown = levels.deepest_generated();
+  needs.warped_sources = levels.warped_sources;
+  needs.head_depth = uses_source_depth(levels, request);
+  needs.propagation = request.decodes();
+  return needs;
 }
 
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request) {
-  return uses_source_depth(levels, request) ? levels.levels - 1
-                                            : std::max(levels.deepest_generated(), levels.boundary);
+  return deepest_encoded_level(conditioning_needs(levels, request), levels.levels);
 }
 
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records) {
@@ -84,12 +114,12 @@ ModelKind model_kind_of(StageKind kind) {
       return ModelKind::kGenerator;
     case StageKind::kSourceEncoding:
     case StageKind::kPropagation:
-    case StageKind::kViewPairs:
+    case StageKind::kSourceDepth:
     case StageKind::kSourceWarp:
     case StageKind::kGeometry:
-      return ModelKind::kGeometry;
+      return ModelKind::kLeanedOn;
     default:
-      return ModelKind::kBackboneOrDecoder;
+      return ModelKind::kRunOnce;
   }
 }
 
@@ -101,15 +131,14 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
             depth ? fmt::format("{} source views up to the last level, for their depth", request.num_sources)
                   : fmt::format("{} source views up to level {}; deeper blocks are not needed",
                                 request.num_sources, deepest_encoded_level(levels, request))));
-  if (request.view_pairs == ViewPairs::kVisible) {
-    stages.push_back(
-        stage(StageKind::kViewPairs, depth ? "depth of the source views tells which views see common space"
-                                           : "by the cameras alone, one source has no scale"));
+  if (has_source_depth_stage(levels, request)) {
+    stages.push_back(stage(StageKind::kSourceDepth, source_depth_reason(request)));
   }
   if (levels.warped_sources > 0) {
     stages.push_back(stage(StageKind::kSourceWarp,
-                           depth ? "their depth carries the photographs into the target views"
-                                 : "nothing is carried into the target views: one source has no scale"));
+                           needs_source_depth(levels, request)
+                               ? "their depth carries the photographs into the target views"
+                               : "nothing is carried into the target views: one source has no scale"));
   }
   for (size_t i = 0; i < levels.generators.size(); ++i) stages.push_back(flow_stage(levels, i));
   stages.push_back(request.decodes() ? stage(StageKind::kPropagation, propagation_reason(levels))
@@ -121,6 +150,12 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
   stages.push_back(request.image_views != DecodedViews::kNone
                        ? stage(StageKind::kRgbDecoding, views_text(request.image_views))
                        : left_out(StageKind::kRgbDecoding, "no images were asked for"));
+  if (request.photographs.composes() && request.image_views != DecodedViews::kNone) {
+    stages.push_back(
+        needs_source_depth(levels, request)
+            ? stage(StageKind::kComposition, "what photographs show of the target views is kept")
+            : left_out(StageKind::kComposition, "the depth of a single source view has no scale"));
+  }
   stages.push_back(request.geometry_views != DecodedViews::kNone
                        ? stage(StageKind::kGeometry, request.geometry_views == DecodedViews::kAll
                                                          ? "all views: the sources tell the scale"

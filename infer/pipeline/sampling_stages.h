@@ -1,7 +1,8 @@
 #pragma once
 
 #include "gld/machine/stage_record.h"
-#include "models/dit/approximate_savings.h"
+#include "infer/pipeline/photograph_use.h"
+#include "models/conditioning/source_conditioning.h"
 #include "models/latent_spaces/level_set.h"
 #include "models/layers/layer_precision.h"
 
@@ -21,7 +22,8 @@ struct StageRequest {
   int64_t num_sources = 1;
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
-  ViewPairs view_pairs = ViewPairs::kAll;
+  bool source_depth_given = false;  // of the source views, by something else than the geometry head
+  PhotographUse photographs;
 
   bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }
   int64_t decoded_views(DecodedViews which) const {
@@ -31,11 +33,12 @@ struct StageRequest {
 
 enum class StageKind {
   kSourceEncoding,
-  kViewPairs,
+  kSourceDepth,
   kSourceWarp,
   kFlow,
   kPropagation,
   kRgbDecoding,
+  kComposition,
   kGeometry
 };
 
@@ -60,13 +63,16 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
 // What the stages of a kind took together: with kFlow those of all generators.
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
 
-// Whether view pairs are decided with the depth of the source views, or photographs are carried into target views by
-// it; one source view alone would leave its unit open.
+// Whether the depth of the source views is needed, to carry photographs into target views as the model is shown them or
+// as they are kept in its pictures; one source view alone would leave its unit open.
+bool needs_source_depth(const LevelSet& levels, const StageRequest& request);
+// Whether finding it is a stage of its own: beside the head's depth, which the warp asks for itself.
+bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request);
+// Whether the geometry head is asked for it.
 bool uses_source_depth(const LevelSet& levels, const StageRequest& request);
-// The stage that asks the geometry head for it: the first of the two.
-StageKind source_depth_stage(const StageRequest& request);
 
-// Levels 0..this one of the source views are encoded.
+// What is encoded of the source views, and to which level.
+ConditioningNeeds conditioning_needs(const LevelSet& levels, const StageRequest& request);
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request);
 
 }  // namespace gld

@@ -1,21 +1,28 @@
 #include "infer/sample/photo_scene.h"
 
 #include "datasets/formats/cameras_json.h"
+#include "datasets/formats/depth_files.h"
 #include "datasets/formats/file_listing.h"
 #include "datasets/images/image_file.h"
 #include "datasets/images/image_probe.h"
+#include "datasets/registration/colmap_registration.h"
+#include "datasets/registration/feature_registration.h"
 #include "datasets/scenes/resize_crop.h"
 #include "gld/base/error.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
-#include "infer/pipeline/scene_request.h"
+#include "infer/request/scene_request.h"
 
 #include <algorithm>
+#include <exception>
 #include <filesystem>
 #include <map>
 #include <set>
+#include <tuple>
 #include <utility>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -30,8 +37,8 @@ std::vector<std::filesystem::path> photograph_files(const std::vector<std::strin
     }
     const auto listed = list_images(path);
     if (listed.empty()) {
-      fail({"--photos", "photographs, or folders of them", "'" + photo + "', which has none",
-            "check the name"});
+      const bool is_there = std::filesystem::exists(path);
+      fail({photo, "a photograph, or a folder of them", is_there ? "none" : "nothing", "check the name"});
     }
     files.insert(files.end(), listed.begin(), listed.end());
   }
@@ -45,10 +52,10 @@ class LensNumbers {
   int64_t of(const Photograph& photograph) {
     if (lens_ == PhotoLens::kShared) return 0;
     if (lens_ == PhotoLens::kOwn) return next_++;
-    // A camera held upright turns its pictures.
-    const std::pair sides(std::min(photograph.width, photograph.height),
-                          std::max(photograph.width, photograph.height));
-    const auto [entry, is_new] = by_sides_.try_emplace(sides, next_);
+    // A camera held upright turns its pictures. One that zooms between two pictures is as good as two lenses.
+    const std::tuple kind(std::min(photograph.width, photograph.height),
+                          std::max(photograph.width, photograph.height), photograph.focal_length);
+    const auto [entry, is_new] = by_kind_.try_emplace(kind, next_);
     if (is_new) ++next_;
     return entry->second;
   }
@@ -56,13 +63,114 @@ class LensNumbers {
  private:
   PhotoLens lens_;
   int64_t next_ = 0;
-  std::map<std::pair<int64_t, int64_t>, int64_t> by_sides_;
+  std::map<std::tuple<int64_t, int64_t, double>, int64_t> by_kind_;
 };
 
 std::vector<std::string> names_of(const Scene& scene) {
   std::vector<std::string> names;
   for (const Frame& frame : scene.frames) names.push_back(frame.name);
   return names;
+}
+
+// Features where they find all cameras without a doubt: on the photographs of
+// tests/shared/shared_registration_test.cpp they are as right as COLMAP, of small pictures from near places more
+// so, and some five times as fast. Else whichever of the two finds more, of those that the selection allows;
+// without one the model's rays are left, or an Error of the last way.
+void register_photographs(PhotoScene& made, const PhotoSceneRequest& request) {
+  const PhotoCameraWay asked = request.selection.cameras;
+  const bool automatic = asked == PhotoCameraWay::kAutomatic;
+  const std::string where = automatic ? "--photos" : "--photo-cameras";
+  std::exception_ptr by_features;
+  if (asked != PhotoCameraWay::kColmap) {
+    FeatureRegistrationOptions options;
+    options.threads = request.threads;
+    try {
+      made.registration = register_by_features(made.photographs, options, where);
+    } catch (const Error& error) {
+      if (!automatic) throw;
+      by_features = std::current_exception();
+      made.passed_over.push_back(std::string("features found no cameras: ") + error.what());
+    }
+    const bool whole = made.registration && made.registration->doubts.empty() &&
+                       made.registration->registered() == static_cast<int64_t>(made.photographs.size());
+    if (!automatic || whole) return;
+  }
+  ColmapRegistrationOptions options;
+  options.program = found_colmap();
+  options.threads = request.threads;
+  if (!options.program.empty()) {
+    try {
+      Registration found = register_by_colmap(made.photographs, options, where);
+      const int64_t registered = made.registration ? made.registration->registered() : 0;
+      if (!automatic || (found.registered() > registered && found.doubts.empty())) {
+        if (registered > 0) {
+          made.passed_over.push_back(fmt::format("features found cameras of {} photographs, COLMAP of {}",
+                                                 registered, found.registered()));
+        }
+        made.registration = std::move(found);
+      }
+    } catch (const Error& error) {
+      if (!automatic) throw;
+      made.passed_over.push_back(std::string("COLMAP found no cameras: ") + error.what());
+    }
+  } else if (!automatic) {
+    fail({where, "the program colmap on the PATH", "none",
+          "install it (on Debian: apt install colmap), or take --photo-cameras features"});
+  }
+  if (!made.registration && !request.geometry) std::rethrow_exception(by_features);
+}
+
+// A frame for each photograph that registered, distortion undone.
+void take_registered(PhotoScene& made, const ImageSize& size) {
+  std::vector<Frame> frames;
+  for (size_t i = 0; i < made.photographs.size(); ++i) {
+    const RegisteredPhotograph& found = made.registration->photographs[i];
+    if (!found.registered) continue;
+    const IdealPhotograph ideal =
+        ideal_photograph(found, read_image(made.photographs[i].file, ImageOrientation::kUpright));
+    const ResizeCrop plan = plan_resize_crop(ideal.camera.width, ideal.camera.height, size);
+    Frame frame = made.scene.frames[i];
+    frame.camera = resize_crop(ideal.camera, plan);
+    made.images.push_back(resize_crop(ideal.image, plan));
+    frame.load_image = [image = made.images.back()] { return image; };
+    frames.push_back(std::move(frame));
+  }
+  made.scene.frames = std::move(frames);
+  made.scene.points_in_world = made.registration->points_in_world;
+  made.median_depth = 1;  // the unit of a registration
+  made.text = registration_text(*made.registration, made.photographs);
+  made.scene.warnings = registration_warnings(*made.registration, made.photographs);
+}
+
+void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords& stages) {
+  std::vector<PhotographLens> lenses;
+  torch::Tensor photographs;
+  GeometryOutput seen;
+  stages.run(kPhotoCamerasStage, [&] {
+    // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
+    for (const UnregisteredPhotograph& photograph : made.photographs) {
+      const Image original = read_image(photograph.file, ImageOrientation::kUpright);
+      const ResizeCrop plan = plan_resize_crop(original.width, original.height, request.size);
+      made.images.push_back(resize_crop(original, plan));
+      lenses.push_back({photograph.lens, static_cast<double>(std::max(original.width, original.height)) *
+                                             static_cast<double>(plan.resized_width) /
+                                             static_cast<double>(plan.window_width)});
+    }
+    photographs = stacked(made.images);
+    seen = geometry_of_pictures(request.geometry(), photographs, GeometryMaps::kDepthAndRays, request.device);
+    require_finite_geometry(seen, "the geometry of the photographs");
+  });
+  stages.run("fitting cameras", [&] { made.seen = photo_cameras(seen, photographs, lenses); });
+  for (size_t i = 0; i < made.scene.frames.size(); ++i) {
+    made.scene.frames[i].camera = made.seen->cameras[i];
+    made.scene.frames[i].load_image = [image = made.images[i]] { return image; };
+  }
+  made.median_depth = made.seen->median_depth;
+  made.text = photo_cameras_text(*made.seen, names_of(made.scene));
+  for (const std::string& sentence : made.passed_over) made.scene.warnings.push_back(sentence);
+  for (const std::string& doubt : made.seen->doubts()) {
+    made.scene.warnings.push_back("the cameras estimated from the photographs are not sure: " + doubt);
+  }
 }
 
 }  // namespace
@@ -81,6 +189,7 @@ std::vector<Photograph> list_photographs(const std::vector<std::string>& files_a
     const ImageFileInfo header = probe_image_file(file);
     photograph.width = header.turned() ? header.height : header.width;
     photograph.height = header.turned() ? header.width : header.height;
+    photograph.focal_length = header.focal_length;
     photographs.push_back(std::move(photograph));
   }
   return photographs;
@@ -106,39 +215,29 @@ Scene scene_before_cameras(const std::vector<Photograph>& photographs) {
   return scene;
 }
 
-PhotoScene photo_scene(const std::vector<Photograph>& taken, PhotoLens lens, const ImageSize& size,
-                       const PipelineModels& geometry, const torch::Device& device, StageRecords& stages) {
+bool only_rays(const PhotoSelection& selection, size_t photographs) {
+  return selection.cameras == PhotoCameraWay::kRays ||
+         (selection.cameras == PhotoCameraWay::kAutomatic && photographs < 2);
+}
+
+PhotoScene photo_scene(const std::vector<Photograph>& taken, const PhotoSceneRequest& request,
+                       StageRecords& stages) {
   PhotoScene made;
+  LensNumbers numbers(request.selection.lens);
+  for (const Photograph& photograph : taken) {
+    made.photographs.push_back({photograph.name, photograph.file, photograph.width, photograph.height,
+                                numbers.of(photograph), photograph.focal_length});
+  }
+  if (!only_rays(request.selection, taken.size())) {
+    stages.run("registering photographs", [&] { register_photographs(made, request); });
+  }
   made.scene = scene_before_cameras(taken);
-  Scene& scene = made.scene;
-  std::vector<PhotographLens> lenses;
-  torch::Tensor photographs;
-  GeometryOutput seen;
-  stages.run(kPhotoCamerasStage, [&] {
-    LensNumbers numbers(lens);
-    // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
-    for (const Photograph& photograph : taken) {
-      const Image original = read_image(photograph.file, ImageOrientation::kUpright);
-      const ResizeCrop plan = plan_resize_crop(original.width, original.height, size);
-      made.images.push_back(resize_crop(original, plan));
-      lenses.push_back(
-          {numbers.of(photograph), static_cast<double>(std::max(original.width, original.height)) *
-                                       static_cast<double>(plan.resized_width) /
-                                       static_cast<double>(plan.window_width)});
-    }
-    photographs = stacked(made.images);
-    seen = geometry_of_pictures(geometry, photographs, GeometryMaps::kDepthAndRays, device);
-    require_finite_geometry(seen, "the geometry of the photographs");
-  });
-  stages.run("fitting cameras", [&] { made.found = photo_cameras(seen, photographs, lenses); });
-  for (size_t i = 0; i < scene.frames.size(); ++i) {
-    scene.frames[i].camera = made.found.cameras[i];
-    scene.frames[i].load_image = [image = made.images[i]] { return image; };
+  if (made.registration) {
+    take_registered(made, request.size);
+  } else {
+    take_seen(made, request, stages);
   }
-  made.text = photo_cameras_text(made.found, names_of(scene));
-  for (const std::string& doubt : made.found.doubts()) {
-    scene.warnings.push_back("the cameras estimated from the photographs are not sure: " + doubt);
-  }
+  for (const std::string& sentence : made.passed_over) made.text = sentence + "\n" + made.text;
   return made;
 }
 
@@ -153,12 +252,24 @@ void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenanc
     export_image(folder / record.image, photos.images[i], provenance);
     list.records.push_back(record);
   }
+  const auto& points = photos.scene.points_in_world;
+  if (!points.empty()) {
+    list.points = "points.npy";
+    write_points_npy(folder / list.points, points);
+  }
   write_cameras_json(folder / "cameras.json", list);
   run.note("photographs with cameras", "photo_scene");
 }
 
 nlohmann::ordered_json photo_scene_json(const PhotoScene& photos) {
-  return photo_cameras_json(photos.found, names_of(photos.scene));
+  nlohmann::ordered_json json{{"from", "rays"}};
+  if (photos.registration) {
+    json = registration_json(*photos.registration, photos.photographs);
+  } else {
+    json.update(photo_cameras_json(*photos.seen, names_of(photos.scene)));
+  }
+  json["passed_over"] = photos.passed_over;
+  return json;
 }
 
 }  // namespace gld

@@ -1,17 +1,20 @@
 #pragma once
 
 #include "datasets/images/image.h"
+#include "datasets/registration/registration.h"
 #include "datasets/scenes/scene.h"
 #include "gld/cameras/image_size.h"
 #include "gld/machine/stage_record.h"
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
-#include "infer/pipeline/photo_cameras.h"
-#include "infer/pipeline/photo_selection.h"
 #include "infer/pipeline/sampling_pipeline.h"
+#include "infer/request/photo_cameras.h"
+#include "infer/request/photo_selection.h"
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -24,6 +27,7 @@ struct Photograph {
   std::string name;
   std::filesystem::path file;
   int64_t width = 0, height = 0;  // pixels
+  double focal_length = 0;        // by EXIF, over the longer side; 0 where nothing tells
 };
 
 // Image files, and folders whose image files are taken in natural order. Decodes nothing. Throws Error for no
@@ -34,21 +38,38 @@ std::vector<Photograph> list_photographs(const std::vector<std::string>& files_a
 // by side, only stand in for those that follow; there are no pixels.
 Scene scene_before_cameras(const std::vector<Photograph>& photographs);
 
-// Photographs without cameras, made a scene by a geometry model (gld sample --photos).
+// Photographs without cameras, made a scene (gld sample --photos).
 struct PhotoScene {
-  Scene scene;                // a frame a photograph, at the model's size, with its estimated camera
+  Scene scene;  // a frame a photograph, at the model's size, with its camera; those without one are left out
   std::vector<Image> images;  // the same pictures
-  PhotoCameras found;
-  std::string text;  // what was found and how sure it is, for people
+  // One of the two: cameras from what photographs share, or from what a geometry model sees.
+  std::optional<Registration> registration;
+  std::optional<PhotoCameras> seen;
+  std::vector<UnregisteredPhotograph> photographs;  // all that were given
+  std::vector<std::string> passed_over;  // ways that were tried before and found nothing, a sentence each
+  double median_depth = 0;               // of what the photographs show
+  std::string text;                      // what was found and how sure it is, for people
 };
 
-// size: that of the pictures which the model sees. geometry: the models that see the cameras (bundle_models.h). Records
-// what the model takes as kPhotoCamerasStage and apart from it the fitting of cameras to what it sees. Throws Error for
-// a photograph that no camera fits.
-PhotoScene photo_scene(const std::vector<Photograph>& photographs, PhotoLens lens, const ImageSize& size,
-                       const PipelineModels& geometry, const torch::Device& device, StageRecords& stages);
+// Whether the cameras of so many photographs can come from a geometry model alone.
+bool only_rays(const PhotoSelection& selection, size_t photographs);
 
-// photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures.
+struct PhotoSceneRequest {
+  PhotoSelection selection;
+  ImageSize size;  // of the pictures of the scene, which the models see
+  // Gives the models that see cameras (bundle_models.h), when they are needed; empty where there are none.
+  std::function<PipelineModels()> geometry;
+  torch::Device device = torch::kCPU;
+  int threads = 1;
+};
+
+// Records registration as one stage; or what the model takes as kPhotoCamerasStage and apart from it the fitting of
+// cameras to what it sees. Throws Error where nothing that the selection allows finds cameras.
+PhotoScene photo_scene(const std::vector<Photograph>& photographs, const PhotoSceneRequest& request,
+                       StageRecords& stages);
+
+// photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures and, where there
+// are any, the sparse points.
 void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenance& provenance);
 
 // For report.json.

@@ -3,6 +3,7 @@
 #include "datasets/formats/scene_reader.h"
 #include "gld/base/error.h"
 #include "gld/tensors/device.h"
+#include "gld/tensors/torch_version.h"
 #include "infer/forecast/memory_refusal.h"
 #include "infer/pipeline/bundle_models.h"
 #include "models/bundle/trained_views.h"
@@ -38,7 +39,7 @@ std::vector<std::string> unlike_training(const SamplingScene& scene, const Model
 }
 
 void check_lifting(const SampleOptions& options, const ModelBundle& geometry_model) {
-  const auto& head = geometry_model.options().dpt_head;
+  const auto& head = geometry_model.options().geometry_head;
   if (!options.requested().points || options.points.lifting != PointLifting::kPointMaps || !head.exists() ||
       head.architecture().predicts_points()) {
     return;
@@ -50,7 +51,7 @@ void check_lifting(const SampleOptions& options, const ModelBundle& geometry_mod
 
 // Only rays tell where depth and points belong. flag: what chose the model.
 void check_rays(const SampleOptions& options, const ModelBundle& geometry_model, const char* flag) {
-  if (!options.requested().needs_geometry() || geometry_model.options().dpt_head.predicts_rays()) return;
+  if (!options.requested().needs_geometry() || geometry_model.options().geometry_head.predicts_rays()) return;
   fail({flag, "image or latents of a model without a camera head",
         "depth, rays or points of " + geometry_model.folder().string() +
             ", whose VGGT heads have none for cameras",
@@ -67,7 +68,7 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
     return geometry_model;
   }
   check_lifting(options, bundle);
-  if (options.requested().needs_geometry() && !bundle.options().dpt_head.exists()) {
+  if (options.requested().needs_geometry() && !bundle.options().geometry_head.exists()) {
     fail(
         {"--outputs", "image or latents of a model without a geometry head",
          "depth, rays or points of " + options.model,
@@ -85,26 +86,20 @@ void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& pa
   }
 }
 
+bool sees_cameras(const ModelBundle& bundle) {
+  return bundle.options().geometry_head.exists() && bundle.options().geometry_head.predicts_rays();
+}
+
 void check_photo_model(const ModelBundle& bundle) {
-  if (!bundle.options().dpt_head.exists()) {
+  if (!bundle.options().geometry_head.exists()) {
     fail({"--photos", "a model with a geometry head, which sees the cameras", bundle.folder().string(),
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
   }
-  if (!bundle.options().dpt_head.predicts_rays()) {
+  if (!bundle.options().geometry_head.predicts_rays()) {
     fail({"--photos", "a model that sees cameras",
           bundle.folder().string() + ", whose VGGT heads have none for cameras",
           "add --geometry-model DIR with one that has, or let COLMAP find the cameras"});
   }
-}
-
-// View pairs are decided with the depth of the sources, which the model's own head sees in its own levels.
-void check_view_pairs(const SampleOptions& options, const ModelBundle& bundle, int64_t sources) {
-  const bool visible = options.method(bundle.options()).approximate.view_pairs == ViewPairs::kVisible;
-  if (!visible || sources < 2 || bundle.options().dpt_head.predicts_rays()) return;
-  fail({"--approximate.view-pairs",
-        bundle.options().dpt_head.exists() ? "all for a model without a camera head"
-                                           : "all for a model without a geometry head",
-        "visible", "leave it out"});
 }
 
 // Of photographs all are sources, and the targets lie between them, unless the options say otherwise.
@@ -115,6 +110,38 @@ void complete_for_photographs(ViewSelection& selection, int64_t photographs) {
   if (selection.targets.empty() && selection.path.path.empty()) {
     selection.path.path = photographs > 1 ? "spline" : "orbit";
   }
+}
+
+// Numbers of photographs become numbers of those that have a camera. Error where one that was chosen has none.
+void follow_registered(std::vector<FrameChoice>& chosen, const PreparedSampling& prepared, const char* flag) {
+  const auto& frames = prepared.found.frames;
+  for (FrameChoice& choice : chosen) {
+    const int64_t number = choice.number;
+    if (!choice.name.empty() || number < 0 || number >= static_cast<int64_t>(prepared.photographs.size()))
+      continue;
+    const std::string& name = prepared.photographs[static_cast<size_t>(number)].name;
+    const auto frame = std::find_if(frames.begin(), frames.end(),
+                                    [&](const Frame& candidate) { return candidate.name == name; });
+    if (frame == frames.end()) {
+      fail({flag, "photographs whose cameras were found",
+            fmt::format("{} ({}), which was left out", number, name),
+            "leave it out, or add photographs between it and the others"});
+    }
+    choice = FrameChoice(frame - frames.begin());
+  }
+}
+
+void leave_out_unregistered(PreparedSampling& prepared, const SampleOptions& options) {
+  if (prepared.found.frames.size() == prepared.photographs.size()) return;
+  if (options.views.sources.empty()) {
+    prepared.selection.sources.clear();
+    for (size_t i = 0; i < prepared.found.frames.size(); ++i) {
+      prepared.selection.sources.emplace_back(static_cast<int64_t>(i));
+    }
+  } else {
+    follow_registered(prepared.selection.sources, prepared, "--sources");
+  }
+  follow_registered(prepared.selection.targets, prepared, "--targets");
 }
 
 // The views with the cameras that are known now, and what is unusual about them.
@@ -142,8 +169,8 @@ PreparedSampling prepare(const SampleOptions& options) {
   if (options.photos.files.empty()) {
     prepared.found = open_scene(options.scene, options.reading);
   } else {
-    check_photo_model(prepared.camera_model());
     prepared.photographs = list_photographs(options.photos.files);
+    if (only_rays(options.photos, prepared.photographs.size())) check_photo_model(prepared.camera_model());
     prepared.found = scene_before_cameras(prepared.photographs);
   }
   const ImageSize size = choose_size(options.size, prepared.found, bundle.options().image_sizes(),
@@ -155,21 +182,27 @@ PreparedSampling prepare(const SampleOptions& options) {
     if (!path.empty()) refuse_orbit_options_of(options, path);
   }
   choose_views(prepared, size);
-  check_view_pairs(options, bundle, prepared.scene.views.num_sources);
   return prepared;
 }
 
 void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages) {
   const ImageSize size = prepared.scene.size;
-  prepared.photos =
-      photo_scene(prepared.photographs, options.photos.lens, size,
-                  bundle_models(prepared.camera_model(), prepared.device), prepared.device, stages);
+  PhotoSceneRequest request;
+  request.selection = options.photos;
+  request.size = size;
+  if (sees_cameras(prepared.camera_model())) {
+    request.geometry = [&] { return bundle_models(prepared.camera_model(), prepared.device); };
+  }
+  request.device = prepared.device;
+  request.threads = static_cast<int>(thread_count());
+  prepared.photos = photo_scene(prepared.photographs, request, stages);
   prepared.found = prepared.photos->scene;
+  leave_out_unregistered(prepared, options);
   // One photograph's axis meets no other, and few meet surely: the depth that was seen says how far what they look at
   // is.
   CameraPathOptions& path = prepared.selection.path;
   if (path.path == "orbit" && path.orbit_center.empty() && path.orbit_distance == 0) {
-    path.orbit_distance = prepared.photos->found.median_depth;
+    path.orbit_distance = prepared.photos->median_depth;
   }
   choose_views(prepared, size);
 }
@@ -181,10 +214,13 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
       prepared.bundle.options().backbone.grid_of(prepared.scene.views.size(), size.height, size.width);
   request.num_sources = prepared.scene.views.num_sources;
   request.outputs = options.requested();
+  request.photographs_used = photograph_use_of(options.photograph_use, prepared.bundle.options());
   if (prepared.geometry_model) {
     request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
   }
-  request.photographs = static_cast<int64_t>(prepared.photographs.size());
+  if (only_rays(options.photos, prepared.photographs.size())) {
+    request.photographs = static_cast<int64_t>(prepared.photographs.size());
+  }
   for (const Photograph& photograph : prepared.photographs) {
     request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
   }
@@ -195,19 +231,19 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
 
 std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const SampleOptions& options) {
   const BundleOptions& bundle = prepared.bundle.options();
-  PlanRequest request = plan_request(prepared, options);
-  request.flow.approximate = options.method(bundle).approximate;
-  const StageRequest stages = request.stage_request();
+  const StageRequest stages = plan_request(prepared, options).stage_request();
   auto parts = needed_parts(bundle, stages);
-  const std::vector<BundlePart> seeing{BundlePart::backbone(), BundlePart::dpt_head()};
+  const std::vector<BundlePart> seeing{BundlePart::backbone(), BundlePart::geometry_head()};
   if (prepared.geometry_model) {
-    // Its backbone and head look at the generated images; this bundle's head is asked for view pairs alone.
-    const auto head = std::find(parts.begin(), parts.end(), BundlePart::dpt_head());
+    // Its backbone and head look at the generated images; this bundle's head is asked for the sources' depth alone.
+    const auto head = std::find(parts.begin(), parts.end(), BundlePart::geometry_head());
     if (head != parts.end() && !uses_source_depth(bundle.level_set(), stages)) parts.erase(head);
     bundle_has_all(*prepared.geometry_model, seeing);
   }
   bundle_has_all(prepared.bundle, parts);
-  if (!prepared.photographs.empty()) bundle_has_all(prepared.camera_model(), seeing);
+  if (!prepared.photographs.empty() && sees_cameras(prepared.camera_model())) {
+    bundle_has_all(prepared.camera_model(), seeing);
+  }
   return parts;
 }
 
@@ -222,6 +258,9 @@ void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
             "leave it out, or choose sources that have depth"});
     }
   }
+  load_source_photographs(prepared.found, prepared.selection,
+                          options.size == kPhotographSize ? kLargestPhotographSide : kMatchedPhotographSide,
+                          loaded);
   loaded.warnings = std::move(prepared.scene.warnings);  // which are more
   prepared.scene = std::move(loaded);
 }
@@ -229,8 +268,7 @@ void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
 std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options) {
   if (!prepared.device.is_cpu()) return "";
   PlanRequest request = plan_request(prepared, options);
-  request.flow =
-      flow_settings(options.method(prepared.bundle.options()), options.guidance, prepared.bundle.options());
+  request.flow = flow_settings(options.method(), options.guidance, prepared.bundle.options());
   constexpr double kGigabyte = 1e9;
   const auto limit = options.memory_limit > 0 ? static_cast<int64_t>(options.memory_limit * kGigabyte)
                                               : available_memory_bytes();

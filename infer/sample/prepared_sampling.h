@@ -4,7 +4,7 @@
 #include "gld/machine/stage_record.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sample_options.h"
-#include "infer/pipeline/sampling_scene.h"
+#include "infer/request/sampling_scene.h"
 #include "infer/sample/photo_scene.h"
 #include "models/bundle/bundle.h"
 

@@ -7,7 +7,6 @@
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/base/printable_text.h"
-#include "gld/cameras/view_visibility.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -16,13 +15,14 @@
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/bundle_models.h"
-#include "infer/pipeline/scene_request.h"
-#include "infer/pipeline/visible_pairs.h"
+#include "infer/request/scene_request.h"
 #include "infer/sample/background_hash.h"
+#include "infer/sample/picture_verdict.h"
 #include "infer/sample/prepared_sampling.h"
 #include "infer/sample/sampling_outputs.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/part_lineage.h"
+#include "models/bundle/seen_scenes.h"
 
 #include <algorithm>
 #include <iostream>
@@ -42,6 +42,8 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
   PipelineRequest request = scene_request(scene, bundle, options.seed, device);
   request.flow = settings;
   request.savings = options.savings();
+  request.photographs = photograph_use_of(options.photograph_use, bundle);
+  request.all_latents = requested.latents;
   request.image_views = requested.image_views();
   request.geometry_views = requested.geometry_views();
   request.geometry_maps = requested.geometry_maps();
@@ -59,8 +61,6 @@ nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
                     {"function_evaluations", flow.evaluations},
                     {"rejected_steps", flow.rejected},
                     {"with_unconditional_branch", flow.guidance.unconditional},
-                    {"unconditional_dropped", flow.guidance.dropped},
-                    {"largest_neglected_guidance", flow.guidance.largest_neglected},
                     {"branches_together", flow.counts.batched},
                     {"branch_choice", flow.branches.reason},
                     {"condition_encoder_runs", flow.counts.condition_encoder},
@@ -74,8 +74,11 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
                              const std::string& model) {
   int64_t evaluations = 0;  // of a flow that was run now
   for (const auto& flow : result.flows) evaluations = std::max(evaluations, flow.evaluations);
-  return fmt::format("model {}, seed {}, {} evaluations a level, guidance {}", model, options.seed,
-                     evaluations, options.guidance.guidance_scale);
+  // None was: all levels were made before --resume.
+  const std::string solved =
+      evaluations > 0 ? fmt::format("{} evaluations a level", evaluations) : "levels of an interrupted run";
+  return fmt::format("model {}, seed {}, {}, guidance {}", model, options.seed, solved,
+                     options.guidance.guidance_scale);
 }
 
 // One progress line a flow-matching stage.
@@ -100,9 +103,7 @@ struct PlannedSampling {
   ChosenMethod choice;
   FlowSettings settings;
   SamplingPlan plan;
-  std::string speed_origin;  // of the machine's speed that the plan's times come from
-  // By the cameras alone, where they are known; the pipeline may find fewer pairs with the sources' depth.
-  std::optional<ViewVisibility> visibility;
+  KnownSpeed speed;  // that the plan's times come from
 };
 
 PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
@@ -110,16 +111,12 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   const BundleOptions& bundle = prepared.bundle.options();
   PlanRequest request = plan_request(prepared, options);
   PlannedSampling planned;
-  if (prepared.cameras_known()) {
-    planned.visibility = view_visibility(prepared.scene.views);
-    request.visible_share = planned.visibility->kept();
-  }
   const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
   planned.choice = choose_method(options, prepared.bundle, request, known.speed, model_hash);
   planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
   request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
-  planned.speed_origin = known.origin;
+  planned.speed = known;
   if (timing == PlanTiming::kMeasured) {
     measure_seconds(planned.plan, bundle, request, known.speed);
   } else {
@@ -128,10 +125,133 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   return planned;
 }
 
+// What was not computed because target views were left out of the flows: the plan's operations less those of a plan for
+// the others, or of flows and decoding where all were.
+double saved_flop(const PreparedSampling& prepared, const SampleOptions& options,
+                  const PlannedSampling& planned, const PipelineResult& result) {
+  const auto left_out = static_cast<int64_t>(result.carried_only.size());
+  if (left_out == 0) return 0;
+  const bool all = left_out == prepared.scene.views.num_targets();
+  PlanRequest request = plan_request(prepared, options);
+  request.flow = planned.settings;
+  if (!all) request.grid.views -= left_out;
+  const SamplingPlan rest = plan_sampling(prepared.bundle.options(), request);
+  const auto flop = [](const SamplingPlan& plan, bool generated) {
+    double sum = 0;
+    for (const PlannedStage& stage : plan.stages) {
+      const bool generates = stage.kind == StageKind::kFlow || stage.kind == StageKind::kPropagation ||
+                             stage.kind == StageKind::kRgbDecoding;
+      if (generates == generated) sum += stage.cost.flop();
+    }
+    return sum;
+  };
+  return flop(planned.plan, true) - (all ? 0 : flop(rest, true));
+}
+
 std::string planned_text(const PlannedSampling& planned) {
-  const bool some_pairs = planned.settings.approximate.view_pairs == ViewPairs::kVisible;
-  return choice_text(planned.choice) + plan_text(planned.plan) + planned.speed_origin + "\n" +
-         (some_pairs && planned.visibility ? view_visibility_text(*planned.visibility) : "");
+  return choice_text(planned.choice) + plan_text(planned.plan) + planned.speed.origin + "\n";
+}
+
+// What was made of the photographs beside showing them to the model: how far they agree on the depth of the source
+// views, and how much of each target view comes from them.
+nlohmann::ordered_json photographs_json(const SamplingScene& scene, const PipelineResult& result) {
+  nlohmann::ordered_json json;
+  if (result.stereo) {
+    auto confident = nlohmann::ordered_json::array();
+    for (const StereoDepth& view : result.stereo->views) confident.push_back(view.confident_share());
+    json["confident_depth"] = confident;
+    if (const auto& prior = result.stereo->prior; prior && prior->pixels > 0) {
+      json["prior"] = {{"pixels", prior->pixels}, {"scale", prior->scale}, {"spread", prior->spread}};
+    }
+  }
+  if (result.composed) {
+    auto kept = nlohmann::ordered_json::array();
+    for (int64_t target = 0; target < scene.views.num_targets(); ++target) {
+      kept.push_back({{"view", scene.view_names[static_cast<size_t>(scene.views.num_sources + target)]},
+                      {"share", result.composed->shown[target].mean().item<double>()}});
+    }
+    json["kept"] = kept;
+    auto carried = nlohmann::ordered_json::array();
+    for (const int64_t target : result.carried_only) {
+      carried.push_back(scene.view_names[static_cast<size_t>(scene.views.num_sources + target)]);
+    }
+    json["carried_only"] = carried;
+  }
+  return json;
+}
+
+// Names of target views, generated or not.
+std::string carried_names(const SamplingScene& scene, const PipelineResult& result, bool carried) {
+  std::string names;
+  for (int64_t target = 0; target < scene.views.num_targets(); ++target) {
+    const auto& only = result.carried_only;
+    if (carried != (std::find(only.begin(), only.end(), target) != only.end())) continue;
+    const auto& name = scene.view_names[static_cast<size_t>(scene.views.num_sources + target)];
+    names += (names.empty() ? "" : ", ") + printable_text(name);
+  }
+  return names.empty() ? "none" : names;
+}
+
+std::string photographs_text(const SamplingScene& scene, const PipelineResult& result, double saved_flop,
+                             double planned_flop) {
+  if (!result.composed) return "";
+  std::string text =
+      fmt::format("{:.0f} % of the target views come from the photographs, the rest is generated\n",
+                  100 * result.composed->shown.mean().item<double>());
+  if (!result.carried_only.empty()) {
+    text += fmt::format(
+        "carried, nothing generated: {}; generated: {}; that saved {:.0f} % of {:.3g} TFLOP (--generate-complete)\n",
+        carried_names(scene, result, true), carried_names(scene, result, false),
+        100 * saved_flop / planned_flop, planned_flop / 1e12);
+  }
+  return text;
+}
+
+// The source photographs as they are matched, with what the geometry head said of their depth.
+std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
+                                                    const PipelineResult& result) {
+  std::vector<PicturedView> views = scene.photographs.views;
+  for (size_t i = 0; i < std::min(views.size(), result.head_depth.size()); ++i) {
+    views[i].depth = result.head_depth[i];
+  }
+  LeaveOneOutOptions options;
+  options.stereo = use.stereo;
+  if (!views.empty()) options.block = views.front().width / scene.size.width;
+  KernelSettings settings;
+  settings.threads = static_cast<int>(thread_count());
+  return leave_one_out(views, scene.photographs.points_in_world, options, settings);
+}
+
+PictureEvidence verdict_evidence(const PreparedSampling& prepared, const PipelineResult& result) {
+  PictureEvidence evidence;
+  evidence.sources = prepared.scene.views.num_sources;
+  evidence.keeps_photographs = result.composed.has_value();
+  if (result.composed) evidence.kept = result.composed->shown.mean().item<double>();
+  if (result.stereo) evidence.prior = result.stereo->prior;
+  evidence.divergences = result.divergences;
+  const auto seen = read_seen_scenes(prepared.bundle);
+  if (!seen) return evidence;
+  evidence.drawn_rooms_only = seen->drawn;
+  for (const auto& part : prepared.bundle.options().generators) {
+    for (const SeenLevel& level : seen->levels) {
+      if (level.level == part.generator.level) evidence.usual.push_back(level);
+    }
+  }
+  return evidence;
+}
+
+// Words in lines of at most so many characters.
+std::vector<std::string> lines_of(const std::string& sentence, size_t most) {
+  std::vector<std::string> lines(1);
+  size_t begin = 0;
+  while (begin < sentence.size()) {
+    const size_t end = std::min(sentence.find(' ', begin), sentence.size());
+    const std::string word = sentence.substr(begin, end - begin);
+    if (!lines.back().empty() && lines.back().size() + 1 + word.size() > most) lines.emplace_back();
+    lines.back() += (lines.back().empty() ? "" : " ") + word;
+    begin = end + 1;
+  }
+  return lines;
 }
 
 // What a sampling was and came to.
@@ -141,6 +261,8 @@ struct FinishedSampling {
   const PipelineResult& result;
   const StageRecords& stages;
   std::string model_hash;
+  std::optional<PictureVerdict> verdict;  // of pictures: none where none were asked for
+  PictureEvidence evidence;
 };
 
 nlohmann::ordered_json sampling_report(const SampleOptions& options, const FinishedSampling& finished,
@@ -151,6 +273,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
   const SamplingScene& scene = prepared.scene;
   nlohmann::ordered_json report;
   report["command"] = "sample";
+  if (finished.verdict) report["verdict"] = verdict_json(*finished.verdict, finished.evidence);
   report["options"] = to_json(options);
   report["model"] = {
       {"folder", options.model}, {"name", prepared.bundle.options().name}, {"hash", finished.model_hash}};
@@ -171,7 +294,12 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, finished.stages.records());
   report["flows"] = flows_json(finished.result.flows);
-  if (finished.result.view_pairs) report["view_pairs"] = view_pairs_json(*finished.result.view_pairs);
+  if (auto photographs = photographs_json(scene, finished.result); !photographs.empty()) {
+    report["photographs"] = std::move(photographs);
+  }
+  if (const auto& left_out = finished.evidence.left_out; !left_out.empty()) {
+    report["leave_one_out"] = left_out_json(left_out, scene.view_names);
+  }
   for (const auto& [key, value] : findings.items()) report[key] = value;
   report["warnings"] = warnings;
   return report;
@@ -201,13 +329,14 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
   if (!problem.empty()) warnings.push_back(problem);
+  warnings.insert(warnings.end(), planned.speed.doubts.begin(), planned.speed.doubts.end());
   if (options.json) {
     const nlohmann::ordered_json report{{"scene", prepared.scene.name},
                                         {"sampling", choice_json(planned.choice)},
                                         {"plan", plan_json(planned.plan)},
                                         {"predicted_seconds", planned.plan.seconds()},
                                         {"predicted_peak_bytes", planned.plan.peak_bytes()},
-                                        {"rates", planned.speed_origin},
+                                        {"rates", planned.speed.origin},
                                         {"warnings", warnings}};
     return {json_text(report, 2) + "\n", warnings};
   }
@@ -264,9 +393,10 @@ void sample(const SampleOptions& options) {
   const UnfinishedLatents kept(run.path());
   // A method that is chosen by the machine's speed may be another one next time.
   const std::string method = json_text(to_json(planned.choice.method));
-  if (options.resume) request.kept_latents = kept.read({wait_for_hash(), method});
+  const std::string inputs = inputs_hash(scene);
+  if (options.resume) request.kept_latents = kept.read({wait_for_hash(), method, inputs});
   request.on_latent = [&](int64_t level, const torch::Tensor& latent) {
-    kept.write(level, latent, {hash->get(), method});  // inside a stage, which records no other one
+    kept.write(level, latent, {hash->get(), method, inputs});  // inside a stage, which records no other one
   };
   SamplingOutputs outputs(run, scene, requested, options, provenance);
   FlowProgress progress;
@@ -274,17 +404,29 @@ void sample(const SampleOptions& options) {
     progress.update(stage, solve);
   };
   // Every file names the model's hash.
-  request.on_images = [&](const torch::Tensor& images) {
+  request.on_images = [&](const torch::Tensor& images, const std::optional<ComposedViews>& composed) {
     wait_for_hash();
-    outputs.write_images(images);
+    outputs.write_images(images, composed);
   };
   PipelineModels models = bundle_models(bundle, prepared.device, planned.choice.method.precision);
   if (prepared.geometry_model) take_geometry_from(models, *prepared.geometry_model, prepared.device);
   const PipelineResult result = run_pipeline(models, request, stages);
   wait_for_hash();
+  PictureEvidence evidence = verdict_evidence(prepared, result);
+  const bool has_pictures = request.image_views != DecodedViews::kNone;
+  if (has_pictures && scene.views.num_sources > 1) {
+    stages.run("leave one out",
+               [&] { evidence.left_out = left_out_photographs(scene, request.photographs, result); });
+  }
+  std::optional<PictureVerdict> verdict;
+  if (has_pictures) verdict = verdict_of(evidence);
   stages.run("writing", [&] {
     if (prepared.photos) write_photo_scene(run, *prepared.photos, provenance);
-    outputs.write_rest(result, one_line_summary(options, result, bundle.options().name));
+    SheetText sheet;
+    constexpr size_t kLineOfSheet = 110;
+    if (verdict) sheet.verdict = lines_of(verdict->sentence, kLineOfSheet);
+    sheet.subtitle = one_line_summary(options, result, bundle.options().name);
+    outputs.write_rest(result, sheet);
   });
 
   std::vector<std::string> warnings = scene.warnings;
@@ -293,15 +435,25 @@ void sample(const SampleOptions& options) {
   add_new(warnings, result.warnings);
   add_new(warnings, outputs.warnings());
   print_warnings({warnings.begin() + printed, warnings.end()});
-  const auto report = sampling_report(options, {prepared, planned, result, stages, provenance.model_hash},
-                                      outputs.findings(), warnings);
+  const auto report =
+      sampling_report(options, {prepared, planned, result, stages, provenance.model_hash, verdict, evidence},
+                      outputs.findings(), warnings);
   run.write_report(report);
   kept.remove();
+  const bool all_computed = std::none_of(result.flows.begin(), result.flows.end(),
+                                         [](const FlowReport& flow) { return flow.kept; });
+  if (planned.speed.kept && all_computed && prepared.device.is_cpu()) {
+    learn_from_run(machine_rates_file(), present_rate_key(), timed_stages(planned.plan, stages.records()));
+  }
   run.note("report", "report.json");
   if (options.json) {
     std::cout << json_text(report, 2) << "\n";
   } else {
-    std::cout << actual_text(planned.plan, stages.records()) << outputs.scale_text() << run.closing_box();
+    std::cout << (verdict ? verdict->sentence + "\n" : "") << left_out_text(evidence.left_out)
+              << actual_text(planned.plan, stages.records()) << outputs.scale_text()
+              << photographs_text(scene, result, saved_flop(prepared, options, planned, result),
+                                  planned.plan.flop())
+              << run.closing_box();
   }
 }
 

@@ -1,11 +1,10 @@
 #include "infer/sample/sampling_outputs.h"
 
-#include "datasets/formats/cameras_json.h"
 #include "datasets/images/pfm_file.h"
 #include "datasets/loading/batching.h"
-#include "datasets/pictures/contact_sheet.h"
 #include "datasets/pictures/depth_preview.h"
 #include "gld/base/error.h"
+#include "gld/cameras/resized_camera.h"
 #include "gld/metrics/image_metrics.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/depth_export.h"
@@ -14,11 +13,14 @@
 #include "infer/export/point_cloud.h"
 #include "infer/export/ray_export.h"
 #include "infer/pipeline/placed_cloud.h"
+#include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/predicted_cameras.h"
+#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -38,14 +40,26 @@ SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
   first_geometry_view_ = requested.geometry_views() == DecodedViews::kAll ? 0 : scene.views.num_sources;
 }
 
-void SamplingOutputs::write_images(const torch::Tensor& images) {
+int64_t SamplingOutputs::magnification() const {
+  const auto& photographs = scene_.photographs.views;
+  return options_.size != kPhotographSize || photographs.empty()
+             ? 1
+             : photographs.front().width / scene_.size.width;
+}
+
+void SamplingOutputs::write_images(const torch::Tensor& images,
+                                   const std::optional<ComposedViews>& composed) {
   for (int64_t i = 0; i < images.size(0); ++i) images_.push_back(to_image(images[i]));
   compare_with_truth();
   if (!requested_.image) return;
   const auto folder = run_.subfolder("images");
+  const int64_t times = magnification();
+  torch::Tensor large;
+  if (times > 1) large = composed ? composed->large_images : enlarged(images, times);
   for (size_t i = 0; i < images_.size(); ++i) {
     const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
-    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), images_[i], provenance_);
+    export_image(folder / (view_name(view, scene_.views.size()) + ".png"),
+                 times > 1 ? to_image(large[static_cast<int64_t>(i)]) : images_[i], provenance_);
   }
   run_.note("images", "images");
 }
@@ -68,14 +82,14 @@ void SamplingOutputs::compare_with_truth() {
   if (!rows.empty()) findings_["against_truth"] = rows;
 }
 
-void SamplingOutputs::write_rest(const PipelineResult& result, const std::string& sheet_subtitle) {
+void SamplingOutputs::write_rest(const PipelineResult& result, const SheetText& sheet) {
   if (requested_.needs_rays()) place(result);
   if (requested_.needs_depth()) write_depth(result);
   if (requested_.rays) write_rays(result);
   if (requested_.points) write_points(result);
   if (requested_.latents) write_latents(result);
   write_cameras();
-  write_contact_sheet(sheet_subtitle);
+  write_contact_sheet(sheet);
 }
 
 void SamplingOutputs::write_depth(const PipelineResult& result) {
@@ -150,8 +164,9 @@ std::vector<Camera> SamplingOutputs::geometry_cameras() const {
 
 void SamplingOutputs::place(const PipelineResult& result) {
   const bool sources = first_geometry_view_ == 0;
-  placement_ = place_geometry(result.geometry, geometry_cameras(),
-                              sources ? scale_evidence(scene_, options_.scale_from) : ScaleEvidence());
+  placement_ =
+      place_geometry(result.geometry, geometry_cameras(),
+                     sources ? scale_evidence(scene_, options_.scale_from, result.stereo) : ScaleEvidence());
   if (placement_.predicted.empty()) {
     warnings_.push_back(fmt::format("No camera fits the predicted rays: {}", placement_.problem));
   } else {
@@ -189,6 +204,12 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
       point_cloud_of(result.geometry, placement_, geometry_cameras(), images, options_.points);
   export_ply(run_.path() / "points.ply", cloud, provenance_);
   const PointCounts& counts = cloud.counts;
+  if (cloud.size() == 0) {
+    warnings_.push_back(fmt::format(
+        "points.ply has no point: of {} pixels {} have no known depth, {} too little confidence, {} lie at edges of "
+        "depth, and {} are farther away than --far-limit lets them.",
+        counts.pixels, counts.unknown_depth, counts.low_confidence, counts.depth_edges, counts.too_far));
+  }
   const PointLifting lifting = lifting_of(placement_, options_.points);
   findings_["points"] = {{"written", cloud.size()},
                          {"lifted_by", point_lifting_names()[static_cast<size_t>(lifting)]},
@@ -209,13 +230,34 @@ void SamplingOutputs::write_latents(const PipelineResult& result) {
   run_.note("latents", "latents.safetensors");
 }
 
-void SamplingOutputs::write_cameras() {
-  // The sources as the model saw them, so that the run folder is a scene that every command reads.
+void SamplingOutputs::write_source_images() {
+  // As the model saw them, or as large as they are kept, so that the run folder is a scene that every command reads.
   const auto folder = run_.subfolder("sources");
   for (size_t view = 0; view < scene_.source_images.size(); ++view) {
-    export_image(folder / (view_name(static_cast<int64_t>(view), scene_.views.size()) + ".png"),
-                 scene_.source_images[view], provenance_);
+    const auto file = folder / (view_name(static_cast<int64_t>(view), scene_.views.size()) + ".png");
+    if (magnification() == 1) {
+      export_image(file, scene_.source_images[view], provenance_);
+      continue;
+    }
+    const PicturedView& photograph = scene_.photographs.views[view];
+    export_image(file, to_image(picture_of(photograph.rgb, photograph.width, photograph.height)),
+                 provenance_);
   }
+}
+
+CameraList SamplingOutputs::of_pictures(CameraList list) const {
+  const int64_t times = magnification();
+  for (CameraRecord& record : list.records) {
+    if (times == 1) break;
+    record.camera = resized_camera(record.camera, times * record.camera.width, times * record.camera.height);
+    record.depth.clear();
+    record.depth_unit = 0;
+  }
+  return list;
+}
+
+void SamplingOutputs::write_cameras() {
+  write_source_images();
   // Depth belongs to the cameras that it is written with: where it keeps the model's unit, to the model's.
   const bool of_model = requested_.needs_depth() && !placement_.scale;
   const std::vector<Camera> model_cameras =
@@ -241,16 +283,23 @@ void SamplingOutputs::write_cameras() {
     CameraList given = list;
     given.metric = scene_.metric;
     for (CameraRecord& record : given.records) record.depth.clear();
-    write_cameras_json(run_.path() / "given_cameras.json", given);
+    write_cameras_json(run_.path() / "given_cameras.json", of_pictures(given));
     run_.note("given cameras", "given_cameras.json");
     for (size_t view = 0; view < model_cameras.size(); ++view)
       list.records[view].camera = model_cameras[view];
   }
-  write_cameras_json(run_.path() / "cameras.json", list);
+  if (magnification() > 1 && with_depth) {
+    // Depth has the model's size, and a camera is of one.
+    CameraList of_depth = list;
+    for (CameraRecord& record : of_depth.records) record.image.clear();
+    write_cameras_json(run_.path() / "depth_cameras.json", of_depth);
+    run_.note("cameras of depth", "depth_cameras.json");
+  }
+  write_cameras_json(run_.path() / "cameras.json", of_pictures(std::move(list)));
   run_.note("cameras", "cameras.json");
 }
 
-void SamplingOutputs::write_contact_sheet(const std::string& subtitle) {
+void SamplingOutputs::write_contact_sheet(SheetText text) {
   const auto range = robust_depth_range(depths_);
   std::vector<SheetView> views;
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
@@ -274,9 +323,7 @@ void SamplingOutputs::write_contact_sheet(const std::string& subtitle) {
     }
     views.push_back(std::move(sheet));
   }
-  SheetText text;
   text.title = "gld sample, scene " + scene_.name;
-  text.subtitle = subtitle;
   text.depth_range = range;
   text.depth_unit = depth_unit_name();
   export_image(run_.path() / "contact_sheet.png", make_contact_sheet(views, text), provenance_);

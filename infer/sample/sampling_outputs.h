@@ -1,12 +1,16 @@
 #pragma once
 
+#include "datasets/formats/cameras_json.h"
+#include "datasets/pictures/contact_sheet.h"
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
 #include "infer/method/sample_options.h"
 #include "infer/pipeline/sampling_pipeline.h"
-#include "infer/pipeline/sampling_scene.h"
-#include "infer/pipeline/scale_evidence.h"
+#include "infer/request/sampling_scene.h"
+#include "infer/request/scale_evidence.h"
 
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,10 +25,12 @@ class SamplingOutputs {
   SamplingOutputs(RunFolder& run, const SamplingScene& scene, const RequestedOutputs& requested,
                   const SampleOptions& options, const Provenance& provenance);
 
-  // images/: the target views, (targets, 3, height, width). Keeps them for the sheet and the point cloud.
-  void write_images(const torch::Tensor& images);
+  // images/: the target views, (targets, 3, height, width), with --size photographs as large as these. Keeps them for
+  // the sheet and the point cloud.
+  void write_images(const torch::Tensor& images, const std::optional<ComposedViews>& composed);
   // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json and contact_sheet.png.
-  void write_rest(const PipelineResult& result, const std::string& sheet_subtitle);
+  // sheet: verdict and subtitle.
+  void write_rest(const PipelineResult& result, const SheetText& sheet);
 
   // What is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
@@ -39,7 +45,12 @@ class SamplingOutputs {
   void write_points(const PipelineResult& result);
   void write_latents(const PipelineResult& result);
   void write_cameras();
-  void write_contact_sheet(const std::string& subtitle);
+  void write_source_images();
+  // Cameras of the model's size as those of the pictures that are written, without depth where that has another size.
+  CameraList of_pictures(CameraList list) const;
+  // How many times as large as the model's the pictures are that are written.
+  int64_t magnification() const;
+  void write_contact_sheet(SheetText text);
   // Fills placement_, with what is unusual about it among the warnings.
   void place(const PipelineResult& result);
   std::vector<Camera> geometry_cameras() const;

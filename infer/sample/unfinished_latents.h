@@ -1,5 +1,7 @@
 #pragma once
 
+#include "infer/request/sampling_scene.h"
+
 #include <cstdint>
 #include <filesystem>
 #include <map>
@@ -19,10 +21,11 @@ class UnfinishedLatents {
   struct Origin {
     std::string model_hash;
     std::string method;  // its options as JSON
+    std::string inputs;  // inputs_hash()
   };
 
-  // As PipelineRequest::kept_latents takes them; those of another origin are not taken. Throws Error for a damaged
-  // file.
+  // As PipelineRequest::kept_latents takes them; those of another origin are not taken, nor damaged ones: their bytes
+  // are under a checksum. Their stages run again.
   std::map<int64_t, torch::Tensor> read(const Origin& origin) const;
   void write(int64_t level, const torch::Tensor& latent, const Origin& origin) const;
   // When everything that is made of them is written.
@@ -31,5 +34,9 @@ class UnfinishedLatents {
  private:
   std::filesystem::path folder_;
 };
+
+// SHA-256 of what a scene gives the pipeline: sizes, names, cameras, and the pixels and measured depth of the source
+// views.
+std::string inputs_hash(const SamplingScene& scene);
 
 }  // namespace gld

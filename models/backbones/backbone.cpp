@@ -46,7 +46,7 @@ Autoencoding Backbone::autoencode(const torch::Tensor& /*images*/,
         "train its RGB decoder with gld train decoder"});
 }
 
-torch::Tensor Backbone::carried_tokens(const torch::Tensor& first_source, int64_t level) const {
+torch::Tensor Backbone::leading_for_propagation(const torch::Tensor& first_source, int64_t level) const {
   const auto levels = encode(first_source, level);
   return levels.at(static_cast<size_t>(level)).narrow(1, 0, architecture().leading_tokens()).contiguous();
 }

@@ -36,13 +36,13 @@ class BackboneArchitecture : public OptionsGroup {
   virtual int64_t level_channels() const = 0;  // C
   // Tokens in front of the patch tokens of a level: class, camera and register tokens.
   virtual int64_t leading_tokens() const = 0;
-  // Rows of Backbone::carried_tokens: 1 where all views get the same leading tokens, 2 where the first view's are
-  // others.
-  virtual int64_t carried_rows() const { return 1; }
-  // Whether Backbone::carried_tokens runs the backbone once more, for so many source views: a source alone has been
-  // encoded alone already, and without leading tokens there are none to carry.
-  bool encodes_carried_tokens(int64_t num_sources) const {
-    return propagates() && leading_tokens() > 0 && (num_sources > 1 || carried_rows() > 1);
+  // Rows of Backbone::leading_for_propagation: 1 where all views get the same leading tokens, 2 where the first view's
+  // are others.
+  virtual int64_t leading_rows() const { return 1; }
+  // Whether Backbone::leading_for_propagation runs the backbone once more, for so many source views: a source alone has
+  // been encoded alone already, and a backbone without leading tokens has none to give.
+  bool encodes_leading(int64_t num_sources) const {
+    return propagates() && leading_tokens() > 0 && (num_sources > 1 || leading_rows() > 1);
   }
   // Whether Backbone::propagate makes deeper levels of a level.
   virtual bool propagates() const { return true; }
@@ -98,15 +98,15 @@ class Backbone : public torch::nn::Module {
   virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                             std::vector<AttentionTap>* taps) const = 0;
 
-  // The leading tokens that propagation from that level gives to the views, (carried_rows, leading tokens, C) raw, the
+  // The leading tokens that propagation from that level gives to the views, (leading_rows, leading tokens, C) raw, the
   // last row for all views that have none of their own: new views have no image to take them from, so they get those of
   // `first_source` (1, 3, height, width), RGB in [0, 1]; with one row, encoded alone.
-  virtual torch::Tensor carried_tokens(const torch::Tensor& first_source, int64_t level) const;
+  virtual torch::Tensor leading_for_propagation(const torch::Tensor& first_source, int64_t level) const;
 
   // Runs the blocks behind start.level. Returns levels start.level (as given) to the last.
   virtual std::vector<DecodableLevel> propagate(const PropagationStart& start) const = 0;
 
-  // (views, tokens, C) raw -> what the DPT head and the RGB decoder take.
+  // (views, tokens, C) raw -> what the geometry head and the RGB decoder take.
   virtual torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const = 0;
 
   // Of architectures with decodes_images(): (views, tokens, C), decodable -> images (views, 3, height, width), RGB in

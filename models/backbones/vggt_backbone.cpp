@@ -178,7 +178,7 @@ std::vector<torch::Tensor> VggtBackbone::encode(const torch::Tensor& images, int
   return run_pairs(tokens, 0, last_level, grid, taps);
 }
 
-torch::Tensor VggtBackbone::carried_tokens(const torch::Tensor& first_source, int64_t level) const {
+torch::Tensor VggtBackbone::leading_for_propagation(const torch::Tensor& first_source, int64_t level) const {
   const auto levels = encode(torch::cat({first_source, first_source}), level);
   return levels.at(static_cast<size_t>(level)).narrow(1, 0, options_.leading_tokens()).contiguous();
 }

@@ -45,7 +45,7 @@ struct VggtBackboneOptions : BackboneArchitecture {
   int64_t levels() const override { return static_cast<int64_t>(out_layers.size()); }
   int64_t level_channels() const override { return 2 * embed_dim; }
   int64_t leading_tokens() const override { return 1 + num_register_tokens; }  // camera, registers
-  int64_t carried_rows() const override { return 2; }
+  int64_t leading_rows() const override { return 2; }
   // Counted as they run: block 2 i is the frame block of pair i, block 2 i + 1 its global block.
   int64_t blocks() const override { return 2 * depth; }
   bool attends_over_views(int64_t block) const override { return block % 2 == 1; }
@@ -74,7 +74,7 @@ class VggtBackbone : public Backbone {
   using Backbone::encode;
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                     std::vector<AttentionTap>* taps) const override;
-  torch::Tensor carried_tokens(const torch::Tensor& first_source, int64_t level) const override;
+  torch::Tensor leading_for_propagation(const torch::Tensor& first_source, int64_t level) const override;
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
 

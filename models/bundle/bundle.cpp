@@ -64,7 +64,7 @@ void check_description(const BundleOptions& options, const std::filesystem::path
 
 std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
   std::vector<BundlePart> parts = {BundlePart::backbone()};
-  if (options.dpt_head.exists()) parts.push_back(BundlePart::dpt_head());
+  if (options.geometry_head.exists()) parts.push_back(BundlePart::geometry_head());
   if (options.has_rgb_decoder()) parts.push_back(BundlePart::rgb_decoder());
   std::vector<int64_t> levels, special;
   for (const auto& part : options.generators) {
@@ -83,7 +83,7 @@ std::string bundle_part_name(const BundlePart& part) {
   switch (part.kind) {
     case BundlePart::Kind::kBackbone:
       return "backbone";
-    case BundlePart::Kind::kDptHead:
+    case BundlePart::Kind::kGeometryHead:
       return "dpt_head";
     case BundlePart::Kind::kRgbDecoder:
       return "rgb_decoder";
@@ -102,8 +102,8 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, co
   switch (part.kind) {
     case BundlePart::Kind::kBackbone:
       return options.backbone.make(placement);
-    case BundlePart::Kind::kDptHead:
-      return options.dpt_head.make(placement);
+    case BundlePart::Kind::kGeometryHead:
+      return options.geometry_head.make(placement);
     case BundlePart::Kind::kRgbDecoder:
       return std::make_shared<RgbDecoder>(options.rgb_decoder, placement);
     case BundlePart::Kind::kGenerator:
@@ -171,8 +171,8 @@ std::shared_ptr<Backbone> ModelBundle::load_backbone(const ParameterPlacement& p
   return loaded(options_.backbone.make(placement), BundlePart::backbone());
 }
 
-std::shared_ptr<GeometryHead> ModelBundle::load_dpt_head(const ParameterPlacement& placement) const {
-  return loaded(options_.dpt_head.make(placement), BundlePart::dpt_head());
+std::shared_ptr<GeometryHead> ModelBundle::load_geometry_head(const ParameterPlacement& placement) const {
+  return loaded(options_.geometry_head.make(placement), BundlePart::geometry_head());
 }
 
 BundlePart ModelBundle::image_decoder_part() const {

@@ -20,13 +20,13 @@ namespace gld {
 // A file of a model bundle beside model.yaml. Each holds one module's tensors, under the module's own names, or a
 // level's statistics.
 struct BundlePart {
-  enum class Kind { kBackbone, kDptHead, kRgbDecoder, kGenerator, kStatistics, kSpecialStatistics };
+  enum class Kind { kBackbone, kGeometryHead, kRgbDecoder, kGenerator, kStatistics, kSpecialStatistics };
   Kind kind = Kind::kBackbone;
   LevelGenerator generator;  // of kGenerator
   int64_t level = 0;         // of kStatistics and kSpecialStatistics
 
   static BundlePart backbone() { return {}; }
-  static BundlePart dpt_head() { return {Kind::kDptHead, {}, 0}; }
+  static BundlePart geometry_head() { return {Kind::kGeometryHead, {}, 0}; }
   static BundlePart rgb_decoder() { return {Kind::kRgbDecoder, {}, 0}; }
   static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
   static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
@@ -68,7 +68,7 @@ class ModelBundle {
 
   // The module with its weights, in the placement's dtype whatever the file's is.
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
-  std::shared_ptr<GeometryHead> load_dpt_head(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
   // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
   std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;

@@ -86,7 +86,7 @@ void BundleOptions::set_generators(const std::vector<LevelGenerator>& wanted) {
 void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.text({"name", "name of the model"}, name);
   visitor.group({"backbone", "frozen backbone"}, backbone);
-  visitor.group({"dpt_head", "frozen geometry head"}, dpt_head);
+  visitor.group({"dpt_head", "frozen geometry head"}, geometry_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
   std::vector<std::string> texts;
   for (const auto& part : generators) texts.push_back(generator_text(part.generator));
@@ -148,7 +148,7 @@ GeneratorOptions& BundleOptions::generator(const LevelGenerator& generator) {
 
 bool BundleOptions::has_geometry() const {
   const auto set = level_set();
-  if (!dpt_head.exists()) return false;
+  if (!geometry_head.exists()) return false;
   for (int64_t level = 0; level < set.levels; ++level) {
     if (!set.knows(level)) return false;
   }
@@ -161,7 +161,7 @@ void BundleOptions::check() const {
   const LevelSet set = level_set();
   check_level_set(set);
   const std::string patches = "the backbone's patch size";
-  check_geometry_head(dpt_head, backbone);
+  check_geometry_head(geometry_head, backbone);
   if (has_rgb_decoder()) {
     const auto decoded = static_cast<int64_t>(set.decoded_levels().size());
     require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, decoded * channels,
@@ -169,7 +169,7 @@ void BundleOptions::check() const {
                                         : "the channels of the decoded levels together");
     require_equal("rgb_decoder.patch_size", rgb_decoder.patch_size, backbone.patch_side(), patches);
   }
-  if (set.warped_sources > 0 && !dpt_head.exists()) {
+  if (set.warped_sources > 0 && !geometry_head.exists()) {
     fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
           std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
   }
@@ -213,7 +213,7 @@ BundleOptions single_level_options(const std::string& name, const BackboneOption
   BundleOptions options;
   options.name = name;
   options.backbone = backbone;
-  options.dpt_head = GeometryHeadOptions::none();
+  options.geometry_head = GeometryHeadOptions::none();
   const int64_t deepest = backbone.levels() - 1, channels = backbone.level_channels();
   options.boundary_level = deepest;
   options.set_generators({level_model(deepest)});

@@ -41,7 +41,7 @@ struct GeneratorOptions {
 struct BundleOptions : OptionsGroup {
   std::string name = "unnamed";
   BackboneOptions backbone;
-  GeometryHeadOptions dpt_head;
+  GeometryHeadOptions geometry_head;
   RgbDecoderOptions rgb_decoder;
   std::vector<GeneratorOptions> generators;  // in the order of sampling
   int64_t boundary_level = 1;                // level that propagation starts from

@@ -1,10 +1,13 @@
 #include "models/bundle/conversion.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/atomic_folder.h"
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
+#include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
+#include "gld/base/run_journal.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/published_backbones.h"
 #include "models/weights/weight_loading.h"
@@ -93,9 +96,10 @@ std::vector<Source> sources_of(const ConversionOptions& options, const BundleOpt
     if (published.left_out) {
       for (auto& name : published.left_out(bundle)) source.ignored.push_back(std::move(name));
     }
-    SourcePart head = {BundlePart::dpt_head(), bundle.dpt_head.architecture().published_prefix(), {}};
+    SourcePart head = {
+        BundlePart::geometry_head(), bundle.geometry_head.architecture().published_prefix(), {}};
     if (head.prefix.empty()) head.ignored = {{backbone_prefix + "*", "the backbone, a part of its own"}};
-    if (bundle.dpt_head.exists()) source.parts.push_back(head);
+    if (bundle.geometry_head.exists()) source.parts.push_back(head);
     sources.push_back(std::move(source));
   }
   if (!options.rgb_decoder.empty()) {
@@ -299,14 +303,14 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
 void replace_head(const ConversionOptions& options, const BundleOptions& bundle, ordered_json& report) {
   const auto file = WeightFile::open(options.dpt_decoder);
   const auto there = ModelBundle::open(options.out);
-  if (const auto kind = bundle.dpt_head.architecture().kind(); kind != DptHeadOptions().kind()) {
+  if (const auto kind = bundle.geometry_head.architecture().kind(); kind != DptHeadOptions().kind()) {
     fail({options.dpt_decoder, "a model with DA3's head, of which it replaces tensors",
-          bundle.dpt_head.exists() ? "one with a head of type " + kind : "one without a geometry head",
+          bundle.geometry_head.exists() ? "one with a head of type " + kind : "one without a geometry head",
           "choose another --out or --description"});
   }
   std::map<std::string, torch::Tensor> tensors;
-  if (there.has(BundlePart::dpt_head())) {
-    const auto head = WeightFile::open(there.file(BundlePart::dpt_head()));
+  if (there.has(BundlePart::geometry_head())) {
+    const auto head = WeightFile::open(there.file(BundlePart::geometry_head()));
     for (const auto& entry : head->entries()) tensors[entry.name] = read_tensor(*head, entry).clone();
   }
   int64_t replaced = 0;
@@ -321,7 +325,7 @@ void replace_head(const ConversionOptions& options, const BundleOptions& bundle,
     fail({options.dpt_decoder, "tensors model.decoder.* or model.pred.*", "none",
           "give the release's dpt_decoder.pt"});
   }
-  auto part = convert_tensors(BundlePart::dpt_head(), tensors, options.dpt_decoder, options, bundle);
+  auto part = convert_tensors(BundlePart::geometry_head(), tensors, options.dpt_decoder, options, bundle);
   part["replaced"] = replaced;
   report["parts"]["dpt_head"] = std::move(part);
 }
@@ -362,6 +366,20 @@ void refuse_part_that_is_there(const ConversionOptions& options, const BundlePar
   if (options.overwrite || !std::filesystem::exists(file)) return;
   fail({file.string(), "no such part in the bundle yet", "one that is there",
         "choose another --out, or add --overwrite to replace it"});
+}
+
+// A bundle, or a folder with nothing but what killed conversions left.
+void refuse_other_folder(const std::filesystem::path& folder) {
+  if (RunJournal::find(folder)) {
+    fail({folder.string(), "a bundle, or a new or empty folder", "a run folder", "choose another --out"});
+  }
+  std::error_code none;
+  if (std::filesystem::exists(folder / "model.yaml", none)) return;
+  for (const auto& item : std::filesystem::directory_iterator(folder, none)) {
+    if (process_of_temporary_name(item.path().filename().string()) != 0) continue;
+    fail({folder.string(), "a bundle, or a new or empty folder",
+          "a folder with other files and no model.yaml", "choose another --out"});
+  }
 }
 
 // Files that a conversion makes in its folder: taken away again where it fails, so that the corrected command finds
@@ -442,9 +460,16 @@ void ConversionOptions::check() const {
     fail({"gld convert", "at least one file to convert", "none",
           "give --da3, --level1, ... (see gld convert --help)"});
   }
+  const auto files = backbone_files(*this);
+  for (const auto& file : files) {
+    if (file.published.kind == files.front().published.kind) continue;
+    fail({"--" + dashed_name(files.front().published.option) + ", --" + dashed_name(file.published.option),
+          "files of one backbone", "of two", "convert them into two folders"});
+  }
 }
 
 ordered_json convert(const ConversionOptions& options) {
+  refuse_other_folder(options.out);
   for (const auto& [published, path] : backbone_files(options)) {
     require_published(*WeightFile::open(path), published.option);
   }
@@ -457,6 +482,7 @@ ordered_json convert(const ConversionOptions& options) {
     if (!source.network.empty()) require_no_backbone(*file, source.network);
     for (const auto& part : source.parts) refuse_part_that_is_there(options, part.part);
   }
+  remove_abandoned_files(options.out);
   const MadeFiles made(options.out);
   try {
     return convert_files(options, bundle, sources);

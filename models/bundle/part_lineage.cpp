@@ -38,7 +38,7 @@ std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& 
   if (part.kind == BundlePart::Kind::kBackbone) return {};
   std::vector<BundlePart> parts = {BundlePart::backbone()};
   if (part.kind != BundlePart::Kind::kGenerator) return parts;
-  if (options.generator(part.generator).dit.warped_sources > 0) parts.push_back(BundlePart::dpt_head());
+  if (options.generator(part.generator).dit.warped_sources > 0) parts.push_back(BundlePart::geometry_head());
   std::vector<int64_t> levels = {part.generator.level};
   if (part.generator.is_cascade()) levels.push_back(*part.generator.deeper);
   for (const auto& statistics : bundle_parts(options)) {

@@ -52,8 +52,8 @@ constexpr const char* kNotInTheDescription = "a head that the model's descriptio
 std::vector<IgnoredName> vggt_heads_left_out(const BundleOptions& bundle) {
   VggtHeadsOptions none;
   none.point_head = none.camera_head = false;
-  const bool own = bundle.dpt_head.architecture().kind() == none.kind();
-  const auto& heads = own ? bundle.dpt_head.as<VggtHeadsOptions>() : none;
+  const bool own = bundle.geometry_head.architecture().kind() == none.kind();
+  const auto& heads = own ? bundle.geometry_head.as<VggtHeadsOptions>() : none;
   std::vector<IgnoredName> left_out;
   if (!own) left_out.push_back({"depth_head.*", kNotInTheDescription});
   if (!heads.point_head) left_out.push_back({"point_head.*", kNotInTheDescription});
@@ -62,8 +62,8 @@ std::vector<IgnoredName> vggt_heads_left_out(const BundleOptions& bundle) {
 }
 
 void require_vggt_heads(const WeightFile& file, const BundleOptions& bundle) {
-  if (bundle.dpt_head.architecture().kind() != VggtHeadsOptions().kind()) return;
-  const auto& heads = bundle.dpt_head.as<VggtHeadsOptions>();
+  if (bundle.geometry_head.architecture().kind() != VggtHeadsOptions().kind()) return;
+  const auto& heads = bundle.geometry_head.as<VggtHeadsOptions>();
   for (const auto& [head, wanted] : std::vector<std::pair<std::string, bool>>{
            {"depth_head", true}, {"point_head", heads.point_head}, {"camera_head", heads.camera_head}}) {
     if (!wanted || has_signature(file, head + ".")) continue;
@@ -202,7 +202,7 @@ BundleOptions released_vggt_options() {
   BundleOptions options;
   options.name = "GLD VGGT-1B, released";
   options.backbone = VggtBackboneOptions();
-  options.dpt_head = VggtHeadsOptions();
+  options.geometry_head = VggtHeadsOptions();
   const int64_t channels = options.backbone.level_channels();
   options.rgb_decoder.in_channels = options.backbone.levels() * channels;
   options.rgb_decoder.hidden_size = 1152;

@@ -101,7 +101,7 @@ BundleOptions small_bundle_options() {
   options.name = "small random model";
   apply_setting(options, fmt::format("backbone.embed_dim={}", kWidth));
   apply_setting(options, "backbone.num_heads=4");
-  auto& head = options.dpt_head.as<DptHeadOptions>();
+  auto& head = options.geometry_head.as<DptHeadOptions>();
   head.dim_in = 2 * kWidth;
   head.features = 32;
   head.out_channels = {24, 48, 96, 192};

@@ -23,7 +23,7 @@ struct GeometryOutput {
   torch::Tensor depth;             // (views, height, width), > 0, in units of the backbone's scene scale
   torch::Tensor depth_confidence;  // (views, height, width), >= 1
   torch::Tensor
-      rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/cameras/view_maps.h)
+      rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/photogrammetry/view_maps.h)
   torch::Tensor ray_confidence;  // (views, 8 grid height, 8 grid width), >= 1
   // Of heads that predict points apart from depth and cameras, with depth; undefined of others. In the frame of the
   // rays.

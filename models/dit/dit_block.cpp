@@ -83,7 +83,6 @@ std::vector<AttentionInputs> DitBlock::attention_inputs(const torch::Tensor& x,
       *tensor = tensor->narrow(0, pass, 1);
     }
     result.back().prope = context.passes[static_cast<size_t>(pass)].prope;
-    result.back().view_mask = context.passes[static_cast<size_t>(pass)].view_mask;
   }
   return result;
 }

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/attention/attention.h"
-#include "gld/cameras/prope.h"
+#include "gld/camera_encoding/prope.h"
 #include "models/layers/adaptive_norm.h"
 #include "models/layers/layer_precision.h"
 #include "models/layers/layers.h"
@@ -26,7 +26,6 @@ struct DitBlockSizes {
 // How the views of one pass (models/dit/dit_scene.h) attend to each other.
 struct DitPassAttention {
   const PropeTables* prope = nullptr;
-  torch::Tensor view_mask;  // which view pairs attend (gld/attention/attention.h); every pair when undefined
   AttentionTap* tap = nullptr;  // filled by forward(), where it is given
 };
 

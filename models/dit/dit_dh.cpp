@@ -71,12 +71,12 @@ void check_passes(const DitPasses& passes) {
 }
 
 // lambda(t) of DitDh's comment, and lambda(t) / t, which vanishes with t too.
-struct CarriedWeights {
+struct GuessWeights {
   double share = 0;
   double share_over_time = 0;
 };
 
-CarriedWeights weights_of_carried(double time, double error) {
+GuessWeights weights_of_guess(double time, double error) {
   const double of_both = time * time + error * (1 - time) * (1 - time);
   return {time * time / of_both, time / of_both};
 }
@@ -119,7 +119,7 @@ DitDh::DitDh(const DitOptions& options, const ParameterPlacement& placement) : o
             placement));
   }
   if (options_.carried_error > 0) {
-    carried_gate_ = register_module(
+    guess_gate_ = register_module(
         "carried_gate",
         std::make_shared<Linear>(LinearSizes{options_.warped_sources, 1, true, 1, LinearPacking::kNever},
                                  placement));
@@ -259,8 +259,7 @@ torch::Tensor DitDh::run_blocks(const std::vector<std::shared_ptr<DitBlock>>& bl
   };
   std::vector<DitPassAttention> attention;
   for (size_t i = 0; i < passes.size(); ++i) {
-    attention.push_back({in_decoder ? &cameras[i].decoder_prope : &cameras[i].encoder_prope,
-                         passes[i].scene->view_mask, nullptr});
+    attention.push_back({in_decoder ? &cameras[i].decoder_prope : &cameras[i].encoder_prope, nullptr});
   }
   if (activation_storage_ == ActivationStorage::kKeep || !torch::GradMode::is_enabled()) {
     for (size_t i = 0; i < blocks.size(); ++i) {
@@ -332,32 +331,32 @@ torch::Tensor DitDh::velocity_features(const DitPasses& passes, const DitNoisyTo
   auto x = pass_tokens(tokens.decoder, cameras, &DitBranchCameras::decoder_embedding);
   const std::vector<Modulation> modulations(decoder_blocks_.size(), modulation);
   x = run_blocks(decoder_blocks_, x, passes, cameras, modulations);
-  return with_carried(passes, by_storage(
-                                  [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
-                                    return final_layer_->features(tokens, {{}, activation});
-                                  },
-                                  x, modulation.activation));
+  return with_first_guess(passes, by_storage(
+                                      [this](const torch::Tensor& tokens, const torch::Tensor& activation) {
+                                        return final_layer_->features(tokens, {{}, activation});
+                                      },
+                                      x, modulation.activation));
 }
 
-torch::Tensor DitDh::with_carried(const DitPasses& passes, const torch::Tensor& features) const {
-  if (!carried_gate_) return features;
+torch::Tensor DitDh::with_first_guess(const DitPasses& passes, const torch::Tensor& features) const {
+  if (!guess_gate_) return features;
   const int64_t views = passes.front().scene->grid.views, tokens = features.size(1);
   const auto plain = features.options().requires_grad(false);
-  std::vector<torch::Tensor> own_shares, carried;
+  std::vector<torch::Tensor> own_shares, guesses;
   for (const DitPass& pass : passes) {
-    if (pass.branch == DitBranch::kUnconditional || !pass.scene->carried_trust.defined()) {
+    if (pass.branch == DitBranch::kUnconditional || !pass.scene->guess_trust.defined()) {
       own_shares.push_back(torch::ones({views, tokens, 1}, plain));
-      carried.push_back(torch::zeros({views, tokens, options_.in_channels}, plain));
+      guesses.push_back(torch::zeros({views, tokens, options_.in_channels}, plain));
       continue;
     }
-    const auto weights = weights_of_carried(pass.time->time, options_.carried_error);
+    const auto weights = weights_of_guess(pass.time->time, options_.carried_error);
     const bool of_data = options_.prediction == FlowPrediction::kData;
-    own_shares.push_back(1 - pass.scene->carried_trust * weights.share);
-    carried.push_back(pass.scene->carried_trust * (of_data ? weights.share : weights.share_over_time) *
-                      pass.scene->carried_features);
+    own_shares.push_back(1 - pass.scene->guess_trust * weights.share);
+    guesses.push_back(pass.scene->guess_trust * (of_data ? weights.share : weights.share_over_time) *
+                      pass.scene->guess_features);
   }
   const auto own = torch::cat(own_shares);
-  return torch::cat({features * own, own, torch::cat(carried)}, 2);
+  return torch::cat({features * own, own, torch::cat(guesses)}, 2);
 }
 
 torch::Tensor DitDh::output_of(const torch::Tensor& features) const {
@@ -373,17 +372,16 @@ torch::Tensor DitDh::velocity_from_features(const torch::Tensor& features, const
                                             double time) const {
   const bool of_data = options_.prediction == FlowPrediction::kData;
   torch::Tensor output;
-  if (!carried_gate_) {
+  if (!guess_gate_) {
     output = output_of(features);
   } else {
     const int64_t width = options_.decoder_width();
     const auto own = features.narrow(2, width, 1),
-               carried = features.narrow(2, width + 1, options_.in_channels);
+               guess = features.narrow(2, width + 1, options_.in_channels);
     // The layer adds its whole bias; only the network's share of it counts (1 for special tokens).
     output = output_of(features.narrow(2, 0, width).contiguous()) + (own - 1) * final_layer_->bias();
-    constexpr double kSmallestTime = 1e-12;  // where the share of what was carried is 0
-    output =
-        of_data ? output + carried : output + (1 - own) / std::max(time, kSmallestTime) * noisy - carried;
+    constexpr double kSmallestTime = 1e-12;  // where the share of the guess is 0
+    output = of_data ? output + guess : output + (1 - own) / std::max(time, kSmallestTime) * noisy - guess;
   }
   if (!of_data) return output;
   // x_t = (1 - t) data + t noise, so that v = noise - data = (x_t - data) / t.

@@ -29,7 +29,7 @@ enum class ActivationStorage { kKeep, kRecompute };
 // An evaluation takes passes (DitPasses): scenes x branches of guidance. Views attend within their pass; all else is
 // one product over the tokens of all. One scene in one branch is the case of one.
 //
-// Carried features (DitOptions::carried_error): the sources' features w that were carried into a target view are a
+// First guess (DitOptions::carried_error): the sources' features w that were carried into a target view are a
 // first guess of its data x, with errors of variance s^2 where photographs agree. x_t = (1 - t) x + t noise is another
 // one, of variance (t / (1 - t))^2, and the best linear mixture of both rests on w by
 //   lambda(t) = t^2 / (t^2 + s^2 (1 - t)^2).
@@ -65,13 +65,13 @@ class DitDh : public torch::nn::Module {
   // of each pass, or of one that all share (the branches of one scene).
   torch::Tensor condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const;
   // What the last linear layer gets, (passes * views, tokens, decoder width), from the condition of each pass; with
-  // carried_error what with_carried() makes of it.
+  // carried_error what with_first_guess() makes of it.
   torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
                                   const torch::Tensor& condition) const;
   // For models with carried_error, others as they are: features scaled by 1 - m, and behind them 1 - m and m w (of a
   // predicted velocity m w / t), (passes * views, tokens, decoder width + 1 + channels), in which the mixture is
   // linear, so that branches can be mixed as features are.
-  torch::Tensor with_carried(const DitPasses& passes, const torch::Tensor& features) const;
+  torch::Tensor with_first_guess(const DitPasses& passes, const torch::Tensor& features) const;
   // The last linear layer, which is affine in the features: (views, tokens, channels). noisy, the latent at that time,
   // is where the velocity of a model that predicts the data starts from; branches mixed before need it once.
   torch::Tensor velocity_from_features(const torch::Tensor& features, const torch::Tensor& noisy,
@@ -109,7 +109,7 @@ class DitDh : public torch::nn::Module {
   // Patch tokens of the target views with zeros for source views and special tokens.
   torch::Tensor for_all_views(const DitScene& scene, const torch::Tensor& target_patches) const;
   void fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
-  void fill_carried(DitScene& scene) const;
+  void fill_first_guess(DitScene& scene) const;
   void check_warp(const DitScene& scene, const DitSceneInputs& inputs) const;
   PropeTables prope_tables(const DitScene& scene, DitBranch branch, int64_t head_dim) const;
   void fill_prope(const DitScene& scene, DitBranch branch, DitBranchCameras& cameras) const;
@@ -131,7 +131,7 @@ class DitDh : public torch::nn::Module {
   std::shared_ptr<TimeEmbedding> time_embedding_;
   std::shared_ptr<PatchEmbed> camera_embedder_;
   std::shared_ptr<PatchEmbed> warp_embedder_;   // null without warped_sources
-  std::shared_ptr<Linear> carried_gate_;        // null without carried_error
+  std::shared_ptr<Linear> guess_gate_;          // null without carried_error
   std::shared_ptr<Linear> special_projection_;  // null without special tokens
   std::shared_ptr<DitFinalLayer> final_layer_;
   std::vector<std::shared_ptr<DitBlock>> encoder_blocks_, decoder_blocks_;

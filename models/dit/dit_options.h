@@ -1,8 +1,8 @@
 #pragma once
 
 #include "gld/base/options.h"
-#include "gld/cameras/camera_conditioning.h"
-#include "gld/cameras/prope.h"
+#include "gld/camera_encoding/camera_conditioning.h"
+#include "gld/camera_encoding/prope.h"
 #include "gld/cameras/relative_cameras.h"
 
 #include <cstdint>
@@ -52,7 +52,7 @@ struct DitOptions : OptionsGroup {
   // published.
   int64_t warped_sources = 0;
   // Mean squared error of those features where the photographs agree, in units of the latent's variance: the
-  // prediction of the data then begins at them (DitDh, "carried features"); 0: they are embedded and no more.
+  // prediction of the data then begins at them (DitDh, "First guess"); 0: they are embedded and no more.
   double carried_error = 0;
 
   void visit(FieldVisitor& visitor) override;

@@ -43,15 +43,6 @@ void set_no_warp(DitSceneInputs& inputs, const DitOptions& options) {
   inputs.warped_features = torch::zeros({targets, patches, options.in_channels});
 }
 
-void set_warp(DitSceneInputs& inputs, const DitOptions& options, const torch::Tensor& agreement,
-              const torch::Tensor& features) {
-  inputs.warp_agreement = inputs.warped_features = torch::Tensor();
-  set_no_warp(inputs, options);
-  if (options.warped_sources == 0 || !features.defined()) return;
-  inputs.warp_agreement = agreement.narrow(1, 0, options.warped_sources);
-  inputs.warped_features = features;
-}
-
 void DitDh::check_latent(const DitScene& scene, const torch::Tensor& latent, const std::string& name,
                          int64_t views) const {
   const int64_t tokens = tokens_per_view(scene.grid);
@@ -110,8 +101,8 @@ void DitDh::fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCa
   part = embedding;
   cameras.embedded = true;
   // Where something was carried to tells the cameras, which the unconditional branch must not know.
-  const bool carried = options_.warped_sources > 0 && scene.cameras.views.num_targets() > 0;
-  if (!carried || branch == DitBranch::kUnconditional) return;
+  const bool warps = options_.warped_sources > 0 && scene.cameras.views.num_targets() > 0;
+  if (!warps || branch == DitBranch::kUnconditional) return;
   const auto add = [&](torch::Tensor& sum, const torch::Tensor& target_patches) {
     const auto all = for_all_views(scene, target_patches);
     sum = sum.defined() ? sum + all : all;
@@ -123,16 +114,16 @@ void DitDh::fill_embeddings(const DitScene& scene, DitBranch branch, DitBranchCa
   add(cameras.decoder_embedding, decoder_embedder_->target_features(features));
 }
 
-void DitDh::fill_carried(DitScene& scene) const {
-  if (!carried_gate_ || scene.cameras.views.num_targets() == 0) return;
+void DitDh::fill_first_guess(DitScene& scene) const {
+  if (!guess_gate_ || scene.cameras.views.num_targets() == 0) return;
   const auto agreement = scene.warp_agreement.to(tensor_options());
   const auto by_token = [&](const torch::Tensor& of_pixels) {
     return torch::avg_pool2d(of_pixels, options_.camera_patch_size).flatten(2).transpose(1, 2);
   };
   const auto trust = by_token(agreement.amax(1, /*keepdim=*/true)) *
-                     torch::sigmoid(carried_gate_->forward(by_token(agreement).contiguous()));
-  scene.carried_trust = for_all_views(scene, trust);
-  scene.carried_features = for_all_views(scene, scene.warped_features.to(tensor_options()));
+                     torch::sigmoid(guess_gate_->forward(by_token(agreement).contiguous()));
+  scene.guess_trust = for_all_views(scene, trust);
+  scene.guess_features = for_all_views(scene, scene.warped_features.to(tensor_options()));
 }
 
 void DitDh::check_warp(const DitScene& scene, const DitSceneInputs& inputs) const {
@@ -194,7 +185,6 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   scene.grid = grid_of(inputs.views, options_.camera_patch_size);
   constexpr int64_t kLastView = -1;
   scene.cameras = relative_cameras(inputs.views, kLastView, options_.translation_unit);
-  scene.view_mask = inputs.view_mask;
   check_warp(scene, inputs);
   scene.warp_agreement = inputs.warp_agreement;
   scene.warped_features = inputs.warped_features;
@@ -212,7 +202,7 @@ DitScene DitDh::prepare_scene(const DitSceneInputs& inputs, const ExactSavings& 
   } else if (inputs.deeper_level.defined()) {
     fail({"deeper level", "none, for a model with conditioning: none", "one", "use a cascade model"});
   }
-  fill_carried(scene);
+  fill_first_guess(scene);
   for (const DitBranch branch : {DitBranch::kConditional, DitBranch::kUnconditional}) {
     auto& cameras = scene.branches[static_cast<size_t>(branch)];
     if (savings.camera_embedding_once) fill_embeddings(scene, branch, cameras);

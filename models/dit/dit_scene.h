@@ -1,8 +1,8 @@
 #pragma once
 
 #include "gld/attention/attention.h"
+#include "gld/camera_encoding/prope.h"
 #include "gld/cameras/camera.h"
-#include "gld/cameras/prope.h"
 #include "gld/cameras/relative_cameras.h"
 #include "models/dit/dit_options.h"
 #include "models/dit/exact_savings.h"
@@ -29,18 +29,10 @@ struct DitSceneInputs {
   // And normalised features of all of them as one picture, encoded beside the source views; they stand where a source
   // view has its source features. (target views, patch tokens, channels). Both zero where nothing is known.
   torch::Tensor warped_features;
-  // Which view pairs attend (gld/attention/attention.h); every pair when undefined.
-  torch::Tensor view_mask;
 };
 
 // Nothing known of what is carried into target views: zeros; nothing at all for a model that takes none.
 void set_no_warp(DitSceneInputs& inputs, const DitOptions& options);
-
-// What is carried into target views: agreement of at least warped_sources photographs a view, of which the first are
-// taken, and their features, normalised. Undefined where nothing is known: zeros; nothing at all for a model that
-// takes none.
-void set_warp(DitSceneInputs& inputs, const DitOptions& options, const torch::Tensor& agreement,
-              const torch::Tensor& features);
 
 enum class DitBranch { kConditional, kUnconditional };
 
@@ -68,9 +60,8 @@ struct DitScene {
   torch::Tensor warped_features;  // (target views, patch tokens, channels); likewise
   // With carried_error: the same for all tokens of all views, zero where nothing is carried, and how far they are to be
   // trusted, (views, tokens, 1) from 0 to 1.
-  torch::Tensor carried_features;
-  torch::Tensor carried_trust;
-  torch::Tensor view_mask;
+  torch::Tensor guess_features;
+  torch::Tensor guess_trust;
   std::array<DitBranchCameras, 2> branches;  // by DitBranch
   // Parts of the embedders' sums, (views, tokens, width); undefined where a switched-off saving leaves them to
   // every evaluation.

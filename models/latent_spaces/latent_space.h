@@ -1,24 +1,16 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
+#include "models/backbones/backbone.h"
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include <torch/types.h>
 
 namespace gld {
-
-// What source views say to the generation of the others.
-struct SourceLatents {
-  LatentGrid grid;  // of the source views
-  // Raw features of levels 0, 1, ..., (sources, leading + patch tokens, C).
-  std::vector<torch::Tensor> levels;
-  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw
-  // (Backbone::carried_tokens).
-  torch::Tensor carried;
-};
 
 // Levels as decoders take them.
 struct CompletedLevels {
@@ -28,38 +20,45 @@ struct CompletedLevels {
   torch::Tensor leading;
 };
 
-// What encode_sources has to make.
-struct SourceEncoding {
-  int64_t deepest = 0;  // level
-  bool carried = true;  // whether views will be propagated
-};
-
-// What flow models generate and decoders get. The latent of a level is what is generated of it, normalised with the
-// level's statistics (gld/latents/level_statistics.h): its patch tokens, with the leading tokens in front of them where
-// the model generates those too. A pipeline, a trainer, statistics, the planner and the forecast ask this; none holds a
-// level's number.
+// What flow models generate and decoders get: the levels of a frozen backbone, be it a geometric foundation model,
+// another network of image features or an autoencoder, whose one level is its latent. The latent of a level is what is
+// generated of it, normalised with the level's statistics (gld/latents/level_statistics.h): its patch tokens, with the
+// leading tokens in front of them where the model generates those too. A pipeline, a trainer, statistics, the planner
+// and the forecast ask this; none holds a level's number.
+//
+// The boundary level goes through the remaining blocks, which gives the levels behind it (docs/DESIGN.md section 4,
+// "Propagation"); backbones that propagate none have the deepest level as their boundary.
 class LatentSpace {
  public:
-  virtual ~LatentSpace() = default;
+  // boundary: level that propagation starts from. Error where the backbone has none of that number.
+  LatentSpace(std::shared_ptr<const Backbone> backbone, int64_t boundary);
 
-  virtual int64_t levels() const = 0;
-  virtual int64_t leading_tokens() const = 0;
+  int64_t levels() const { return backbone_->architecture().levels(); }
+  int64_t leading_tokens() const { return backbone_->architecture().leading_tokens(); }
   // Of an image; Error unless both sides are whole patches.
-  virtual LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const = 0;
+  LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const;
 
   // images: (views, 3, height, width), RGB in [0, 1], encoded together. Levels 0..deepest, raw, (views, leading + patch
   // tokens, C).
-  virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t deepest) const = 0;
-  // The same of the source views alone, and what is carried over to new views.
-  virtual SourceLatents encode_sources(const torch::Tensor& images, const SourceEncoding& wanted) const = 0;
+  std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t deepest) const;
+
+  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw
+  // (Backbone::leading_for_propagation). source_images as for encode; encoded: their levels where these are there
+  // already, which say it where a source view was encoded alone.
+  torch::Tensor leading_for_propagation(const torch::Tensor& source_images,
+                                        const std::vector<torch::Tensor>& encoded = {}) const;
 
   // Raw levels as decoders take them, (views, patch tokens, C).
-  virtual torch::Tensor decodable(const torch::Tensor& raw_level) const = 0;
+  torch::Tensor decodable(const torch::Tensor& raw_level) const;
   // All levels as decoders take them. generated: raw levels by number, (views, patch tokens, C), or with leading tokens
-  // in front; those behind the boundary level are propagated from it, with `carried` in front where it has patch tokens
+  // in front; those behind the boundary level are propagated from it, with `leading` in front where it has patch tokens
   // only. A level that is neither is undefined.
-  virtual CompletedLevels complete(const std::map<int64_t, torch::Tensor>& generated,
-                                   const torch::Tensor& carried, const LatentGrid& grid) const = 0;
+  CompletedLevels complete(const std::map<int64_t, torch::Tensor>& generated, const torch::Tensor& leading,
+                           const LatentGrid& grid) const;
+
+ private:
+  std::shared_ptr<const Backbone> backbone_;
+  int64_t boundary_;
 };
 
 // Of a raw level, what a generator with that many special tokens generates: none, or all leading tokens of the level.

@@ -6,11 +6,11 @@ namespace gld {
 
 LayerPrecision layer_precision(ComputePrecision asked, ModelKind kind) {
   LayerPrecision precision;
-  if (kind == ModelKind::kGeometry) return precision;
+  if (kind == ModelKind::kLeanedOn) return precision;
   const bool int8 = asked == ComputePrecision::kInt8;
   const auto beside_int8 =
       has_matrix_unit(ComputePrecision::kBFloat16) ? ComputePrecision::kBFloat16 : ComputePrecision::kFloat32;
-  precision.linear = int8 && kind == ModelKind::kBackboneOrDecoder ? beside_int8 : asked;
+  precision.linear = int8 && kind == ModelKind::kRunOnce ? beside_int8 : asked;
   precision.attention = int8                                   ? beside_int8
                         : asked == ComputePrecision::kBFloat16 ? ComputePrecision::kBFloat16
                                                                : ComputePrecision::kFloat32;

@@ -17,14 +17,20 @@ struct LayerPrecision {
   PackedOriginals originals = PackedOriginals::kKeep;
 };
 
-// Which parts of a model are asked what to compute in.
-enum class ModelKind { kGenerator, kBackboneOrDecoder, kGeometry };
+// Which models are asked what to compute in, by what their error does.
+enum class ModelKind {
+  kGenerator,  // of latents: runs at every evaluation of a flow
+  // Runs once, and its error stays where it arises: decoders of images, and a reference case's backbone.
+  kRunOnce,
+  // Runs once, and what follows leans on it: heads for depth, rays and points, and the backbones of sampling, whose
+  // features these read.
+  kLeanedOn,
+};
 
 // The one place that says which layers run in which precision. Of the precision that was asked for:
-//   linear layers of blocks    that precision; of decoders (and of backbones that are asked as such) bfloat16 in the place
-//                              of int8, float32 where the processor has no unit for it: they are run once, which is a
-//                              hundredth of a scene's time
-//   kGeometry                  float32: heads for depth, rays and points, and what sampling takes their features from
+//   linear layers of blocks    that precision; of kRunOnce bfloat16 in the place of int8, float32 where the processor has
+//                              no unit for it: it is a hundredth of a scene's time
+//   kLeanedOn                  float32
 //   attention                  bfloat16 for bfloat16 and int8 where the processor has a unit for it; else float32
 //   LinearPacking::kNever      float32: embeddings of patches, of special tokens and of the flow time, last layers
 //   all else                   float32: softmax, norms, residual stream, camera encoding, convolutions
@@ -46,7 +52,7 @@ class PrecisionLayer {
 class AttentionPrecisionLayer : public PrecisionLayer {
  public:
   void use_precision(const LayerPrecision& precision) override { attention_precision_ = precision.attention; }
-  // In bfloat16 where linear layers are; bfloat16x3 is for nearly float32, and attention has no such kernels.
+  // In bfloat16 where linear layers are.
   bool learn_in(ComputePrecision precision) override;
 
  protected:
@@ -58,7 +64,7 @@ class AttentionPrecisionLayer : public PrecisionLayer {
 // again.
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision);
 
-// What a model is trained in from now on: float32, bfloat16 or bfloat16x3 (gld/tensors/learning_product.h). Linear
+// What a model is trained in from now on: float32 or bfloat16 (gld/tensors/learning_product.h). Linear
 // layers of blocks follow it, and attention in bfloat16. What stays float32 above does so here. Weights and their
 // gradients are float32.
 // Returns how many layers that are.

@@ -1,10 +1,11 @@
 #include "models/scene_geometry/geometry_placement.h"
 
 #include "gld/base/error.h"
-#include "gld/cameras/photo_consistency.h"
-#include "gld/cameras/scale_from_known_depth.h"
+#include "gld/photogrammetry/photo_consistency.h"
+#include "gld/photogrammetry/scale_from_known_depth.h"
 #include "models/scene_geometry/predicted_cameras.h"
 
+#include <limits>
 #include <utility>
 
 #include <fmt/format.h>
@@ -56,19 +57,40 @@ std::vector<DepthScale> estimates_from_depth(const GeometryOutput& geometry, con
   const auto add = [&](const std::optional<DepthScale>& estimate) {
     if (estimate) estimates.push_back(*estimate);
   };
-  if (evidence.photographs.defined() && evidence.photographs.size(0) > 1) {
+  if (!evidence.matched_depth.empty()) {
+    add(scale_from_measured_depth(depth_views(geometry, given), evidence.matched_depth, "photographs"));
+  } else if (evidence.photographs.defined() && evidence.photographs.size(0) > 1) {
     add(scale_from_photographs(geometry, given, evidence.photographs));
   }
   if (!evidence.points_in_world.empty()) {
     add(scale_from_sparse_points(depth_views(geometry, given), evidence.points_in_world));
   }
   if (!evidence.source_depth.empty()) {
-    add(scale_from_measured_depth(depth_views(geometry, given), evidence.source_depth));
+    add(scale_from_measured_depth(depth_views(geometry, given), evidence.source_depth, "source_depth"));
   }
   return estimates;
 }
 
 }  // namespace
+
+std::vector<PlanarDepth> confident_depth(const StereoScene& stereo) {
+  // With fewer, and by chance all in one corner, photographs are asked at all scales instead.
+  constexpr double kLeastShare = 0.02;
+  double share = 0;
+  for (const StereoDepth& view : stereo.views)
+    share += view.confident_share() / static_cast<double>(stereo.views.size());
+  std::vector<PlanarDepth> result;
+  if (share < kLeastShare) return result;
+  for (const StereoDepth& view : stereo.views) {
+    PlanarDepth depth = view.depth;
+    for (size_t i = 0; i < depth.values.size(); ++i) {
+      if (view.confidence.values[i] < kConfidentStereo)
+        depth.values[i] = std::numeric_limits<float>::quiet_NaN();
+    }
+    result.push_back(std::move(depth));
+  }
+  return result;
+}
 
 Similarity GeometryPlacement::scene_from_model() const {
   if (!alignment) return {};

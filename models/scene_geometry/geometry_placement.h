@@ -1,9 +1,10 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
-#include "gld/cameras/depth_scale.h"
 #include "gld/cameras/pose_alignment.h"
-#include "gld/cameras/view_visibility.h"
+#include "gld/photogrammetry/depth_scale.h"
+#include "gld/photogrammetry/planar_depth.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
 #include "models/decoders/geometry_head.h"
 
 #include <optional>
@@ -22,10 +23,17 @@ struct ScaleEvidence {
   // (photographs, 3, height, width) in [0, 1], of the first views: they match where the scale is right. Pictures that
   // were generated do not, to a pixel, so they are no evidence.
   torch::Tensor photographs;
+  // What the photographs of the first views agree on under the cameras, in the scene's unit, where they are
+  // confident and not a number elsewhere; an empty map for a view without. Stands for `photographs`, which are not
+  // asked then.
+  std::vector<PlanarDepth> matched_depth;
   std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
   // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
   std::vector<PlanarDepth> source_depth;
 };
+
+// matched_depth of what photographs were matched for: nothing where they are too seldom confident to tell a scale.
+std::vector<PlanarDepth> confident_depth(const StereoScene& stereo);
 
 // Where the geometry model's predictions lie in the scene. The model has a frame and a scale of its own; its predicted
 // rays tell where it thinks the cameras are, the given cameras where they are.

@@ -1,8 +1,8 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
-#include "gld/cameras/pose_from_rays.h"
-#include "gld/cameras/view_maps.h"
+#include "gld/photogrammetry/pose_from_rays.h"
+#include "gld/photogrammetry/view_maps.h"
 #include "models/decoders/geometry_head.h"
 
 #include <vector>
@@ -18,10 +18,10 @@ RayMap to_ray_map(const torch::Tensor& rays);
 // (height, width, 3) of any type and device.
 PointMap to_point_map(const torch::Tensor& points);
 
-// The cameras that fit the DPT head's rays best, one a view of geometry.rays: where the model thinks the views stand,
-// in its own frame and unit. given are the views' cameras in the scene; their sizes and principal points are kept,
-// since cropping may leave a principal point anywhere. Throws Error when no camera fits one of them, or there is not
-// one given camera a view.
+// The cameras that fit the geometry head's rays best, one a view of geometry.rays: where the model thinks the views
+// stand, in its own frame and unit. given are the views' cameras in the scene; their sizes and principal points are
+// kept, since cropping may leave a principal point anywhere. Throws Error when no camera fits one of them, or there is
+// not one given camera a view.
 std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const std::vector<Camera>& given);
 
 }  // namespace gld

@@ -1,11 +1,14 @@
 #include "models/scene_geometry/source_warp.h"
 
-#include "gld/cameras/picture_warp.h"
+#include "gld/base/error.h"
 #include "gld/cameras/relative_cameras.h"
+#include "gld/photogrammetry/picture_warp.h"
 #include "models/scene_geometry/geometry_placement.h"
+#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <string>
 #include <utility>
 #include <vector>
@@ -15,13 +18,10 @@
 namespace gld {
 namespace {
 
-std::vector<float> numbers_of(const torch::Tensor& tensor) {
-  const auto values = tensor.to(torch::kCPU, torch::kFloat32).contiguous();
-  const float* first = values.data_ptr<float>();
-  return {first, first + values.numel()};
-}
-
-double median(std::vector<float> values) {
+// Of the depths that are known: at least one.
+double median_depth(const PlanarDepth& depth) {
+  std::vector<float> values;
+  std::copy_if(depth.values.begin(), depth.values.end(), std::back_inserter(values), PlanarDepth::known);
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
@@ -33,7 +33,9 @@ torch::Tensor reduced_photographs(const torch::Tensor& photographs) {
   constexpr int64_t kLargestSide = 64;
   const int64_t factor =
       (std::max(photographs.size(2), photographs.size(3)) + kLargestSide - 1) / kLargestSide;
-  return factor <= 1 ? photographs : torch::avg_pool2d(photographs, factor);
+  return factor <= 1 ? photographs
+                     : torch::avg_pool2d(photographs, {std::min(factor, photographs.size(-2)),
+                                                       std::min(factor, photographs.size(-1))});
 }
 
 // A carried picture with how far it is to be trusted: the less the nearer its camera stood (in median depths: an error
@@ -56,7 +58,7 @@ std::vector<RankedPicture> ranked_pictures(std::vector<CarriedPicture> pictures,
     const double apart =
         (source.world_from_camera.translation() - target.world_from_camera.translation()).norm();
     constexpr double kNoParallax = 0.1;
-    carried.rank = (apart / median(sources[i].depth.values) + kNoParallax) / share;
+    carried.rank = (apart / median_depth(sources[i].depth) + kNoParallax) / share;
     ranked.push_back(std::move(carried));
   }
   std::stable_sort(ranked.begin(), ranked.end(),
@@ -65,9 +67,7 @@ std::vector<RankedPicture> ranked_pictures(std::vector<CarriedPicture> pictures,
 }
 
 torch::Tensor colours_of(const CarriedPicture& carried) {
-  return torch::tensor(at::ArrayRef<float>(carried.rgb), torch::kFloat32)
-      .view({carried.height, carried.width, 3})
-      .permute({2, 0, 1});
+  return picture_of(carried.rgb, carried.width, carried.height);
 }
 
 // How far a picture agrees with the mean of all at each pixel, (height, width): exp(-mean distance of the colours /
@@ -103,19 +103,24 @@ std::string unknown_unit(const GeometryPlacement& placement) {
          (placement.problem.empty() ? estimates_text(placement.estimates) : placement.problem) + ")";
 }
 
-// Source views with their depth in the unit of the scene's cameras.
-std::vector<PicturedView> pictured_sources(const Views& views, const torch::Tensor& source_images,
-                                           const GeometryOutput& source_geometry, double scale) {
+// Source views with their depth. Without photographs they have no colours.
+std::vector<PicturedView> pictured_sources(const Views& views, const SourceDepth& depth,
+                                           const torch::Tensor& photographs = {}) {
   const auto given = source_cameras(views);
+  if (depth.views.size() != given.size()) {
+    fail({"depth of the source views", "a map for each of " + std::to_string(given.size()) + " source views",
+          std::to_string(depth.views.size()), "give as many"});
+  }
   std::vector<PicturedView> sources;
   for (int64_t i = 0; i < views.num_sources; ++i) {
     PicturedView source;
     source.camera = given[static_cast<size_t>(i)];
-    const auto depth = source_geometry.depth[i];
-    source.depth = {depth.size(1), depth.size(0), numbers_of(depth.to(torch::kFloat64) * scale)};
-    source.width = source_images.size(3);
-    source.height = source_images.size(2);
-    source.rgb = numbers_of(source_images[i].permute({1, 2, 0}));
+    source.depth = depth.views[static_cast<size_t>(i)];
+    if (photographs.defined()) {
+      source.width = photographs.size(3);
+      source.height = photographs.size(2);
+      source.rgb = pixels_of(photographs[i]);
+    }
     sources.push_back(std::move(source));
   }
   return sources;
@@ -129,24 +134,38 @@ SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& 
 
 }  // namespace
 
-GeometryInputs geometry_inputs(const LatentSpace& space, const SourceLatents& sources) {
-  GeometryInputs inputs;
-  for (const auto& level : sources.levels) inputs.levels.push_back(space.decodable(level));
-  inputs.leading = sources.levels.back().narrow(1, 0, space.leading_tokens()).contiguous();
-  return inputs;
+SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
+                                 const GeometryOutput& source_geometry) {
+  SourceDepth depth;
+  depth.from = "geometry head";
+  if (views.num_sources < 2) {
+    depth.doubt = kOneSource;
+    return depth;
+  }
+  const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
+  if (!placement.scale) {
+    depth.doubt = unknown_unit(placement);
+    return depth;
+  }
+  for (int64_t i = 0; i < views.num_sources; ++i) {
+    const auto map = source_geometry.depth[i];
+    depth.views.push_back(
+        {map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * placement.scale->scale)});
+  }
+  return depth;
 }
 
-SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
-                        const GeometryOutput& source_geometry, int64_t count) {
-  if (views.num_sources < 2) return no_source_warp(views, count, kOneSource);
-  const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
-  if (!placement.scale) return no_source_warp(views, count, unknown_unit(placement));
-  const auto sources = pictured_sources(views, source_images, source_geometry, placement.scale->scale);
+SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images, const SourceDepth& depth,
+                        int64_t count) {
+  if (!depth.known()) return no_source_warp(views, count, depth.doubt);
+  const auto sources = pictured_sources(views, depth, source_images);
   SourceWarp warp = no_source_warp(views, count, "");
   std::vector<torch::Tensor> completed;
   for (int64_t target = 0; target < views.num_targets(); ++target) {
     const Camera& camera = views.cameras[static_cast<size_t>(views.num_sources + target)];
-    auto pictures = carry_pictures(sources, camera);
+    CarryOptions carry;
+    carry.depth_reach = depth.reach;
+    auto pictures = carry_pictures(sources, camera, carry);
     completed.push_back(colours_of(completed_picture(pictures)));
     const auto ranked = ranked_pictures(std::move(pictures), camera, sources);
     const auto kept = std::min(count, static_cast<int64_t>(ranked.size()));
@@ -158,12 +177,9 @@ SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
   return warp;
 }
 
-NearestSourceDepth nearest_source_depth(const Views& views, const torch::Tensor& source_images,
-                                        const GeometryOutput& source_geometry) {
-  if (views.num_sources < 2) return {{}, kOneSource};
-  const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
-  if (!placement.scale) return {{}, unknown_unit(placement)};
-  const auto sources = pictured_sources(views, source_images, source_geometry, placement.scale->scale);
+NearestSourceDepth nearest_source_depth(const Views& views, const SourceDepth& depth) {
+  if (!depth.known()) return {{}, depth.doubt};
+  const auto sources = pictured_sources(views, depth);
   std::vector<torch::Tensor> depths;
   for (int64_t target = views.num_sources; target < views.size(); ++target) {
     const auto seen = depth_seen_from(sources[static_cast<size_t>(nearest_source(views, target))],
@@ -171,18 +187,6 @@ NearestSourceDepth nearest_source_depth(const Views& views, const torch::Tensor&
     depths.push_back(torch::tensor(at::ArrayRef<float>(seen.values)).view({seen.height, seen.width}));
   }
   return {torch::stack(depths), {}};
-}
-
-CarriedSources carry_sources(const LatentSpace& space, const Views& views, const torch::Tensor& source_images,
-                             const GeometryOutput& source_geometry, const CarriedSourcesNeeds& needs) {
-  const SourceWarp warp = warp_sources(views, source_images, source_geometry, needs.warped_sources);
-  if (!warp.completed.defined()) return {{}, {}, warp.doubt};
-  CarriedSources carried{warp.agreement, {}, warp.doubt};
-  const auto pictures = torch::cat({source_images, warp.completed.to(source_images.options())});
-  for (const auto& level : space.encode(pictures, needs.deepest)) {
-    carried.levels.push_back(level.slice(0, source_images.size(0)).slice(1, space.leading_tokens()));
-  }
-  return carried;
 }
 
 }  // namespace gld

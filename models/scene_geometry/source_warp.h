@@ -1,12 +1,11 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
+#include "gld/photogrammetry/source_depth.h"
 #include "models/decoders/geometry_head.h"
-#include "models/latent_spaces/latent_space.h"
 
 #include <cstdint>
 #include <string>
-#include <vector>
 
 #include <torch/types.h>
 
@@ -25,44 +24,25 @@ struct SourceWarp {
   std::string doubt;  // why nothing was carried; empty where something was
 };
 
-// What the geometry head takes of source views that were encoded up to the last level.
-GeometryInputs geometry_inputs(const LatentSpace& space, const SourceLatents& sources);
+// What a geometry head says of the source views alone, brought to the unit of the cameras by its rays, or where they
+// leave it open by the photographs (geometry_placement.h). Not known where these do not tell it either, as with one
+// source: a guess carries photographs to wrong places, and as depth moves to where they agree, agreement does not show
+// it. source_geometry: depth and rays, (sources, height, width ...); source_images: (sources, 3, height, width) in
+// [0, 1].
+SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
+                                 const GeometryOutput& source_geometry);
 
-// source_geometry: depth and rays of the source views alone, (sources, height, width ...); source_images: (sources, 3,
-// height, width) in [0, 1]. Depth is brought to the unit of the cameras by the rays, or where they leave it open by
-// the photographs (geometry_placement.h); where they do not tell it either, as with one source, nothing is carried: a
-// guess carries photographs to wrong places, and as depth moves to where they agree, agreement does not show it.
-SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images,
-                        const GeometryOutput& source_geometry, int64_t count);
+// source_images as above. Nothing is carried where the depth is not known.
+SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images, const SourceDepth& depth,
+                        int64_t count);
 
-// The depth of each target view as that of the source whose camera stands nearest says (gld/cameras/picture_warp.h,
-// depth_seen_from()), in the scene's unit, (target views, height, width); undefined where the unit is not known, and
-// then why. What else as for warp_sources.
+// The depth of each target view as that of the source whose camera stands nearest says
+// (gld/photogrammetry/picture_warp.h, depth_seen_from()), in the scene's unit, (target views, height, width);
+// undefined where it is not known, and then why.
 struct NearestSourceDepth {
   torch::Tensor depth;
   std::string doubt;
 };
-NearestSourceDepth nearest_source_depth(const Views& views, const torch::Tensor& source_images,
-                                        const GeometryOutput& source_geometry);
-
-// What the generators of a scene are shown of its source photographs in the target views.
-struct CarriedSources {
-  torch::Tensor agreement;  // SourceWarp's; undefined where nothing was carried
-  // Patch tokens of levels 0 to the deepest that was asked for, as the backbone sees the completed pictures beside the
-  // source photographs, (target views, patch tokens, C), raw; none where nothing was carried.
-  std::vector<torch::Tensor> levels;
-  std::string doubt;  // SourceWarp's
-};
-
-// How much of it the generators take.
-struct CarriedSourcesNeeds {
-  int64_t warped_sources = 0;  // the most that one of them takes
-  int64_t deepest = 0;         // level
-};
-
-// Carries, and encodes what was carried. source_images: (sources, 3, height, width) in [0, 1] on the device of the
-// space's backbone; source_geometry as for warp_sources.
-CarriedSources carry_sources(const LatentSpace& space, const Views& views, const torch::Tensor& source_images,
-                             const GeometryOutput& source_geometry, const CarriedSourcesNeeds& needs);
+NearestSourceDepth nearest_source_depth(const Views& views, const SourceDepth& depth);
 
 }  // namespace gld

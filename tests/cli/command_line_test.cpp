@@ -67,6 +67,20 @@ class CommandLine : public testing::Test {
   std::string output_text_;
 };
 
+// As of a shell's variable that is not set: the default may be something else altogether, drawn rooms for scenes.
+TEST_F(CommandLine, RefusesAnEmptyValue) {
+  for (const char* flag : {"--sources", "--frame-count"}) {
+    EXPECT_EQ(run({"paint", "a.png", flag, ""}), 2);
+    EXPECT_EQ(error_text_,
+              std::string("error: ") + flag +
+                  ": expected a value, found an empty text; leave it out for the default, or write --set "
+                  "KEY=\"\" or KEY=[].\n");
+  }
+  EXPECT_EQ(run({"paint", "a.png", "--sources="}), 2);
+  EXPECT_EQ(run({"paint", "a.png", "--set", "sources="}), 2);
+  EXPECT_EQ(run({"paint", "a.png", "--set", "sources=[]"}), 0);
+}
+
 TEST_F(CommandLine, FlagsSettingsAndArguments) {
   EXPECT_EQ(run({"paint", "a.png", "--frame-count", "7", "--sources", "0,3", "--json", "--offset", "-0.5",
                  "--scale=2", "b.png"}),

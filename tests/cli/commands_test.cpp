@@ -3,6 +3,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "tests/cli/runnable_commands.h"
 #include "tests/support/data_folders.h"
 #include "train/stages/feature_stages.h"
 
@@ -17,18 +18,7 @@
 namespace gld {
 namespace {
 
-void collect(const std::vector<Command>& commands, std::vector<Command>& runnable) {
-  for (const auto& command : commands) {
-    if (command.subcommands.empty()) runnable.push_back(command);
-    collect(command.subcommands, runnable);
-  }
-}
-
-std::vector<Command> runnable_commands() {
-  std::vector<Command> runnable;
-  collect(all_commands(), runnable);
-  return runnable;
-}
+using test::runnable_commands;
 
 int quietly(const std::vector<std::string>& arguments) {
   testing::internal::CaptureStdout();
@@ -50,10 +40,14 @@ std::vector<std::string> words_of(const Command& command) {
 TEST(Commands, ReadTheConfigurationsOfRecordedRuns) {
   const auto runnable = runnable_commands();
   const std::string before = "# gld ", behind = ": the options of this run";
+  // Their figures are why what they measured is gone: view pairs left out, and the two sampling benchmarks before one.
+  const std::set<std::string> of_what_is_gone{"full_size_walk_visible", "sample_plan",
+                                              "sample_plan_fresh_rooms"};
   int read = 0;
   for (const char* folder : {"docs/measured", "configs/tiny"}) {
     for (const auto& item : std::filesystem::recursive_directory_iterator(test::source_root() / folder)) {
       if (item.path().filename() != "config.yaml") continue;
+      if (of_what_is_gone.count(item.path().parent_path().filename().string()) > 0) continue;
       const std::string text = read_file(item.path());
       ASSERT_EQ(text.rfind(before, 0), 0U) << item.path();
       const std::string name = text.substr(before.size(), text.find(behind) - before.size());

@@ -9,16 +9,16 @@
 namespace gld {
 namespace {
 
-struct Outcome {
+struct VerifyOutcome {
   int status = 0;
   std::string output;
 };
 
-Outcome run_verify(const std::vector<std::string>& arguments) {
+VerifyOutcome run_verify(const std::vector<std::string>& arguments) {
   std::vector<std::string> words = {"verify"};
   words.insert(words.end(), arguments.begin(), arguments.end());
   testing::internal::CaptureStdout();
-  Outcome outcome;
+  VerifyOutcome outcome;
   outcome.status = run_command_line({make_verify_command()}, words);
   outcome.output = testing::internal::GetCapturedStdout();
   return outcome;

@@ -1,10 +1,13 @@
 #include "cli/convert_command.h"
 #include "cli/inspect_command.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/run_journal.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/bundle.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/temporary_folder.h"
 
+#include <filesystem>
 #include <string>
 #include <vector>
 
@@ -12,6 +15,7 @@
 
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <unistd.h>
 
 namespace gld {
 namespace {
@@ -72,6 +76,32 @@ TEST(WeightCommands, ConvertReports) {
             std::string::npos);
   EXPECT_EQ(ModelBundle::open(out).load_statistics(cascade(1, 0)).patches.channels(), 1536);
   EXPECT_NE(run({"convert", "--out", out}).status, 0);
+}
+
+// Neither a run's folder nor one with anything else becomes a bundle; what a killed conversion left goes.
+TEST(WeightCommands, ConvertWritesIntoBundlesAlone) {
+  const test::TemporaryFolder folder;
+  const std::string level0 = test::test_data() / "stats/da3/normalization_stats_level0.pt";
+  const auto convert = [&](const std::filesystem::path& out) {
+    return run({"convert", "--statistics-level0", level0, "--out", out.string()});
+  };
+  const auto run_folder = folder.path() / "run", other = folder.path() / "other",
+             killed = folder.path() / "killed";
+  for (const auto& path : {run_folder, other, killed}) std::filesystem::create_directory(path);
+  { const RunJournal journal(run_folder); }
+  write_file_atomically(other / "photo.jpg", "x");
+  EXPECT_EQ(convert(run_folder).errors,
+            "error: " + run_folder.string() +
+                ": expected a bundle, or a new or empty folder, found a run folder; "
+                "choose another --out.\n");
+  EXPECT_EQ(convert(other).errors,
+            "error: " + other.string() +
+                ": expected a bundle, or a new or empty folder, found a folder with other "
+                "files and no model.yaml; choose another --out.\n");
+  const auto left = killed / (".level1.partial-" + std::to_string(::getpid()) + "-0.safetensors");
+  write_file_atomically(left, "half");
+  EXPECT_EQ(convert(killed).status, 0);
+  EXPECT_FALSE(std::filesystem::exists(left));
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-# The check of citations passes on this tree, and refuses a document, a section and a heading that are not there.
+# The check of citations passes on this tree, and refuses a document, a section, a heading, a file and a link that are not there.
 # cmake -DROOT=tree -DSCRATCH=folder -P check_citations_test.cmake
 execute_process(COMMAND ${CMAKE_COMMAND} -P ${ROOT}/cmake/check_citations.cmake RESULT_VARIABLE status ERROR_VARIABLE errors)
 if(status)
@@ -8,8 +8,15 @@ endif()
 file(REMOVE_RECURSE ${SCRATCH})
 file(MAKE_DIRECTORY ${SCRATCH}/docs)
 file(WRITE ${SCRATCH}/docs/DESIGN.md "# Title\n\n## 4. Facts\n\n### Latent statistics\n")
+# What a source, or another FILE, says.
 function(check text expected)
-  file(WRITE ${SCRATCH}/gld/base/a.h "${text}")
+  file(REMOVE ${SCRATCH}/README.md)
+  file(WRITE ${SCRATCH}/gld/base/a.h "// DESIGN.md\n")
+  set(file gld/base/a.h)
+  if(ARGC GREATER 2)
+    set(file ${ARGV2})
+  endif()
+  file(WRITE ${SCRATCH}/${file} "${text}")
   execute_process(COMMAND ${CMAKE_COMMAND} -DROOT=${SCRATCH} -P ${ROOT}/cmake/check_citations.cmake
     RESULT_VARIABLE status ERROR_VARIABLE errors OUTPUT_QUIET)
   if(expected STREQUAL "" AND status)
@@ -22,3 +29,9 @@ check("// DESIGN.md section 4, \"Latent\n// statistics\"\n" "")
 check("// DESIGN.md section 5\n" "section 5")
 check("// DESIGN.md section 4, \"Backbone\"\n" "\"Backbone\"")
 check("// HOUSE.md\n" "HOUSE.md")
+check("// DESIGN.md section 4; see gld/base/a.h\n" "")
+check("// DESIGN.md section 4; flags in gld/CMakeLists.txt\n" "found gld/CMakeLists.txt")
+check("It stands in `gld/base/a.h` ([facts](docs/DESIGN.md)).\n" "" README.md)
+check("It stands in `gld/base/b.h`.\n" "README.md: expected a file of the tree, found gld/base/b.h" README.md)
+check("[Facts](docs/NOTES.md)\n" "found docs/NOTES.md" README.md)
+check("A file [beside it](NOTES.md), [no file](https://example.org)\n" "found NOTES.md" README.md)

@@ -143,7 +143,7 @@ void read_as_npy(const uint8_t* data, size_t size) {
     }
     const auto array = parse_npy({data, size}, kWhere);
     array.to_floats();
-    array.to_integers(kWhere);
+    array.to_doubles();
     npy_text(array);
   } catch (const Error&) {
     return;

@@ -1,10 +1,10 @@
 // The full reference cases of the shared data; tests/data/reference_cases holds small ones of every kind.
-#include "cli/reference_training.h"
 #include "gld/files/weight_file.h"
 #include "gld/tensors/weight_tensors.h"
-#include "infer/verify/verification.h"
 #include "models/decoders/rgb_decoder.h"
 #include "tests/support/data_folders.h"
+#include "verify/reference_runners.h"
+#include "verify/verification.h"
 
 #include <filesystem>
 #include <set>
@@ -21,7 +21,7 @@ namespace {
 class SharedCases : public testing::TestWithParam<std::string> {};
 
 TEST_P(SharedCases, EveryTensorIsWithinItsTolerance) {
-  const auto result = verify_case(test::shared_data() / "goldens" / GetParam(), all_reference_runners());
+  const auto result = verify_case(test::shared_data() / "goldens" / GetParam(), reference_runners());
   EXPECT_TRUE(result.passed()) << case_text(result);
   EXPECT_FALSE(result.tensors.empty());
 }
@@ -36,7 +36,7 @@ TEST(SharedCasesThatCameLater, EveryTensorIsWithinItsTolerance) {
   std::set<std::string> names;
   for (const auto& folder : std::filesystem::directory_iterator(test::shared_data() / "goldens_later")) {
     names.insert(folder.path().filename().string());
-    const auto result = verify_case(folder.path(), all_reference_runners());
+    const auto result = verify_case(folder.path(), reference_runners());
     EXPECT_TRUE(result.passed()) << case_text(result);
     EXPECT_FALSE(result.tensors.empty()) << folder.path();
   }

@@ -77,9 +77,8 @@ void add(Row& a, double factor, const Row& b) {
 
 class Head {
  public:
-  Head(const AttentionShape& shape, const PropePointers* prope, const ViewMask* mask, int64_t batch,
-       int64_t head)
-      : shape_(shape), prope_(prope), mask_(mask), batch_(batch), head_(head) {}
+  Head(const AttentionShape& shape, const PropePointers* prope, int64_t batch, int64_t head)
+      : shape_(shape), prope_(prope), batch_(batch), head_(head) {}
 
   std::size_t offset(int64_t token, int64_t tokens) const {
     return static_cast<std::size_t>(((batch_ * tokens + token) * shape_.heads + head_) * shape_.head_dim);
@@ -106,26 +105,19 @@ class Head {
     }
     return rows;
   }
-  bool attends(int64_t query, int64_t key) const {
-    if (mask_ == nullptr) return true;
-    const int64_t query_view = query / (shape_.queries / mask_->views);
-    const int64_t key_view = key / (shape_.keys / mask_->views);
-    return mask_->attends[query_view * mask_->views + key_view] != 0;
-  }
   // Probabilities of one query and the log of their sum.
-  Row probabilities(const Row& query, const std::vector<Row>& keys, int64_t index,
-                    double& log_sum_exp) const {
+  Row probabilities(const Row& query, const std::vector<Row>& keys, double& log_sum_exp) const {
     const double scale = 1 / std::sqrt(static_cast<double>(shape_.head_dim));
     Row p(keys.size(), -std::numeric_limits<double>::infinity());
     double highest = -std::numeric_limits<double>::infinity();
     for (int64_t k = 0; k < shape_.keys; ++k) {
       const auto i = static_cast<std::size_t>(k);
-      if (attends(index, k)) p[i] = scale * dot(query, keys[i]);
+      p[i] = scale * dot(query, keys[i]);
       highest = std::max(highest, p[i]);
     }
     double sum = 0;
     for (double& x : p) {
-      x = std::isinf(x) ? 0 : std::exp(x - highest);
+      x = std::exp(x - highest);
       sum += x;
     }
     for (double& x : p) x = sum > 0 ? x / sum : 0;
@@ -136,25 +128,23 @@ class Head {
  private:
   const AttentionShape& shape_;
   const PropePointers* prope_;
-  const ViewMask* mask_;
   int64_t batch_;
   int64_t head_;
 };
 
 }  // namespace
 
-void run_reference(const AttentionShape& shape, const PropePointers* prope, const ViewMask* mask,
-                   ReferenceAttention& arrays) {
+void run_reference(const AttentionShape& shape, const PropePointers* prope, ReferenceAttention& arrays) {
   arrays.output.assign(arrays.query.size(), 0.0);
   arrays.log_sum_exp.clear();
   for (int64_t index = 0; index < shape.batch * shape.heads; ++index) {
-    const Head head(shape, prope, mask, index / shape.heads, index % shape.heads);
+    const Head head(shape, prope, index / shape.heads, index % shape.heads);
     const auto queries = head.encoded(arrays.query, Part::query, shape.queries);
     const auto keys = head.encoded(arrays.key, Part::key_value, shape.keys);
     const auto values = head.encoded(arrays.value, Part::key_value, shape.keys);
     for (int64_t q = 0; q < shape.queries; ++q) {
       double log_sum_exp = 0;
-      const Row p = head.probabilities(queries[static_cast<std::size_t>(q)], keys, q, log_sum_exp);
+      const Row p = head.probabilities(queries[static_cast<std::size_t>(q)], keys, log_sum_exp);
       Row sum(static_cast<std::size_t>(shape.head_dim), 0.0);
       for (std::size_t k = 0; k < p.size(); ++k) add(sum, p[k], values[k]);
       head.store(head.encode(Part::output, q, sum), q, shape.queries, arrays.output);
@@ -164,7 +154,7 @@ void run_reference(const AttentionShape& shape, const PropePointers* prope, cons
 }
 
 ReferenceGradients reference_gradients(const AttentionShape& shape, const PropePointers* prope,
-                                       const ViewMask* mask, const ReferenceAttention& arrays,
+                                       const ReferenceAttention& arrays,
                                        const std::vector<double>& output_gradient) {
   ReferenceGradients gradients = {std::vector<double>(arrays.query.size()),
                                   std::vector<double>(arrays.key.size()),
@@ -172,7 +162,7 @@ ReferenceGradients reference_gradients(const AttentionShape& shape, const PropeP
   const double scale = 1 / std::sqrt(static_cast<double>(shape.head_dim));
   const auto size = static_cast<std::size_t>(shape.head_dim);
   for (int64_t index = 0; index < shape.batch * shape.heads; ++index) {
-    const Head head(shape, prope, mask, index / shape.heads, index % shape.heads);
+    const Head head(shape, prope, index / shape.heads, index % shape.heads);
     const auto queries = head.encoded(arrays.query, Part::query, shape.queries);
     const auto keys = head.encoded(arrays.key, Part::key_value, shape.keys);
     const auto values = head.encoded(arrays.value, Part::key_value, shape.keys);
@@ -180,7 +170,7 @@ ReferenceGradients reference_gradients(const AttentionShape& shape, const PropeP
     for (int64_t q = 0; q < shape.queries; ++q) {
       double log_sum_exp = 0;
       const Row& query = queries[static_cast<std::size_t>(q)];
-      const Row p = head.probabilities(query, keys, q, log_sum_exp);
+      const Row p = head.probabilities(query, keys, log_sum_exp);
       const Row gradient =
           head.encode_transposed(Part::output, q, head.row(output_gradient, q, shape.queries));
       Row dp(p.size());

@@ -19,11 +19,10 @@ struct ReferenceGradients {
   std::vector<double> query, key, value;
 };
 
-// Fills output and log_sum_exp. prope and mask as in AttentionForward; null for none.
-void run_reference(const AttentionShape& shape, const PropePointers* prope, const ViewMask* mask,
-                   ReferenceAttention& arrays);
+// Fills output and log_sum_exp. prope as in AttentionForward; null for none.
+void run_reference(const AttentionShape& shape, const PropePointers* prope, ReferenceAttention& arrays);
 ReferenceGradients reference_gradients(const AttentionShape& shape, const PropePointers* prope,
-                                       const ViewMask* mask, const ReferenceAttention& arrays,
+                                       const ReferenceAttention& arrays,
                                        const std::vector<double>& output_gradient);
 
 }  // namespace gld::test

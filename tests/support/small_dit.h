@@ -4,8 +4,12 @@
 #include "models/weights/weight_loading.h"
 #include "tests/support/random_cameras.h"
 
+#include <algorithm>
+#include <cmath>
+#include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <torch/autograd.h>
 
@@ -94,6 +98,61 @@ inline DitTestScene in_double(DitTestScene scene) {
   }
   scene.noisy = scene.noisy.to(torch::kFloat64);
   return scene;
+}
+
+// What float32 may make of a computation with a small DiT^DH, from the condition of the computation itself, so that a
+// bound holds for whatever order the kernels of a processor sum in.
+//
+// A sum of K products that rounds each of its K partial sums is the exact sum of products that moved by sqrt(K) unit
+// roundoffs u = 2^-24 each, as far as roundings are independent (Higham and Mary 2019). So a result errs by about
+// sqrt(K) times what it moves by in double when every weight and every input moves by u at random; and what lies
+// between the products (norms, softmax, the residual stream) rounds as often as they do, which the factor 2 is for.
+// OpenBLAS's Haswell kernels and ours err by up to 7 such moves, of the 28 that are allowed.
+constexpr int64_t kLongestSum = 192;  // 4 x 48 channels inside the velocity decoder's blocks
+inline double rounding_bound(double moved_by_units) {
+  return 2 * std::sqrt(static_cast<double>(kLongestSum)) * moved_by_units;
+}
+
+// Every number of a double tensor moved by up to u of itself; undefined stays undefined.
+inline torch::Tensor moved_by_a_unit(const torch::Tensor& x) {
+  return x.defined() ? x * (1 + 0x1p-24 * (2 * torch::rand_like(x) - 1)) : x;
+}
+
+inline DitSceneInputs moved_by_a_unit(DitSceneInputs inputs) {
+  for (auto* tensor :
+       {&inputs.source_features, &inputs.deeper_level, &inputs.warp_agreement, &inputs.warped_features}) {
+    *tensor = moved_by_a_unit(*tensor);
+  }
+  return inputs;
+}
+
+inline std::shared_ptr<DitDh> moved_by_a_unit(const DitDh& model) {
+  auto moved = in_double(model);
+  const torch::NoGradGuard no_grad;
+  // Numbers of its own: loading from a model that is in double already shares them.
+  for (auto& parameter : moved->parameters()) parameter.set_data(moved_by_a_unit(parameter));
+  return moved;
+}
+
+// The largest change of any number of each tensor that result() makes of moved weights and inputs, over some draws.
+inline std::vector<double> moved_by_units(const std::vector<torch::Tensor>& exact,
+                                          const std::function<std::vector<torch::Tensor>()>& result) {
+  std::vector<double> largest(exact.size());
+  constexpr uint64_t kDraws = 3;
+  for (uint64_t draw = 0; draw < kDraws; ++draw) {
+    torch::manual_seed(100 + draw);
+    const auto moved = result();
+    for (size_t i = 0; i < exact.size(); ++i) {
+      if (!exact[i].defined()) continue;
+      largest[i] = std::max(largest[i], (moved[i] - exact[i]).abs().max().item<double>());
+    }
+  }
+  return largest;
+}
+
+// max |a - b|, b in double.
+inline double largest_difference(const torch::Tensor& a, const torch::Tensor& b) {
+  return (a.to(torch::kFloat64) - b).abs().max().item<double>();
 }
 
 // max |a - b| / max(1, max |b|).

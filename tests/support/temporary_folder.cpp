@@ -7,8 +7,10 @@
 
 namespace gld::test {
 
-TemporaryFolder::TemporaryFolder() {
-  std::string pattern = (std::filesystem::temp_directory_path() / "gld_test_").string();
+TemporaryFolder::TemporaryFolder() : TemporaryFolder(std::filesystem::temp_directory_path()) {}
+
+TemporaryFolder::TemporaryFolder(const std::filesystem::path& parent) {
+  std::string pattern = (parent / "gld_test_").string();
   pattern += std::string(6, 'X');  // mkdtemp replaces these
   if (mkdtemp(pattern.data()) == nullptr) throw std::runtime_error("no temporary folder could be made");
   path_ = pattern;

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
-#include "gld/cameras/photo_consistency.h"
+#include "gld/photogrammetry/photo_consistency.h"
 
 #include <cmath>
 #include <vector>
@@ -57,5 +57,13 @@ inline Camera camera_before_plane(const Eigen::Vector3d& centre, double turn, in
   camera.world_from_camera.translation() = centre;
   return camera;
 }
+
+inline std::vector<PicturedView> two_views_of_plane(const TexturedPlane& plane = {}) {
+  return {plane.seen_by(camera_before_plane({0, 0, 0}, 0), 1),
+          plane.seen_by(camera_before_plane({1.2, 0.2, 0}, -0.25), 1)};
+}
+
+// A camera that sees what these two see.
+inline Camera camera_between() { return camera_before_plane({0.7, 0.1, 0.3}, -0.15); }
 
 }  // namespace gld::test

@@ -23,7 +23,7 @@ inline BundleOptions small_model() {
   backbone.qk_norm_start = 2;
   backbone.rope_start = 2;
   model.backbone = backbone;
-  auto& head = model.dpt_head.as<DptHeadOptions>();
+  auto& head = model.geometry_head.as<DptHeadOptions>();
   head.dim_in = 64;
   head.features = 16;
   head.out_channels = {8, 8, 16, 16};

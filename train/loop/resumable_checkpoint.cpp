@@ -1,6 +1,9 @@
 #include "train/loop/resumable_checkpoint.h"
 
 #include "gld/base/error.h"
+#include "gld/base/option_differences.h"
+
+#include <algorithm>
 
 #include <torch/types.h>
 
@@ -40,6 +43,23 @@ void check_resumable(const Checkpoint& checkpoint, const Checkpoint& like, const
     if (found->second.sizes() != expected.sizes() || found->second.scalar_type() != expected.scalar_type()) {
       fail({where, "tensor '" + name + "' of " + text(expected), text(found->second), remedy});
     }
+  }
+}
+
+void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model,
+                      const std::vector<std::string>& may_change, const std::string& where) {
+  const auto& state = checkpoint.metadata;
+  const auto found = state.find("model");
+  if (found == state.end() || !found->is_string()) return;  // of a program of before
+  for (const auto& difference : differences_from(found->get<std::string>(), where, model)) {
+    const std::string key = "model." + difference.key;
+    if (difference.key == "name" ||
+        std::find(may_change.begin(), may_change.end(), key) != may_change.end()) {
+      continue;
+    }
+    fail({"--resume",
+          "the model.yaml that the run was begun with (" + difference.key + " " + difference.before + ")",
+          difference.now, "leave it as it was, or allow it with --may-change " + key});
   }
 }
 

@@ -18,12 +18,12 @@ std::optional<FlatRange> piece_of(const ProcessTeam& team, int64_t length) {
 }  // namespace
 
 SharedOptimiser::SharedOptimiser(FlatParameters& parameters, const OptimiserOptions& options,
-                                 OptimiserShare share, ProcessTeam* team)
+                                 OptimiserShare share, ProcessTeam& team)
     : parameters_(&parameters),
-      team_(team),
-      in_pieces_(share == OptimiserShare::kOwnPiece && team != nullptr && team->count() > 1),
+      team_(&team),
+      in_pieces_(share == OptimiserShare::kOwnPiece && !team.alone()),
       own_(parameters, options,
-           in_pieces_ ? piece_of(*team, parameters.values().numel()) : std::optional<FlatRange>()) {}
+           in_pieces_ ? piece_of(team, parameters.values().numel()) : std::optional<FlatRange>()) {}
 
 torch::Tensor SharedOptimiser::padded(const torch::Tensor& piece) const {
   auto whole_piece = torch::zeros({team_->piece_length(parameters_->values().numel())}, piece.options());

@@ -20,9 +20,9 @@ enum class OptimiserShare {
 // Adam moves each number by itself. Functions marked so are called by all processes of a team together.
 class SharedOptimiser {
  public:
-  // team: null for one process, which has everything. Throws the Error of Optimiser for pieces of Muon's matrices.
+  // A team of one has everything. Throws the Error of Optimiser for pieces of Muon's matrices.
   SharedOptimiser(FlatParameters& parameters, const OptimiserOptions& options, OptimiserShare share,
-                  ProcessTeam* team);
+                  ProcessTeam& team);
 
   double gradient_norm() const { return own_.gradient_norm(); }
   bool has_average() const { return own_.has_average(); }

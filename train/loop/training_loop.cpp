@@ -1,5 +1,6 @@
 #include "train/loop/training_loop.h"
 
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/report/progress.h"
@@ -31,11 +32,7 @@
 namespace gld {
 namespace {
 
-std::string six_digits(double value) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.4g", value);
-  return text;
-}
+std::string four_digits(double value) { return fmt::format("{:.4g}", value); }
 
 struct StepOutcome {
   bool finite = false;
@@ -98,11 +95,12 @@ class Session {
  public:
   Session(const TrainingRun& run, const TrainingLoopOptions& options)
       : run_(run),
+        team_(run.team != nullptr ? *run.team : alone_),
         options_(options),
         objective_(*run.objective),
         parameters_(objective_.parameters()),
         optimiser_(parameters_, options.optimiser,
-                   options.shard_optimiser ? OptimiserShare::kOwnPiece : OptimiserShare::kWhole, run.team),
+                   options.shard_optimiser ? OptimiserShare::kOwnPiece : OptimiserShare::kWhole, team_),
         generator_(at::detail::createCPUGenerator(static_cast<uint64_t>(options.seed))),
         checkpoints_(run.folder / "checkpoints", CheckpointFolderOptions{options.keep_last}) {}
 
@@ -111,10 +109,8 @@ class Session {
 
  private:
   // Rank 0 restores, logs, validates and writes for all.
-  bool leads() const { return run_.team == nullptr || run_.team->rank() == 0; }
-  bool computes(int64_t micro) const {
-    return run_.team == nullptr || process_of_micro_batch(micro, run_.team->count()) == run_.team->rank();
-  }
+  bool leads() const { return team_.rank() == 0; }
+  bool computes(int64_t micro) const { return process_of_micro_batch(micro, team_.count()) == team_.rank(); }
   void check_team() const;
   void read_checkpoint(TrainingStart start);
   void take_state_of_first_process();
@@ -141,6 +137,8 @@ class Session {
   StepContext context() const { return {step_, options_.steps, generator_}; }
 
   const TrainingRun& run_;
+  TeamOfOne alone_;
+  ProcessTeam& team_;
   const TrainingLoopOptions& options_;
   Objective& objective_;
   FlatParameters parameters_;
@@ -166,8 +164,8 @@ class Session {
 };
 
 void Session::check_team() const {
-  if (run_.team == nullptr) return;
-  const int64_t processes = run_.team->count();
+  if (team_.alone()) return;
+  const int64_t processes = team_.count();
   if (options_.micro_batches < processes) {
     fail({"loop.micro_batches", "at least one for each of " + std::to_string(processes) + " processes",
           std::to_string(options_.micro_batches), "raise it, or start fewer processes"});
@@ -181,50 +179,45 @@ void Session::check_team() const {
 void Session::restore(TrainingStart start) {
   check_team();
   if (leads()) read_checkpoint(start);
-  if (run_.team != nullptr) take_state_of_first_process();
+  if (!team_.alone()) take_state_of_first_process();
   if (leads()) metrics_.emplace(run_.folder / "metrics.jsonl", step_);
   begin_feed();
 }
 
 void Session::take_state_of_first_process() {
-  ProcessTeam& team = *run_.team;
   nlohmann::json counts;
   if (leads()) counts = {step_, batch_index_, skipped_, skipped_in_a_row_};
-  counts = nlohmann::json::parse(team.gather(counts.dump()).front());
+  counts = nlohmann::json::parse(team_.gather(counts.dump()).front());
   step_ = counts.at(0).get<int64_t>();
   batch_index_ = counts.at(1).get<int64_t>();
   skipped_ = counts.at(2).get<int64_t>();
   skipped_in_a_row_ = counts.at(3).get<int64_t>();
   torch::Tensor values = parameters_.values();
-  team.broadcast(values, 0);
+  team_.broadcast(values, 0);
   auto state = restored_.empty() ? optimiser_.like_whole_state() : std::exchange(restored_, {});
-  for (auto& [name, tensor] : state) team.broadcast(tensor, 0);
+  for (auto& [name, tensor] : state) team_.broadcast(tensor, 0);
   optimiser_.load_state(state, "the state of rank 0");
   auto beside = objective_.state();
-  for (auto& [name, tensor] : beside) team.broadcast(tensor, 0);
+  for (auto& [name, tensor] : beside) team_.broadcast(tensor, 0);
   objective_.load_state(beside, "the state of rank 0");
   torch::Tensor random = generator_.get_state();
-  team.broadcast(random, 0);
+  team_.broadcast(random, 0);
   generator_.set_state(random);
 }
 
 void Session::begin_feed() {
   PrefetchOptions feed;
-  feed.first = batch_index_;
   feed.threads = options_.loader_threads;
   feed.ahead = 2 * std::max<int64_t>(options_.loader_threads, 1) + 1;
-  auto data = run_.data;
-  if (run_.team != nullptr) {
-    data = std::make_shared<BatchesOfProcess>(data, *run_.team, batch_index_, options_.micro_batches);
-    feed.first = 0;
-  }
-  feed_ = std::make_unique<BatchPrefetcher>(data, feed);
+  feed_ = std::make_unique<BatchPrefetcher>(
+      std::make_shared<BatchesOfProcess>(run_.data, team_, batch_index_, options_.micro_batches), feed);
 }
 
 void Session::read_checkpoint(TrainingStart start) {
   check_training_start(run_.folder, start);
   const auto check = [this](const Checkpoint& checkpoint, const std::string& where) {
     check_resumable(checkpoint, snapshot(optimiser_.like_whole_state()), objective_.kind(), where);
+    if (run_.model != nullptr) check_same_model(checkpoint, *run_.model, run_.may_change, where);
   };
   const auto found = start == TrainingStart::kResume ? checkpoints_.newest(check) : std::nullopt;
   if (found) {
@@ -251,7 +244,7 @@ void Session::read_checkpoint(TrainingStart start) {
     }
     if (average.defined()) optimiser_state["average"] = average;
     optimiser_.load_state(optimiser_state, where);
-    if (run_.team != nullptr) restored_ = std::move(optimiser_state);
+    if (!team_.alone()) restored_ = std::move(optimiser_state);
     objective_.load_state(objective_state, where);
     generator_.set_state(checkpoint.tensors.at("random.cpu").clone());
     step_ = checkpoint.step;
@@ -267,8 +260,7 @@ void Session::read_checkpoint(TrainingStart start) {
 
 // All stop after the same step.
 bool Session::stop_requested() const {
-  if (run_.team == nullptr) return interrupt_requested();
-  const auto all = run_.team->gather(interrupt_requested() ? "stop" : "");
+  const auto all = team_.gather(interrupt_requested() ? "stop" : "");
   return std::find(all.begin(), all.end(), "stop") != all.end();
 }
 
@@ -292,6 +284,7 @@ Checkpoint Session::snapshot(const torch::Tensor& values, const OptimiserState& 
                          {"seconds", elapsed()},
                          {"steps", options_.steps},
                          {"learning_rate", learning_rate(options_.learning_rate, step_, options_.steps)}};
+  if (run_.model != nullptr) checkpoint.metadata["model"] = to_yaml(*run_.model);
   checkpoint.metadata["best"] = std::isfinite(best_) ? nlohmann::json(best_) : nlohmann::json();
   for (size_t i = 0; i < parameters_.parameters().size(); ++i) {
     const std::string& name = parameters_.parameters()[i].name;
@@ -327,10 +320,10 @@ StepOutcome Session::forward_backward() {
   Averages parts;
   double loss_sum = 0.0;
   last_batch_ = batches.back().batch;
-  const auto results = run_.team == nullptr ? add_gradients(objective_, parameters_, batches, work)
-                                            : add_gradients_of_all(*run_.team, objective_, parameters_,
-                                                                   batches, options_.micro_batches, work);
-  const auto processes = static_cast<size_t>(run_.team == nullptr ? 1 : run_.team->count());
+  const auto results = team_.alone() ? add_gradients(objective_, parameters_, batches, work)
+                                     : add_gradients_of_all(team_, objective_, parameters_, batches,
+                                                            options_.micro_batches, work);
+  const auto processes = static_cast<size_t>(team_.count());
   for (size_t micro = 0; micro < results.size(); ++micro) {
     outcome.scenes += results[micro].scenes;
     if (!std::isfinite(results[micro].loss)) {
@@ -339,7 +332,7 @@ StepOutcome Session::forward_backward() {
         if (computes(outcome.micro_batch)) last_batch_ = batches[micro / processes].batch;
       }
       outcome.finite = false;
-      outcome.problem = "a loss of " + six_digits(results[micro].loss);
+      outcome.problem = "a loss of " + four_digits(results[micro].loss);
       continue;
     }
     loss_sum += results[micro].loss;
@@ -350,7 +343,7 @@ StepOutcome Session::forward_backward() {
     outcome.gradient_norm = optimiser_.gradient_norm();
     if (!std::isfinite(outcome.gradient_norm)) {
       outcome.finite = false;
-      outcome.problem = "a gradient norm of " + six_digits(outcome.gradient_norm);
+      outcome.problem = "a gradient norm of " + four_digits(outcome.gradient_norm);
     }
   }
   nlohmann::ordered_json means;
@@ -448,7 +441,7 @@ TrainingSummary Session::run() {
       std::filesystem::path file = checkpoints_.path();
       const OptimiserState state = optimiser_.whole_state();
       if (leads()) file = checkpoints_.save(snapshot(state));
-      if (run_.team != nullptr) run_.team->finish();
+      team_.finish();
       throw Interrupted("training stopped after step " + std::to_string(step_) +
                         "; continue with --resume (" + file.string() + ")");
     }
@@ -489,17 +482,17 @@ TrainingSummary Session::run() {
       line["learning_rate"] = rate;
       line["samples_per_second"] = static_cast<double>(scenes) / std::max(seconds, 1e-9);
       line["data_wait_fraction"] = waited / std::max(seconds, 1e-9);
-      if (run_.team != nullptr) {
-        line["communication_fraction"] = run_.team->take_communication_seconds() / std::max(seconds, 1e-9);
+      if (!team_.alone()) {
+        line["communication_fraction"] = team_.take_communication_seconds() / std::max(seconds, 1e-9);
       }
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
       progress->update(step_ - first_step, "step " + std::to_string(step_) + ", loss " +
-                                               six_digits(last_loss_) + ", rate " + six_digits(rate) + ", " +
-                                               six_digits(line["samples_per_second"].get<double>()) +
+                                               four_digits(last_loss_) + ", rate " + four_digits(rate) +
+                                               ", " + four_digits(line["samples_per_second"].get<double>()) +
                                                " scenes/s, data wait " +
-                                               six_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
+                                               four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
       averages.clear();
       scenes = 0;
     }
@@ -517,6 +510,8 @@ TrainingSummary Session::run() {
     const AverageInPlace average(parameters_, average_of(state));
     const auto folder = run_.folder / "model";
     std::filesystem::create_directories(folder);
+    // An earlier end of this run may have left a bundle of the description that was allowed to change.
+    if (!run_.may_change.empty()) std::filesystem::remove(folder / "model.yaml");
     objective_.export_model(folder, run_.export_dtype);
   }
   TrainingSummary summary;
@@ -537,7 +532,8 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
   const auto steps = checkpoints.steps();
   if (start == TrainingStart::kResume && steps.empty()) {
     fail({folder.string(), "a checkpoint to resume from", "none in " + checkpoints.path().string(),
-          "start the run without --resume"});
+          std::filesystem::exists(folder) ? "begin again, with --overwrite in the place of --resume"
+                                          : "start the run without --resume"});
   }
   if (start == TrainingStart::kFresh && !steps.empty()) {
     fail({folder.string(), "a folder without checkpoints", "a run at step " + std::to_string(steps.back()),

@@ -53,6 +53,10 @@ struct TrainingRun {
   // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are
   // spread over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
   ProcessTeam* team = nullptr;
+  // What describes the model beside the options of the run, model.yaml. Checkpoints keep it, and going on with another
+  // one is an Error, but for the keys ("model.level1_time_shift.training") of may_change. Null: nothing.
+  const OptionsGroup* model = nullptr;
+  std::vector<std::string> may_change;
 };
 
 struct TrainingSummary {

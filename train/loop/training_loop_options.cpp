@@ -31,8 +31,8 @@ void TrainingLoopOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor,
                {"precision",
                 "what the trained model multiplies in, forward and backward; weights, moments, sums and "
-                "losses are float32; bfloat16x3 on the CPU only"},
-               precision, {"float32", "bfloat16", "bfloat16x3"});
+                "losses are float32"},
+               precision, {"float32", "bfloat16"});
   visitor.group({"learning_rate", "course of the learning rate"}, learning_rate);
   visitor.group({"optimiser", "optimiser, clipping and moving average"}, optimiser);
 }

@@ -63,7 +63,7 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     fail({"objective.head_probability", "1 where nothing but the head has a loss",
           fmt::format("{:g}", options_.head_probability), "give geometry_weights or pixel_weights"});
   }
-  if (!model_.dpt_head.exists() && none_positive(options_.pixel_weights) &&
+  if (!model_.geometry_head.exists() && none_positive(options_.pixel_weights) &&
       none_positive(options_.geometry_weights)) {
     fail({"objective.pixel_weights", "a weight above 0 for a backbone without a geometry head", "none",
           "give pixel_weights or geometry_weights"});
@@ -84,12 +84,12 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
   if (options_.training == GeometryTraining::kFromScratch) {
     backbone_ = model_.backbone.make(placement);
     backbone_->initialise(generator);
-    if (model_.dpt_head.exists()) {
-      head_ = model_.dpt_head.make(placement);
+    if (model_.geometry_head.exists()) {
+      head_ = model_.geometry_head.make(placement);
       head_->initialise(generator);
     }
   } else {
-    if (!trained.backbone || (!trained.head && (head_only() || model_.dpt_head.exists()))) {
+    if (!trained.backbone || (!trained.head && (head_only() || model_.geometry_head.exists()))) {
       fail({head_only() ? "objective.training head_only" : "objective.training from_bundle",
             "a bundle with a trained backbone and DPT head", "none", "train them from_scratch first"});
     }
@@ -118,7 +118,7 @@ int64_t BackboneObjective::learn_in(ComputePrecision precision) {
 }
 
 std::vector<NamedParameter> BackboneObjective::parameters() const {
-  const std::string prefix = model_.dpt_head.architecture().published_prefix();
+  const std::string prefix = model_.geometry_head.architecture().published_prefix();
   if (head_only()) return named_parameters(*head_, prefix);
   auto result = named_parameters(*backbone_, model_.backbone.architecture().published_prefix());
   if (head_) {
@@ -330,7 +330,7 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
 void BackboneObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
   save_bundle_options(folder, model_);
   if (!head_only()) save_bundle_part(folder, BundlePart::backbone(), named_tensors(*backbone_), dtype);
-  if (head_) save_bundle_part(folder, BundlePart::dpt_head(), named_tensors(*head_), dtype);
+  if (head_) save_bundle_part(folder, BundlePart::geometry_head(), named_tensors(*head_), dtype);
 }
 
 }  // namespace gld

@@ -13,9 +13,9 @@
 namespace gld {
 
 enum class GeometryTraining {
-  kFromScratch,  // backbone and DPT head, from random weights
+  kFromScratch,  // backbone and geometry head, from random weights
   kFromBundle,   // both go on learning from the bundle's weights
-  kHeadOnly,  // the DPT head of the bundle goes on learning; the backbone is frozen, so that decoders and latent
+  kHeadOnly,  // the geometry head of the bundle goes on learning; the backbone is frozen, so that decoders and latent
               // models that were trained on its features stay valid
 };
 
@@ -39,7 +39,7 @@ struct TrainedGeometry {
   std::shared_ptr<GeometryHead> head;
 };
 
-// Trains a geometric backbone and its DPT head from scratch on scenes with depth (geometry_loss.h).
+// Trains a geometric backbone and its geometry head from scratch on scenes with depth (geometry_loss.h).
 //
 // Depth alone would let a backbone forget colour, and the RGB decoder could then not give images back: the
 // published backbone keeps colour in its shallow levels because it starts from DINOv2, ours has to be told. So one
@@ -48,8 +48,8 @@ struct TrainedGeometry {
 // decoder and the latent models find there as well. The pixel layers are not part of the exported model.
 //
 // In the same way geometry_weights have linear layers read depth and rays off each level's tokens: what makes a shallow
-// level one of geometry. They cost next to nothing, whereas the DPT head is most of a step: with head_probability below
-// 1 it sees only that share of the scenes, and the backbone learns from several times as many in the same time.
+// level one of geometry. They cost next to nothing, whereas the geometry head is most of a step: with head_probability
+// below 1 it sees only that share of the scenes, and the backbone learns from several times as many in the same time.
 //
 // With correspondence_weight the attention of correspondence_blocks is taught where each token is seen in the other
 // views (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be

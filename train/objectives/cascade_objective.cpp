@@ -1,5 +1,7 @@
 #include "train/objectives/cascade_objective.h"
 
+#include "models/conditioning/level_conditioning.h"
+
 #include <cmath>
 
 #include <torch/autograd.h>
@@ -19,25 +21,19 @@ CascadeObjective::CascadeObjective(const BundleOptions& model, const LevelGenera
       deeper_noise_(options.deeper_noise) {}
 
 SceneLatents CascadeObjective::latents(const TrainingScene& scene) const {
-  SceneLatents latents = latents_of_sources(scene);
+  SceneLatents latents;
+  latents.shown = conditioned_on_sources(scene);
   latents.clean = latent_of(scene, generator().level, frozen().statistics);
-  latents.deeper = latent_of(scene, *generator().deeper, frozen().deeper_statistics);
+  condition_on_deeper_level(latents.shown, latent_of(scene, *generator().deeper, frozen().deeper_statistics));
   return latents;
 }
 
-FlowObjective::Prepared CascadeObjective::prepare(const TrainingScene& scene, const SceneLatents& latents,
-                                                  torch::Generator& generator) const {
-  Prepared prepared;
-  prepared.inputs.views = scene.views;
-  prepared.inputs.source_features = latents.sources;
-  prepared.inputs.warp_agreement = latents.warp_agreement;
-  prepared.inputs.warped_features = latents.warped_features;
-  prepared.clean = latents.clean;
-  const auto& deeper = latents.deeper;
-  const double strength =
-      deeper_noise_ * std::abs(torch::randn({1}, generator, torch::kFloat64).item<double>());
+SceneLatents CascadeObjective::drawn(const SceneLatents& latents, torch::Generator& generator) const {
+  SceneLatents prepared = latents;
+  const auto& deeper = latents.shown.deeper_level;
+  const double sigma = deeper_noise_ * std::abs(torch::randn({1}, generator, torch::kFloat64).item<double>());
   const auto noise = torch::randn(deeper.sizes(), generator, torch::kFloat32).to(deeper.device());
-  prepared.inputs.deeper_level = (deeper + strength * noise) / std::sqrt(1.0 + strength * strength);
+  condition_on_deeper_level(prepared.shown, noisy_deeper_level(deeper, noise, sigma));
   return prepared;
 }
 

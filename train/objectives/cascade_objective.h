@@ -24,8 +24,8 @@ class CascadeObjective : public FlowObjective {
 
  protected:
   SceneLatents latents(const TrainingScene& scene) const override;
-  Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
-                   torch::Generator& generator) const override;
+  // With noise on the deeper level.
+  SceneLatents drawn(const SceneLatents& latents, torch::Generator& generator) const override;
   // The other levels are those of the true images.
   std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const override;
 

@@ -2,14 +2,19 @@
 
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
+#include "gld/flow/guidance.h"
 #include "gld/flow/schedule.h"
+#include "gld/flow/solvers/solver.h"
 #include "gld/metrics/metric_list.h"
+#include "models/conditioning/decoder_inputs.h"
+#include "models/conditioning/level_conditioning.h"
+#include "models/dit/dit_field.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/layers/layer_precision.h"
-#include "models/scene_geometry/source_warp.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
+#include <limits>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -94,62 +99,33 @@ double FlowObjective::training_shift(const TrainingScene& scene) const {
   return resolved_time_shift(part.time_shift.training, grid_of(scene), part.dit.in_channels);
 }
 
-torch::Tensor FlowObjective::normalised_tokens(const torch::Tensor& raw_level,
-                                               const LevelStatistics& statistics) const {
-  return statistics.normalise(
-      generated_tokens(raw_level, frozen_.space->leading_tokens(), statistics.special_tokens));
+SceneLatents FlowObjective::drawn(const SceneLatents& latents, torch::Generator& /*generator*/) const {
+  return latents;
 }
 
 torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t level,
                                        const LevelStatistics& statistics) const {
   const torch::NoGradGuard no_grad;
   const auto levels = frozen_.space->encode(scene.images, level);
-  return normalised_tokens(levels.at(static_cast<size_t>(level)), statistics);
+  return latent_of_level(levels.at(static_cast<size_t>(level)), grid_of(scene), statistics);
 }
 
-SceneLatents FlowObjective::latents_of_sources(const TrainingScene& scene) const {
+DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
-  const int64_t warped_sources = dit_->options().warped_sources;
-  const auto images = images_of(scene, scene.views.num_sources);
-  const bool warps = warped_sources > 0 && scene.views.num_sources > 1;
-  SourceEncoding wanted;
-  wanted.deepest = warps ? frozen_.space->levels() - 1 : generator_.level;
-  wanted.carried = false;
-  const auto encoded = frozen_.space->encode_sources(images, wanted);
-  SceneLatents latents;
-  latents.sources =
-      normalised_tokens(encoded.levels.at(static_cast<size_t>(generator_.level)), frozen_.statistics);
-  CarriedSources carried;
-  if (warps) {
-    const auto geometry = frozen_.geometry_head->forward(geometry_inputs(*frozen_.space, encoded),
-                                                         encoded.grid, GeometryMaps::kDepthAndRays);
-    carried =
-        carry_sources(*frozen_.space, scene.views, images, geometry, {warped_sources, generator_.level});
-  }
-  DitSceneInputs shown;
-  shown.views = scene.views;
-  set_warp(shown, dit_->options(), carried.agreement,
-           carried.levels.empty() ? torch::Tensor() : frozen_.statistics.normalise(carried.levels.back()));
-  latents.warp_agreement = shown.warp_agreement;
-  latents.warped_features = shown.warped_features;
-  return latents.to(images.device());
+  const SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
+  const auto needs = conditioning_needs(given, generator_.level, dit_->options().warped_sources);
+  const auto sources = condition_on_sources(*frozen_.space, frozen_.geometry_head.get(), given, needs);
+  return condition_on_source_level({generator_.level, dit_->options(), frozen_.statistics}, scene.views,
+                                   sources);
 }
 
 torch::Tensor FlowObjective::decode(const TrainingScene& scene, const torch::Tensor& latent) const {
-  SourceEncoding wanted;
-  wanted.deepest = model_.boundary_level;
-  const auto carried = frozen_.space->encode_sources(images_of(scene, 1), wanted).carried;
   auto raw = known_levels(scene);
   raw[generator_.level] = frozen_.statistics.denormalise(latent);
-  const auto completed = frozen_.space->complete(raw, carried, grid_of(scene));
-  const auto shape =
-      torch::zeros({latent.size(0), grid_of(scene).tokens_per_view(), latent.size(2)}, latent.options());
-  std::vector<torch::Tensor> decoded;
-  for (const int64_t level : model_.level_set().decoded_levels()) {
-    const auto& made = completed.patches.at(static_cast<size_t>(level));
-    decoded.push_back(made.defined() ? made : shape);
-  }
-  return frozen_.rgb_decoder->decode(torch::cat(decoded, 2), grid_of(scene));
+  const LatentGrid grid = grid_of(scene);
+  const auto leading = frozen_.space->leading_for_propagation(images_of(scene, 1));
+  const auto levels = frozen_.space->complete(raw, leading, grid).patches;
+  return frozen_.rgb_decoder->decode(image_features(levels, model_.level_set().decoded_levels()), grid);
 }
 
 void FlowObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
@@ -161,7 +137,7 @@ std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vec
   // The network takes scenes of one shape at a time.
   std::map<std::vector<int64_t>, std::vector<size_t>> by_shape;
   for (size_t i = 0; i < scenes.size(); ++i) {
-    const auto& views = scenes[i].prepared.inputs.views;
+    const auto& views = scenes[i].latents.shown.views;
     by_shape[{views.size(), views.cameras.front().height, views.cameras.front().width}].push_back(i);
   }
   std::vector<Errors> result(scenes.size());
@@ -170,12 +146,12 @@ std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vec
     std::vector<FlowMatchingScene> together;
     for (const size_t i : group.second) {
       const Drawn& scene = scenes[i];
-      FlowMatchingDraw draw{scene.prepared.clean, scene.noise, scene.time, scene.branch, nullptr};
+      FlowMatchingDraw draw{scene.latents.clean, scene.noise, scene.time, scene.branch, nullptr};
       if (scene.truth.shares.defined()) {
         for (const int64_t block : options_.correspondence_blocks) taps[i].push_back({block, {}, {}});
         draw.taps = &taps[i];
       }
-      together.push_back({scene.prepared.inputs, draw});
+      together.push_back({scene.latents.shown, draw});
     }
     const auto errors = flow_matching_errors(*dit_, together);
     for (size_t place = 0; place < errors.size(); ++place) {
@@ -183,7 +159,7 @@ std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vec
     }
   }
   for (size_t i = 0; i < scenes.size(); ++i) {
-    const int64_t sources = scenes[i].prepared.inputs.views.num_sources;
+    const int64_t sources = scenes[i].latents.shown.views.num_sources;
     for (const AttentionTap& tap : taps[i]) {
       const auto off =
           correspondence_loss(tap, scenes[i].truth, {dit_->options().num_special_tokens, sources});
@@ -198,17 +174,16 @@ std::vector<FlowObjective::Errors> FlowObjective::velocity_errors(const std::vec
 
 FlowObjective::Drawn FlowObjective::draw(const TrainingScene& on_host, torch::Generator& generator) {
   const TrainingScene scene = on_host.to(placement_.device);
+  const auto encode = [&] { return latents(scene); };
   const auto scene_latents =
-      kept_latents_.enabled()
-          ? kept_latents_.get(on_host, [&] { return latents(scene); }).to(placement_.device)
-          : latents(scene);
+      (kept_latents_.enabled() ? kept_latents_.get(on_host, encode) : encode()).to(placement_.device);
   Drawn drawn;
-  drawn.prepared = prepare(scene, scene_latents, generator);
+  drawn.latents = this->drawn(scene_latents, generator);
   const auto draws = torch::rand({2}, generator, torch::kFloat64);
   drawn.time = shifted_time(draws[0].item<double>(), training_shift(scene));
   drawn.branch =
       draws[1].item<double>() < options_.camera_dropout ? DitBranch::kUnconditional : DitBranch::kConditional;
-  drawn.noise = torch::randn(drawn.prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+  drawn.noise = torch::randn(drawn.latents.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
   if (options_.correspondence_weight > 0 && drawn.branch == DitBranch::kConditional) {
     drawn.truth = token_correspondence(on_host, model_.backbone.patch_side());
   }
@@ -236,19 +211,21 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
   return losses;
 }
 
-torch::Tensor FlowObjective::generate(const Prepared& prepared, const torch::Tensor& noise,
+torch::Tensor FlowObjective::generate(const DitSceneInputs& shown, const torch::Tensor& noise,
                                       double shift) const {
-  const auto scene = dit_->prepare_scene(prepared.inputs);
-  // Euler's steps, and no solver of gld/flow/solvers: those throw at Ctrl-C and at values that are not finite, while
-  // training goes on to its checkpoint and reports what validation gave.
-  const auto steps = options_.validation_evaluations;
-  torch::Tensor state = noise;
-  for (int64_t i = 0; i < steps; ++i) {
-    const double from = shifted_time(1.0 - static_cast<double>(i) / static_cast<double>(steps), shift);
-    const double to = shifted_time(1.0 - static_cast<double>(i + 1) / static_cast<double>(steps), shift);
-    state = state + (to - from) * dit_->velocity(scene, state, dit_->time_rows({from}).front());
-  }
-  return state;
+  DitField field(*dit_, dit_->prepare_scene(shown));
+  GuidanceOptions none;
+  none.guidance_scale = 1;
+  GuidedField conditional(field, none);
+  SolverOptions euler;
+  euler.solver = SolverKind::kEuler;
+  euler.evaluations = options_.validation_evaluations;
+  euler.schedule.schedule = ScheduleKind::kShifted;
+  euler.schedule.shift = shift;
+  // No observer: training goes on to its checkpoint at Ctrl-C. Nor does a failure end it: what validation gives then is
+  // no number.
+  const auto solved = try_solve_on(conditional, noise, euler, solver_times(euler));
+  return solved.failure ? torch::full_like(noise, std::numeric_limits<double>::quiet_NaN()) : solved.state;
 }
 
 Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
@@ -258,17 +235,17 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
   auto generator = at::detail::createCPUGenerator(kValidationSeed);
   for (const TrainingScene& on_host : scenes) {
     const TrainingScene scene = on_host.to(placement_.device);
-    const Prepared prepared = prepare(scene, latents(scene), generator);
-    const auto noise = torch::randn(prepared.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
+    const SceneLatents of_scene = drawn(latents(scene).to(placement_.device), generator);
+    const auto noise = torch::randn(of_scene.clean.sizes(), generator, torch::kFloat32).to(placement_.device);
     const double shift = training_shift(scene);
     std::vector<Drawn> draws;
     draws.reserve(kTimes + 1);
     for (int i = 0; i < kTimes; ++i) {
       draws.push_back(
-          {prepared, noise, shifted_time((i + 0.5) / kTimes, shift), DitBranch::kConditional, {}});
+          {of_scene, noise, shifted_time((i + 0.5) / kTimes, shift), DitBranch::kConditional, {}});
     }
     // At t = 1 the velocity's error is that of the prediction of the data; 1 would be predicting nothing.
-    draws.push_back({prepared, noise, 1.0, DitBranch::kConditional, {}});
+    draws.push_back({of_scene, noise, 1.0, DitBranch::kConditional, {}});
     const auto errors = velocity_errors(draws);
     for (int i = 0; i < kTimes; ++i) {
       const FlowMatchingErrors& at_time = errors[static_cast<size_t>(i)].velocity;
@@ -278,7 +255,7 @@ Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {
     }
     one_step += errors.back().velocity.target.item<double>();
     if (!frozen_.rgb_decoder) continue;
-    const auto decoded = decode(scene, generate(prepared, noise, shift)).to(torch::kCPU);
+    const auto decoded = decode(scene, generate(of_scene.shown, noise, shift)).to(torch::kCPU);
     const int64_t sources = scene.views.num_sources;
     const int64_t targets = scene.views.num_targets();
     psnr_sum += measure_images(metric_named("psnr"), on_host.images.narrow(0, sources, targets),

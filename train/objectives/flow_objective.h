@@ -59,31 +59,25 @@ class FlowObjective : public Objective {
   Validation validate(const std::vector<TrainingScene>& scenes) override;
 
  protected:
-  // What the frozen backbone makes of a scene, normalised; the model has to generate clean.
+  // What the model is shown of a scene, and what it has to generate: as the frozen backbone makes it.
   virtual SceneLatents latents(const TrainingScene& scene) const = 0;
-
-  // A scene as the model sees it, and the latent it has to generate: (views, tokens, channels), normalised.
-  struct Prepared {
-    DitSceneInputs inputs;
-    torch::Tensor clean;
-  };
 
   // Of the part of the model that this generator is.
   FlowObjective(const BundleOptions& model, const LevelGenerator& generator,
                 const FlowObjectiveOptions& options, FrozenParts frozen, const ParameterPlacement& placement,
                 int64_t seed);
 
-  // generator: random numbers that belong to the training of this scene.
-  virtual Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
-                           torch::Generator& generator) const = 0;
+  // The same with what is drawn anew each time that a scene is shown. generator: random numbers that belong to the
+  // training of this scene.
+  virtual SceneLatents drawn(const SceneLatents& latents, torch::Generator& generator) const;
   // Levels, raw, that a validation picture takes beside the generated one: of all views, or none to see what the
   // generated level is worth alone.
   virtual std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const = 0;
 
   // That level of all views encoded together, normalised: what is generated of it.
   torch::Tensor latent_of(const TrainingScene& scene, int64_t level, const LevelStatistics& statistics) const;
-  // What is made of the source views alone: SceneLatents::sources and what is carried from them.
-  SceneLatents latents_of_sources(const TrainingScene& scene) const;
+  // What is made of the source views alone: all but a cascade's deeper level.
+  DitSceneInputs conditioned_on_sources(const TrainingScene& scene) const;
   torch::Tensor images_of(const TrainingScene& scene, int64_t views) const {
     return scene.images.narrow(0, 0, views);
   }
@@ -94,7 +88,6 @@ class FlowObjective : public Objective {
   const FrozenParts& frozen() const { return frozen_; }
   const DitDh& dit() const { return *dit_; }
   LatentGrid grid_of(const TrainingScene& scene) const;
-  torch::Tensor normalised_tokens(const torch::Tensor& raw_level, const LevelStatistics& statistics) const;
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
@@ -104,7 +97,7 @@ class FlowObjective : public Objective {
   };
   // A scene of a step with what was drawn for it. truth: undefined shares leave the correspondence out.
   struct Drawn {
-    Prepared prepared;
+    SceneLatents latents;
     torch::Tensor noise;
     double time = 0.5;
     DitBranch branch = DitBranch::kConditional;
@@ -114,8 +107,8 @@ class FlowObjective : public Objective {
   // Of each scene; scenes of one size are evaluated together.
   std::vector<Errors> velocity_errors(const std::vector<Drawn>& scenes) const;
   double training_shift(const TrainingScene& scene) const;
-  // Euler steps on the grid with that shift.
-  torch::Tensor generate(const Prepared& prepared, const torch::Tensor& noise, double shift) const;
+  // Euler steps on the grid with that shift; not a number throughout where they meet values that are not finite.
+  torch::Tensor generate(const DitSceneInputs& shown, const torch::Tensor& noise, double shift) const;
 
   // A generated latent as images (views, 3, height, width), for validation. Levels that nothing gives are zero.
   torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const;

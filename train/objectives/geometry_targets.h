@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// What the DPT head is trained towards (Depth Anything 3, section 3): everything in the first view's camera,
+// What the geometry head is trained towards (Depth Anything 3, section 3): everything in the first view's camera,
 // divided by the mean distance of the visible points from its centre, so that a scene's unit does not matter.
 struct GeometryTargets {
   double scale = 1.0;   // scene units per target unit

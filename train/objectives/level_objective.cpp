@@ -9,20 +9,10 @@ LevelObjective::LevelObjective(const BundleOptions& model, int64_t level, const 
     : FlowObjective(model, level_model(level), options, std::move(frozen), placement, seed) {}
 
 SceneLatents LevelObjective::latents(const TrainingScene& scene) const {
-  SceneLatents latents = latents_of_sources(scene);
+  SceneLatents latents;
+  latents.shown = conditioned_on_sources(scene);
   latents.clean = latent_of(scene, generator().level, frozen().statistics);
   return latents;
-}
-
-FlowObjective::Prepared LevelObjective::prepare(const TrainingScene& scene, const SceneLatents& latents,
-                                                torch::Generator& /*generator*/) const {
-  Prepared prepared;
-  prepared.inputs.views = scene.views;
-  prepared.inputs.source_features = latents.sources;
-  prepared.inputs.warp_agreement = latents.warp_agreement;
-  prepared.inputs.warped_features = latents.warped_features;
-  prepared.clean = latents.clean;
-  return prepared;
 }
 
 std::map<int64_t, torch::Tensor> LevelObjective::known_levels(const TrainingScene& /*scene*/) const {

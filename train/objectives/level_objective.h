@@ -17,8 +17,6 @@ class LevelObjective : public FlowObjective {
 
  protected:
   SceneLatents latents(const TrainingScene& scene) const override;
-  Prepared prepare(const TrainingScene& scene, const SceneLatents& latents,
-                   torch::Generator& generator) const override;
   // The levels that L does not give are left out (zeros), which the decoder knows from its level dropout.
   std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const override;
 };

@@ -1,23 +1,29 @@
 #include "train/objectives/scene_latents.h"
 
+#include <array>
 #include <utility>
 
 namespace gld {
 namespace {
 
-SceneLatents converted(const SceneLatents& latents, const torch::TensorOptions& options) {
-  const auto convert = [&](const torch::Tensor& tensor) {
-    return tensor.defined() ? tensor.to(options) : tensor;
-  };
-  return {convert(latents.sources), convert(latents.clean), convert(latents.deeper),
-          convert(latents.warp_agreement), convert(latents.warped_features)};
+std::array<torch::Tensor*, 5> tensors_of(SceneLatents& latents) {
+  DitSceneInputs& shown = latents.shown;
+  return {&latents.clean, &shown.source_features, &shown.deeper_level, &shown.warp_agreement,
+          &shown.warped_features};
 }
 
-int64_t bytes_of(const SceneLatents& latents) {
+SceneLatents converted(const SceneLatents& latents, const torch::TensorOptions& options) {
+  SceneLatents result = latents;
+  for (torch::Tensor* tensor : tensors_of(result)) {
+    if (tensor->defined()) *tensor = tensor->to(options);
+  }
+  return result;
+}
+
+int64_t bytes_of(SceneLatents latents) {
   int64_t bytes = 0;
-  for (const auto& tensor :
-       {latents.sources, latents.clean, latents.deeper, latents.warp_agreement, latents.warped_features}) {
-    if (tensor.defined()) bytes += tensor.numel() * tensor.element_size();
+  for (const torch::Tensor* tensor : tensors_of(latents)) {
+    if (tensor->defined()) bytes += tensor->numel() * tensor->element_size();
   }
   return bytes;
 }

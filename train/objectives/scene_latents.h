@@ -1,5 +1,6 @@
 #pragma once
 
+#include "models/dit/dit_scene.h"
 #include "train/data/training_scene.h"
 
 #include <cstdint>
@@ -12,15 +13,11 @@
 
 namespace gld {
 
-// What the frozen backbone makes of a scene for flow matching: (views, tokens, channels), normalised with the latent
-// statistics.
+// What the frozen backbone makes of a scene for flow matching.
 struct SceneLatents {
-  torch::Tensor sources;  // of the source views encoded alone
-  torch::Tensor clean;    // of all views encoded together, the level to generate
-  torch::Tensor deeper;   // of the level that a cascade starts from; undefined for level models
-  // Of photographs carried into target views, as DitSceneInputs has them; undefined for models that take none.
-  torch::Tensor warp_agreement;
-  torch::Tensor warped_features;
+  DitSceneInputs shown;  // to the model
+  torch::Tensor
+      clean;  // what it has to generate: all views encoded together, (views, tokens, channels), normalised
 
   SceneLatents to(torch::Device device) const;
 };

@@ -35,7 +35,6 @@ FlatParameters::FlatParameters(std::vector<NamedParameter> parameters) : paramet
     }
     offsets_.push_back(length);
     length += padded(parameter.numel());
-    parameter_count_ += parameter.numel();
   }
   const torch::NoGradGuard no_grad;
   values_ = torch::zeros({length}, torch::TensorOptions().device(device).dtype(torch::kFloat32));

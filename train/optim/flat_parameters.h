@@ -28,7 +28,6 @@ class FlatParameters {
   const std::vector<NamedParameter>& parameters() const { return parameters_; }
   const torch::Tensor& values() const { return values_; }        // (padded length)
   const torch::Tensor& gradients() const { return gradients_; }  // (padded length)
-  int64_t parameter_count() const { return parameter_count_; }   // without padding
 
   // Where parameter `index` starts in the flat tensors.
   int64_t offset(size_t index) const { return offsets_[index]; }
@@ -40,7 +39,6 @@ class FlatParameters {
  private:
   std::vector<NamedParameter> parameters_;
   std::vector<int64_t> offsets_;
-  int64_t parameter_count_ = 0;
   torch::Tensor values_;
   torch::Tensor gradients_;
 };

@@ -32,7 +32,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   TrainingStage stage;
   stage.command = "train backbone";
   const BundleOptions model = ModelBundle::open(options.model).options();
-  const bool head = model.dpt_head.exists(), autoencoder = !model.has_rgb_decoder();
+  const bool head = model.geometry_head.exists(), autoencoder = !model.has_rgb_decoder();
   if (head || !options.objective.geometry_weights.empty() || options.objective.correspondence_weight > 0) {
     stage.parts = FrameParts::kImageAndDepth;
   }
@@ -41,7 +41,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
     fail({"objective.training", "from_scratch or from_bundle for a model without a geometry head",
           "head_only", "choose one of them"});
   }
-  if (head) stage.made.push_back(BundlePart::dpt_head());
+  if (head) stage.made.push_back(BundlePart::geometry_head());
   if (!head_only) stage.made.push_back(BundlePart::backbone());
   const bool goes_on = options.objective.training != GeometryTraining::kFromScratch;
   stage.objective = [&options, goes_on, head, autoencoder](
@@ -53,7 +53,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
       return std::make_unique<AutoencoderObjective>(bundle.options(), options.autoencoder, placement,
                                                     options.loop.seed, trained.backbone);
     }
-    if (goes_on && head) trained.head = bundle.load_dpt_head(placement);
+    if (goes_on && head) trained.head = bundle.load_geometry_head(placement);
     return std::make_unique<BackboneObjective>(bundle.options(), options.objective, placement,
                                                options.loop.seed, trained);
   };

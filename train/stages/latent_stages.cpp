@@ -4,17 +4,20 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/distributed/shared_work.h"
+#include "gld/latents/latent_divergence.h"
 #include "gld/latents/latent_statistics.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
-#include "models/latent_spaces/geometric_latent_space.h"
+#include "models/bundle/seen_scenes.h"
+#include "models/latent_spaces/latent_space.h"
 #include "train/objectives/level_objective.h"
 
 #include <iostream>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include <torch/autograd.h>
 
@@ -61,6 +64,23 @@ void merge_record(const nlohmann::json& record, std::vector<LevelMoments>& momen
   }
 }
 
+// How far each scene is from all of them together, by its patch tokens.
+SeenScenes seen_scenes(const std::vector<LevelMoments>& all,
+                       const std::vector<std::vector<LevelMoments>>& of_scenes, double epsilon) {
+  SeenScenes seen;
+  seen.scenes = static_cast<int64_t>(of_scenes.size());
+  for (size_t i = 0; i < all.size(); ++i) {
+    if (all[i].special) continue;
+    const LatentStatistics together = statistics_of(all[i].moments, epsilon);
+    std::vector<double> divergences;
+    divergences.reserve(of_scenes.size());
+    for (const auto& scene : of_scenes)
+      divergences.push_back(latent_divergence(statistics_of(scene[i].moments, epsilon), together));
+    seen.levels.push_back(seen_level(all[i].level, std::move(divergences)));
+  }
+  return seen;
+}
+
 void tell_narrow_decoder(const GeneratorOptions& part) {
   const auto note = narrow_decoder_note(part.dit);
   if (!note.empty()) std::cerr << "note: " << generator_name(part.generator) << '.' << note << '\n';
@@ -72,8 +92,7 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
                          const ParameterPlacement& placement) {
   const auto& model = bundle.options();
   FrozenParts frozen;
-  frozen.space =
-      std::make_shared<GeometricLatentSpace>(bundle.load_backbone(placement), model.boundary_level);
+  frozen.space = std::make_shared<LatentSpace>(bundle.load_backbone(placement), model.boundary_level);
   frozen.statistics = bundle.load_statistics(generator).to(placement.device);
   if (generator.is_cascade()) {
     for (const auto& part : model.generators) {
@@ -82,7 +101,7 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
     }
   }
   if (model.generator(generator).dit.warped_sources > 0)
-    frozen.geometry_head = bundle.load_dpt_head(placement);
+    frozen.geometry_head = bundle.load_geometry_head(placement);
   if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
   return frozen;
 }
@@ -170,16 +189,17 @@ std::string compute_statistics(const StatsOptions& options) {
   use_threads(share.threads(options.threads));
   if (share.leads()) check_run_folder(options.out, "stats", earlier_run(options.overwrite));
   const auto bundle = ModelBundle::open(options.model);
-  if (share.team != nullptr) check_same_work(*share.team, options, bundle.content_hash());
+  if (!share.team->alone()) check_same_work(*share.team, options, bundle.content_hash());
   ParameterPlacement placement;
   placement.device = device_from_text(share.device(options.device));
   const BundleOptions& model = bundle.options();
-  const GeometricLatentSpace space(bundle.load_backbone(placement), model.boundary_level);
+  const LatentSpace space(bundle.load_backbone(placement), model.boundary_level);
   const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
   std::optional<RunFolder> folder;
   if (share.leads()) folder.emplace(options.out, "stats", options, earlier_run(options.overwrite));
 
   std::vector<LevelMoments> moments = moments_of(model);
+  std::vector<std::vector<LevelMoments>> of_scenes;  // a few kilobytes each
   std::optional<Progress> progress;
   if (share.leads()) progress.emplace("latent statistics", options.scene_count);
   int64_t scenes = 0;
@@ -207,6 +227,8 @@ std::string compute_statistics(const StatsOptions& options) {
     for (const auto& scene : nlohmann::json::parse(made)) {
       if (scenes == options.scene_count) return;
       merge_record(scene, moments);
+      of_scenes.push_back(moments_of(model));
+      merge_record(scene, of_scenes.back());
       ++scenes;
       if (progress) progress->update(scenes);
     }
@@ -234,7 +256,11 @@ std::string compute_statistics(const StatsOptions& options) {
                                                {"smallest_deviation", deviation.min().item<double>()},
                                                {"largest_deviation", deviation.max().item<double>()}};
   }
-  note_what_was_trained_on(ModelBundle::open(made), parts);
+  const auto with_statistics = ModelBundle::open(made);
+  note_what_was_trained_on(with_statistics, parts);
+  SeenScenes seen = seen_scenes(moments, of_scenes, model.latent_epsilon);
+  seen.drawn = options.data.scenes.empty();
+  write_seen_scenes(with_statistics, seen);
   folder->write_report(report);
   folder->note("model", "model");
   folder->note("report", "report.json");

@@ -14,6 +14,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/bundle/part_lineage.h"
+#include "models/bundle/seen_scenes.h"
 #include "models/bundle/trained_views.h"
 
 #include <algorithm>
@@ -24,6 +25,42 @@
 #include <nlohmann/json.hpp>
 
 namespace gld {
+
+namespace {
+
+void check_loop(const TrainingLoopOptions& loop) {
+  const LearningRateOptions& rate = loop.learning_rate;
+  const int64_t start = std::max(rate.warmup_steps, rate.decay_start_step);
+  const int64_t end = rate.decay_end_step > 0 ? rate.decay_end_step : loop.steps;
+  if (rate.schedule != LearningRateSchedule::kConstant && rate.decay_end_step > 0 && end <= start) {
+    fail({"--decay-end-step", "a step behind the decay's beginning, " + std::to_string(start),
+          std::to_string(end), "raise it, or lower --decay-start-step or --warmup-steps"});
+  }
+  if (loop.workers > loop.micro_batches) {
+    fail({"--loop.workers", "at most --loop.micro-batches, " + std::to_string(loop.micro_batches),
+          std::to_string(loop.workers), "the others would have nothing to compute"});
+  }
+  if (loop.shard_optimiser && loop.optimiser.algorithm == OptimiserAlgorithm::kMuon) {
+    fail({"--shard-optimiser", "adamw or adam, which move each number by itself",
+          "muon, which moves whole matrices", "choose one of them, or leave the optimiser whole"});
+  }
+}
+
+// "foo" would silently allow nothing.
+void check_may_change(const TrainOptions& options, const OptionsGroup& all_options,
+                      const BundleOptions& model) {
+  std::vector<std::string> keys;
+  for (const auto& option : describe_options(all_options)) keys.push_back(option.key);
+  for (const auto& option : describe_options(model)) keys.push_back("model." + option.key);
+  for (const auto& key : options.may_change) {
+    if (std::find(keys.begin(), keys.end(), key) != keys.end()) continue;
+    const auto near = nearest_name(key, keys);
+    fail({"--may-change", "names of options, such as loop.steps", "'" + key + "'",
+          near.empty() ? "see config.yaml of the run" : "did you mean '" + near + "'?"});
+  }
+}
+
+}  // namespace
 
 void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder: model.yaml and the parts trained before"}, model);
@@ -51,6 +88,7 @@ void TrainOptions::check() const {
     fail({"--resume, --overwrite", "one of the two", "both",
           "--resume goes on with the run, --overwrite removes it"});
   }
+  check_loop(loop);
 }
 
 void refuse_changed_options(const std::filesystem::path& folder, const OptionsGroup& now,
@@ -102,6 +140,8 @@ void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
     if (!from.has(part) || std::find(made.begin(), made.end(), part) != made.end()) continue;
     copy_file_atomically(from.file(part), target.file(part));
   }
+  const auto seen = from.folder() / kSeenScenesFile;
+  if (std::filesystem::is_regular_file(seen)) copy_file_atomically(seen, to / kSeenScenesFile);
 }
 
 void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<BundlePart>& made) {
@@ -125,7 +165,8 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
     if (options.resume) refuse_changed_options(options.out, all_options, options.may_change);
   }
   const auto bundle = ModelBundle::open(options.model);
-  if (share.team != nullptr) check_same_work(*share.team, all_options, bundle.content_hash());
+  check_may_change(options, all_options, bundle.options());
+  if (!share.team->alone()) check_same_work(*share.team, all_options, bundle.content_hash());
   ParameterPlacement placement;
   placement.device = device_from_text(share.device(options.device));
   for (const auto& part : stage.made) {
@@ -148,6 +189,8 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   run.folder = options.out;
   run.export_dtype = stored_dtype(options.store);
   run.draw_validation = draw;
+  run.model = &bundle.options();
+  run.may_change = options.may_change;
   int64_t parameters = 0;
   for (const auto& item : objective->parameters()) parameters += item.parameter.numel();
 
@@ -160,7 +203,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   RunFolder folder(options.out, stage.command, all_options, earlier);
   run.folder = folder.path();
   run.validation_scenes = validation_scenes(options.data, sizes.front(), stage.parts);
-  if (share.team != nullptr) {
+  if (!share.team->alone()) {
     const int64_t processes = share.team->count();
     std::cerr << "note: " << processes << " processes; micro-batch i of a step is computed by rank i modulo "
               << processes << "\n";

@@ -110,7 +110,8 @@ void run_adaptive_runge_kutta(SolverRun& run, const std::vector<double>& times) 
       trial = try_step(run, pair, slope, time, h);
     } catch (const SolveStopped& stopped) {
       // Too long a step may leave the region where the field is finite; a shorter one need not.
-      if (stopped.failure.kind != SolveFailureKind::kNonFinite || ++failures == kMostFailures) throw;
+      const bool non_finite = stopped.failure && stopped.failure->kind == SolveFailureKind::kNonFinite;
+      if (!non_finite || ++failures == kMostFailures) throw;
       trial.error = 1e10;
     }
     if (!(trial.error <= 1)) {

@@ -114,6 +114,7 @@ SolveReport try_solve_on(VelocityField& field, const torch::Tensor& noise, const
     traits(options.solver).run(run, times);
   } catch (const SolveStopped& stopped) {
     run.report().failure = stopped.failure;
+    run.report().stopped = !stopped.failure;
   }
   return std::move(run.report());
 }

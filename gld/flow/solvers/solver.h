@@ -89,9 +89,12 @@ struct SolveProgress {
   int64_t evaluations = 0;  // so far
 };
 
+enum class SolveDecision { kGoOn, kStop };
+
 struct SolveObserver {
-  std::string stage = "solver";                       // named in errors, e.g. "level 1"
-  std::function<void(const SolveProgress&)> on_step;  // after each accepted step; may be empty
+  std::string stage = "solver";  // named in errors, e.g. "level 1"
+  // After each accepted step; may be empty. What it means that a solve was stopped, whoever calls it decides.
+  std::function<SolveDecision(const SolveProgress&)> on_step;
 };
 
 enum class SolveFailureKind { kNonFinite, kEvaluationLimit, kStepTooSmall };
@@ -111,12 +114,13 @@ struct SolveReport {
   int64_t accepted = 0;                 // steps
   int64_t rejected = 0;                 // steps that an adaptive solver repeated
   std::vector<double> times;            // start and end of every accepted step, in order
-  std::optional<SolveFailure> failure;  // only from try_solve
+  bool stopped = false;                 // by the observer: the state is that of the last accepted step
+  std::optional<SolveFailure> failure;  // only from try_solve_on
 };
 
-// Solves from the schedule's first time, where the state is noise, to its last. Throws Error, with stage,
-// step and time, as soon as a value is not finite or an adaptive solver gives up. Deterministic for a given
-// field.
+// Solves from the schedule's first time, where the state is noise, to its last, or until the observer stops it. Throws
+// Error, with stage, step and time, as soon as a value is not finite or an adaptive solver gives up. Deterministic for
+// a given field.
 SolveReport solve(VelocityField& field, const torch::Tensor& noise, const SolverOptions& options,
                   const SolveObserver& observer = {});
 

@@ -1,11 +1,8 @@
 #include "gld/flow/solvers/solver_run.h"
 
-#include "gld/base/interrupt.h"
 #include "gld/flow/flow.h"
 
 #include <cmath>
-
-#include <fmt/format.h>
 
 namespace gld {
 
@@ -38,13 +35,13 @@ void SolverRun::accept(const torch::Tensor& state, double time) {
   report_.state = state;
   report_.times.push_back(time);
   ++report_.accepted;
-  if (observer_.on_step) observer_.on_step({report_.accepted, steps_, time, report_.evaluations});
-  stop_if_interrupted(
-      fmt::format("{}: {} steps to flow time {:.4g}", observer_.stage, report_.accepted, time));
+  if (!observer_.on_step) return;
+  const auto decision = observer_.on_step({report_.accepted, steps_, time, report_.evaluations});
+  if (decision == SolveDecision::kStop) throw SolveStopped{};
 }
 
 void SolverRun::give_up(SolveFailureKind kind, const std::string& what, double time) const {
-  throw SolveStopped{{kind, what, report_.accepted + 1, time}};
+  throw SolveStopped{SolveFailure{kind, what, report_.accepted + 1, time}};
 }
 
 bool all_finite(const torch::Tensor& tensor) {

@@ -2,6 +2,7 @@
 
 #include "gld/flow/solvers/solver.h"
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,11 +12,11 @@ namespace gld {
 
 // Thrown inside a solve to leave it; solve() and try_solve_on() turn it into an Error or a report.
 struct SolveStopped {
-  SolveFailure failure;
+  std::optional<SolveFailure> failure;  // none where the observer wished it
 };
 
 // What every solver family works with: it counts evaluations and steps, stops at the first value that is not finite,
-// tells the observer and listens for Ctrl-C.
+// tells the observer and stops where that says so.
 class SolverRun {
  public:
   SolverRun(VelocityField& field, const SolverOptions& options, const SolveObserver& observer);
@@ -26,7 +27,7 @@ class SolverRun {
   torch::Tensor data(const torch::Tensor& state, double time);
 
   void start(const torch::Tensor& state, double time, int64_t steps);
-  // The step that ends here is kept. Throws SolveStopped when the state is not finite.
+  // The step that ends here is kept. Throws SolveStopped when the state is not finite or the observer says stop.
   void accept(const torch::Tensor& state, double time);
   void reject() { ++report_.rejected; }
   [[noreturn]] void give_up(SolveFailureKind kind, const std::string& what, double time) const;

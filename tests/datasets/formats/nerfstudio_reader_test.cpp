@@ -7,6 +7,7 @@
 #include "datasets/scenes/frame_checks.h"
 #include "datasets/scenes/lens_distortion.h"
 #include "gld/base/atomic_file.h"
+#include "tests/support/depth_png.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
@@ -144,7 +145,7 @@ TEST_F(Nerfstudio, MissingFilesAreCounted) {
 TEST_F(Nerfstudio, DepthAndMasks) {
   DepthMap depth(40, 30);
   for (float& value : depth.metres) value = 2.5F;
-  write_depth_png(folder_.path() / "d.png", depth, 1e-3);
+  test::write_depth_png(folder_.path() / "d.png", depth, 1e-3);
   Image mask(40, 30);
   for (size_t i = 0; i < mask.rgb.size() / 2; ++i) mask.rgb[i] = 255;
   write_png(folder_.path() / "mask.png", mask);

@@ -1,5 +1,4 @@
 // The readers of RealEstate10K, TartanAir and HyperSim on real files with known truth, and on damaged ones.
-#include "datasets/formats/hdf5_file.h"
 #include "datasets/formats/hypersim_camera.h"
 #include "datasets/formats/hypersim_reader.h"
 #include "datasets/formats/re10k_reader.h"
@@ -8,9 +7,11 @@
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/files/hdf5_array.h"
 #include "gld/files/npy.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
+#include "tests/support/hypersim_scene.h"
 #include "tests/support/real_scenes.h"
 #include "tests/support/temporary_folder.h"
 
@@ -141,7 +142,7 @@ TEST(Hypersim, RealTrajectoryAndDepth) {
   EXPECT_FALSE(scene.frames[0].has_image());
 
   // Planar depth is the distance along the ray times the cosine of its angle to the axis.
-  const Hdf5Array stored = read_hdf5(
+  const Hdf5Array stored = read_hdf5_array(
       path / "images" / "scene_cam_00_geometry_hdf5" / "frame.0000.depth_meters.hdf5", "dataset", 768 * 1024);
   ASSERT_EQ(stored.shape, (std::vector<int64_t>{768, 1024}));
   const DepthMap depth = scene.frames[0].depth();
@@ -184,7 +185,7 @@ TEST(Hypersim, DamagedFiles) {
   options.frames = 3;
   options.width = options.height = 24;
   const auto path = folder.path() / "ai_001_001";
-  write_scene(make_synthetic_scene(options, 0), "hypersim", path);
+  test::write_hypersim_scene(make_synthetic_scene(options, 0), path);
   const auto colour = path / "images" / "scene_cam_00_final_hdf5" / "frame.0001.color.hdf5";
   const std::string bytes = read_file(colour);
   const Scene scene = open_scene(path);
@@ -195,16 +196,16 @@ TEST(Hypersim, DamagedFiles) {
                   ": expected an HDF5 file, found a damaged or truncated one, or another kind of file; "
                   "copy or download it again.");
   }
-  write_hdf5(colour, "other", {{2}, {1, 2}});
+  test::write_hdf5(colour, "other", {{2}, {1, 2}});
   EXPECT_EQ(error_of([&] { scene.frames[1].image(); }),
             colour.string() +
                 ": expected the dataset \"dataset\", found none; check that it is a file of this kind.");
   const auto positions = path / "_detail" / "cam_00" / "camera_keyframe_positions.hdf5";
-  write_hdf5(positions, "dataset", {{2, 3}, {0, 0, 0, 1, 1, 1}});
+  test::write_hdf5(positions, "dataset", {{2, 3}, {0, 0, 0, 1, 1, 1}});
   EXPECT_EQ(error_of([&] { open_scene(path); }),
             (path / "_detail" / "cam_00" / "camera_keyframe_orientations.hdf5").string() +
                 ": expected shape (2, 3, 3), found (3, 3, 3); check that the files belong together.");
-  write_hdf5(positions, "dataset", {{3, 3}, {0, 0, 0, NAN, 1, 1, 2, 2, 2}});
+  test::write_hdf5(positions, "dataset", {{3, 3}, {0, 0, 0, NAN, 1, 1, 2, 2, 2}});
   EXPECT_EQ(error_of([&] { open_scene(path); }),
             (path / "_detail" / "cam_00").string() +
                 " frame 1: expected a finite pose, found a value that is not a number or infinite; "
@@ -226,7 +227,7 @@ TEST(Hypersim, SeveralCamerasAreSeveralScenes) {
   options.frames = 2;
   options.width = options.height = 24;
   const auto path = folder.path() / "ai_001_001";
-  write_scene(make_synthetic_scene(options, 0), "hypersim", path);
+  test::write_hypersim_scene(make_synthetic_scene(options, 0), path);
   std::filesystem::copy(path / "_detail" / "cam_00", path / "_detail" / "cam_01");
   const auto scenes = list_scenes(folder.path());
   ASSERT_EQ(scenes.size(), 2U);

@@ -5,6 +5,7 @@
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "tests/support/error_of.h"
+#include "tests/support/hypersim_scene.h"
 #include "tests/support/temporary_folder.h"
 
 #include <cmath>
@@ -111,7 +112,7 @@ INSTANTIATE_TEST_SUITE_P(Layouts, RoundTrip,
 TEST(RoundTripHypersim, ReadsWhatWasWritten) {
   const TemporaryFolder folder;
   const Scene original = written_scene();
-  write_scene(original, "hypersim", folder.path() / "ai_999_001");
+  test::write_hypersim_scene(original, folder.path() / "ai_999_001");
   const Scene read = open_scene(folder.path() / "ai_999_001");
   EXPECT_EQ(read.format, "hypersim");
   EXPECT_TRUE(read.metric);

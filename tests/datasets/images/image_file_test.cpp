@@ -4,7 +4,9 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 #include "tests/support/data_folders.h"
+#include "tests/support/depth_png.h"
 #include "tests/support/error_of.h"
+#include "tests/support/exif_jpeg.h"
 #include "tests/support/temporary_folder.h"
 
 #include <cmath>
@@ -36,7 +38,7 @@ Image gradient(int64_t width, int64_t height) {
   return image;
 }
 
-// A minimal EXIF segment that says only the orientation.
+// A minimal big-endian EXIF segment that says only the orientation.
 std::string exif_segment(char orientation) {
   std::string tiff("MM\0\x2A\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0", 19);
   tiff += orientation;
@@ -44,11 +46,6 @@ std::string exif_segment(char orientation) {
   const std::string body = std::string("Exif\0\0", 6) + tiff;
   const size_t length = body.size() + 2;
   return std::string("\xFF\xE1") + static_cast<char>(length >> 8) + static_cast<char>(length & 0xFF) + body;
-}
-
-void add_exif(const std::filesystem::path& jpeg, char orientation) {
-  const std::string bytes = read_file(jpeg);
-  write_file_atomically(jpeg, bytes.substr(0, 2) + exif_segment(orientation) + bytes.substr(2));
 }
 
 TEST(ImageFile, PngKeepsEveryByte) {
@@ -82,6 +79,32 @@ TEST(ImageFile, SixteenBitsGreyAndAlphaBecomeEightBitColour) {
   EXPECT_EQ(std::vector<int>(alpha.pixel(1, 1), alpha.pixel(1, 1) + 3), (std::vector<int>{224, 204, 204}));
 }
 
+TEST(ImageFile, ExifSaysTheFocalLength) {
+  const test::TemporaryFolder folder;
+  const auto focal_length = [&](const test::ExifEntries& exif) {
+    const auto file = folder.path() / "picture.jpg";
+    write_jpeg(file, Image(48, 36), 90);
+    test::add_exif(file, exif);
+    return probe_image_file(file).focal_length;
+  };
+  EXPECT_EQ(focal_length({}), 0);
+  // 4:3 beside 3:2 film: the same angle over the diagonals, 60 pixels and 43.27 mm.
+  test::ExifEntries film;
+  film.focal_length_in_35mm_film = 28;
+  EXPECT_NEAR(focal_length(film), 28 / std::hypot(36.0, 24.0) * 60 / 48, 1e-12);
+  // 50 mm on a sensor of 100 pixels a cm, 480 across: 500 pixels of 480; the picture is a copy a tenth as large.
+  test::ExifEntries sensor;
+  sensor.focal_length = 50;
+  sensor.focal_plane_x_resolution = 100;
+  sensor.focal_plane_unit = 3;
+  sensor.pixel_x = 480;
+  sensor.pixel_y = 360;
+  EXPECT_NEAR(focal_length(sensor), 500.0 / 480, 1e-12);
+  // Cut to another shape, nothing is known.
+  sensor.pixel_y = 300;
+  EXPECT_EQ(focal_length(sensor), 0);
+}
+
 TEST(ImageFile, ExifRotationIsAppliedOnlyWhenAsked) {
   const TemporaryFolder folder;
   // Four quadrants of different brightness show every turn and mirror.
@@ -99,7 +122,9 @@ TEST(ImageFile, ExifRotationIsAppliedOnlyWhenAsked) {
   for (int orientation = 1; orientation <= 8; ++orientation) {
     const auto file = folder.path() / (std::to_string(orientation) + ".jpg");
     write_jpeg(file, quadrants, 100);
-    add_exif(file, static_cast<char>(orientation));
+    test::ExifEntries exif;
+    exif.orientation = static_cast<uint16_t>(orientation);
+    test::add_exif(file, exif);
     const ImageFileInfo info = probe_image_file(file);
     EXPECT_EQ(info.orientation, orientation);
     EXPECT_EQ(info.width, 32);
@@ -188,13 +213,16 @@ TEST(ImageFile, RefusesWhatIsNoPicture) {
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected a file, found nothing; check the path.");
   write_file_atomically(file, "hello");
-  EXPECT_EQ(
-      error_of([&] { read_image(file); }),
-      file.string() + ": expected a PNG, JPEG, WebP, TIFF or BMP image, found something else; convert it.");
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a PNG, JPEG, WebP or TIFF image, found something else; convert it.");
+  std::vector<uint8_t> bmp;
+  ASSERT_TRUE(cv::imencode(".bmp", cv::Mat(4, 4, CV_8UC3, cv::Scalar(1, 2, 3)), bmp));
+  write_file_atomically(file, {bmp.begin(), bmp.end()});
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a PNG, JPEG, WebP or TIFF image, found something else; convert it.");
   write_file_atomically(file, "");
-  EXPECT_EQ(
-      error_of([&] { read_image(file); }),
-      file.string() + ": expected a PNG, JPEG, WebP, TIFF or BMP image, found an empty file; convert it.");
+  EXPECT_EQ(error_of([&] { read_image(file); }),
+            file.string() + ": expected a PNG, JPEG, WebP or TIFF image, found an empty file; convert it.");
   write_png(file, Image(1, 5));
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected an image at least 2 pixels wide and high, found 1x5; leave it out.");
@@ -210,6 +238,29 @@ TEST(ImageFile, RefusesFilesThatEndEarlyAtAnyByte) {
     for (size_t size = 8; size < bytes.size(); size += 1 + size / 16) {
       write_file_atomically(file, bytes.substr(0, size));
       EXPECT_EQ(error_of([&] { read_image(file); }),
+                file.string() +
+                    ": expected a whole image file, found one that ends early; copy or download it again.")
+          << size;
+    }
+  }
+}
+
+TEST(ImageFile, TheEndIsFoundWithoutDecoding) {
+  const TemporaryFolder folder;
+  write_png(folder.path() / "whole.png", gradient(40, 30));
+  write_jpeg(folder.path() / "whole.jpg", gradient(40, 30), 90);
+  // A small picture in the metadata has an end of its own.
+  const std::string jpeg = read_file(folder.path() / "whole.jpg");
+  const std::string thumbnail = exif_segment(1) + "\xFF\xE1" + std::string("\0\x04\xFF\xD9", 4);
+  write_file_atomically(folder.path() / "whole.jpg", jpeg.substr(0, 2) + thumbnail + jpeg.substr(2));
+  for (const char* extension : {".png", ".jpg"}) {
+    const std::string bytes = read_file(folder.path() / (std::string("whole") + extension));
+    const auto file = folder.path() / (std::string("cut") + extension);
+    write_file_atomically(file, bytes + "what a telephone adds");
+    EXPECT_NO_THROW(check_image_end(file)) << extension;
+    for (size_t size = 8; size < bytes.size(); size += 1 + size / 16) {
+      write_file_atomically(file, bytes.substr(0, size));
+      EXPECT_EQ(error_of([&] { check_image_end(file); }),
                 file.string() +
                     ": expected a whole image file, found one that ends early; copy or download it again.")
           << size;
@@ -305,6 +356,7 @@ TEST(ImageFile, APictureLargerThanAnyCamerasIsNotUnpacked) {
   std::string bytes = read_file(file);
   for (const auto& [width, height] :
        {std::pair<uint32_t, uint32_t>{24000, 24000}, {65536, 2}, {0x80000000U, 2}}) {
+    SCOPED_TRACE(width);
     for (size_t i = 0; i < 4; ++i) {
       bytes[16 + i] = static_cast<char>(width >> (24 - 8 * i));
       bytes[20 + i] = static_cast<char>(height >> (24 - 8 * i));
@@ -313,6 +365,10 @@ TEST(ImageFile, APictureLargerThanAnyCamerasIsNotUnpacked) {
         static_cast<uint32_t>(crc32(0, reinterpret_cast<const Bytef*>(bytes.data()) + 12, 17));
     for (size_t i = 0; i < 4; ++i) bytes[29 + i] = static_cast<char>(checksum >> (24 - 8 * i));
     write_file_atomically(file, bytes);
+    if (width == 0x80000000U) {  // a PNG file's numbers have 31 bits
+      EXPECT_THAT(error_of([&] { read_image(file); }), testing::HasSubstr("found damaged data (libpng: "));
+      continue;
+    }
     EXPECT_EQ(error_of([&] { read_image(file); }),
               file.string() +
                   ": expected a size of 1x1 to 268 million pixels, each side at most 65535, found " +
@@ -325,7 +381,7 @@ TEST(ImageFile, DepthPngKeepsMillimetres) {
   const TemporaryFolder folder;
   DepthMap depth(4, 2);
   depth.metres = {0, 0.001F, 1.2345F, 65.535F, 100, 3, 2, 1};
-  write_depth_png(folder.path() / "d.png", depth, 1e-3);
+  test::write_depth_png(folder.path() / "d.png", depth, 1e-3);
   const DepthMap read = read_depth_png(folder.path() / "d.png", 1e-3);
   EXPECT_EQ(read.metres[0], 0);
   EXPECT_NEAR(read.metres[2], 1.2345, 5.1e-4);

@@ -63,6 +63,27 @@ std::vector<SheetView> views_of(size_t sources, size_t targets, int64_t width, i
   return views;
 }
 
+TEST(ContactSheet, AVerdictStandsAboveThePictures) {
+  SheetText text;
+  text.title = "gld sample";
+  const Image without = make_contact_sheet(views_of(1, 1, 112, 112), text);
+  text.verdict = {"These pictures are as good as their photographs'", "predictions of each other are."};
+  const Image with = make_contact_sheet(views_of(1, 1, 112, 112), text);
+  // Two lines of 14 pixels with what is between them; the pictures give way where the sheet may not grow.
+  const int64_t top = places(without).at(colour_of(0, 0)).top;
+  const int64_t lower = places(with).at(colour_of(0, 0)).top - top;
+  EXPECT_GE(lower, 2 * 14);
+  EXPECT_LE(lower, 4 * 14);
+  const auto dark_above = [](const Image& sheet, int64_t end) {
+    int64_t dark = 0;
+    for (int64_t y = 0; y < end; ++y) {
+      for (int64_t x = 0; x < sheet.width; ++x) dark += sheet.pixel(x, y)[0] < 100 ? 1 : 0;
+    }
+    return dark;
+  };
+  EXPECT_GT(dark_above(with, top + lower), dark_above(without, top) + 500);  // words of 74 letters
+}
+
 TEST(ContactSheet, ShowsEveryPictureOnceAtItsAspect) {
   struct Case {
     size_t sources;
@@ -114,7 +135,7 @@ TEST(ContactSheet, SectionsOfPicturesStandBelowEachOther) {
   }
   sections[0].heading = "room_0";
   sections.emplace_back();  // nothing to show
-  const std::map<Rgb, Place> found = places(make_picture_sheet(sections, {"title", "", {}, ""}));
+  const std::map<Rgb, Place> found = places(make_picture_sheet(sections, {"title", {}, "", {}, ""}));
   ASSERT_EQ(found.size(), 5U);
   const auto at = [&](size_t picture) { return found.at(colour_of(picture, 0)); };
   for (const size_t i : {0U, 1U, 3U}) {
@@ -127,7 +148,7 @@ TEST(ContactSheet, SectionsOfPicturesStandBelowEachOther) {
 }
 
 TEST(ContactSheet, StaysInsideItsLimitsForEightViews) {
-  const Image sheet = make_contact_sheet(views_of(2, 6, 504, 280), {"title", "subtitle", {}, ""});
+  const Image sheet = make_contact_sheet(views_of(2, 6, 504, 280), {"title", {}, "subtitle", {}, ""});
   EXPECT_LE(sheet.width, 1920);
   EXPECT_LE(sheet.height, 1600);
   EXPECT_GT(sheet.width, 900);
@@ -155,7 +176,7 @@ TEST(ContactSheet, LeavesRowsOutThatNobodyHasAndMarksMissingPictures) {
 }
 
 TEST(ContactSheet, TheSameInputGivesTheSamePixels) {
-  const SheetText text{"title", "subtitle", {0.5, 12}, "m"};
+  const SheetText text{"title", {}, "subtitle", {0.5, 12}, "m"};
   EXPECT_EQ(make_contact_sheet(views_of(2, 3, 112, 112), text).rgb,
             make_contact_sheet(views_of(2, 3, 112, 112), text).rgb);
 }

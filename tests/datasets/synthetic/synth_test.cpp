@@ -24,7 +24,7 @@ SynthOptions small(const std::filesystem::path& out) {
 
 TEST(Synth, WritesScenesThatOpen) {
   const TemporaryFolder folder;
-  for (const char* layout : {"cameras-json", "re10k", "hypersim"}) {
+  for (const char* layout : {"cameras-json", "re10k", "npz"}) {
     SynthOptions options = small(folder.path() / layout);
     options.layout = layout;
     run_synth(options);
@@ -62,8 +62,7 @@ TEST(Synth, RefusesWrongOptions) {
   options.out = "somewhere";
   options.layout = "jpg";
   EXPECT_EQ(error_of([&] { run_synth(options); }),
-            "--layout: expected one of cameras-json, npz, nerfstudio, re10k, tartanair, hypersim, colmap, "
-            "colmap-text, "
+            "--layout: expected one of cameras-json, npz, nerfstudio, re10k, tartanair, colmap, colmap-text, "
             "eth3d, found \"jpg\"; choose one of them.");
 }
 

@@ -33,7 +33,7 @@ struct Scene {
   int64_t tokens() const { return views * (prefix + height * width); }
 };
 
-// The tables as gld/cameras/prope.cpp makes them, but with arbitrary matrices.
+// The tables as gld/camera_encoding/prope.cpp makes them, but with arbitrary matrices.
 PropeTables tables_for(const Scene& scene, const torch::TensorOptions& options) {
   PropeTables tables;
   tables.grid = {scene.views, scene.height, scene.width};
@@ -63,13 +63,12 @@ PropeTables in_double(PropeTables tables) {
 }
 
 // Queries, keys and values are slices of one joint array (1, tokens, 3, heads, head_dim).
-AttentionInputs inputs_from(const torch::Tensor& joint, const PropeTables* prope, const torch::Tensor& mask) {
+AttentionInputs inputs_from(const torch::Tensor& joint, const PropeTables* prope) {
   AttentionInputs inputs;
   inputs.query = joint.select(2, 0);
   inputs.key = joint.select(2, 1);
   inputs.value = joint.select(2, 2);
   inputs.prope = prope;
-  inputs.view_mask = mask;
   return inputs;
 }
 
@@ -78,41 +77,33 @@ class FusedAttentionTest : public testing::Test {
   void SetUp() override { torch::manual_seed(4); }
 
   // Output and gradient of the joint array, in float32 through attention() and in double through the composition.
-  void compare(const Scene& scene, const PropeTables* prope, const torch::Tensor& mask) {
+  void compare(const Scene& scene, const PropeTables* prope) {
     const auto joint = torch::randn({1, scene.tokens(), 3, scene.heads, scene.head_dim});
     const auto weights = torch::randn({1, scene.tokens(), scene.heads, scene.head_dim});
     const auto single = joint.clone().requires_grad_(true);
-    const auto output = attention(inputs_from(single, prope, mask));
+    const auto output = attention(inputs_from(single, prope));
     EXPECT_TRUE(output.is_contiguous());
     (output * weights).sum().backward();
 
     const auto exact = joint.to(torch::kFloat64).requires_grad_(true);
     PropeTables exact_tables;
     if (prope != nullptr) exact_tables = in_double(*prope);
-    const auto expected =
-        composed_attention(inputs_from(exact, prope == nullptr ? nullptr : &exact_tables, mask));
+    const auto expected = composed_attention(inputs_from(exact, prope == nullptr ? nullptr : &exact_tables));
     (expected * weights.to(torch::kFloat64)).sum().backward();
     EXPECT_LE(relative_error(output, expected), 2e-6);
     EXPECT_LE(relative_error(single.grad(), exact.grad()), 5e-6);
 
     const torch::NoGradGuard no_grad;
-    EXPECT_TRUE(torch::equal(attention(inputs_from(joint, prope, mask)), output));
-    EXPECT_LE(relative_error(row_blocked_attention(inputs_from(joint, prope, mask)), expected), 4e-6);
+    EXPECT_TRUE(torch::equal(attention(inputs_from(joint, prope)), output));
+    EXPECT_LE(relative_error(row_blocked_attention(inputs_from(joint, prope)), expected), 4e-6);
   }
 };
 
-TEST_F(FusedAttentionTest, AgreesWithTheCompositionInDouble) { compare({}, nullptr, {}); }
+TEST_F(FusedAttentionTest, AgreesWithTheCompositionInDouble) { compare({}, nullptr); }
 
 TEST_F(FusedAttentionTest, AgreesWithCameraEncoding) {
   const auto tables = tables_for({}, torch::kFloat32);
-  compare({}, &tables, {});
-}
-
-TEST_F(FusedAttentionTest, AgreesWithAViewMask) {
-  const auto mask = torch::tensor({1, 1, 0, 0, 0, 0, 0, 1, 1}).view({3, 3}).to(torch::kBool);
-  compare({}, nullptr, mask);
-  const auto tables = tables_for({}, torch::kFloat32);
-  compare({}, &tables, mask);
+  compare({}, &tables);
 }
 
 TEST_F(FusedAttentionTest, TakesAnyStrides) {
@@ -199,14 +190,14 @@ TEST_F(FusedAttentionTest, EmptyInputsGiveEmptyOrZeroOutputs) {
 
 TEST_F(FusedAttentionTest, LibTorchsOwnKernelIsTheSameInBothPrecisions) {
   const auto joint = torch::randn({1, 40, 3, 2, 24});
-  AttentionInputs inputs = inputs_from(joint, nullptr, {});
+  AttentionInputs inputs = inputs_from(joint, nullptr);
   if (torch_version()[0] < '2') {
     EXPECT_EQ(test::error_of([&] { library_attention(inputs); }),
               "scaled_dot_product_attention: expected LibTorch 2.0 or newer, found " + torch_version() +
                   "; call attention() instead.");
     return;
   }
-  const auto exact = composed_attention(inputs_from(joint.to(torch::kFloat64), nullptr, {}));
+  const auto exact = composed_attention(inputs_from(joint.to(torch::kFloat64), nullptr));
   EXPECT_LE(relative_error(library_attention(inputs), exact), 2e-6);
   inputs.precision = ComputePrecision::kBFloat16;
   const auto rounded = library_attention(inputs);

@@ -1,6 +1,7 @@
 #include "gld/base/mapped_file.h"
 
 #include "gld/base/atomic_file.h"
+#include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <cstdint>
@@ -8,6 +9,7 @@
 #include <string>
 
 #include <gtest/gtest.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 namespace gld {
@@ -54,6 +56,13 @@ TEST_F(MappedPages, ReadsTheFileAgainWhereItWasDropped) {
   left_after_dropping(page_, 2 * page_);
   EXPECT_EQ(page(1)[0], 'b');
   EXPECT_EQ(page(1)[page_ - 1], 'b');
+}
+
+TEST_F(MappedPages, RefusesAPipeWithoutWaitingForAWriter) {
+  const auto pipe = folder_.path() / "pipe";
+  ASSERT_EQ(::mkfifo(pipe.c_str(), 0600), 0);
+  EXPECT_EQ(test::error_of([&] { MappedFile::open(pipe); }),
+            pipe.string() + ": expected a readable file, found a special file; check the path.");
 }
 
 TEST_F(MappedPages, LeavesOtherMemoryAlone) {

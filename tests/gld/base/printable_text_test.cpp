@@ -52,5 +52,14 @@ TEST(PrintableText, EveryErrorIsOneLineOfIt) {
             "a\\nb\\x1b]0;x\\x07: expected c, found \\xff; d.");
 }
 
+// What was typed, or stands in a file, may be as long as that: an error says enough of it, and all of a path.
+TEST(PrintableText, ErrorsQuoteLongWordsInPart) {
+  const std::string path = "/" + std::string(250, 'p');
+  const std::string said =
+      Error({path, "frames", "'" + std::string(70'000, 'a') + "'", "choose among them"}).what();
+  EXPECT_EQ(said, path + ": expected frames, found '" + std::string(37, 'a') + "..." + std::string(36, 'a') +
+                      "'; choose among them.");
+}
+
 }  // namespace
 }  // namespace gld

@@ -81,8 +81,91 @@ TEST(RunJournal, ADamagedOneReachesNothingOutside) {
   std::ofstream(folder / ".gld-run", std::ios::app)
       << "\"../precious.txt\"\n\"" << (temporary.path() / "precious.txt").string() << "\"\nnonsense\n";
   RunJournal journal(folder);
-  journal.remove_written();
+  journal.put_earlier_aside();
   EXPECT_TRUE(std::filesystem::exists(temporary.path() / "precious.txt"));
+}
+
+// A link that somebody has put in the place of a folder leads to files that are none of the run's.
+TEST(RunJournal, FollowsNoSymbolicLink) {
+  test::TemporaryFolder temporary;
+  const auto folder = temporary.path() / "run", album = temporary.path() / "album";
+  for (const auto& made : {folder, folder / "images", album}) std::filesystem::create_directory(made);
+  std::filesystem::remove(folder / "images");
+  {
+    const RunJournal journal(folder);
+    std::filesystem::create_directory(folder / "images");
+    write_file_atomically(folder / "images" / "0.png", "the run's");
+  }
+  std::filesystem::remove_all(folder / "images");
+  write_file_atomically(album / "0.png", "mine");
+  std::filesystem::create_directory_symlink(album, folder / "images");
+  {
+    RunJournal journal(folder);
+    journal.put_earlier_aside();
+    write_file_atomically(folder / "result", "x");
+  }
+  EXPECT_EQ(read_file(album / "0.png"), "mine");
+}
+
+TEST(RunJournal, PutsTheEarlierRunBackUnlessThereIsAResult) {
+  test::TemporaryFolder temporary;
+  const auto& folder = temporary.path();
+  const auto run = [&](const std::vector<std::string>& written) {
+    RunJournal journal(folder);
+    journal.put_earlier_aside();
+    for (const auto& name : written) {
+      std::filesystem::create_directories((folder / name).parent_path());
+      write_file_atomically(folder / name, written.front());
+    }
+  };
+  run({kRunConfiguration, "images/0.png", "report.json"});
+  write_file_atomically(folder / "notes.txt", "mine");
+  run({});
+  run({kRunConfiguration});
+  EXPECT_THAT(RunJournal::find(folder)->written,
+              testing::ElementsAre(kRunConfiguration, "images/0.png", "report.json"));
+  EXPECT_FALSE(RunJournal::has_earlier_aside(folder));
+  run({"report.json"});
+  EXPECT_THAT(RunJournal::find(folder)->written, testing::ElementsAre("report.json"));
+  EXPECT_FALSE(std::filesystem::exists(folder / "images"));
+  EXPECT_EQ(read_file(folder / "notes.txt"), "mine");
+  // A name that was the earlier run's and is somebody else's now does not go with the next one.
+  std::filesystem::create_directory(folder / "images");
+  write_file_atomically(folder / "images/0.png", "mine");
+  run({"table.csv"});
+  EXPECT_EQ(read_file(folder / "images/0.png"), "mine");
+  std::vector<std::string> there;
+  for (const auto& item : std::filesystem::directory_iterator(folder)) {
+    there.push_back(item.path().filename().string());
+  }
+  EXPECT_THAT(there, testing::UnorderedElementsAre(".gld-run", "images", "notes.txt", "table.csv"));
+}
+
+// Killed before its first result, a run leaves the earlier one aside, where the next that begins anew finds it whole.
+TEST(RunJournal, KeepsTheEarlierRunThroughAKill) {
+  test::TemporaryFolder temporary;
+  const auto& folder = temporary.path();
+  {
+    const RunJournal journal(folder);
+    for (const char* name : {kRunConfiguration, "report.json"}) write_file_atomically(folder / name, "first");
+  }
+  const pid_t child = ::fork();
+  if (child == 0) {
+    auto* never_closed = new RunJournal(folder);
+    never_closed->put_earlier_aside();
+    write_file_atomically(folder / kRunConfiguration, "second");
+    ::_exit(0);
+  }
+  ::waitpid(child, nullptr, 0);
+  EXPECT_TRUE(RunJournal::has_earlier_aside(folder));
+  EXPECT_EQ(read_file(folder / kRunConfiguration), "second");
+  {
+    RunJournal third(folder);
+    third.put_earlier_aside();
+    write_file_atomically(folder / kRunConfiguration, "third");
+  }
+  EXPECT_EQ(read_file(folder / kRunConfiguration), "first");
+  EXPECT_EQ(read_file(folder / "report.json"), "first");
 }
 
 TEST(RunJournal, KeepsOtherProcessesOutUntilItsOwnEnds) {

@@ -6,6 +6,7 @@
 #include <functional>
 #include <limits>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -43,6 +44,12 @@ TEST(CameraChecks, RefusesIntrinsics) {
   EXPECT_EQ(refusal([](Camera& c) { c.intrinsics(0, 0) = 0; }),
             "camera 3: expected positive focal lengths in pixels, found fx = 0, fy = 80; "
             "give the intrinsics in OpenCV convention (x right, y down, z forward).");
+  for (const double widths : {1e-8, 1e8}) {
+    EXPECT_THAT(refusal([&](Camera& c) { c.intrinsics(0, 0) = c.intrinsics(1, 1) = widths * 84; }),
+                testing::MatchesRegex(
+                    "camera 3: expected focal lengths of 0.001 to 10000 image widths, found 1e[-+]08; "
+                    "give the intrinsics in pixels."));
+  }
   EXPECT_EQ(
       refusal([](Camera& c) { c.intrinsics(0, 1) = 2; }),
       "camera 3: expected intrinsics of the form fx 0 cx, 0 fy cy, 0 0 1, found 80 2 42, 0 80 28, 0 0 1; "

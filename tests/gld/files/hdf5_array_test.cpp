@@ -30,7 +30,7 @@ Hdf5Array parsed(const std::string& bytes, int64_t most = kMost) {
   return parse_hdf5_array({copy.data(), copy.size()}, "dataset", most, "a.hdf5");
 }
 
-std::string refusal(const std::string& bytes, int64_t most = kMost) {
+std::string hdf5_refusal(const std::string& bytes, int64_t most = kMost) {
   return error_of([&] { parsed(bytes, most); });
 }
 
@@ -153,7 +153,8 @@ TEST_F(Hdf5Files, DamageAnywhereIsAnErrorOrOtherNumbers) {
                                    "_detail" / "cam_00" / "camera_keyframe_positions.hdf5");
   std::string damaged = positions;
   damaged.replace(123, 16, 16, '\xFF');
-  EXPECT_THAT(refusal(damaged), HasSubstr("a.hdf5: expected an HDF5 file, found a damaged or truncated one"));
+  EXPECT_THAT(hdf5_refusal(damaged),
+              HasSubstr("a.hdf5: expected an HDF5 file, found a damaged or truncated one"));
   Written written;
   written.chunk = {4, 5};
   written.deflate = written.shuffle = true;
@@ -170,14 +171,14 @@ TEST_F(Hdf5Files, DamageAnywhereIsAnErrorOrOtherNumbers) {
       }
     }
     for (size_t size = 0; size < whole.size(); size += 7)
-      EXPECT_FALSE(refusal(whole.substr(0, size)).empty());
+      EXPECT_FALSE(hdf5_refusal(whole.substr(0, size)).empty());
   }
 }
 
 TEST_F(Hdf5Files, SizesAreComparedBeforeMemoryIsTaken) {
   Written written;
   EXPECT_EQ(
-      refusal(write(written), 100),
+      hdf5_refusal(write(written), 100),
       "a.hdf5: expected a dataset of 1 to 100 elements, found another size; check that it is a file of this kind.");
   // 32768 squared, chunked, of which nothing was ever written: 8 GB from 1.4 kB.
   const hid_t handle = H5Fcreate(file().c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, H5P_DEFAULT);
@@ -189,7 +190,7 @@ TEST_F(Hdf5Files, SizesAreComparedBeforeMemoryIsTaken) {
   H5Pclose(creation);
   H5Sclose(space);
   H5Fclose(handle);
-  EXPECT_EQ(refusal(read_file(file()), int64_t{1} << 40),
+  EXPECT_EQ(hdf5_refusal(read_file(file()), int64_t{1} << 40),
             "a.hdf5: expected to read \"dataset\", found damaged data; copy or download it again.");
 }
 
@@ -204,7 +205,7 @@ TEST_F(Hdf5Files, ReadsNothingThatLiesElsewhere) {
   H5Pclose(creation);
   H5Sclose(space);
   H5Fclose(handle);
-  EXPECT_THAT(refusal(read_file(file())), HasSubstr("found data that lie in other files"));
+  EXPECT_THAT(hdf5_refusal(read_file(file())), HasSubstr("found data that lie in other files"));
 
   const std::string other = (folder_.path() / "other.hdf5").string();
   for (const bool external : {true, false}) {
@@ -215,7 +216,7 @@ TEST_F(Hdf5Files, ReadsNothingThatLiesElsewhere) {
       H5Lcreate_soft("/other", handle, "dataset", H5P_DEFAULT, H5P_DEFAULT);
     }
     H5Fclose(handle);
-    EXPECT_FALSE(refusal(read_file(file())).empty());
+    EXPECT_FALSE(hdf5_refusal(read_file(file())).empty());
   }
 }
 
@@ -225,7 +226,7 @@ TEST_F(Hdf5Files, NamesWhatItDoesNotRead) {
   H5Fclose(H5Fcreate(file().c_str(), H5F_ACC_TRUNC, H5P_DEFAULT, access));
   H5Pclose(access);
   EXPECT_EQ(
-      refusal(read_file(file())),
+      hdf5_refusal(read_file(file())),
       "a.hdf5: expected the plain form of HDF5 that h5py writes by default, found a file of the layout of libver "
       "\"latest\"; write the array again with h5py's create_dataset and without special options.");
   Written written;

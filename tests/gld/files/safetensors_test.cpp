@@ -6,6 +6,7 @@
 #include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/support/text_view.h"
 
 #include <cstring>
 #include <filesystem>
@@ -21,14 +22,11 @@ namespace {
 using test::error_of;
 using test::float_bytes;
 using test::safetensors_text;
+using test::view_of_text;
 using testing::ElementsAre;
 
-ByteView view(const std::string& text) {
-  return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
-}
-
-std::string refusal(const std::string& text) {
-  return error_of([&] { parse_safetensors(view(text), "w.safetensors"); });
+std::string safetensors_refusal(const std::string& text) {
+  return error_of([&] { parse_safetensors(view_of_text(text), "w.safetensors"); });
 }
 
 const std::string kOneTensor = R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}})";
@@ -40,7 +38,7 @@ TEST(Safetensors, ReadsTensorsMetadataAndPadding) {
       R"("data_offsets":[16,16]}}   )";
   const std::string text =
       safetensors_text(header, float_bytes({1.5F, -2.0F}) + std::string("\x07\0\0\0\0\0\0\0", 8));
-  const auto parsed = parse_safetensors(view(text), "w.safetensors");
+  const auto parsed = parse_safetensors(view_of_text(text), "w.safetensors");
   ASSERT_EQ(parsed.entries.size(), 3U);
   EXPECT_EQ(parsed.entries[0].name, "a");
   EXPECT_EQ(parsed.entries[0].dtype, DType::kFloat32);
@@ -64,7 +62,7 @@ TEST(Safetensors, EveryDtypeHasItsSize) {
         safetensors_text(R"({"a":{"dtype":")" + code + R"(","shape":[3],"data_offsets":[0,)" +
                              std::to_string(3 * size) + "]}}",
                          std::string(static_cast<size_t>(3 * size), '\0'));
-    EXPECT_EQ(parse_safetensors(view(text), "w").entries[0].byte_count(), 3 * size) << code;
+    EXPECT_EQ(parse_safetensors(view_of_text(text), "w").entries[0].byte_count(), 3 * size) << code;
   }
 }
 
@@ -79,7 +77,7 @@ TEST(Safetensors, HeaderThatIsWrittenIsRead) {
   const std::string text = safetensors_header({wide, narrow}, {{"key", "value"}}) + float_bytes({1, 2}) +
                            std::string("\x01\x02\x03");
   EXPECT_EQ((text.size() - 11) % 64, 0U) << "the data starts at a multiple of 64 bytes";
-  const auto parsed = parse_safetensors(view(text), "w");
+  const auto parsed = parse_safetensors(view_of_text(text), "w");
   EXPECT_EQ(parsed.entries[0].name, "narrow");
   EXPECT_EQ(parsed.entries[0].data[2], 3);
   EXPECT_EQ(parsed.entries[1].name, "w\"ide");
@@ -92,14 +90,14 @@ TEST(Safetensors, HeaderThatIsWrittenIsRead) {
 }
 
 TEST(Safetensors, RefusesBrokenLengths) {
-  EXPECT_EQ(refusal(""),
+  EXPECT_EQ(safetensors_refusal(""),
             "w.safetensors: expected a safetensors file, found only 0 bytes; download the file again.");
-  EXPECT_EQ(refusal("1234567"),
+  EXPECT_EQ(safetensors_refusal("1234567"),
             "w.safetensors: expected a safetensors file, found only 7 bytes; download the file again.");
-  EXPECT_EQ(refusal(std::string(7, '\xff') + '\x7f' + "{}"),
+  EXPECT_EQ(safetensors_refusal(std::string(7, '\xff') + '\x7f' + "{}"),
             "w.safetensors: expected a header within the file's 10 bytes, "
             "found a header length of 9223372036854775807; download the file again, it may be truncated.");
-  EXPECT_EQ(refusal(safetensors_text(kOneTensor, "").substr(0, 20)),
+  EXPECT_EQ(safetensors_refusal(safetensors_text(kOneTensor, "").substr(0, 20)),
             "w.safetensors: expected a header within the file's 20 bytes, found a header length of 54; "
             "download the file again, it may be truncated.");
 }
@@ -181,6 +179,9 @@ TEST(Safetensors, RefusesHostileHeaders) {
       {"beyond the file", one(R"("dtype":"F32","shape":[2],"data_offsets":[4,12])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [4, 12]; "
                 "download the file again, it may be truncated."},
+      {"one byte beyond the file", one(R"("dtype":"U8","shape":[8],"data_offsets":[1,9])"), "12345678",
+       tensor + "expected data_offsets within the 8 data bytes of the file, found [1, 9]; "
+                "download the file again, it may be truncated."},
       {"reversed", one(R"("dtype":"F32","shape":[2],"data_offsets":[8,0])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [8, 0]; "
                 "download the file again, it may be truncated."},
@@ -217,17 +218,18 @@ TEST(Safetensors, RefusesHostileHeaders) {
            again},
   };
   for (const auto& hostile : corpus) {
-    EXPECT_EQ(refusal(safetensors_text(hostile.header, hostile.data)), hostile.sentence) << hostile.title;
+    EXPECT_EQ(safetensors_refusal(safetensors_text(hostile.header, hostile.data)), hostile.sentence)
+        << hostile.title;
   }
 }
 
 TEST(Safetensors, EveryTruncationOfARealFileIsRefused) {
   const std::string whole = read_file(test::test_data() / "reference_cases/dit_level1/inputs.safetensors");
-  ASSERT_GT(parse_safetensors(view(whole), "w").entries.size(), 3U);
+  ASSERT_GT(parse_safetensors(view_of_text(whole), "w").entries.size(), 3U);
   for (size_t size = 0; size < whole.size(); size += 1 + size / 7) {
-    EXPECT_FALSE(refusal(whole.substr(0, size)).empty()) << size;
+    EXPECT_FALSE(safetensors_refusal(whole.substr(0, size)).empty()) << size;
   }
-  EXPECT_FALSE(refusal(whole.substr(0, whole.size() - 1)).empty());
+  EXPECT_FALSE(safetensors_refusal(whole.substr(0, whole.size() - 1)).empty());
 }
 
 TEST(WeightFile, NamesASimilarTensor) {

@@ -6,6 +6,7 @@
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/pickle_text.h"
+#include "tests/support/text_view.h"
 
 #include <cstring>
 #include <ctime>
@@ -23,15 +24,13 @@ using test::float_bytes;
 using test::PickleText;
 using test::torch_legacy;
 using test::torch_zip;
+using test::view_of_text;
 using testing::ElementsAre;
 
-ByteView view(const std::string& text) {
-  return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
-}
-
-std::string refusal(const std::string& pickle, const std::map<std::string, std::string>& storages = {}) {
+std::string archive_refusal(const std::string& pickle,
+                            const std::map<std::string, std::string>& storages = {}) {
   const std::string file = torch_zip(pickle, storages);
-  return error_of([&] { parse_torch_zip(view(file), "w.pt"); });
+  return error_of([&] { parse_torch_zip(view_of_text(file), "w.pt"); });
 }
 
 const TensorEntry& entry_of(const ParsedWeights& parsed, const std::string& name) {
@@ -113,7 +112,7 @@ void expect_checkpoint(const ParsedWeights& parsed) {
 TEST(TorchArchive, ReadsStoredAndDeflatedZip) {
   for (const ZipMethod method : {ZipMethod::kStored, ZipMethod::kDeflated}) {
     const std::string file = torch_zip(checkpoint_pickle(), checkpoint_storages(), method);
-    const auto parsed = parse_torch_zip(view(file), "w.pt");
+    const auto parsed = parse_torch_zip(view_of_text(file), "w.pt");
     expect_checkpoint(parsed);
     EXPECT_EQ(parsed.owners.size(), method == ZipMethod::kStored ? 0U : 2U);
   }
@@ -121,7 +120,7 @@ TEST(TorchArchive, ReadsStoredAndDeflatedZip) {
 
 TEST(TorchArchive, ReadsTheLegacyLayout) {
   const std::string file = torch_legacy(checkpoint_pickle(), checkpoint_storages(), 4);
-  expect_checkpoint(parse_torch_legacy(view(file), "w.pth"));
+  expect_checkpoint(parse_torch_legacy(view_of_text(file), "w.pth"));
 }
 
 TEST(TorchArchive, ReadsALegacyViewOfAStorage) {
@@ -131,7 +130,7 @@ TEST(TorchArchive, ReadsALegacyViewOfAStorage) {
   pickle.integers({0, 2, 3}).raw("tQ");  // the view's key, its first element and its size
   pickle.integer(1).integers({2}).integers({1}).raw("tR");
   const std::string file = torch_legacy(pickle.stopped(), {{"7", float_bytes({0, 1, 2, 3, 4, 5})}}, 4);
-  EXPECT_THAT(values_of(parse_torch_legacy(view(file), "w.pth").entries.at(0)), ElementsAre(3, 4));
+  EXPECT_THAT(values_of(parse_torch_legacy(view_of_text(file), "w.pth").entries.at(0)), ElementsAre(3, 4));
 }
 
 TEST(TorchArchive, PublishedStatisticsLoad) {
@@ -181,7 +180,7 @@ TEST(TorchArchive, ThirdPartyWeightsLoad) {
 TEST(TorchArchive, ALoneTensorHasAName) {
   const std::string file =
       torch_zip(PickleText().tensor("0", 1, 0, {}, {}).stopped(), {{"0", float_bytes({2.5F})}});
-  const auto parsed = parse_torch_zip(view(file), "w.pt");
+  const auto parsed = parse_torch_zip(view_of_text(file), "w.pt");
   EXPECT_EQ(parsed.entries.at(0).name, "tensor");
   EXPECT_THAT(values_of(parsed.entries[0]), ElementsAre(2.5));
 }
@@ -191,19 +190,20 @@ TEST(TorchArchive, RefusesWhateverCouldRunCode) {
     return "w.pt: expected only tensors, numbers, strings, lists and dictionaries, found " + name +
            ", which could run code; save only the state_dict() of the model.";
   };
-  EXPECT_EQ(refusal(PickleText().global("os", "system").op('(').text("true").raw("tR").stopped()),
+  EXPECT_EQ(archive_refusal(PickleText().global("os", "system").op('(').text("true").raw("tR").stopped()),
             refused("os.system"));
-  EXPECT_EQ(
-      refusal(PickleText().text("builtins").text("eval").raw("\x93").op('(').text("1").raw("tR").stopped()),
-      refused("builtins.eval"));
-  EXPECT_EQ(refusal(PickleText().global("torch", "nn.Module").stopped()), refused("torch.nn.Module"));
-  EXPECT_EQ(refusal(PickleText().global("torch._utils", "_rebuild_tensor_v3").stopped()),
+  EXPECT_EQ(archive_refusal(
+                PickleText().text("builtins").text("eval").raw("\x93").op('(').text("1").raw("tR").stopped()),
+            refused("builtins.eval"));
+  EXPECT_EQ(archive_refusal(PickleText().global("torch", "nn.Module").stopped()), refused("torch.nn.Module"));
+  EXPECT_EQ(archive_refusal(PickleText().global("torch._utils", "_rebuild_tensor_v3").stopped()),
             refused("torch._utils._rebuild_tensor_v3"));
-  EXPECT_EQ(
-      refusal(PickleText().global("torch", "FloatStorage").op('(').integer(1000000000).raw("tR").stopped()),
-      refused("a call of a storage type"));
-  EXPECT_EQ(refusal(PickleText().op(']').op('}').op('b').stopped()), refused("attributes set on a list"));
-  EXPECT_EQ(refusal(PickleText().raw("ios\nsystem\n").stopped()),
+  EXPECT_EQ(archive_refusal(
+                PickleText().global("torch", "FloatStorage").op('(').integer(1000000000).raw("tR").stopped()),
+            refused("a call of a storage type"));
+  EXPECT_EQ(archive_refusal(PickleText().op(']').op('}').op('b').stopped()),
+            refused("attributes set on a list"));
+  EXPECT_EQ(archive_refusal(PickleText().raw("ios\nsystem\n").stopped()),
             "w.pt: expected a whole pickle, found opcode 105, which no state_dict needs, at byte 2; "
             "download or save the file again.");
 }
@@ -273,7 +273,7 @@ TEST(TorchArchive, RefusesBrokenPickles) {
       {"65 dimensions", tensor(4, 0, ones65, ones65), "a tensor of more than 64 dimensions at byte 1439"},
   };
   for (const auto& hostile : corpus) {
-    EXPECT_EQ(refusal(hostile.pickle, {{"0", float_bytes({1, 2, 3, 4})}}),
+    EXPECT_EQ(archive_refusal(hostile.pickle, {{"0", float_bytes({1, 2, 3, 4})}}),
               "w.pt: expected a whole pickle, found " + hostile.found + "; download or save the file again.")
         << hostile.title;
   }
@@ -283,16 +283,16 @@ TEST(TorchArchive, RefusesLoopsAndMultiplication) {
   const std::string deep =
       "w.pt: expected objects nested at most 64 deep, found deeper ones (a list may contain itself); "
       "save only the state_dict() of the model.";
-  EXPECT_EQ(refusal(PickleText()
-                        .raw("]q\x01h\x01"
-                             "a")
-                        .stopped()),
+  EXPECT_EQ(archive_refusal(PickleText()
+                                .raw("]q\x01h\x01"
+                                     "a")
+                                .stopped()),
             deep);
-  EXPECT_EQ(refusal(PickleText().raw("}q\x01").text("k").raw("h\x01s").stopped()), deep);
+  EXPECT_EQ(archive_refusal(PickleText().raw("}q\x01").text("k").raw("h\x01s").stopped()), deep);
   std::string nested;
   for (int i = 0; i < 100000; ++i) nested += ']';
   for (int i = 1; i < 100000; ++i) nested += 'a';
-  EXPECT_EQ(refusal(PickleText().raw(nested).stopped()), deep);
+  EXPECT_EQ(archive_refusal(PickleText().raw(nested).stopped()), deep);
   // Forty lists, each holding the one before it twice: 2^40 leaves.
   PickleText laughs;
   laughs.op(']').integer(1).op('a');
@@ -302,7 +302,7 @@ TEST(TorchArchive, RefusesLoopsAndMultiplication) {
                     "0]h\x01"
                     "ah\x01"
                     "a"));
-  EXPECT_EQ(refusal(laughs.stopped()),
+  EXPECT_EQ(archive_refusal(laughs.stopped()),
             "w.pt: expected at most 200000 objects, found more; save only the state_dict() of the model.");
 }
 
@@ -314,7 +314,7 @@ TEST(TorchArchive, CopiesShareOneBudgetOfMemory) {
   dictionaries.raw("eq\x01").raw("0");
   for (int i = 0; i < 1000; ++i) dictionaries.global("collections", "OrderedDict").raw("h\x01\x85R");
   EXPECT_THAT(
-      refusal(dictionaries.raw("t").stopped()),
+      archive_refusal(dictionaries.raw("t").stopped()),
       testing::HasSubstr("w.pt: expected a whole pickle, found more than eight million items in lists"));
 
   // A call copied its million arguments each time: 50 s.
@@ -325,7 +325,7 @@ TEST(TorchArchive, CopiesShareOneBudgetOfMemory) {
   for (int i = 0; i < 20'000; ++i) calls.global("torch._utils", "_rebuild_tensor_v2").raw("h\x01R");
   const std::clock_t start = std::clock();
   const std::string file = torch_zip(calls.raw("t").stopped(), {{"0", float_bytes({1})}});
-  EXPECT_EQ(parse_torch_zip(view(file), "w.pt").entries.size(), 20'000U);
+  EXPECT_EQ(parse_torch_zip(view_of_text(file), "w.pt").entries.size(), 20'000U);
   EXPECT_LT(std::clock() - start, 20 * CLOCKS_PER_SEC);
 }
 
@@ -336,15 +336,15 @@ TEST(TorchArchive, LongNamesAndTextsShareOneBudget) {
   PickleText texts;
   texts.text(std::string(1'000'000, 'x')).raw("q\x01").raw("0").raw("(");
   for (int i = 0; i < 1000; ++i) texts.raw("h\x01");
-  EXPECT_EQ(refusal(texts.raw("l").stopped()), huge);
+  EXPECT_EQ(archive_refusal(texts.raw("l").stopped()), huge);
   // Lists have names too while they are walked, although they hold nothing.
   PickleText keys;
   keys.raw("}").text(std::string(1'000'000, 'x')).raw("](");
   for (int i = 0; i < 1000; ++i) keys.op(']');
-  EXPECT_EQ(refusal(keys.raw("es").stopped()), huge);
+  EXPECT_EQ(archive_refusal(keys.raw("es").stopped()), huge);
   PickleText storages;
   storages.storage("FloatStorage", std::string(1000, 'k'), 1);
-  EXPECT_THAT(refusal(storages.stopped()), testing::HasSubstr("found a storage's key of 1000 bytes"));
+  EXPECT_THAT(archive_refusal(storages.stopped()), testing::HasSubstr("found a storage's key of 1000 bytes"));
 }
 
 // 22 of 60 such files gave other numbers without a word.
@@ -356,7 +356,7 @@ TEST(TorchArchive, AnyFlippedBitOfAStoredTensorIsNoticed) {
     for (size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
       std::string flipped = file;
       flipped[at + bit / 8] = static_cast<char>(flipped[at + bit / 8] ^ 1 << bit % 8);
-      EXPECT_THAT(error_of([&] { parse_torch_zip(view(flipped), "w.pt"); }),
+      EXPECT_THAT(error_of([&] { parse_torch_zip(view_of_text(flipped), "w.pt"); }),
                   testing::MatchesRegex("w\\.pt: entry .*data/" + key +
                                         ": expected a whole zip file, found a wrong checksum; .*"));
     }
@@ -364,14 +364,14 @@ TEST(TorchArchive, AnyFlippedBitOfAStoredTensorIsNoticed) {
 }
 
 TEST(TorchArchive, RefusesValuesWithoutANameOrMeaning) {
-  EXPECT_EQ(
-      refusal(PickleText().op('}').integer(1).integer(2).op('s').text("1").integer(3).op('s').stopped()),
-      "w.pt: entry 1: expected each name once, found the name twice; "
-      "save the file again with distinct names.");
-  EXPECT_EQ(refusal(PickleText().op('}').op(')').integer(2).op('s').stopped()),
+  EXPECT_EQ(archive_refusal(
+                PickleText().op('}').integer(1).integer(2).op('s').text("1").integer(3).op('s').stopped()),
+            "w.pt: entry 1: expected each name once, found the name twice; "
+            "save the file again with distinct names.");
+  EXPECT_EQ(archive_refusal(PickleText().op('}').op(')').integer(2).op('s').stopped()),
             "w.pt: expected dictionary keys that are strings or integers, found a list; "
             "save only the state_dict() of the model.");
-  EXPECT_EQ(refusal(PickleText().op('}').text("k").storage("FloatStorage", "0", 1).op('s').stopped()),
+  EXPECT_EQ(archive_refusal(PickleText().op('}').text("k").storage("FloatStorage", "0", 1).op('s').stopped()),
             "w.pt: entry k: expected a tensor, number or string, found a storage; "
             "save only the state_dict() of the model.");
 }
@@ -379,37 +379,37 @@ TEST(TorchArchive, RefusesValuesWithoutANameOrMeaning) {
 TEST(TorchArchive, RefusesStoragesThatDoNotFit) {
   const std::string pickle = PickleText().tensor("0", 4, 0, {4}, {1}).stopped();
   EXPECT_EQ(
-      refusal(pickle),
+      archive_refusal(pickle),
       "w.pt: tensor tensor: expected a storage named data/0, found none; download or save the file again.");
-  EXPECT_EQ(refusal(pickle, {{"0", float_bytes({1, 2, 3})}}),
+  EXPECT_EQ(archive_refusal(pickle, {{"0", float_bytes({1, 2, 3})}}),
             "w.pt: tensor tensor: expected 4 elements of float32, found a storage of 12 bytes; "
             "download or save the file again.");
   const std::string legacy = torch_legacy(pickle, {{"0", float_bytes({1, 2, 3, 4})}}, 4);
-  EXPECT_EQ(error_of([&] { parse_torch_legacy(view(legacy.substr(0, legacy.size() - 1)), "w.pth"); }),
+  EXPECT_EQ(error_of([&] { parse_torch_legacy(view_of_text(legacy.substr(0, legacy.size() - 1)), "w.pth"); }),
             "w.pth: expected a PyTorch file, found storage 0 of 4 elements in the 15 bytes that are left; "
             "download or save the file again.");
-  EXPECT_EQ(error_of([&] { parse_torch_legacy(view(legacy + "x"), "w.pth"); }),
+  EXPECT_EQ(error_of([&] { parse_torch_legacy(view_of_text(legacy + "x"), "w.pth"); }),
             "w.pth: expected a PyTorch file, found 1 bytes after the last storage; "
             "download or save the file again.");
   const std::string unused = torch_legacy(pickle, {{"0", float_bytes({1, 2, 3, 4})}, {"9", ""}}, 4);
-  EXPECT_EQ(error_of([&] { parse_torch_legacy(view(unused), "w.pth"); }),
+  EXPECT_EQ(error_of([&] { parse_torch_legacy(view_of_text(unused), "w.pth"); }),
             "w.pth: expected a PyTorch file, found storage 9, which nothing uses; "
             "download or save the file again.");
 }
 
 TEST(TorchArchive, RefusesOtherPicklesAndZips) {
   const std::string plain = PickleText().op(']').stopped();
-  EXPECT_EQ(error_of([&] { parse_torch_legacy(view(plain), "w.pth"); }),
+  EXPECT_EQ(error_of([&] { parse_torch_legacy(view_of_text(plain), "w.pth"); }),
             "w.pth: expected a PyTorch file, found a pickle without PyTorch's magic number; "
             "download or save the file again.");
   const std::string other = zip_text({{"a.txt", "x"}}, ZipMethod::kStored, "test");
   EXPECT_EQ(
-      error_of([&] { parse_torch_zip(view(other), "w.pt"); }),
+      error_of([&] { parse_torch_zip(view_of_text(other), "w.pt"); }),
       "w.pt: expected a PyTorch file, found a zip file without data.pkl; download or save the file again.");
   const std::string big =
       zip_text({{"a/data.pkl", plain}, {"a/byteorder", "big"}}, ZipMethod::kStored, "test");
   EXPECT_EQ(
-      error_of([&] { parse_torch_zip(view(big), "w.pt"); }),
+      error_of([&] { parse_torch_zip(view_of_text(big), "w.pt"); }),
       "w.pt: expected little-endian data, found big-endian data; save the file on a little-endian machine.");
 }
 
@@ -419,7 +419,7 @@ TEST(TorchArchive, RefusesADecompressionBomb) {
   const std::string file =
       torch_zip(pickle.stopped(), {{"0", std::string(size_t{4} << 20, '\0')}}, ZipMethod::kDeflated);
   ASSERT_LT(file.size(), 10000U);
-  EXPECT_EQ(error_of([&] { parse_torch_zip(view(file), "w.pt"); }),
+  EXPECT_EQ(error_of([&] { parse_torch_zip(view_of_text(file), "w.pt"); }),
             "w.pt: expected a PyTorch file, found data that expands more than 16 times; "
             "download or save the file again.");
 }
@@ -433,9 +433,9 @@ TEST(TorchArchive, EveryTruncationOfARealFileIsRefused) {
       const std::string cut = whole.substr(0, size);
       EXPECT_FALSE(error_of([&] {
                      if (zip) {
-                       parse_torch_zip(view(cut), "w");
+                       parse_torch_zip(view_of_text(cut), "w");
                      } else {
-                       parse_torch_legacy(view(cut), "w");
+                       parse_torch_legacy(view_of_text(cut), "w");
                      }
                    }).empty())
           << name << " cut to " << size;

@@ -52,6 +52,17 @@ TEST(Guidance, ActsInsideTheIntervalBothEndsIncluded) {
   EXPECT_EQ(field.report().outside_interval, 2);
 }
 
+// u + s (c - u): at 0 the unconditional branch, at 1 the conditional one, and beyond it away from the unconditional.
+TEST(Guidance, MixesTheBranchesByItsScale) {
+  CountingBranches branches;
+  branches.gap = 4;
+  for (const double scale : {0.0, 0.5, 1.0, 3.0}) {
+    GuidedField field(branches, guidance_of(scale, 0, 1));
+    EXPECT_DOUBLE_EQ(field.velocity(torch::zeros({1}, torch::kFloat64), 0.5).item<double>(), 1 + scale * 2)
+        << scale;
+  }
+}
+
 // What a field does is what a plan counts with.
 TEST(Guidance, OptionsSayWhereItActs) {
   const auto options = guidance_of(2, 0.25, 0.75);
@@ -68,48 +79,6 @@ TEST(Guidance, ScaleOneNeverRunsTheUnconditionalBranch) {
   for (const double t : {1.0, 0.5, 0.0}) field.velocity(torch::zeros({2}), t);
   EXPECT_EQ(branches.unconditional_calls, 0);
   EXPECT_EQ(branches.conditional_calls, 3);
-}
-
-// The branches of a mixture agree late: what is dropped is counted, and what it changed is small.
-TEST(Guidance, DropsTheUnconditionalBranchWhereBranchesAgree) {
-  const auto problem = read_flow_problem(test::test_data() / "problems" / "mixture.safetensors", "mixture");
-  SolverOptions solver;
-  solver.evaluations = 20;
-  const auto solved = [&](double tolerance, GuidanceReport& report) {
-    MixtureBranches branches(problem.mixture, problem.conditional_components);
-    auto options = guidance_of(problem.guidance_scale, 0, 1);
-    options.guidance_tolerance = tolerance;
-    GuidedField field(branches, options);
-    auto state = solve(field, problem.noise, solver).state;
-    report = field.report();
-    return state;
-  };
-  GuidanceReport whole, adaptive;
-  const auto exact = solved(0, whole), approximate = solved(0.01, adaptive);
-  EXPECT_EQ(whole.unconditional, 20);
-  EXPECT_EQ(whole.dropped, 0);
-  EXPECT_EQ(adaptive.unconditional + adaptive.dropped, 20);
-  EXPECT_GE(adaptive.dropped, 8);
-  EXPECT_LT(adaptive.largest_neglected, 0.01);
-  EXPECT_LT(((approximate - exact) / problem.standard_deviation).square().mean().sqrt().item<double>(), 1e-3);
-}
-
-// When the branches part again, the next check brings the unconditional one back.
-TEST(Guidance, ChecksAgainAfterDropping) {
-  CountingBranches branches;
-  auto options = guidance_of(2, 0, 1);
-  options.guidance_tolerance = 0.1;
-  GuidedField field(branches, options);
-  branches.gap = 0;
-  const auto state = torch::zeros({4}, torch::kFloat64);
-  field.velocity(state, 1);  // measured, agrees
-  branches.gap = 1;
-  for (int i = 0; i < 3; ++i) EXPECT_DOUBLE_EQ(field.velocity(state, 1)[0].item<double>(), 2);  // dropped
-  EXPECT_EQ(branches.unconditional_calls, 1);
-  for (int i = 0; i < 5; ++i)
-    EXPECT_DOUBLE_EQ(field.velocity(state, 1)[0].item<double>(), 3);  // guided again
-  EXPECT_EQ(branches.unconditional_calls, 6);
-  EXPECT_EQ(field.report().dropped, 3);
 }
 
 TEST(Guidance, RefusesAnInvertedInterval) {

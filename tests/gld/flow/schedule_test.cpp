@@ -127,6 +127,11 @@ TEST(Schedule, RefusesBadInputInOneSentence) {
             file +
                 ": expected numbers separated by blanks, commas or lines, found \"x\"; "
                 "write the times from 1 down to 0, with '#' before comments.");
+  EXPECT_EQ(
+      error_with("1 0.9"),
+      file +
+          ": expected times that end at 0, or near it (at most 0.5), found 0.9; go on with the times down to "
+          "0, or the images are noise.");
   EXPECT_EQ(error_with("1"),
             file + ": expected at least two times, found 1; list the start and the end as well.");
   EXPECT_EQ(error_with("1 0.5 0.5"), file +

@@ -37,7 +37,6 @@ class Case {
   }
 
   void use_prope(const PropePointers* prope) { prope_ = prope; }
-  void use_mask(const ViewMask* mask) { mask_ = mask; }
   std::vector<float>& query() { return query_; }
   std::vector<float>& key() { return key_; }
   std::vector<float>& value() { return value_; }
@@ -49,7 +48,6 @@ class Case {
     arrays.key = view<const float>(key_, shape_.keys);
     arrays.value = view<const float>(value_, shape_.keys);
     arrays.prope = prope_;
-    arrays.mask = mask_;
     output.assign(query_.size(), std::numeric_limits<float>::quiet_NaN());
     log_sum_exp.assign(static_cast<std::size_t>(shape_.batch * shape_.heads * shape_.queries), 7.0f);
     arrays.output = view<float>(output, shape_.queries);
@@ -79,14 +77,14 @@ class Case {
       reference_.query.assign(query_.begin(), query_.end());
       reference_.key.assign(key_.begin(), key_.end());
       reference_.value.assign(value_.begin(), value_.end());
-      run_reference(shape_, prope_, mask_, reference_);
+      run_reference(shape_, prope_, reference_);
     }
     return reference_;
   }
 
   ReferenceGradients reference_gradients() {
     const std::vector<double> gradient(output_gradient_.begin(), output_gradient_.end());
-    return test::reference_gradients(shape_, prope_, mask_, reference(), gradient);
+    return test::reference_gradients(shape_, prope_, reference(), gradient);
   }
 
   std::vector<float> output, log_sum_exp, query_gradient, key_gradient, value_gradient;
@@ -100,7 +98,6 @@ class Case {
 
   AttentionShape shape_;
   const PropePointers* prope_ = nullptr;
-  const ViewMask* mask_ = nullptr;
   std::vector<float> query_, key_, value_, output_gradient_;
   ReferenceAttention reference_;
 };
@@ -129,7 +126,7 @@ inline AttentionShape shape_of(int64_t queries, int64_t keys, int64_t head_dim) 
   return {2, 2, queries, keys, head_dim};
 }
 
-// Random tables for a scene; what they hold is up to gld/cameras/prope.h and of no concern here.
+// Random tables for a scene; what they hold is up to gld/camera_encoding/prope.h and of no concern here.
 struct PropeCase {
   PropeCase(int64_t views, int64_t prefix, int64_t height, int64_t width, int64_t head_dim) {
     std::mt19937 engine(5);

@@ -1,5 +1,7 @@
 #include "gld/kernels/matrix_product.h"
 
+#include "tests/gld/kernels/normal_floats.h"
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,17 +14,11 @@
 namespace gld {
 namespace {
 
-std::vector<float> normals(int64_t count, unsigned seed) {
-  std::mt19937 engine(seed);
-  std::normal_distribution<float> normal;
-  std::vector<float> values(static_cast<std::size_t>(count));
-  for (float& value : values) value = normal(engine);
-  return values;
-}
+using test::normals;
 
 // Rows a few floats further apart than they are long, and y full of NaN.
-struct Case {
-  Case(int64_t rows, int64_t inputs, int64_t outputs, bool with_bias) {
+struct ProductCase {
+  ProductCase(int64_t rows, int64_t inputs, int64_t outputs, bool with_bias) {
     product.rows = rows;
     product.inputs = inputs;
     product.outputs = outputs;
@@ -68,20 +64,20 @@ struct Case {
   std::vector<float> x, weight, bias, y;
 };
 
-struct Shape {
+struct ProductShape {
   int64_t rows, inputs, outputs;
 };
 
 class MatrixProduct : public testing::TestWithParam<InstructionSet> {};
 
 TEST_P(MatrixProduct, AgreesWithDouble) {
-  const std::vector<Shape> shapes = {{1, 1, 1},       {7, 3, 5},      {8, 64, 48},
-                                     {49, 257, 193},  {64, 5, 400},   {130, 531, 95},
-                                     {1160, 40, 100}, {300, 300, 60}, {61, 1701, 101}};
-  for (const Shape& shape : shapes) {
+  const std::vector<ProductShape> shapes = {{1, 1, 1},       {7, 3, 5},      {8, 64, 48},
+                                            {49, 257, 193},  {64, 5, 400},   {130, 531, 95},
+                                            {1160, 40, 100}, {300, 300, 60}, {61, 1701, 101}};
+  for (const ProductShape& shape : shapes) {
     for (const int threads : {1, 3}) {
       for (const bool with_bias : {false, true}) {
-        Case one(shape.rows, shape.inputs, shape.outputs, with_bias);
+        ProductCase one(shape.rows, shape.inputs, shape.outputs, with_bias);
         linear_product(one.product, {threads, GetParam()});
         EXPECT_LT(one.largest_error(), 2e-6)
             << shape.rows << " x " << shape.inputs << " x " << shape.outputs << ", " << threads << " threads";
@@ -91,7 +87,7 @@ TEST_P(MatrixProduct, AgreesWithDouble) {
 }
 
 TEST_P(MatrixProduct, GivesTheSameBitsForAnyCache) {
-  Case small(60, 1701, 210, true), large(60, 1701, 210, true);
+  ProductCase small(60, 1701, 210, true), large(60, 1701, 210, true);
   KernelSettings settings;
   settings.instruction_set = GetParam();
   settings.second_level_cache = int64_t{256} << 10;
@@ -107,7 +103,7 @@ TEST_P(MatrixProduct, GivesTheSameBitsForAnyCache) {
 }
 
 TEST_P(MatrixProduct, GivesTheSameBitsForAnyThreadsAndRows) {
-  Case all(200, 300, 130, true), some(200, 300, 130, true);
+  ProductCase all(200, 300, 130, true), some(200, 300, 130, true);
   linear_product(all.product, {1, GetParam()});
   some.product.rows = 70;
   linear_product(some.product, {3, GetParam()});
@@ -119,12 +115,40 @@ TEST_P(MatrixProduct, GivesTheSameBitsForAnyThreadsAndRows) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Kernels, MatrixProduct, testing::ValuesIn(available_instruction_sets()),
-                         [](const auto& info) {
-                           std::string name = instruction_set_name(info.param);
-                           name.erase(std::remove(name.begin(), name.end(), '-'), name.end());
-                           return name;
-                         });
+// One row, whole tiles of 4 rows and 3 outputs and what is left of them, inputs below a vector, whole vectors, and more
+// than are summed up at once. The error of a sum of normal products is at most a few roundings of its size,
+// sqrt(inputs), as above.
+TEST_P(MatrixProduct, OfFewRowsAgreesWithDouble) {
+  const std::vector<ProductShape> shapes = {{1, 1, 1},    {1, 3, 5},      {4, 16, 3},   {7, 64, 50},
+                                            {17, 77, 49}, {47, 1701, 20}, {3, 9001, 7}, {2, 33, 400}};
+  for (const ProductShape& shape : shapes) {
+    for (const int threads : {1, 3}) {
+      for (const bool with_bias : {false, true}) {
+        ProductCase one(shape.rows, shape.inputs, shape.outputs, with_bias);
+        few_rows_product(one.product, {threads, GetParam()});
+        EXPECT_LT(one.largest_error(), 2e-6)
+            << shape.rows << " x " << shape.inputs << " x " << shape.outputs << ", " << threads << " threads";
+      }
+    }
+  }
+}
+
+TEST_P(MatrixProduct, OfFewRowsGivesTheSameBitsForAnyThreadsAndRows) {
+  ProductCase all(47, 300, 130, true), some(47, 300, 130, true);
+  few_rows_product(all.product, {1, GetParam()});
+  some.product.rows = 14;
+  few_rows_product(some.product, {3, GetParam()});
+  for (int64_t row = 0; row < 14; ++row) {
+    for (int64_t output = 0; output < 130; ++output) {
+      const auto place = static_cast<std::size_t>(row * all.product.y_stride + output);
+      ASSERT_EQ(all.y[place], some.y[place]);
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Portable, MatrixProduct, testing::Values(InstructionSet::kPortable));
+INSTANTIATE_TEST_SUITE_P(on_avx2, MatrixProduct, testing::Values(InstructionSet::kAvx2));
+INSTANTIATE_TEST_SUITE_P(on_avx512, MatrixProduct, testing::Values(InstructionSet::kAvx512));
 
 }  // namespace
 }  // namespace gld

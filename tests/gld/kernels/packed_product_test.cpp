@@ -2,6 +2,7 @@
 
 #include "gld/kernels/matrix_product.h"
 #include "gld/kernels/matrix_unit_kernels.h"
+#include "tests/gld/kernels/normal_floats.h"
 #include "tests/support/error_of.h"
 
 #include <algorithm>
@@ -16,6 +17,8 @@
 namespace gld {
 namespace {
 
+using test::normals;
+
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
@@ -24,12 +27,14 @@ struct Way {
   MatrixUnit unit;
 };
 
-std::vector<Way> ways() {
-  std::vector<Way> all;
-  for (const auto precision : {ComputePrecision::kFloat32, ComputePrecision::kBFloat16,
-                               ComputePrecision::kBFloat16x3, ComputePrecision::kInt8}) {
-    for (const MatrixUnit unit : available_matrix_units(precision)) all.push_back({precision, unit});
-  }
+// What one unit multiplies by its instructions for bfloat16, or by those for int8.
+std::vector<Way> bfloat16_ways(MatrixUnit unit) { return {{ComputePrecision::kBFloat16, unit}}; }
+Way int8_way(MatrixUnit unit) { return {ComputePrecision::kInt8, unit}; }
+
+std::vector<Way> plain_ways() {
+  auto all = bfloat16_ways(MatrixUnit::kPlain);
+  all.push_back(int8_way(MatrixUnit::kPlain));
+  all.push_back({ComputePrecision::kFloat32, MatrixUnit::kPlain});
   return all;
 }
 
@@ -46,17 +51,9 @@ PackingSettings settings_of(const Way& way) {
   return settings;
 }
 
-std::vector<float> normals(int64_t count, unsigned seed) {
-  std::mt19937 engine(seed);
-  std::normal_distribution<float> normal;
-  std::vector<float> values(static_cast<std::size_t>(count));
-  for (float& value : values) value = normal(engine);
-  return values;
-}
-
 // Rows a few floats further apart than they are long, and y full of NaN.
-struct Case {
-  Case(int64_t rows, int64_t inputs, int64_t outputs)
+struct PackedCase {
+  PackedCase(int64_t rows, int64_t inputs, int64_t outputs)
       : rows(rows),
         inputs(inputs),
         outputs(outputs),
@@ -102,7 +99,7 @@ struct Bound {
   double error = 0;
 };
 
-Bound bound_of(const Case& one, int64_t row, int64_t output, ComputePrecision precision) {
+Bound bound_of(const PackedCase& one, int64_t row, int64_t output, ComputePrecision precision) {
   const float* x = one.x_row(row);
   const float* w = one.weight_row(output);
   Bound bound;
@@ -126,11 +123,6 @@ Bound bound_of(const Case& one, int64_t row, int64_t output, ComputePrecision pr
     case ComputePrecision::kBFloat16:
       bound.error = sums + (2 * 0x1p-8 + 0x1p-16) * magnitudes;
       break;
-    case ComputePrecision::kBFloat16x3:
-      // |low| <= u |x| with u = 2^-8, itself rounded to u |low|: each factor is off by u^2, and low low, which is left
-      // out, by u^2 once more.
-      bound.error = 3 * sums + 3.1 * 0x1p-16 * magnitudes;
-      break;
     case ComputePrecision::kInt8: {
       // Rounded zero: up to another half step where x is clamped at an end of the range.
       const double x_step = (high - low) / 255, w_step = largest / 127;
@@ -146,17 +138,17 @@ Bound bound_of(const Case& one, int64_t row, int64_t output, ComputePrecision pr
 
 class PackedProducts : public testing::TestWithParam<Way> {};
 
-struct Shape {
+struct PackedShape {
   int64_t rows, inputs, outputs;
 };
 
 TEST_P(PackedProducts, StayWithinTheirBoundOfDouble) {
-  const std::vector<Shape> shapes = {{1, 1, 1},       {7, 3, 5},     {8, 64, 48},    {33, 31, 33},
-                                     {49, 257, 193},  {64, 5, 400},  {130, 531, 95}, {1160, 40, 100},
-                                     {61, 1701, 101}, {35, 3300, 70}};
-  for (const Shape& shape : shapes) {
+  const std::vector<PackedShape> shapes = {{1, 1, 1},       {7, 3, 5},     {8, 64, 48},    {33, 31, 33},
+                                           {49, 257, 193},  {64, 5, 400},  {130, 531, 95}, {1160, 40, 100},
+                                           {61, 1701, 101}, {35, 3300, 70}};
+  for (const PackedShape& shape : shapes) {
     for (const int threads : {1, 3}) {
-      const Case one(shape.rows, shape.inputs, shape.outputs);
+      const PackedCase one(shape.rows, shape.inputs, shape.outputs);
       const auto y = one.run(GetParam(), threads);
       for (int64_t row = 0; row < one.rows; ++row) {
         for (int64_t output = 0; output < one.outputs; ++output) {
@@ -174,7 +166,7 @@ TEST_P(PackedProducts, StayWithinTheirBoundOfDouble) {
 }
 
 TEST_P(PackedProducts, GiveTheSameBitsForAnyThreadsAndRows) {
-  const Case one(200, 300, 130);
+  const PackedCase one(200, 300, 130);
   const auto all = one.run(settings_of(GetParam()), 1, 200), some = one.run(settings_of(GetParam()), 3, 70);
   for (int64_t row = 0; row < 70; ++row) {
     for (int64_t output = 0; output < one.outputs; ++output) {
@@ -185,7 +177,7 @@ TEST_P(PackedProducts, GiveTheSameBitsForAnyThreadsAndRows) {
 
 // What each kernel computes with: its operands rounded as it says. Sums differ in order and so in rounding alone.
 TEST_P(PackedProducts, AgreeWithThePlainUnitToRounding) {
-  const Case one(70, 1030, 101);
+  const PackedCase one(70, 1030, 101);
   const auto plain = one.run({GetParam().precision, MatrixUnit::kPlain}, 1);
   const auto y = one.run(GetParam(), 2);
   for (int64_t row = 0; row < one.rows; ++row) {
@@ -197,8 +189,8 @@ TEST_P(PackedProducts, AgreeWithThePlainUnitToRounding) {
 }
 
 TEST_P(PackedProducts, ShareTheirInput) {
-  const Case first(40, 70, 90);
-  Case second = first;
+  const PackedCase first(40, 70, 90);
+  PackedCase second = first;
   second.weight = normals(90 * second.weight_stride(), 4);
   const auto settings = settings_of(GetParam());
   const PackedWeights a(first.matrix(), settings), b(second.matrix(), settings);
@@ -222,7 +214,7 @@ TEST_P(PackedProducts, ShareTheirInput) {
 
 // Rows of 1e-30, of 1e4, of one outlier of 1e30 and of zeros: none overflows, each keeps its own digits.
 TEST_P(PackedProducts, KeepExtremeRowsApart) {
-  Case one(50, 200, 60);
+  PackedCase one(50, 200, 60);
   for (int64_t k = 0; k < one.inputs; ++k) {
     one.x_row(0)[k] *= 1e-30f;
     one.x_row(1)[k] *= 1e4f;
@@ -239,7 +231,7 @@ TEST_P(PackedProducts, KeepExtremeRowsApart) {
 }
 
 TEST_P(PackedProducts, NeverHideANanOrAnInfinity) {
-  Case one(50, 200, 60);
+  PackedCase one(50, 200, 60);
   one.x_row(5)[199] = kNan;
   one.x_row(6)[0] = kInfinity;
   const auto y = one.run(GetParam(), 1);
@@ -249,7 +241,7 @@ TEST_P(PackedProducts, NeverHideANanOrAnInfinity) {
     EXPECT_TRUE(std::isfinite(one.at(y, 4, output)));
     EXPECT_TRUE(std::isfinite(one.at(y, 7, output)));
   }
-  Case weights(50, 200, 60);
+  PackedCase weights(50, 200, 60);
   weights.weight[static_cast<std::size_t>(3 * weights.weight_stride() + 100)] = kNan;
   const auto z = weights.run(GetParam(), 1);
   for (int64_t row = 0; row < weights.rows; ++row) {
@@ -258,12 +250,20 @@ TEST_P(PackedProducts, NeverHideANanOrAnInfinity) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Precisions, PackedProducts, testing::ValuesIn(ways()),
-                         [](const auto& info) { return name_of(info.param); });
+const auto kNames = [](const testing::TestParamInfo<Way>& info) { return name_of(info.param); };
+INSTANTIATE_TEST_SUITE_P(Plain, PackedProducts, testing::ValuesIn(plain_ways()), kNames);
+INSTANTIATE_TEST_SUITE_P(on_avx512_bf16, PackedProducts,
+                         testing::ValuesIn(bfloat16_ways(MatrixUnit::kAvx512)), kNames);
+INSTANTIATE_TEST_SUITE_P(on_avx512_vnni, PackedProducts, testing::Values(int8_way(MatrixUnit::kAvx512)),
+                         kNames);
+INSTANTIATE_TEST_SUITE_P(on_amx_bf16, PackedProducts, testing::ValuesIn(bfloat16_ways(MatrixUnit::kAmx)),
+                         kNames);
+INSTANTIATE_TEST_SUITE_P(on_amx_int8, PackedProducts, testing::Values(int8_way(MatrixUnit::kAmx)), kNames);
 
 TEST(PackedFloats, GiveTheBitsOfTheProductThatPacksAsItGoes) {
-  for (const Shape& shape : {Shape{60, 1701, 210}, Shape{8, 64, 48}, Shape{300, 300, 193}}) {
-    const Case one(shape.rows, shape.inputs, shape.outputs);
+  for (const PackedShape& shape :
+       {PackedShape{60, 1701, 210}, PackedShape{8, 64, 48}, PackedShape{300, 300, 193}}) {
+    const PackedCase one(shape.rows, shape.inputs, shape.outputs);
     std::vector<float> expected(static_cast<std::size_t>(one.rows * one.y_stride()), kNan);
     LinearProduct product;
     product.rows = one.rows;
@@ -287,7 +287,7 @@ TEST(PackedFloats, GiveTheBitsOfTheProductThatPacksAsItGoes) {
 }
 
 TEST(PackedFloats, UnpackToTheSameBits) {
-  const Case one(1, 531, 210);
+  const PackedCase one(1, 531, 210);
   const PackedWeights packed(one.matrix(), PackingSettings{});
   std::vector<float> weights(531 * 210, kNan);
   packed.unpack(weights.data());
@@ -299,7 +299,7 @@ TEST(PackedFloats, UnpackToTheSameBits) {
 }
 
 TEST(PackedWeights, SayTheirSizeAndWhatTheyCannotDo) {
-  const Case one(1, 100, 50);
+  const PackedCase one(1, 100, 50);
   const PackedWeights packed(one.matrix(), settings_of({ComputePrecision::kBFloat16, MatrixUnit::kPlain}));
   // 50 outputs are two panels of 32, 100 inputs are 50 words, padded to 64.
   EXPECT_EQ(packed.bytes(), 64 * 64 * 4);
@@ -316,28 +316,32 @@ TEST(PackedWeights, SayTheirSizeAndWhatTheyCannotDo) {
       "thread, found no target, thread or row.");
 }
 
-TEST(BFloat16Rounding, IsToTheNearestWithTiesToEven) {
-  for (const MatrixUnit unit : available_matrix_units(ComputePrecision::kBFloat16)) {
-    const auto& kernels = matrix_unit_kernels(unit, ComputePrecision::kBFloat16);
-    // 1 + 2^-8 lies between 1 and 1 + 2^-7, 1 + 3 2^-8 between that and 1 + 2^-6; a vector of them and a tail.
-    std::vector<float> x(40, 1 + 0x1p-8f);
-    x[1] = 1 + 3 * 0x1p-8f;
-    x[2] = kNan;
-    x[3] = -kInfinity;
-    x[4] = 3.4e38f;
-    x[39] = 1 + 3 * 0x1p-8f;
-    std::vector<uint16_t> y(64, 0xffff);
-    kernels.to_bfloat16(x.data(), 40, 64, y.data());
-    EXPECT_EQ(y[0], 0x3f80);
-    EXPECT_EQ(y[1], 0x3f82);
-    EXPECT_TRUE((y[2] & 0x7f80) == 0x7f80 && (y[2] & 0x7f) != 0);
-    EXPECT_EQ(y[3], 0xff80);
-    EXPECT_EQ(y[4], 0x7f80);
-    EXPECT_EQ(y[39], 0x3f82);
-    EXPECT_EQ(y[40], 0);
-    EXPECT_EQ(y[63], 0);
-  }
+class BFloat16Rounding : public testing::TestWithParam<MatrixUnit> {};
+
+TEST_P(BFloat16Rounding, IsToTheNearestWithTiesToEven) {
+  const auto& kernels = matrix_unit_kernels(GetParam(), ComputePrecision::kBFloat16);
+  // 1 + 2^-8 lies between 1 and 1 + 2^-7, 1 + 3 2^-8 between that and 1 + 2^-6; a vector of them and a tail.
+  std::vector<float> x(40, 1 + 0x1p-8f);
+  x[1] = 1 + 3 * 0x1p-8f;
+  x[2] = kNan;
+  x[3] = -kInfinity;
+  x[4] = 3.4e38f;
+  x[39] = 1 + 3 * 0x1p-8f;
+  std::vector<uint16_t> y(64, 0xffff);
+  kernels.to_bfloat16(x.data(), 40, 64, y.data());
+  EXPECT_EQ(y[0], 0x3f80);
+  EXPECT_EQ(y[1], 0x3f82);
+  EXPECT_TRUE((y[2] & 0x7f80) == 0x7f80 && (y[2] & 0x7f) != 0);
+  EXPECT_EQ(y[3], 0xff80);
+  EXPECT_EQ(y[4], 0x7f80);
+  EXPECT_EQ(y[39], 0x3f82);
+  EXPECT_EQ(y[40], 0);
+  EXPECT_EQ(y[63], 0);
 }
+
+INSTANTIATE_TEST_SUITE_P(Plain, BFloat16Rounding, testing::Values(MatrixUnit::kPlain));
+INSTANTIATE_TEST_SUITE_P(on_avx512_bf16, BFloat16Rounding, testing::Values(MatrixUnit::kAvx512));
+INSTANTIATE_TEST_SUITE_P(on_amx_bf16, BFloat16Rounding, testing::Values(MatrixUnit::kAmx));
 
 }  // namespace
 }  // namespace gld

@@ -1,6 +1,6 @@
 #include "gld/machine/block_memory.h"
 
-#include "gld/machine/stage_record.h"
+#include "tests/support/resident_memory.h"
 
 #include <cstdint>
 #include <cstring>
@@ -49,13 +49,13 @@ TEST_F(BlockMemory, GivesAFreedBlockToTheNextOfAboutThatSize) {
 // Weights have such sizes; a huge page for the few bytes past the last whole one would cost an eighth of a model.
 TEST_F(BlockMemory, TakesNoHugePageForTheHeader) {
   constexpr int64_t kBlocks = 8, kBytes = 16 * kMegabyte;
-  const int64_t before = resident_bytes();
+  const int64_t before = test::resident_bytes();
   std::vector<void*> blocks;
   for (int64_t i = 0; i < kBlocks; ++i) {
     blocks.push_back(take_block(kBytes));
     std::memset(blocks.back(), 1, kBytes);
   }
-  const int64_t taken = resident_bytes() - before;
+  const int64_t taken = test::resident_bytes() - before;
   for (void* block : blocks) give_block(block);
   EXPECT_GE(taken, kBlocks * kBytes);
   EXPECT_LT(taken, kBlocks * kBytes + kBlocks * kBytes / 32);

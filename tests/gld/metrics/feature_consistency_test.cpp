@@ -23,13 +23,13 @@ TEST(FeaturesAt, AreBilinearBetweenTheMiddlesOfCells) {
       << found;
 }
 
-FeatureView view_of(const test::PlaneRoom& room, const torch::Tensor& features, int64_t view) {
+FeatureView features_of(const test::PlaneRoom& room, const torch::Tensor& features, int64_t view) {
   return {features[view], room.depth_maps()[view], room.cameras[static_cast<size_t>(view)]};
 }
 
 TEST(FeatureConsistency, IsZeroForIdenticalImages) {
   const test::PlaneRoom room(1, 32, 24);
-  const FeatureView view = view_of(room, torch::rand({1, 7, 6, 8}), 0);
+  const FeatureView view = features_of(room, torch::rand({1, 7, 6, 8}), 0);
   const FeatureConsistency found = feature_consistency(view, view);
   EXPECT_NEAR(found.distance, 0, 1e-6);
   EXPECT_NEAR(found.coverage, 1, 1e-12);
@@ -40,7 +40,7 @@ TEST(FeatureConsistency, IsOneMinusTheCosineOfConstantFeatures) {
   auto features = torch::zeros({2, 2, 3, 4});
   features[0][0] = 2;                // along the first channel
   features[1] = 1 / std::sqrt(2.0);  // between both
-  EXPECT_NEAR(feature_consistency(view_of(room, features, 0), view_of(room, features, 1)).distance,
+  EXPECT_NEAR(feature_consistency(features_of(room, features, 0), features_of(room, features, 1)).distance,
               1 - std::sqrt(0.5), 1e-6);
 }
 
@@ -49,9 +49,9 @@ TEST(FeatureConsistency, GrowsWithTheErrorOfTheCamera) {
   const auto features = room.textures(6) - 0.5;
   double last = -1;
   for (int i = 0; i < 10; ++i) {
-    FeatureView other = view_of(room, features, 1);
+    FeatureView other = features_of(room, features, 1);
     other.camera.world_from_camera.translation() += 0.03 * i * Eigen::Vector3d(1, 0.3, 0);
-    const double distance = feature_consistency(view_of(room, features, 0), other).distance;
+    const double distance = feature_consistency(features_of(room, features, 0), other).distance;
     EXPECT_GT(distance, last) << i;
     last = distance;
   }
@@ -60,8 +60,8 @@ TEST(FeatureConsistency, GrowsWithTheErrorOfTheCamera) {
 
 TEST(FeatureConsistency, SaysHowMuchItCovers) {
   const test::PlaneRoom room(2, 32, 24);
-  FeatureView first = view_of(room, torch::rand({2, 5, 4, 4}), 0),
-              other = view_of(room, torch::rand({2, 5, 4, 4}), 1);
+  FeatureView first = features_of(room, torch::rand({2, 5, 4, 4}), 0),
+              other = features_of(room, torch::rand({2, 5, 4, 4}), 1);
   other.camera.world_from_camera.translation().x() += 1000;
   EXPECT_TRUE(std::isnan(feature_consistency(first, other).distance));
   EXPECT_EQ(feature_consistency(first, other).coverage, 0);

@@ -1,8 +1,8 @@
 #include "gld/metrics/pose_metrics.h"
 
 #include "gld/base/error.h"
-#include "gld/cameras/pose_from_rays.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 #include "tests/support/error_of.h"
 #include "tests/support/random_cameras.h"
 

@@ -6,14 +6,19 @@
 #include "gld/machine/stage_record.h"
 #include "gld/report/progress.h"
 #include "tests/support/error_of.h"
+#include "tests/support/resident_memory.h"
 #include "tests/support/temporary_folder.h"
 
+#include <chrono>
+#include <fstream>
 #include <stdexcept>
+#include <thread>
 #include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 namespace gld {
@@ -187,6 +192,35 @@ TEST(RunFolder, AnEarlierRunIsRefusedOrItsFilesAndNoOthersGo) {
   EXPECT_TRUE(std::filesystem::exists(path / "report.json"));
 }
 
+TEST(RunFolder, ARefusalAfterTheFolderIsOpenLeavesTheEarlierRun) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  {
+    const RunFolder first(path, "count", CountOptions(), EarlierRun::kRefuse);
+    write_file_atomically(first.subfolder("images") / "old.png", "x");
+    first.write_report({{"answer", 41}});
+  }
+  CountOptions other;
+  other.count = 4;
+  try {
+    const RunFolder second(path, "count", other, EarlierRun::kOverwrite);
+    EXPECT_FALSE(std::filesystem::exists(path / "report.json"));
+    throw std::runtime_error("a schedule file that does not exist");
+  } catch (const std::runtime_error&) {
+    EXPECT_TRUE(std::filesystem::exists(path / "images" / "old.png"));
+  }
+  EXPECT_EQ(nlohmann::json::parse(read_file(path / "report.json")).at("answer"), 41);
+  EXPECT_THAT(read_file(path / "config.yaml"), testing::HasSubstr("count: 3"));
+}
+
+// It has nothing that could be lost, and --resume says to begin again.
+TEST(RunFolder, ARunWithoutAResultMayBeginAgain) {
+  test::TemporaryFolder temporary;
+  const auto path = temporary.path() / "run";
+  { const RunFolder killed(path, "count", CountOptions(), EarlierRun::kRefuse); }
+  EXPECT_NO_THROW(RunFolder(path, "count", CountOptions(), EarlierRun::kRefuse));
+}
+
 TEST(RunFolder, ARunOfAProgramWithoutJournalIsContinuedButNotRemoved) {
   test::TemporaryFolder temporary;
   const auto path = temporary.path() / "run";
@@ -228,15 +262,36 @@ TEST(RunFolder, ASecondRunAtTheSameTimeIsRefused) {
 
 TEST(StageRecords, KeepTimeAndMemoryAlsoOfAFailedStage) {
   StageRecords stages;
-  stages.run("allocate", [] {
+  constexpr auto kSlept = std::chrono::milliseconds(20);
+  stages.run("allocate", [&] {
     std::vector<char> block(64 << 20, 1);
-    EXPECT_GT(resident_bytes(), 64 << 20);
+    EXPECT_GT(test::resident_bytes(), 64 << 20);
+    std::this_thread::sleep_for(kSlept);
   });
   EXPECT_THROW(stages.run("fail", [] { throw std::runtime_error("no"); }), std::runtime_error);
   ASSERT_EQ(stages.records().size(), 2u);
   EXPECT_GT(stages.records()[0].peak_bytes, 64 << 20);
-  EXPECT_GE(stages.records()[0].seconds, 0);
+  EXPECT_GE(stages.records()[0].seconds, 0.02);
+  EXPECT_LT(stages.records()[0].seconds, 60);  // seconds, and not parts of them
   EXPECT_EQ(stages.to_json()[1].at("stage"), "fail");
+}
+
+// ulimit -v: what the system has free is of no use beyond it.
+TEST(StageRecords, AvailableMemoryIsThatOfTheAddressSpaceToo) {
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_AS, &before), 0);
+  constexpr int64_t kGibibyte = int64_t{1} << 30;
+  int64_t mapped = 0;
+  std::ifstream pages("/proc/self/statm");
+  pages >> mapped;
+  mapped *= ::sysconf(_SC_PAGESIZE);
+  rlimit limited = before;
+  limited.rlim_cur = static_cast<rlim_t>(mapped + kGibibyte);
+  ASSERT_EQ(::setrlimit(RLIMIT_AS, &limited), 0);
+  const int64_t available = available_memory_bytes();
+  ASSERT_EQ(::setrlimit(RLIMIT_AS, &before), 0);
+  EXPECT_GT(available, 0);
+  EXPECT_LE(available, kGibibyte + (1 << 20));  // but for what was unmapped in between
 }
 
 TEST(Text, DurationsAndSizes) {

@@ -1,6 +1,6 @@
 #include "infer/evaluate/evaluated_views.h"
 
-#include "infer/pipeline/held_out_scenes.h"
+#include "infer/request/held_out_scenes.h"
 #include "tests/support/error_of.h"
 
 #include <cstdint>

@@ -1,9 +1,10 @@
 #include "infer/export/point_cloud.h"
 
 #include "gld/base/atomic_file.h"
-#include "gld/cameras/pose_from_rays.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 #include "infer/export/ply_file.h"
 #include "tests/support/error_of.h"
+#include "tests/support/not_finite.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
@@ -19,8 +20,8 @@
 namespace gld {
 namespace {
 
-constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
+using test::kInfinity;
+using test::kNan;
 
 PointCloudOptions keep_all() {
   PointCloudOptions options;
@@ -218,30 +219,12 @@ TEST(PointCloud, LeavesOutUnsureUnknownEdgesAndFar) {
   for (const float confidence : cloud.confidences) EXPECT_GE(confidence, 5);
 }
 
-TEST(PointCloud, SurvivesExtremes) {
-  PointView view;
-  view.camera = camera_of(8, 64);
-  view.image = Image(8, 64);
-  view.depth = DepthMap(8, 64);
-  view.confidence = ConfidenceMap(8, 64);
-  const std::vector<float> depths{kNan, kInfinity, -kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
-  const std::vector<float> confidences{kNan, kInfinity, -1, 0, 1e-45F, 3.4e38F, 1};
-  for (size_t i = 0; i < view.depth.metres.size(); ++i) {
-    view.depth.metres[i] = depths[i % depths.size()];
-    view.confidence.values[i] = confidences[i % confidences.size()];
-  }
-  for (const double scale : {1e-30, 1.0, 1e30}) {
-    const PointCloud cloud = build_point_cloud({view}, scale, keep_all());
-    EXPECT_GT(cloud.size(), 0);
-    for (const Eigen::Vector3d& point : cloud.x_in_world) {
-      EXPECT_TRUE(point.allFinite());
-      EXPECT_LT(point.cwiseAbs().maxCoeff(), 1e30);
-    }
-  }
-  std::fill(view.confidence.values.begin(), view.confidence.values.end(), 0.0F);
-  EXPECT_EQ(build_point_cloud({view}, 1, {}).size(), 0);
-  // All equal depths and confidences: every quantile keeps them all.
-  PointView flat = view;
+TEST(PointCloud, EveryQuantileOfEqualConfidencesKeepsThemAll) {
+  PointView flat;
+  flat.camera = camera_of(8, 64);
+  flat.image = Image(8, 64);
+  flat.depth = DepthMap(8, 64);
+  flat.confidence = ConfidenceMap(8, 64);
   std::fill(flat.depth.metres.begin(), flat.depth.metres.end(), 2.0F);
   std::fill(flat.confidence.values.begin(), flat.confidence.values.end(), 1.0F);
   PointCloudOptions options;

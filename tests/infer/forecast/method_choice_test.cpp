@@ -31,7 +31,7 @@ class MethodChoice : public testing::Test {
                                                                          {ComputePrecision::kBFloat16, 0.019},
                                                                          {ComputePrecision::kInt8, 0.041}};
     for (const auto& [precision, error] : of_precisions) {
-      SamplingMethod method = SampleOptions().method(small_bundle_options());
+      SamplingMethod method = SampleOptions().method();
       method.precision = precision;
       method.name = compute_precision_name(precision);
       table.methods.push_back({method, 0.005 + error, 0.01 + error, 0.02 + error, error, 0});

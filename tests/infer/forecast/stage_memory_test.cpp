@@ -22,7 +22,7 @@ BundleOptions middling_bundle() {
   backbone.embed_dim = 128;
   backbone.num_heads = 4;
   bundle.backbone = backbone;
-  auto& head = bundle.dpt_head.as<DptHeadOptions>();
+  auto& head = bundle.geometry_head.as<DptHeadOptions>();
   head.dim_in = 256;
   head.features = 64;
   head.out_channels = {24, 48, 96, 192};

@@ -14,7 +14,7 @@ namespace {
 // --geometry-model beside a model that has no head of its own.
 TEST(StageSpeed, GeometryIsMeasuredOnTheModelThatItComesFrom) {
   BundleOptions bundle = small_bundle_options();
-  bundle.dpt_head = GeometryHeadOptions::none();
+  bundle.geometry_head = GeometryHeadOptions::none();
   PlanRequest request;
   request.grid = bundle.backbone.grid_of(2, 56, 56);
   request.num_sources = 1;
@@ -38,7 +38,7 @@ TEST(StageSpeed, EveryStageIsMeasuredWhereverPropagationStarts) {
     bundle.decoded_levels.clear();
     for (int64_t level = boundary; level < 4; ++level) bundle.decoded_levels.push_back(level);
     bundle.rgb_decoder.in_channels = (4 - boundary) * bundle.backbone.level_channels();
-    bundle.dpt_head = GeometryHeadOptions::none();
+    bundle.geometry_head = GeometryHeadOptions::none();
     for (auto& part : bundle.generators) {
       part.dit.in_channels = bundle.backbone.level_channels();
       part.dit.hidden_size = {32, 32};

@@ -20,7 +20,7 @@ namespace {
 using test::error_of;
 
 SamplingMethod method_of(const std::string& name, int64_t evaluations) {
-  SamplingMethod method = quality_method(SamplingQuality::kExact, BundleOptions());
+  SamplingMethod method = quality_method(SamplingQuality::kExact);
   method.name = name;
   method.solver.evaluations = evaluations;
   return method;
@@ -84,17 +84,18 @@ TEST(PlanErrors, AreReadAsTheyWereWritten) {
   renamed.name = "another name";
   ASSERT_TRUE(errors_of(read, renamed).has_value());
   EXPECT_EQ(errors_of(read, renamed)->bound, 0.05);
-  renamed.approximate.level1_encoder_every = 2;
+  renamed.approximate.cascade_encoder_nodes = 8;
   EXPECT_FALSE(errors_of(read, renamed).has_value());
 
   EXPECT_THAT(
       error_of([&] { read_plan_errors(folder.path() / "none.json"); }),
-      testing::HasSubstr("expected the measured errors of sampling with this model, found no such file; "
-                         "measure it again: gld bench sample-plan --model BUNDLE --write-table --out RUN."));
+      testing::HasSubstr(
+          "expected the measured errors of sampling with this model, found no such file; "
+          "measure it again: gld bench sample --model BUNDLE --synthetic 16 --write-table --out RUN."));
   for (const char* text : {"{", "{}", "[]", R"({"format": "other"})"}) {
     write_file_atomically(file, text);
     EXPECT_THAT(error_of([&] { read_plan_errors(file); }),
-                testing::HasSubstr("expected a table of gld bench sample-plan"))
+                testing::HasSubstr("expected a table of gld bench sample"))
         << text;
   }
 }
@@ -127,19 +128,13 @@ TEST(SamplingMethod, AFileOfTimesSaysHowManyEvaluations) {
 }
 
 TEST(SamplingMethod, QualitiesAreWhatTheTableSays) {
-  const BundleOptions plain;
-  BundleOptions levels_alone;  // no cascade
-  levels_alone.set_generators({level_model(1), level_model(0)});
-  const auto published = quality_method(SamplingQuality::kPublished, plain);
-  EXPECT_EQ(method_text(published), "euler on published, 49 evaluations a level");
-  EXPECT_EQ(method_text(quality_method(SamplingQuality::kExact, plain)),
-            "unipc3 on logsnr, 16 evaluations a level");
-  EXPECT_GT(quality_method(SamplingQuality::kBalanced, plain).approximate.cascade_encoder_nodes, 0);
-  EXPECT_EQ(quality_method(SamplingQuality::kBalanced, levels_alone).approximate.cascade_encoder_nodes, 0);
-  EXPECT_FALSE(quality_method(SamplingQuality::kExact, plain).approximate.any());
+  EXPECT_EQ(method_text(quality_method(SamplingQuality::kPublished)),
+            "euler on published, 49 evaluations a level");
+  EXPECT_EQ(method_text(quality_method(SamplingQuality::kExact)), "unipc3 on logsnr, 16 evaluations a level");
+  EXPECT_EQ(method_text(quality_method(SamplingQuality::kFast)), "unipc3 on logsnr, 6 evaluations a level");
 
   SamplingMethod read;
-  auto fast = quality_method(SamplingQuality::kFast, plain);
+  const auto fast = quality_method(SamplingQuality::kFast);
   load_yaml_text(read, to_yaml(fast), "text");
   EXPECT_TRUE(same_method(read, fast));
 
@@ -176,12 +171,9 @@ TEST(SampleOptions, QualityAndToleranceSpeakAlone) {
       "--quality: expected no other option beside it that decides how to sample, found 'solver.evaluations'; "
       "leave out one of the two.");
   options.named.clear();
-  options.approximate.level1_encoder_every = 2;  // as from a file
-  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("'approximate.level1_encoder_every'"));
-  options.approximate.level1_encoder_every = 1;
-  options.preset = SamplingPreset::kPublished;
-  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("'preset'"));
-  options.preset = SamplingPreset::kOptions;
+  options.approximate.cascade_encoder_nodes = 6;  // as from a file
+  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("'approximate.cascade_encoder_nodes'"));
+  options.approximate.cascade_encoder_nodes = 0;
   options.tolerance = 0.1;
   EXPECT_THAT(error_of([&] { options.check(); }),
               testing::HasSubstr("--quality: expected no other option beside it that decides how to sample, "
@@ -200,12 +192,12 @@ TEST(SampleOptions, TheMethodIsWhatTheOptionsSay) {
   options.solver.evaluations = 9;
   options.guidance.guidance_interval = {0.2, 1};
   options.approximate.cascade_encoder_nodes = 5;
-  const auto method = options.method(BundleOptions());
+  const auto method = options.method();
   EXPECT_EQ(
       method_text(method),
       "unipc3 on logsnr, 9 evaluations a level; guidance from t = 1 to 0.2; cascade encoder at 5 flow times");
   options.quality = SamplingQuality::kPublished;
-  EXPECT_EQ(options.method(BundleOptions()).solver.evaluations, 49);
+  EXPECT_EQ(options.method().solver.evaluations, 49);
 }
 
 TEST(SampleOptions, OnAGpuPrecisionsAreFloat32AndBfloat16) {
@@ -237,14 +229,13 @@ TEST(PlannedRuns, CountWhatTheSavingsLeave) {
   FlowSettings& flow = request.flow;
   EXPECT_EQ(planned_runs(cascade, flow.solvers[1], flow).condition_encoder, 40);
   flow.approximate.cascade_encoder_nodes = 6;
-  flow.approximate.level1_encoder_every = 5;
   const auto nodes = planned_runs(cascade, flow.solvers[1], flow);
   EXPECT_EQ(nodes.condition_encoder, 12);
   EXPECT_EQ(nodes.velocity_decoder, 40);
-  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 10);
+  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 40);
   flow.guidance.guidance_scale = 1;
   EXPECT_EQ(planned_runs(cascade, flow.solvers[1], flow).condition_encoder, 6);
-  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 5);
+  EXPECT_EQ(planned_runs(level1, flow.solvers[0], flow).condition_encoder, 20);
 }
 
 TEST(PlannedRuns, TheReportPutsTheActualBesideThePredicted) {

@@ -187,6 +187,19 @@ std::vector<Camera> winding(size_t count) {
   return cameras;
 }
 
+TEST(Orbit, ACentreAtTheSourceCameraIsNamed) {
+  Camera source = ring(Vector3d::Zero()).front();
+  OrbitShape shape;
+  shape.centre = source.world_from_camera.translation();
+  EXPECT_EQ(
+      test::error_of([&] { orbit_cameras({source}, shape); }),
+      "--orbit-center: expected a point away from the source cameras, found their own place; choose one in front "
+      "of them, or add --orbit-radius.");
+  shape.radius = 2;
+  for (const Camera& camera : orbit_cameras({source}, shape))
+    EXPECT_TRUE(camera.world_from_camera.matrix().allFinite());
+}
+
 TEST(Spline, PassesThroughTheGivenCameras) {
   for (const size_t count : {2U, 3U, 6U}) {
     const std::vector<Camera> keys = winding(count);

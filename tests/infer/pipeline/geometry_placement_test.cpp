@@ -1,8 +1,8 @@
 #include "models/scene_geometry/geometry_placement.h"
 
-#include "gld/cameras/pose_from_rays.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 #include "infer/pipeline/placed_cloud.h"
-#include "infer/pipeline/scale_evidence.h"
+#include "infer/request/scale_evidence.h"
 #include "models/scene_geometry/predicted_cameras.h"
 #include "tests/support/error_of.h"
 #include "tests/support/textured_plane.h"

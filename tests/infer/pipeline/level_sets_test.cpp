@@ -20,7 +20,7 @@
 namespace gld {
 namespace {
 
-constexpr int64_t kHeight = 28, kWidth = 42;  // pixels
+constexpr int64_t kSetHeight = 28, kSetWidth = 42;  // pixels
 constexpr int64_t kViews = 3, kSources = 2;
 
 struct SetCase {
@@ -54,10 +54,10 @@ BundleOptions options_of(const SetCase& set) {
 
 PipelineRequest request_of(const BundleOptions& options) {
   PipelineRequest request;
-  request.views = cameras_in_a_row({kViews, kSources, {kWidth, kHeight}});
+  request.views = cameras_in_a_row({kViews, kSources, {kSetWidth, kSetHeight}});
   torch::manual_seed(3);
-  request.source_images = torch::rand({kSources, 3, kHeight, kWidth});
-  const int64_t tokens = (kHeight / 14) * (kWidth / 14);
+  request.source_images = torch::rand({kSources, 3, kSetHeight, kSetWidth});
+  const int64_t tokens = (kSetHeight / 14) * (kSetWidth / 14);
   for (const auto& part : options.generators) {
     request.noise.push_back(views_noise(5, level_noise_stream(part.generator.level), kViews,
                                         {part.dit.num_special_tokens + tokens, part.dit.in_channels}));
@@ -157,7 +157,8 @@ TEST(TimeShiftOfTheLatent, IsTakenWhereNoneIsGiven) {
   write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
   const auto models = bundle_models(ModelBundle::open(folder.path() / "model"), torch::kCPU);
   auto request = request_of(options);
-  const double shift = time_shift_of({kViews, kHeight / 14, kWidth / 14}, options.backbone.level_channels());
+  const double shift =
+      time_shift_of({kViews, kSetHeight / 14, kSetWidth / 14}, options.backbone.level_channels());
   EXPECT_GT(std::abs(shift - 1), 0.1);
   StageRecords stages;
   for (auto& solver : request.flow.solvers) {
@@ -241,12 +242,8 @@ TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
   levels.warped_sources = 2;
   EXPECT_TRUE(has_warp());
   EXPECT_TRUE(uses_source_depth(levels, request));
-  EXPECT_EQ(source_depth_stage(request), StageKind::kSourceWarp);
   EXPECT_EQ(deepest_encoded_level(levels, request), 3);
-  request.view_pairs = ViewPairs::kVisible;
-  EXPECT_EQ(source_depth_stage(request), StageKind::kViewPairs);
   // One source has no scale: the stage is listed with that reason, and no depth is asked for.
-  request.view_pairs = ViewPairs::kAll;
   request.num_sources = 1;
   EXPECT_TRUE(has_warp());
   EXPECT_FALSE(uses_source_depth(levels, request));
@@ -256,11 +253,11 @@ TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
 TEST(SamplingStages, AreTimedByTheirKind) {
   LevelSet levels;
   levels.generators = {level_model(1), cascade(1, 0)};
+  levels.warped_sources = 2;
   StageRequest request;
   request.views = 4;
   request.num_sources = 2;
   request.geometry_views = DecodedViews::kAll;
-  request.view_pairs = ViewPairs::kVisible;
   const auto stages = sampling_stages(levels, request);
   ASSERT_EQ(stages.size(), 7U);
   StageRecords records;
@@ -269,7 +266,7 @@ TEST(SamplingStages, AreTimedByTheirKind) {
   const auto seconds = [&](size_t number) { return records.records()[number].seconds; };
   EXPECT_EQ(stages[0].kind, StageKind::kSourceEncoding);
   EXPECT_EQ(stage_seconds(levels, StageKind::kSourceEncoding, records), seconds(0));
-  EXPECT_EQ(stage_seconds(levels, StageKind::kViewPairs, records), seconds(1));
+  EXPECT_EQ(stage_seconds(levels, StageKind::kSourceWarp, records), seconds(1));
   EXPECT_EQ(stage_seconds(levels, StageKind::kFlow, records), seconds(2) + seconds(3));
   EXPECT_EQ(stage_seconds(levels, StageKind::kPropagation, records), seconds(4));
   EXPECT_EQ(stage_seconds(levels, StageKind::kRgbDecoding, records), seconds(5));
@@ -277,11 +274,10 @@ TEST(SamplingStages, AreTimedByTheirKind) {
 }
 
 TEST(SamplingStages, WhatFlowsAreShownIsFloat32InEveryPrecision) {
-  for (const auto asked :
-       {ComputePrecision::kBFloat16, ComputePrecision::kBFloat16x3, ComputePrecision::kInt8}) {
+  for (const auto asked : {ComputePrecision::kBFloat16, ComputePrecision::kInt8}) {
     SCOPED_TRACE(compute_precision_name(asked));
-    for (const auto kind : {StageKind::kSourceEncoding, StageKind::kPropagation, StageKind::kViewPairs,
-                            StageKind::kSourceWarp, StageKind::kGeometry}) {
+    for (const auto kind : {StageKind::kSourceEncoding, StageKind::kPropagation, StageKind::kSourceWarp,
+                            StageKind::kGeometry}) {
       const LayerPrecision layers = layer_precision(asked, model_kind_of(kind));
       EXPECT_EQ(layers.linear, ComputePrecision::kFloat32);
       EXPECT_EQ(layers.attention, ComputePrecision::kFloat32);

@@ -42,10 +42,10 @@
 namespace gld {
 namespace {
 
-using test::Sampling;
+class SamplingPlanReport : public test::Sampling {};
 using testing::HasSubstr;
 
-TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
+TEST_F(SamplingPlanReport, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
   auto asked = options("many_views");
   asked.model = (folder_->path() / "of_three").string();
   write_random_bundle(asked.model, small_bundle_options(), 7);
@@ -59,7 +59,7 @@ TEST_F(Sampling, MoreViewsThanTheModelWasTrainedOnAreAWarning) {
   EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).warnings, few_views);
 }
 
-TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
+TEST_F(SamplingPlanReport, WhatDoesNotFitIsRefusedWithWhatWould) {
   auto asked = options("too_large");
   asked.memory_limit = 0.4;
   asked.views.targets.clear();
@@ -74,7 +74,7 @@ TEST_F(Sampling, WhatDoesNotFitIsRefusedWithWhatWould) {
               testing::Contains(HasSubstr("This takes ")));
 }
 
-TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
+TEST_F(SamplingPlanReport, ThePlanNamesWhatRunsAndWhy) {
   auto asked = options("unused");
   asked.outputs = {"image"};
   const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
@@ -84,7 +84,7 @@ TEST_F(Sampling, ThePlanNamesWhatRunsAndWhy) {
   EXPECT_FALSE(std::filesystem::exists(folder_->path() / "unused"));
 }
 
-TEST_F(Sampling, ThePlanKnowsWhichWeightsAreConverted) {
+TEST_F(SamplingPlanReport, ThePlanKnowsWhichWeightsAreConverted) {
   auto asked = options("unused");
   const auto folder = folder_->path() / "stored_in_bfloat16";
   std::filesystem::copy(asked.model, folder);
@@ -92,7 +92,7 @@ TEST_F(Sampling, ThePlanKnowsWhichWeightsAreConverted) {
   const auto part = BundlePart::of(level_model(1));
   save_bundle_part(folder, part, named_tensors(*ModelBundle::open(folder).load_generator(level_model(1))),
                    DType::kBFloat16);
-  write_file_atomically(ModelBundle::open(folder).file(BundlePart::dpt_head()), "broken");
+  write_file_atomically(ModelBundle::open(folder).file(BundlePart::geometry_head()), "broken");
   asked.outputs = {"image"};  // which needs no geometry head
   const PreparedSampling prepared = prepare(asked);
   const auto converted = plan_request(prepared, asked).converted_bytes;
@@ -102,7 +102,7 @@ TEST_F(Sampling, ThePlanKnowsWhichWeightsAreConverted) {
   EXPECT_EQ(converted.count("dpt_head"), 0U);
 }
 
-TEST_F(Sampling, ThePlanDecodesNoPhotograph) {
+TEST_F(SamplingPlanReport, ThePlanDecodesNoPhotograph) {
   const auto scene = folder_->path() / "cut_short";
   std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
   for (const auto& entry : std::filesystem::recursive_directory_iterator(scene)) {
@@ -125,15 +125,15 @@ std::vector<std::string> undecodable_photographs(const std::filesystem::path& pi
   return {folder.string()};
 }
 
-TEST_F(Sampling, ThePlanOfPhotographsReadsTheirSizesAlone) {
+TEST_F(SamplingPlanReport, ThePlanOfPhotographsReadsTheirSizesAlone) {
   auto asked = options("unused");
   const auto picture = open_scene(asked.scene).frames.front().image_file;
   asked.scene.clear();
   asked.photos.files = undecodable_photographs(picture, folder_->path() / "few_photographs", 5);
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.views.sources = {};
   asked.views.targets = {};
   asked.size = "auto";
-  asked.approximate.view_pairs = ViewPairs::kVisible;
   const auto text = sampling_plan_report(asked, PlanTiming::kPredicted).text;
   EXPECT_THAT(text, HasSubstr("5 source and 6 target views at "));
   EXPECT_THAT(text, HasSubstr("gld sample estimates the cameras of the photographs"));
@@ -144,11 +144,12 @@ TEST_F(Sampling, ThePlanOfPhotographsReadsTheirSizesAlone) {
               HasSubstr("--sources: expected frame numbers from 0 to 4"));
 }
 
-TEST_F(Sampling, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
+TEST_F(SamplingPlanReport, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
   auto asked = options("too_many");
   const auto picture = open_scene(asked.scene).frames.front().image_file;
   asked.scene.clear();
   asked.photos.files = undecodable_photographs(picture, folder_->path() / "many_photographs", 3000);
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.views.sources = {0, 1};
   asked.views.targets = {2};
   asked.memory_limit = 0.4;
@@ -160,25 +161,36 @@ TEST_F(Sampling, PhotographsThatDoNotFitAreRefusedBeforeTheyAreDecoded) {
 }
 
 // Measuring takes seconds, and its loops wait for other programs: once, by the doctor, and kept.
-TEST_F(Sampling, PlansTakeTheKeptRatesAndMeasureNothing) {
+TEST_F(SamplingPlanReport, PlansTakeTheKeptRatesAndMeasureNothing) {
   auto asked = options("kept_rates");
   asked.outputs = {"latents"};
   EXPECT_THAT(sampling_plan_report(asked, PlanTiming::kPredicted).text, HasSubstr("quick estimate"));
   EXPECT_FALSE(std::filesystem::exists(machine_rates_file()));
-  MachineSpeed slow;
+  MeasuredSpeed measured;
+  MachineSpeed& slow = measured.speed;
   slow.multiply_add_peak = slow.matrix_product = slow.linear = slow.attention = slow.loading = 1e6;
+  measured.spread = 0.05;
   set_thread_count(1);
-  keep_machine_speed(machine_rates_file(), present_rate_key(), slow);
+  keep_machine_speed(machine_rates_file(), present_rate_key(), measured);
+  asked.overwrite = true;
   const auto report = run(asked);
-  EXPECT_THAT(printed_, HasSubstr("rates that gld doctor measured"));
+  EXPECT_THAT(printed_, HasSubstr("rates, measured on 1970-01-01 00:00 UTC, repeats within 5 %\n"));
   const auto& level1 = report.at("plan").at(1);
   EXPECT_EQ(level1.at("stage"), "M1");
   EXPECT_NEAR(level1.at("predicted_seconds").get<double>() / (level1.at("tflop").get<double>() * 1e6), 1,
               0.5);
+  // It took far less than these rates said, and the next plan knows.
+  run(asked);
+  EXPECT_THAT(printed_, HasSubstr("and mended by 1 run\n"));
+  run(asked);
+  const auto mended = kept_machine_speed(machine_rates_file(), present_rate_key());
+  ASSERT_TRUE(mended);
+  EXPECT_EQ(mended->runs.at(ComputePrecision::kFloat32).size(), 3u);
+  EXPECT_LT(mended->speed.float32_stages, 0.5);
   std::filesystem::remove(machine_rates_file());
 }
 
-TEST_F(Sampling, TheDoctorForecastsForAModel) {
+TEST_F(SamplingPlanReport, TheDoctorForecastsForAModel) {
   DoctorOptions asked;
   asked.model = (folder_->path() / "model").string();
   asked.size = "112x56";
@@ -188,10 +200,20 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
   EXPECT_GT(report.at("machine").at("multiply_add_gflops").get<double>(), 0.1);
   EXPECT_GT(report.at("machine").at("sgemm_gflops").get<double>(), 0.1);
   ASSERT_EQ(report.at("forecast").size(), 6u);
-  EXPECT_THAT(report.at("machine").at("rates").get<std::string>(), HasSubstr("measured now and kept"));
+  // On a machine that is busy with other tests they may contradict themselves, and then that is said.
+  const std::string rates = report.at("machine").at("rates");
+  EXPECT_THAT(rates, HasSubstr("rates measured now"));
+  if (rates.find("not kept") != std::string::npos) {
+    EXPECT_THAT(rates, HasSubstr("they contradict themselves"));
+    EXPECT_FALSE(report.at("complaints").empty());
+  }
+  MeasuredSpeed kept;
+  kept.speed.multiply_add_peak = 4e9;
+  kept.speed.matrix_product = kept.speed.linear = kept.speed.attention = kept.speed.loading = 3e9;
+  keep_machine_speed(machine_rates_file(), present_rate_key(), kept);
   const auto again = nlohmann::json::parse(doctor_report(asked).text);
   EXPECT_THAT(again.at("machine").at("rates").get<std::string>(), HasSubstr("--measure renews them"));
-  EXPECT_EQ(again.at("machine").at("linear_gflops"), report.at("machine").at("linear_gflops"));
+  EXPECT_EQ(again.at("machine").at("linear_gflops"), 3);
   for (const auto& stage : report.at("forecast")) EXPECT_GT(stage.at("predicted_seconds").get<double>(), 0);
   EXPECT_EQ(again.at("warnings"), nlohmann::json(doctor_report(asked).warnings));
   asked.views = 1000;
@@ -205,9 +227,9 @@ TEST_F(Sampling, TheDoctorForecastsForAModel) {
 }
 
 // The geometry stage that a bundle without a head leaves out is no evaluation, and the grid is that of --solver.shift.
-TEST_F(Sampling, TheDoctorCountsTheEvaluationsOfFlows) {
+TEST_F(SamplingPlanReport, TheDoctorCountsTheEvaluationsOfFlows) {
   auto headless = small_bundle_options();
-  headless.dpt_head = GeometryHeadOptions::none();
+  headless.geometry_head = GeometryHeadOptions::none();
   DoctorOptions asked;
   asked.model = (folder_->path() / "headless").string();
   write_random_bundle(asked.model, headless, 7);

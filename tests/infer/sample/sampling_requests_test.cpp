@@ -3,7 +3,6 @@
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
-#include "datasets/images/pfm_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
@@ -21,6 +20,7 @@
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
+#include "tests/support/exported_files.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
@@ -39,10 +39,10 @@
 namespace gld {
 namespace {
 
-using test::Sampling;
+class SamplingRequests : public test::Sampling {};
 using testing::HasSubstr;
 
-TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
+TEST_F(SamplingRequests, APointOfTwoNumbersIsRefused) {
   auto asked = options("two_numbers");
   asked.views.targets = {};
   asked.views.path.path = "orbit";
@@ -57,7 +57,7 @@ TEST_F(Sampling, APointOfTwoNumbersIsRefused) {
             "which is only for finding the centre.");
 }
 
-TEST_F(Sampling, OptionsOfAnOrbitNeedOne) {
+TEST_F(SamplingRequests, OptionsOfAnOrbitNeedOne) {
   auto asked = options("no_orbit");
   asked.views.targets = {};
   for (const char* key : {"center", "radius", "distance", "degrees"}) {
@@ -82,21 +82,23 @@ TEST_F(Sampling, OptionsOfAnOrbitNeedOne) {
   asked.views.sources = {};
   asked.scene.clear();
   asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   EXPECT_NO_THROW(asked.check());
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--orbit-radius: expected --path orbit, which it is an option of, found --path spline; leave out "
             "one of the two.");
 }
 
-TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
+TEST_F(SamplingRequests, PhotographsNeedAModelThatSeesGeometry) {
   auto asked = options("blind");
   asked.scene.clear();
   asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.views.sources = {};
   asked.views.targets = {};
   asked.outputs = {"image"};
   BundleOptions blind = small_bundle_options();
-  blind.dpt_head = GeometryHeadOptions::none();
+  blind.geometry_head = GeometryHeadOptions::none();
   asked.model = (folder_->path() / "blind_model").string();
   write_random_bundle(asked.model, blind, 7);
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
@@ -117,7 +119,7 @@ TEST_F(Sampling, PhotographsNeedAModelThatSeesGeometry) {
 }
 
 // VGGT's camera head is a part that a bundle may lack; nothing is computed before that is said.
-TEST_F(Sampling, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
+TEST_F(SamplingRequests, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
   BundleOptions blind;
   load_yaml(blind, test::source_root() / "configs/ablations/latents/vggt/model.yaml");
   apply_setting(blind, "dpt_head.camera_head=false");
@@ -142,19 +144,15 @@ TEST_F(Sampling, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
   asked.geometry_model.clear();
   asked.outputs = {"image"};
   EXPECT_THAT(refusal(), HasSubstr("expected a file "));  // which it could do with weights
-  asked.approximate.view_pairs = ViewPairs::kVisible;
-  EXPECT_EQ(refusal(),
-            "--approximate.view-pairs: expected all for a model without a camera head, found visible; leave "
-            "it out.");
-  asked.approximate.view_pairs = ViewPairs::kAll;
   asked.scene.clear();
   asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   EXPECT_EQ(refusal(), "--photos: expected a model that sees cameras, found " + found +
                            "add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
 }
 
 // A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
-TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
+TEST_F(SamplingRequests, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
   const auto model = folder_->path() / "broken_head";
   std::filesystem::copy(folder_->path() / "model", model, std::filesystem::copy_options::recursive);
   const auto file = model / "dpt_head.safetensors";
@@ -189,7 +187,7 @@ TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
           EXPECT_EQ(report.at("points").at("unknown_depth"), 0) << name;
           continue;
         }
-        const auto depth = read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
+        const auto depth = test::read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
         for (const float value : depth.metres) ASSERT_TRUE(std::isfinite(value) && value > 0) << name;
         continue;
       }
@@ -206,7 +204,7 @@ TEST_F(Sampling, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
 }
 
 // Units of a scene are free, up to what a camera's place may be.
-TEST_F(Sampling, SceneScalesGiveDepthOrOneSentence) {
+TEST_F(SamplingRequests, SceneScalesGiveDepthOrOneSentence) {
   const Scene scene = open_scene(folder_->path() / "scene");
   for (const double scale : {1e-9, 1e10, 1e14, 1e150}) {
     Scene scaled = scene;
@@ -223,7 +221,7 @@ TEST_F(Sampling, SceneScalesGiveDepthOrOneSentence) {
     asked.scene = folder.string();
     asked.outputs = {"depth"};
     const auto report = run(asked);
-    const auto depth = read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
+    const auto depth = test::read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm");
     for (const float value : depth.metres) ASSERT_TRUE(std::isfinite(value) && value > 0) << scale;
     if (!report.contains("depth_scale")) {
       EXPECT_THAT(report.at("warnings").dump(), HasSubstr("scale of the predicted depth is not known"))
@@ -232,7 +230,7 @@ TEST_F(Sampling, SceneScalesGiveDepthOrOneSentence) {
   }
 }
 
-TEST_F(Sampling, WrongRequestsGetOneSentence) {
+TEST_F(SamplingRequests, WrongRequestsGetOneSentence) {
   const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
     SampleOptions asked = options("refused");
     change(asked);
@@ -273,7 +271,7 @@ TEST_F(Sampling, WrongRequestsGetOneSentence) {
   EXPECT_FALSE(std::filesystem::exists(folder_->path() / "refused"));
 }
 
-TEST_F(Sampling, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
+TEST_F(SamplingRequests, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
   auto asked = options("twice");
   asked.outputs = {"image", "latents"};
   run(asked);
@@ -290,7 +288,7 @@ TEST_F(Sampling, ARunFolderIsWrittenOnceUnlessItIsAskedFor) {
 }
 
 // A wrong request says so before anything is removed.
-TEST_F(Sampling, AMistakeLeavesTheEarlierRunAsItWas) {
+TEST_F(SamplingRequests, AMistakeLeavesTheEarlierRunAsItWas) {
   auto asked = options("kept_run");
   asked.outputs = {"image"};
   run(asked);
@@ -300,7 +298,7 @@ TEST_F(Sampling, AMistakeLeavesTheEarlierRunAsItWas) {
   EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "images" / "view_02.png"));
 }
 
-TEST_F(Sampling, AMissingPartIsNamedFirst) {
+TEST_F(SamplingRequests, AMissingPartIsNamedFirst) {
   const auto model = folder_->path() / "without_head";
   std::filesystem::copy(folder_->path() / "model", model);
   std::filesystem::remove(model / "dpt_head.safetensors");
@@ -315,7 +313,7 @@ TEST_F(Sampling, AMissingPartIsNamedFirst) {
   run(asked);
 }
 
-TEST_F(Sampling, FramesAreChosenByNumberOrName) {
+TEST_F(SamplingRequests, FramesAreChosenByNumberOrName) {
   const auto frames = open_scene(folder_->path() / "scene").frames;
   auto numbers = options("by_number"), names = options("by_name");
   numbers.outputs = names.outputs = {"image"};
@@ -330,7 +328,7 @@ TEST_F(Sampling, FramesAreChosenByNumberOrName) {
               HasSubstr("--targets: expected frames of scene 'scene', found 'nobody', which is none"));
 }
 
-TEST_F(Sampling, AScenesNameIsPrintedHarmless) {
+TEST_F(SamplingRequests, AScenesNameIsPrintedHarmless) {
   const auto scene = folder_->path() / "red\x1b[31m\nroom";
   std::filesystem::copy(folder_->path() / "scene", scene, std::filesystem::copy_options::recursive);
   auto asked = options("harmless");
@@ -341,18 +339,12 @@ TEST_F(Sampling, AScenesNameIsPrintedHarmless) {
   EXPECT_THAT(printed_, HasSubstr("scene red\\x1b[31m\\nroom: 2 source"));
 }
 
-TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
+TEST_F(SamplingRequests, WhatWouldHaveNoEffectIsRefused) {
   const auto sentence = [&](const std::function<void(SampleOptions&)>& change) {
     SampleOptions asked = options("refused");
     change(asked);
     return test::error_of([&] { check_options(asked, "gld sample"); });
   };
-  EXPECT_EQ(sentence([](SampleOptions& asked) {
-              asked.preset = SamplingPreset::kPublished;
-              asked.named = {"preset", "solver.evaluations"};
-            }),
-            "--preset published: expected no solver option beside it, the preset decides about all of them, "
-            "found --evaluations; leave out one of the two.");
   // Each alone, with the defaults and images only.
   for (const char* key :
        {"solver.schedule_file", "solver.shift", "solver.last_time", "solver.tolerance",
@@ -380,6 +372,21 @@ TEST_F(Sampling, WhatWouldHaveNoEffectIsRefused) {
         asked.named = {"views.targets", "views.frames"};
       }),
       "--frames: expected --path, which it is an option of, found --targets; leave out one of the two.");
+  // By the name of its flag, where --tolerance is another option.
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.named = {"solver.tolerance"}; }),
+      "--solver.tolerance: expected an adaptive --solver, without which nothing looks at it, found none; add it, "
+      "or leave --solver.tolerance out.");
+  EXPECT_THAT(
+      sentence([](SampleOptions& asked) {
+        asked.solver.solver = SolverKind::kDormandPrince;
+        asked.named = {"solver.evaluations"};
+      }),
+      testing::StartsWith("--evaluations: expected a --solver of fixed steps, without which nothing looks"));
+  EXPECT_EQ(sentence([](SampleOptions& asked) {
+              asked.outputs = {"image", "image"};
+            }),
+            "--outputs: expected every output once, found 'image' twice; leave out one of the two.");
   EXPECT_EQ(sentence([](SampleOptions& asked) {
               asked.views.targets = {1, 1};
             }),

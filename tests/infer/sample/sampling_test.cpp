@@ -16,6 +16,7 @@
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
 #include "infer/forecast/machine_rates.h"
+#include "infer/sample/prepared_sampling.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
 #include "models/bundle/trained_views.h"
@@ -52,6 +53,8 @@ TEST_F(Sampling, SaysWhereAModelIsNotShownThePhotographs) {
   auto asked = options("warping");
   asked.model = model.string();
   asked.outputs = {"image"};
+  asked.photograph_use.source_depth =
+      PhotographOptions::DepthChoice::kModel;  // photographs would tell the scale
   const auto report = run(asked);
   EXPECT_THAT(stage_names(report), testing::Contains("source warp"));
   EXPECT_THAT(
@@ -159,6 +162,7 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
   auto asked = with_shipped_model(options("photographs"));
   asked.scene.clear();
   asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.views.sources = {};
   asked.views.targets = {};
   asked.views.path.frames = 2;
@@ -187,16 +191,18 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
       "--scene, --photos: expected one of the two, found both; leave out --photos where the scene has cameras.");
   asked.scene.clear();
   asked.photos.files = {(folder_->path() / "model").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.out = options("no_photographs").out;
-  EXPECT_EQ(test::error_of([&] { sample(asked); }),
-            "--photos: expected photographs, or folders of them, found '" + asked.photos.files[0] +
-                "', which has none; check the name.");
+  EXPECT_EQ(
+      test::error_of([&] { sample(asked); }),
+      asked.photos.files[0] + ": expected a photograph, or a folder of them, found none; check the name.");
 }
 
 // Its axis meets no other, and its unit is the model's: only the predicted depth tells how far away things are.
 TEST_F(Sampling, OnePhotographIsOrbitedAtItsDepth) {
   auto asked = with_shipped_model(options("one_photograph"));
   asked.photos.files = {open_scene(asked.scene).frames.front().image_file.string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
   asked.scene.clear();
   asked.views.sources = {};
   asked.views.targets = {};
@@ -238,8 +244,9 @@ TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
   asked.outputs = {"image"};
   asked.guidance.guidance_scale = 1;
   const auto report = run(asked);
-  EXPECT_THAT(stage_names(report), testing::ElementsAre("source encoding", "M1", "cascade", "propagation",
-                                                        "RGB decoding", "hashing the model", "writing"));
+  EXPECT_THAT(stage_names(report),
+              testing::ElementsAre("source encoding", "M1", "cascade", "propagation", "RGB decoding",
+                                   "hashing the model", "leave one out", "writing"));
   for (const auto& flow : report.at("flows")) {
     EXPECT_EQ(flow.at("with_unconditional_branch"), 0);
     EXPECT_EQ(flow.at("velocity_decoder_runs"), 3);
@@ -248,8 +255,73 @@ TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
 
   asked = options("latents_only");
   asked.outputs = {"latents"};
-  EXPECT_THAT(stage_names(run(asked)),
+  const auto without_pictures = run(asked);
+  EXPECT_THAT(stage_names(without_pictures),
               testing::ElementsAre("source encoding", "M1", "cascade", "hashing the model", "writing"));
+  EXPECT_FALSE(without_pictures.contains("verdict"));
+}
+
+// Beside models that were trained without photographs in target views, whose pictures stay as they are.
+TEST_F(Sampling, SaysWhatItIsWorth) {
+  auto asked = options("worth");
+  asked.views.sources = {0, 2, 4};
+  asked.views.targets = {1};
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  const std::string sentence = report.at("verdict").at("sentence");
+  EXPECT_EQ(printed_.find(sentence), printed_.rfind(sentence));  // once
+  EXPECT_THAT(printed_, HasSubstr(sentence + "\neach of 3 photographs predicted from the others: "));
+  ASSERT_EQ(report.at("leave_one_out").size(), 3U);
+  for (const auto& one : report.at("leave_one_out")) {
+    EXPECT_EQ(one.at("from").size(), 2U);
+    EXPECT_GT(one.at("psnr").get<double>(), 5);
+    EXPECT_LE(one.at("covered").get<double>(), 1);
+  }
+  EXPECT_EQ(report.at("verdict").at("latent_divergence").size(), 2U);
+  EXPECT_FALSE(report.at("verdict").contains("usual_latent_divergence"));  // this bundle does not say it
+}
+
+// The shipped model keeps photographs; its target is a part of what the second source shows.
+TEST_F(Sampling, WhatPhotographsShowWholeIsNotGenerated) {
+  const auto scene = folder_->path() / "video";
+  SyntheticOptions synthetic;
+  synthetic.seed = 910000;
+  synthetic.first_scene = 19;
+  synthetic.frames = 24;
+  synthetic.width = synthetic.height = 224;
+  write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", scene);
+  auto asked = with_shipped_model(options("whole"));
+  asked.scene = scene.string();
+  asked.views.sources = {2, 4, 6};
+  asked.outputs = {"image"};
+  asked.size = kPhotographSize;
+  asked.solver.evaluations = 2;
+  const auto path = folder_->path() / "path.json";
+  CameraList list;
+  const auto frames = open_scene(scene).frames;
+  for (const double zoom : {2.0, 0.5}) {
+    CameraRecord record;
+    record.name = zoom > 1 ? "near" : "wide";
+    record.camera = frames[4].camera;
+    record.camera.intrinsics(0, 0) *= zoom;
+    record.camera.intrinsics(1, 1) *= zoom;
+    list.records.push_back(record);
+  }
+  write_cameras_json(path, list);
+  asked.views.targets.clear();
+  asked.views.path.path = path.string();
+  const auto report = run(asked);
+  ASSERT_EQ(report.at("photographs").at("carried_only").size(), 1U) << report.at("photographs").dump();
+  EXPECT_THAT(printed_, HasSubstr("that saved "));
+  // Pictures have the photographs' size, and cameras.json describes them.
+  const Scene made = open_scene(asked.out);
+  for (const Frame& frame : made.frames) EXPECT_EQ(frame.camera.width, 224);
+  EXPECT_EQ(read_image(std::filesystem::path(asked.out) / "images" / "view_04.png").width, 224);
+
+  auto all = asked;
+  all.out = (folder_->path() / "whole_generated").string();
+  all.photograph_use.generate_complete = true;
+  EXPECT_EQ(run(all).at("photographs").at("carried_only").size(), 0U);
 }
 
 TEST_F(Sampling, TheSameCommandGivesTheSameBytes) {
@@ -295,14 +367,14 @@ TEST_F(Sampling, ExactSavingsChangeNothingBeyondRounding) {
       "combined_last_linear, found 'prope_tables'; write 'prope_tables_once'.");
 }
 
-TEST_F(Sampling, ThePublishedPresetOverridesTheSolver) {
+TEST_F(Sampling, ThePublishedQualityIsTheReleasesSampler) {
   const auto asked = options("unused");
   SampleOptions published = asked;
-  published.preset = SamplingPreset::kPublished;
+  published.quality = SamplingQuality::kPublished;
   BundleOptions bundle;
   bundle.generator(level_model(1)).time_shift.evaluation = 31.18;
   const auto resolved = [&](const SampleOptions& options) {
-    return flow_settings(options.method(bundle), options.guidance, bundle).solvers[0];
+    return flow_settings(options.method(), options.guidance, bundle).solvers[0];
   };
   const SolverOptions solver = resolved(published);
   const auto times = solver_times(solver);
@@ -364,9 +436,13 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
   const auto first = nlohmann::ordered_json::parse(read_file(out / "report.json"));
   const std::string hash = first.at("model").at("hash"),
                     method = json_text(first.at("sampling").at("method"));
+  PreparedSampling prepared = prepare(asked);
+  load_pixels(prepared, asked);
+  const std::string inputs = inputs_hash(prepared.scene);
   const UnfinishedLatents unfinished(out);
-  unfinished.write(1, read_all(out / "latents.safetensors").at("level1"), {hash, method});
-  unfinished.write(0, read_all(out / "latents.safetensors").at("level0"), {"of other weights", method});
+  unfinished.write(1, read_all(out / "latents.safetensors").at("level1"), {hash, method, inputs});
+  unfinished.write(0, read_all(out / "latents.safetensors").at("level0"),
+                   {"of other weights", method, inputs});
   std::filesystem::remove(out / "images" / "view_02.png");
   asked.resume = true;
   const auto report = run(asked);
@@ -374,9 +450,27 @@ TEST_F(Sampling, AnInterruptedRunGoesOnFromItsLevels) {
   EXPECT_EQ(report.at("flows").at(1).at("function_evaluations"), 3);
   EXPECT_TRUE(read_file(out / "images" / "view_02.png") == before);
   EXPECT_FALSE(std::filesystem::exists(out / "unfinished"));
-  // Nor is a level taken that another method made.
-  unfinished.write(1, torch::zeros({1}), {hash, "{}"});
-  EXPECT_TRUE(unfinished.read({hash, method}).empty());
+  // Nor is a level taken that another method made, or of another scene, or that is damaged.
+  const auto latent = torch::randn({2, 3});
+  const auto file = out / "unfinished" / "level1.safetensors";
+  unfinished.write(1, latent, {hash, method, inputs});
+  EXPECT_EQ(unfinished.read({hash, method, inputs}).size(), 1u);
+  EXPECT_TRUE(unfinished.read({hash, "{}", inputs}).empty());
+  for (const auto& change :
+       {+[](SamplingScene& scene) { scene.source_images[1].rgb[0] ^= 1; },
+        +[](SamplingScene& scene) { scene.views.cameras[2].intrinsics(0, 2) += 1e-3; }}) {
+    SamplingScene other = prepared.scene;
+    change(other);
+    EXPECT_TRUE(unfinished.read({hash, method, inputs_hash(other)}).empty());
+  }
+  const std::string bytes = read_file(file);
+  std::string flipped = bytes;
+  flipped[flipped.size() - 5] ^= 1;
+  for (const auto& damaged :
+       {flipped, bytes.substr(0, bytes.size() - 1), bytes.substr(0, 20), std::string()}) {
+    write_file_atomically(file, damaged);
+    EXPECT_TRUE(unfinished.read({hash, method, inputs}).empty());
+  }
   unfinished.remove();
   asked.seed = 1;
   EXPECT_EQ(test::error_of([&] { sample(asked); }),

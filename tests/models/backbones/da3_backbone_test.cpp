@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/error_of.h"
+#include "tests/support/largest_difference.h"
 
 #include <cmath>
 
@@ -14,7 +15,9 @@
 namespace gld {
 namespace {
 
-Da3BackboneOptions small_options() {
+using test::largest_difference;
+
+Da3BackboneOptions small_da3() {
   Da3BackboneOptions options;
   options.embed_dim = 48;
   options.num_heads = 3;
@@ -22,7 +25,7 @@ Da3BackboneOptions small_options() {
   return options;
 }
 
-std::shared_ptr<Da3Backbone> random_backbone(const Da3BackboneOptions& options, uint64_t seed = 1) {
+std::shared_ptr<Da3Backbone> random_da3(const Da3BackboneOptions& options, uint64_t seed = 1) {
   auto backbone = std::make_shared<Da3Backbone>(options, ParameterPlacement());
   torch::NoGradGuard no_grad;
   backbone->initialise(at::detail::createCPUGenerator(seed));
@@ -35,10 +38,6 @@ std::shared_ptr<Da3Backbone> random_backbone(const Da3BackboneOptions& options, 
 
 torch::Tensor random_images(int64_t views, int64_t height, int64_t width, uint64_t seed = 2) {
   return torch::randn({views, 3, height, width}, at::detail::createCPUGenerator(seed));
-}
-
-double difference(const torch::Tensor& a, const torch::Tensor& b) {
-  return (a - b).abs().max().item<double>();
 }
 
 // What cubic convolution with PyTorch's coefficient -0.75 makes of the sequence 0, 1, 2, ... at position x.
@@ -74,7 +73,7 @@ TEST(Da3Backbone, GiantHasFusedSwigluAndAlternatesFromItsOddStart) {
 
 TEST(Da3Backbone, StoppingEarlyGivesTheSameLevels) {
   torch::NoGradGuard no_grad;
-  const auto backbone = random_backbone(small_options());
+  const auto backbone = random_da3(small_da3());
   const auto images = random_images(3, 42, 28);
   const auto all = backbone->encode(images, 3);
   const auto two = backbone->encode(images, 1);
@@ -87,7 +86,7 @@ TEST(Da3Backbone, StoppingEarlyGivesTheSameLevels) {
 
 TEST(Da3Backbone, PropagatingALevelWithItsOwnClassTokensContinuesTheEncoder) {
   torch::NoGradGuard no_grad;
-  const auto backbone = random_backbone(small_options());
+  const auto backbone = random_da3(small_da3());
   const auto levels = backbone->encode(random_images(3, 42, 28), 3);
   PropagationStart start;
   start.level = 1;
@@ -97,8 +96,8 @@ TEST(Da3Backbone, PropagatingALevelWithItsOwnClassTokensContinuesTheEncoder) {
   ASSERT_EQ(propagated.size(), 3u);
   for (size_t i = 0; i < 3; ++i) {
     const auto expected = backbone->decodable(levels[i + 1]);
-    EXPECT_LT(difference(propagated[i].patches, expected.patches), 1e-6);
-    EXPECT_LT(difference(propagated[i].leading, levels[i + 1].narrow(1, 0, 1)), 1e-6);
+    EXPECT_LT(largest_difference(propagated[i].patches, expected.patches), 1e-6);
+    EXPECT_LT(largest_difference(propagated[i].leading, levels[i + 1].narrow(1, 0, 1)), 1e-6);
   }
   // The local half stays raw, the current half is normalised.
   EXPECT_TRUE(torch::equal(propagated[0].patches.slice(2, 0, 48), levels[1].slice(1, 1).slice(2, 0, 48)));
@@ -107,27 +106,27 @@ TEST(Da3Backbone, PropagatingALevelWithItsOwnClassTokensContinuesTheEncoder) {
 
 TEST(Da3Backbone, OnlyTheFirstViewIsSpecial) {
   torch::NoGradGuard no_grad;
-  const auto backbone = random_backbone(small_options());
+  const auto backbone = random_da3(small_da3());
   const auto images = random_images(4, 28, 28);
   const auto swapped = images.index_select(0, torch::tensor({0, 3, 2, 1}));
   const auto level = backbone->encode(images, 3)[3], level_swapped = backbone->encode(swapped, 3)[3];
-  EXPECT_LT(difference(level.index_select(0, torch::tensor({0, 3, 2, 1})), level_swapped), 1e-4);
+  EXPECT_LT(largest_difference(level.index_select(0, torch::tensor({0, 3, 2, 1})), level_swapped), 1e-4);
   const auto other_first = images.index_select(0, torch::tensor({1, 0, 2, 3}));
-  EXPECT_GT(
-      difference(backbone->encode(other_first, 3)[3].index_select(0, torch::tensor({1, 0, 2, 3})), level),
-      1e-2);
+  EXPECT_GT(largest_difference(
+                backbone->encode(other_first, 3)[3].index_select(0, torch::tensor({1, 0, 2, 3})), level),
+            1e-2);
 }
 
 TEST(Da3Backbone, BlocksBeforeTheAlternationSeeOneView) {
   torch::NoGradGuard no_grad;
-  auto options = small_options();
+  auto options = small_da3();
   options.out_layers = {3, 5};
-  const auto backbone = random_backbone(options);
+  const auto backbone = random_da3(options);
   const auto images = random_images(2, 28, 42);
   const auto together = backbone->encode(images, 1), alone = backbone->encode(images.slice(0, 0, 1), 1);
   // Products of more rows sum in another order, which random weights of this size make 2e-5 of.
-  EXPECT_LT(difference(together[0].slice(0, 0, 1), alone[0]), 1e-4);
-  EXPECT_GT(difference(together[1].slice(0, 0, 1), alone[1]), 1e-2);
+  EXPECT_LT(largest_difference(together[0].slice(0, 0, 1), alone[0]), 1e-4);
+  EXPECT_GT(largest_difference(together[1].slice(0, 0, 1), alone[1]), 1e-2);
 }
 
 TEST(Da3Backbone, RunsWithOtherSizesAndWithoutEachPart) {
@@ -187,7 +186,7 @@ TEST(Da3Backbone, RunsWithOtherSizesAndWithoutEachPart) {
     Da3BackboneOptions options;
     load_json(options, variant.config, "variant");
     check_options(options, "variant");
-    const auto backbone = random_backbone(options);
+    const auto backbone = random_da3(options);
     const auto levels =
         backbone->encode(random_images(variant.views, variant.height, variant.width), options.levels() - 1);
     ASSERT_EQ(levels.size(), options.out_layers.size()) << variant.config;
@@ -201,9 +200,9 @@ TEST(Da3Backbone, RunsWithOtherSizesAndWithoutEachPart) {
 
 TEST(Da3Backbone, PositionsAreResizedWithDinosOffsetScale) {
   torch::NoGradGuard no_grad;
-  auto options = small_options();
+  auto options = small_da3();
   options.pos_embed_grid = 20;
-  const auto backbone = random_backbone(options);
+  const auto backbone = random_da3(options);
   auto tensors = named_tensors(*backbone);
   auto& table = tensors.at("pos_embed");
   // A table that rises by 1 a column and 100 a row: rows and columns are interpolated apart.
@@ -225,7 +224,7 @@ TEST(Da3Backbone, PositionsAreResizedWithDinosOffsetScale) {
 
 TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
   torch::NoGradGuard no_grad;
-  const auto backbone = random_backbone(small_options());
+  const auto backbone = random_da3(small_da3());
   EXPECT_EQ(test::error_of([&] { backbone->encode(random_images(2, 30, 28), 1); }),
             "backbone: expected image sides that are positive multiples of 14 pixels, found 28x30; "
             "resize or crop the images.");
@@ -243,7 +242,7 @@ TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
             "propagation: expected tokens of shape [2, 5, 96], found [2, 4, 96]; "
             "put the leading tokens in front of the patches of the same token grid.");
 
-  auto options = small_options();
+  auto options = small_da3();
   options.num_heads = 5;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "num_heads: expected a divisor of embed_dim 48, found 5; change num_heads or embed_dim.");
@@ -251,7 +250,7 @@ TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "num_heads: expected a head size divisible by 4 for rotary positions, found 6; "
             "change num_heads, or set rope_start: -1.");
-  options = small_options();
+  options = small_da3();
   options.out_layers = {5, 5, 9};
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "out_layers: expected ascending block numbers below depth 12, found [5, 5, 9]; "
@@ -263,8 +262,8 @@ TEST(Da3Backbone, RefusesWhatDoesNotFitInOneSentence) {
 }
 
 TEST(Da3Backbone, InitialisationDependsOnTheSeedOnly) {
-  const auto a = random_backbone(small_options(), 5), b = random_backbone(small_options(), 5);
-  const auto c = random_backbone(small_options(), 6);
+  const auto a = random_da3(small_da3(), 5), b = random_da3(small_da3(), 5);
+  const auto c = random_da3(small_da3(), 6);
   const auto table_a = named_tensors(*a).at("pos_embed"), table_b = named_tensors(*b).at("pos_embed");
   EXPECT_TRUE(torch::equal(table_a, table_b));
   EXPECT_FALSE(torch::equal(table_a, named_tensors(*c).at("pos_embed")));

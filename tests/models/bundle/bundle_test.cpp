@@ -73,8 +73,8 @@ TEST_F(Bundles, EveryPartLoads) {
   EXPECT_EQ(bundle.options().image_sizes().at(3).width, 504);
   EXPECT_EQ(bundle.options().image_sizes().at(3).height, 280);
   EXPECT_EQ(bundle.load_backbone()->architecture().blocks(), 12);
-  EXPECT_EQ(bundle.options().dpt_head.as<DptHeadOptions>().features, 32);
-  EXPECT_NE(bundle.load_dpt_head(), nullptr);
+  EXPECT_EQ(bundle.options().geometry_head.as<DptHeadOptions>().features, 32);
+  EXPECT_NE(bundle.load_geometry_head(), nullptr);
   EXPECT_EQ(bundle.load_rgb_decoder()->options().num_layers, 3);
   EXPECT_EQ(bundle.load_generator(cascade(1, 0))->options().conditioning, DitConditioning::kDeeperLevel);
   EXPECT_EQ(bundle.load_statistics(level_model(1)).patches.channels(), 128);
@@ -184,7 +184,7 @@ TEST_F(Bundles, PartsMustFitEachOther) {
        },
        "cascade.conditioning: expected deeper_level, found none; set it to deeper_level."},
       {[](BundleOptions& options) {
-         options.dpt_head = GeometryHeadOptions::none();
+         options.geometry_head = GeometryHeadOptions::none();
          options.generator(level_model(1)).dit.warped_sources = 2;
        },
        "warped_sources: expected 0 for a model without a geometry head, whose depth carries the photographs, found 2; "
@@ -223,7 +223,7 @@ TEST_F(Bundles, InspectionCountsAndChecks) {
       << text;
 
   const auto folder = copy();
-  save_bundle_part(folder, BundlePart::dpt_head(), {{"norm.weight", torch::zeros({3})}});
+  save_bundle_part(folder, BundlePart::geometry_head(), {{"norm.weight", torch::zeros({3})}});
   EXPECT_NE(error_of([&] { inspect(folder); }).find("check that the configuration belongs to these weights"),
             std::string::npos);
 }

@@ -72,7 +72,7 @@ TEST(CheckpointManifest, Da3BackboneAndHead) {
   Shapes module;
   add(module, *at_full_size(BundlePart::backbone(), options),
       options.backbone.architecture().published_prefix());
-  add(module, *at_full_size(BundlePart::dpt_head(), options), DptHead::kPrefix);
+  add(module, *at_full_size(BundlePart::geometry_head(), options), DptHead::kPrefix);
   expect_equal(module, published);
 }
 
@@ -106,7 +106,7 @@ TEST(CheckpointManifest, VggtBackboneAndHeads) {
   Shapes module;
   add(module, *at_full_size(BundlePart::backbone(), options),
       options.backbone.architecture().published_prefix());
-  add(module, *at_full_size(BundlePart::dpt_head(), options), "");
+  add(module, *at_full_size(BundlePart::geometry_head(), options), "");
   expect_equal(module, backbone_manifest("vggt_1b"));
 }
 

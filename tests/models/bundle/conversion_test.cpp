@@ -61,7 +61,7 @@ class Conversion : public testing::Test {
     write_random_bundle(original(), small_bundle_options(), 3);
     Tensors da3 =
         with_prefix(part(BundlePart::backbone()), BackboneOptions().architecture().published_prefix());
-    da3.merge(with_prefix(part(BundlePart::dpt_head()), DptHead::kPrefix));
+    da3.merge(with_prefix(part(BundlePart::geometry_head()), DptHead::kPrefix));
     da3["model.cam_dec.fc_t.bias"] = torch::zeros({3});
     save_safetensors(path("da3.safetensors"), da3);
     const Tensors decoder = with_prefix(part(BundlePart::rgb_decoder()), RgbDecoder::kPrefix);
@@ -167,7 +167,7 @@ TEST_F(Conversion, RealStatisticsConvert) {
 
 // The release's dpt_decoder.pt replaces tensors of the head, and the others stay.
 TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
-  const Tensors head = part(BundlePart::dpt_head());
+  const Tensors head = part(BundlePart::geometry_head());
   Tensors replaced;
   for (const auto& [name, tensor] : head) {
     if (name.rfind("scratch.output_conv2.", 0) == 0) replaced["decoder." + name] = tensor + 1;
@@ -177,7 +177,7 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
   options_.dpt_decoder = path("dpt_decoder.pt");
   const auto report = convert(options_);
   EXPECT_EQ(report["parts"]["dpt_head"]["replaced"], replaced.size());
-  const auto written = read_all(ModelBundle::open(options_.out).file(BundlePart::dpt_head()));
+  const auto written = read_all(ModelBundle::open(options_.out).file(BundlePart::geometry_head()));
   ASSERT_EQ(written.size(), head.size());
   for (const auto& [name, tensor] : head) {
     const double added = name == "norm.bias" ? 2 : name.rfind("scratch.output_conv2.", 0) == 0 ? 1 : 0;
@@ -198,7 +198,7 @@ TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
   const auto reference = test::test_data() / "reference_cases" / "dpt_head_da3_replaced";
   BundleOptions bundle = small_bundle_options();
   const auto config = nlohmann::json::parse(read_file(reference / "case.json"))["config"];
-  auto& head = bundle.dpt_head.as<DptHeadOptions>();
+  auto& head = bundle.geometry_head.as<DptHeadOptions>();
   ASSERT_EQ(head.dim_in, config["dim_in"]);
   head.features = config["features"];
   head.out_channels = config["out_channels"].get<std::vector<int64_t>>();
@@ -216,8 +216,8 @@ TEST_F(Conversion, TheReplacedHeadIsThePublishedProgramsOne) {
   options.out = path("replaced");
   convert(options);
   const Tensors expected = read_all(reference / "weights.safetensors");
-  const Tensors written =
-      with_prefix(read_all(ModelBundle::open(options.out).file(BundlePart::dpt_head())), DptHead::kPrefix);
+  const Tensors written = with_prefix(
+      read_all(ModelBundle::open(options.out).file(BundlePart::geometry_head())), DptHead::kPrefix);
   ASSERT_EQ(written.size(), expected.size());
   for (const auto& [name, tensor] : expected) {
     EXPECT_TRUE(written.at(name).to(torch::kFloat32).equal(tensor.to(torch::kFloat32))) << name;

@@ -43,7 +43,7 @@ TEST_F(PublishedBackbones, VggtGivesBackboneAndHeads) {
   write_random_bundle(path("vggt"), small, 5);
   const auto vggt = ModelBundle::open(path("vggt"));
   Tensors file = with_prefix(read_all(vggt.file(BundlePart::backbone())), "aggregator.");
-  file.merge(read_all(vggt.file(BundlePart::dpt_head())));
+  file.merge(read_all(vggt.file(BundlePart::geometry_head())));
   file["track_head.norm.weight"] = torch::zeros({2});
   save_safetensors(path("vggt.safetensors"), file);
   ConversionOptions options;
@@ -53,7 +53,7 @@ TEST_F(PublishedBackbones, VggtGivesBackboneAndHeads) {
   const auto report = convert(options);
   EXPECT_EQ(report["ignored"][0]["names"], "track_head.*");
   const auto written = ModelBundle::open(options.out);
-  for (const auto& part : {BundlePart::backbone(), BundlePart::dpt_head()}) {
+  for (const auto& part : {BundlePart::backbone(), BundlePart::geometry_head()}) {
     const auto before = read_all(vggt.file(part)), after = read_all(written.file(part));
     ASSERT_EQ(before.size(), after.size());
     for (const auto& [name, tensor] : before) EXPECT_TRUE(after.at(name).equal(tensor)) << name;
@@ -78,14 +78,15 @@ TEST_F(PublishedBackbones, VggtGivesBackboneAndHeads) {
           "in --description what the model has (dpt_head.camera_head: false).");
   // A head that the description leaves out is left out of a whole file, too.
   BundleOptions without = small;
-  without.dpt_head.as<VggtHeadsOptions>().camera_head = false;
+  without.geometry_head.as<VggtHeadsOptions>().camera_head = false;
   save_bundle_options(path("without"), without);
   ConversionOptions fewer;
   fewer.backbones["vggt"] = path("vggt.safetensors");
   fewer.description = path("without") / "model.yaml";
   fewer.out = path("fewer");
   convert(fewer);
-  for (const auto& [name, tensor] : read_all(ModelBundle::open(fewer.out).file(BundlePart::dpt_head()))) {
+  for (const auto& [name, tensor] :
+       read_all(ModelBundle::open(fewer.out).file(BundlePart::geometry_head()))) {
     EXPECT_NE(name.rfind("camera_head.", 0), 0U) << name;
   }
   ConversionOptions mistaken;

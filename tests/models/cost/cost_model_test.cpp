@@ -70,8 +70,8 @@ TEST(CostModel, CostGrowsWithViewsAndDepth) {
   const Cost first = backbone.encoding_cost(grid(4, 10, 18), 1);
   const Cost rest = backbone.propagation_cost(grid(4, 10, 18), 1);
   EXPECT_NEAR(first.flop() + rest.flop(), at(4).flop(), 1e-6 * at(4).flop());
-  EXPECT_GT(bundle.dpt_head.cost(grid(4, 10, 18), GeometryMaps::kDepthAndRays).flop(),
-            bundle.dpt_head.cost(grid(4, 10, 18), GeometryMaps::kDepth).flop());
+  EXPECT_GT(bundle.geometry_head.cost(grid(4, 10, 18), GeometryMaps::kDepthAndRays).flop(),
+            bundle.geometry_head.cost(grid(4, 10, 18), GeometryMaps::kDepth).flop());
   const Cost drawing = rgb_decoder_cost(bundle.rgb_decoder, grid(4, 10, 18));
   EXPECT_GT(drawing.flop(), 0);
   EXPECT_EQ(drawing.convolution_flop, 0);

@@ -14,7 +14,7 @@
 namespace gld {
 namespace {
 
-DptHeadOptions small_options() {
+DptHeadOptions small_dpt_head() {
   DptHeadOptions options;
   options.dim_in = 24;
   options.features = 16;
@@ -39,7 +39,7 @@ std::vector<torch::Tensor> random_levels(const LatentGrid& grid, int64_t channel
 
 TEST(DptHead, GivesMapsOfTheDocumentedShapesOnOddGrids) {
   torch::NoGradGuard no_grad;
-  const auto head = random_head(small_options());
+  const auto head = random_head(small_dpt_head());
   for (const auto& grid : {LatentGrid{1, 1, 1}, LatentGrid{2, 5, 3}, LatentGrid{3, 1, 6}}) {
     const auto maps = head->forward(random_levels(grid, 24), grid, GeometryMaps::kDepthAndRays);
     const int64_t height = grid.height * 14, width = grid.width * 14;
@@ -56,7 +56,7 @@ TEST(DptHead, GivesMapsOfTheDocumentedShapesOnOddGrids) {
 
 TEST(DptHead, ComputesOnlyTheMapsThatWereAskedFor) {
   torch::NoGradGuard no_grad;
-  const auto head = random_head(small_options());
+  const auto head = random_head(small_dpt_head());
   const LatentGrid grid = {2, 2, 3};
   const auto levels = random_levels(grid, 24);
   const auto both = head->forward(levels, grid, GeometryMaps::kDepthAndRays);
@@ -70,7 +70,7 @@ TEST(DptHead, ComputesOnlyTheMapsThatWereAskedFor) {
 
 TEST(DptHead, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
   torch::NoGradGuard no_grad;
-  const auto head = random_head(small_options());
+  const auto head = random_head(small_dpt_head());
   // 18 x 18 patches are a quarter of a chunk, so seven views are cut into 4 + 3.
   const LatentGrid grid = {7, 18, 18}, one = {1, 18, 18};
   const auto levels = random_levels(grid, 24);
@@ -85,24 +85,12 @@ TEST(DptHead, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
   }
 }
 
-TEST(DptHead, ExtremeLogitsGiveFinitePositiveDepthAndConfidence) {
+TEST(DptHead, LogitsBelowTheBoundKeepTheirExponential) {
   torch::NoGradGuard no_grad;
-  const auto head = random_head(small_options());
+  const auto head = random_head(small_dpt_head());
   auto tensors = named_tensors(*head);
   const LatentGrid grid = {1, 2, 2};
   const auto levels = random_levels(grid, 24);
-  const auto ordinary = head->forward(levels, grid, GeometryMaps::kDepth).depth;
-  for (const double bias : {1e4, -1e4, 1e30, -1e30}) {
-    tensors.at("scratch.output_conv2.2.bias").fill_(bias);
-    tensors.at("scratch.output_conv2_aux.3.5.bias").fill_(bias);
-    const auto maps = head->forward(levels, grid, GeometryMaps::kDepthAndRays);
-    EXPECT_TRUE(torch::isfinite(maps.depth).all().item<bool>()) << bias;
-    EXPECT_GT(maps.depth.min().item<double>(), 0) << bias;
-    EXPECT_TRUE(torch::isfinite(maps.depth.reciprocal()).all().item<bool>()) << bias;
-    EXPECT_TRUE(torch::isfinite(maps.depth_confidence).all().item<bool>()) << bias;
-    EXPECT_TRUE(torch::isfinite(maps.ray_confidence).all().item<bool>()) << bias;
-    EXPECT_GE(maps.ray_confidence.min().item<double>(), 1) << bias;
-  }
   // Up to the bound, the exponential is untouched: a bias of 50 multiplies depth by exp(50). The logit is a sum of 32
   // products and the bias in float32, in any order, each partial sum below 64 and so rounded by at most 2^-19; the
   // exponential makes that absolute error a relative one of depth.
@@ -115,13 +103,12 @@ TEST(DptHead, ExtremeLogitsGiveFinitePositiveDepthAndConfidence) {
                 .max()
                 .item<double>(),
             (DptTrunk::kHiddenChannels + 1) * std::exp2(-19));
-  EXPECT_GT(ordinary.min().item<double>(), 0);
 }
 
 TEST(DptHead, RunsWithEveryOption) {
   torch::NoGradGuard no_grad;
   const LatentGrid grid = {1, 2, 3};
-  DptHeadOptions options = small_options();
+  DptHeadOptions options = small_dpt_head();
   load_json(options,
             {{"pos_embed", false}, {"down_ratio", 2}, {"aux_pyramid_levels", 1}, {"aux_out1_conv_num", 3}},
             "test");
@@ -133,7 +120,7 @@ TEST(DptHead, RunsWithEveryOption) {
 }
 
 TEST(DptHead, RefusesWhatDoesNotFitInOneSentence) {
-  const auto head = random_head(small_options());
+  const auto head = random_head(small_dpt_head());
   const LatentGrid grid = {2, 2, 2};
   auto levels = random_levels(grid, 24);
   levels.pop_back();
@@ -143,16 +130,16 @@ TEST(DptHead, RefusesWhatDoesNotFitInOneSentence) {
   EXPECT_EQ(test::error_of([&] { head->forward(levels, grid, GeometryMaps::kDepth); }),
             "DPT head: expected levels of shape [2, 4, 24], found [2, 5, 24]; "
             "give the decodable patch tokens of every view.");
-  auto options = small_options();
+  auto options = small_dpt_head();
   options.out_channels = {8, 12, 16};
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "out_channels: expected four numbers divisible by 4, found [8, 12, 16]; "
             "give the channels of the four levels' projections.");
-  options = small_options();
+  options = small_dpt_head();
   options.features = 20;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "features: expected a number divisible by 8, found 20; change features.");
-  options = small_options();
+  options = small_dpt_head();
   options.aux_out1_conv_num = 2;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "aux_out1_conv_num: expected 1, 3 or 5, found 2; change aux_out1_conv_num.");

@@ -16,7 +16,7 @@
 namespace gld {
 namespace {
 
-RgbDecoderOptions small_options() {
+RgbDecoderOptions small_rgb_decoder() {
   RgbDecoderOptions options;
   options.in_channels = 20;
   options.hidden_size = 24;
@@ -52,7 +52,7 @@ TEST(RgbDecoder, InitialPositionsAreThePublishedOnes) {
 }
 
 TEST(RgbDecoder, UnpatchifyPutsEveryPixelInItsPlace) {
-  const auto decoder = random_decoder(small_options());
+  const auto decoder = random_decoder(small_rgb_decoder());
   const LatentGrid grid = {2, 3, 2};
   const auto logits = torch::arange(2 * 6 * 48, torch::kFloat32).view({2, 6, 48});
   const auto image = decoder->unpatchify(logits, grid);
@@ -63,7 +63,7 @@ TEST(RgbDecoder, UnpatchifyPutsEveryPixelInItsPlace) {
 
 TEST(RgbDecoder, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
   torch::NoGradGuard no_grad;
-  const auto decoder = random_decoder(small_options());
+  const auto decoder = random_decoder(small_rgb_decoder());
   // 1025 tokens a view: five views are cut into 3 + 2.
   const LatentGrid grid = {5, 32, 32}, one = {1, 32, 32};
   const auto features = torch::randn({5, 1024, 20}, at::detail::createCPUGenerator(5));
@@ -77,7 +77,7 @@ TEST(RgbDecoder, AViewDoesNotDependOnTheOthersOrOnItsChunk) {
 
 TEST(RgbDecoder, ARefinementBeginsWithNothing) {
   const torch::NoGradGuard no_grad;
-  RgbDecoderOptions options = small_options();
+  RgbDecoderOptions options = small_rgb_decoder();
   const auto published = random_decoder(options);
   for (const auto& item : published->named_parameters()) {
     EXPECT_EQ(item.key().find("refinement"), std::string::npos) << item.key();
@@ -118,7 +118,7 @@ TEST(PixelRefinement, LooksAsFarAsItsLayersReach) {
 }
 
 TEST(RgbDecoder, NeverTrainsItsPositions) {
-  const auto decoder = random_decoder(small_options());
+  const auto decoder = random_decoder(small_rgb_decoder());
   const LatentGrid grid = {1, 2, 3};
   decoder->decode(torch::randn({1, 6, 20}), grid).sum().backward();
   for (const auto& item : decoder->named_parameters()) {
@@ -141,19 +141,19 @@ TEST(RgbDecoder, ImagenetNormalisationIsInverted) {
 }
 
 TEST(RgbDecoder, RefusesWhatDoesNotFitInOneSentence) {
-  const auto decoder = random_decoder(small_options());
+  const auto decoder = random_decoder(small_rgb_decoder());
   const LatentGrid grid = {2, 2, 2};
   EXPECT_EQ(test::error_of([&] {
               decoder->logits(torch::zeros({2, 5, 20}), grid);
             }),
             "RGB decoder: expected features of shape [2, 4, 20], found [2, 5, 20]; "
             "concatenate the four decodable levels on channels.");
-  auto options = small_options();
+  auto options = small_rgb_decoder();
   options.num_heads = 5;
   EXPECT_EQ(
       test::error_of([&] { options.check(); }),
       "hidden_size: expected a multiple of num_heads 5 and of 4, found 24; change hidden_size or num_heads.");
-  options = small_options();
+  options = small_rgb_decoder();
   options.base_image_size = 30;
   EXPECT_EQ(test::error_of([&] { options.check(); }),
             "base_image_size: expected a multiple of patch_size 4, found 30; "

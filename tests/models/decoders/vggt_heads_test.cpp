@@ -1,6 +1,6 @@
 #include "models/decoders/vggt_heads.h"
 
-#include "gld/cameras/pose_from_rays.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 #include "models/decoders/geometry_head_registry.h"
 #include "models/scene_geometry/predicted_cameras.h"
 #include "tests/support/error_of.h"
@@ -45,7 +45,7 @@ TEST(VggtCameras, AreFoundAgainInTheirRays) {
   }
 }
 
-VggtHeadsOptions small_options() {
+VggtHeadsOptions small_vggt_heads() {
   VggtHeadsOptions options;
   options.dim_in = 32;
   options.features = 16;
@@ -57,7 +57,7 @@ VggtHeadsOptions small_options() {
 
 TEST(VggtHeads, CamerasAreOfAllViewsAndMapsOfThoseAskedFor) {
   const torch::NoGradGuard no_grad;
-  VggtHeads heads(small_options(), ParameterPlacement());
+  VggtHeads heads(small_vggt_heads(), ParameterPlacement());
   heads.initialise(at::detail::createCPUGenerator(1));
   GeometryInputs all, last;
   for (int level = 0; level < 4; ++level) {
@@ -76,7 +76,7 @@ TEST(VggtHeads, CamerasAreOfAllViewsAndMapsOfThoseAskedFor) {
   EXPECT_TRUE(torch::allclose(of_last.points, of_all.points.slice(0, 1), 1e-4, 1e-5));
   EXPECT_FALSE(heads.forward(all, {3, 3, 2}, GeometryMaps::kDepth).rays.defined());
 
-  auto without = small_options();
+  auto without = small_vggt_heads();
   EXPECT_TRUE(GeometryHeadOptions(without).predicts_rays());
   without.camera_head = without.point_head = false;
   EXPECT_FALSE(GeometryHeadOptions(without).predicts_rays());

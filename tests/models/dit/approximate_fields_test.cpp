@@ -1,13 +1,11 @@
 #include "gld/base/configuration.h"
 #include "models/dit/approximate_savings.h"
 #include "models/dit/encoder_nodes.h"
-#include "models/dit/extrapolated_field.h"
 #include "models/dit/node_field.h"
 #include "tests/support/error_of.h"
 #include "tests/support/small_dit.h"
 
 #include <cmath>
-#include <map>
 #include <numeric>
 
 #include <gtest/gtest.h>
@@ -158,56 +156,13 @@ TEST_F(ApproximateFields, AnEncoderThatSeesTheNoisyLatentHasNoNodes) {
             "found a model whose condition encoder sees the noisy latent too; leave it at 0.");
 }
 
-TEST_F(ApproximateFields, ExtrapolationRunsTheEncoderAsOftenAsItSays) {
-  build(small_dit_options());
-  const auto solver = default_solver(20);
-  DitField exact(*model_, prepared());
-  const auto expected = solved(exact, solver);
-  double previous = -1;
-  const std::map<int64_t, int64_t> runs{
-      {1, 20}, {2, 11}, {5, 5}};  // 0, 1, 2 ...; 0, 1, 3 ... 19; 0, 1, 6, 11, 16
-  for (const auto& [every, expected_runs] : runs) {
-    for (const bool batched : {false, true}) {
-      ExtrapolatedField field(*model_, prepared(), every);
-      field.set_batched(batched);
-      const auto state = solved(field, solver);
-      EXPECT_EQ(field.counts().condition_encoder, 2 * expected_runs);
-      EXPECT_EQ(field.counts().velocity_decoder, 40);
-      if (batched) continue;
-      const double error = relative_rms(state, expected);
-      EXPECT_GT(error, previous) << every;
-      previous = error;
-      EXPECT_EQ(torch::equal(state, expected), every == 1);
-    }
-  }
-}
-
-TEST_F(ApproximateFields, ExtrapolationRunsTheEncoderForABranchThatWasAway) {
-  build(small_dit_options());
-  const auto fresh = [&](double t) { return DitField(*model_, prepared()).guided(scene_.noisy, t, 1.5); };
-  for (const bool batched : {false, true}) {
-    ExtrapolatedField field(*model_, prepared(), 4);
-    field.set_batched(batched);
-    field.conditional(scene_.noisy, 0.9);
-    field.conditional(scene_.noisy, 0.8);
-    field.conditional(scene_.noisy, 0.7);
-    field.guided(scene_.noisy, 0.6, 1.5);  // the unconditional branch for the first time
-    EXPECT_EQ(field.counts().condition_encoder, 3) << batched;
-    field.conditional(scene_.noisy, 0.5);
-    EXPECT_LT(relative_rms(field.guided(scene_.noisy, 0.4, 1.5), fresh(0.4)), 1e-6);  // a turn of both
-    EXPECT_EQ(field.counts().condition_encoder, 5) << batched;
-  }
-}
-
 TEST(ApproximateSavings, AreOffAndChecked) {
   ApproximateSavings savings;
   EXPECT_FALSE(savings.any());
-  apply_setting(savings, "view_pairs", "visible", "--view-pairs");
   apply_setting(savings, "cascade_encoder_nodes", "6", "--cascade-encoder-nodes");
   EXPECT_TRUE(savings.any());
   ApproximateSavings read;
   load_yaml_text(read, to_yaml(savings), "text");
-  EXPECT_EQ(read.view_pairs, ViewPairs::kVisible);
   EXPECT_EQ(read.cascade_encoder_nodes, 6);
   savings.cascade_encoder_nodes = 1;
   EXPECT_EQ(

@@ -1,6 +1,6 @@
 #include "tests/models/dit/naive_dit.h"
 
-#include "gld/cameras/camera_conditioning.h"
+#include "gld/camera_encoding/camera_conditioning.h"
 
 #include <algorithm>
 #include <cmath>
@@ -235,8 +235,8 @@ class NaiveDit {
 };
 
 // Token by token: the network's prediction mixed with what was carried to the token.
-Tensor with_carried_features(const DitOptions& options, const std::map<std::string, Tensor>& weights,
-                             const NaiveDitInputs& inputs, Tensor output) {
+Tensor with_first_guess(const DitOptions& options, const std::map<std::string, Tensor>& weights,
+                        const NaiveDitInputs& inputs, Tensor output) {
   const int64_t side = options.camera_patch_size, special = options.num_special_tokens;
   const double t = inputs.time;
   const double lambda = t * t / (t * t + options.carried_error * (1 - t) * (1 - t));
@@ -273,7 +273,7 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
   const torch::NoGradGuard no_grad;
   auto output = NaiveDit(options, weights, inputs).velocity();
   if (options.carried_error > 0 && inputs.conditional) {
-    output = with_carried_features(options, weights, inputs, output);
+    output = with_first_guess(options, weights, inputs, output);
   }
   if (options.prediction == FlowPrediction::kVelocity) return output;
   return (inputs.noisy - output) * std::min(1 / inputs.time, options.largest_inverse_time);

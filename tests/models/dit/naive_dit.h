@@ -12,7 +12,7 @@ namespace gld::test {
 
 // DiT^DH once more, written for reading and not for speed: in double, every formula in place, nothing shared with the
 // code under test but the cameras (tests/gld/cameras/relative_cameras_test.cpp) and the Plücker image
-// (tests/gld/cameras/camera_conditioning_test.cpp).
+// (tests/gld/camera_encoding/camera_conditioning_test.cpp).
 struct NaiveDitInputs {
   Views views;
   torch::Tensor source_features;  // (views, tokens, channels), zero for target views

@@ -37,14 +37,14 @@ LevelSet set_of(const std::vector<LevelGenerator>& generators, int64_t boundary)
 }
 
 TEST(LevelSet, TheSetsOfThePaperCanBeSampled) {
-  check_level_set(set_of({level_model(1), cascade(1, 0)}, 1));
-  check_level_set(set_of({level_model(0)}, 0));
-  check_level_set(set_of({level_model(0), level_model(1)}, 1));
-  check_level_set(set_of({level_model(0), level_model(1), level_model(2)}, 2));
-  check_level_set(set_of({level_model(3), cascade(3, 2), cascade(2, 1), cascade(1, 0)}, 3));
+  EXPECT_NO_THROW(check_level_set(set_of({level_model(1), cascade(1, 0)}, 1)));
+  EXPECT_NO_THROW(check_level_set(set_of({level_model(0)}, 0)));
+  EXPECT_NO_THROW(check_level_set(set_of({level_model(0), level_model(1)}, 1)));
+  EXPECT_NO_THROW(check_level_set(set_of({level_model(0), level_model(1), level_model(2)}, 2)));
+  EXPECT_NO_THROW(check_level_set(set_of({level_model(3), cascade(3, 2), cascade(2, 1), cascade(1, 0)}, 3)));
   LevelSet last = set_of({level_model(3)}, 3);
   last.decoded = {3};
-  check_level_set(last);
+  EXPECT_NO_THROW(check_level_set(last));
 }
 
 TEST(LevelSet, WhatCannotBeSampledIsRefusedWithTheReason) {

@@ -38,27 +38,6 @@ double relative_error(const torch::Tensor& value, const torch::Tensor& exact) {
   return (difference / exact.abs().amax({-1}).clamp_min(1e-300)).max().item<double>();
 }
 
-TEST(NormExtremes, RmsNormIsExactFromTinyToHuge) {
-  for (const double epsilon : {1e-6, 1e-12, 0.0}) {
-    const auto norm = rms_norm(epsilon, torch::kFloat32);
-    for (int exponent = -30; exponent <= 30; ++exponent) {
-      const auto x = (unit_rows(5) * std::pow(10.0, exponent)).to(torch::kFloat32);
-      const auto y = norm->forward(x);
-      ASSERT_TRUE(torch::isfinite(y).all().item<bool>()) << epsilon << " 1e" << exponent;
-      EXPECT_LT(relative_error(y, exact_rms_norm(x, epsilon, norm->weight)), 1e-6)
-          << epsilon << " 1e" << exponent;
-    }
-  }
-}
-
-TEST(NormExtremes, RowsOfDifferentSizeDoNotDisturbEachOther) {
-  const auto norm = rms_norm(1e-6, torch::kFloat32);
-  auto x = unit_rows(61);
-  x *= torch::pow(10.0, torch::arange(-30, 31, torch::kFloat64)).unsqueeze(1);
-  x = x.to(torch::kFloat32);
-  EXPECT_LT(relative_error(norm->forward(x), exact_rms_norm(x, 1e-6, norm->weight)), 1e-6);
-}
-
 TEST(NormExtremes, ZeroAndConstantRows) {
   const auto norm = rms_norm(1e-6, torch::kFloat32);
   EXPECT_EQ(norm->forward(torch::zeros({2, kChannels})).abs().max().item<double>(), 0);

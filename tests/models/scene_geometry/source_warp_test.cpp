@@ -1,9 +1,11 @@
 #include "models/scene_geometry/source_warp.h"
 
-#include "gld/cameras/picture_warp.h"
-#include "gld/cameras/pose_from_rays.h"
+#include "gld/photogrammetry/picture_warp.h"
+#include "gld/photogrammetry/pose_from_rays.h"
+#include "tests/support/error_of.h"
 #include "tests/support/textured_plane.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -57,9 +59,14 @@ std::vector<Camera> four_cameras() {
           camera_before_plane({0.3, 0.1, 0}, -0.06), camera_before_plane({1.2, 0.1, 0.1}, -0.25)};
 }
 
+SourceDepth depth_of(const PlaneScene& scene) {
+  return source_depth_of_head(scene.views, scene.images.narrow(0, 0, scene.views.num_sources),
+                              scene.geometry);
+}
+
 TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
   const PlaneScene scene = plane_scene(four_cameras(), 2);
-  const SourceWarp warp = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 2);
+  const SourceWarp warp = warp_sources(scene.views, scene.images.narrow(0, 0, 2), depth_of(scene), 2);
   EXPECT_EQ(warp.doubt, "");
   ASSERT_EQ(warp.agreement.sizes(), (std::vector<int64_t>{2, 2, 72, 96}));
   ASSERT_EQ(warp.completed.sizes(), (std::vector<int64_t>{2, 3, 72, 96}));
@@ -79,17 +86,17 @@ TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
     EXPECT_GT(std::abs(own[0].seen_share() - own[1].seen_share()), 0.02);
   }
   // One of them: the first.
-  const SourceWarp one = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 1);
+  const SourceWarp one = warp_sources(scene.views, scene.images.narrow(0, 0, 2), depth_of(scene), 1);
   EXPECT_TRUE(torch::equal(one.agreement, warp.agreement.narrow(1, 0, 1)));
   // More than there are: the rest is empty.
-  const SourceWarp three = warp_sources(scene.views, scene.images.narrow(0, 0, 2), scene.geometry, 3);
+  const SourceWarp three = warp_sources(scene.views, scene.images.narrow(0, 0, 2), depth_of(scene), 3);
   EXPECT_TRUE(torch::equal(three.agreement.narrow(1, 0, 2), warp.agreement));
   EXPECT_EQ(three.agreement.narrow(1, 2, 1).abs().max().item<double>(), 0);
 }
 
 TEST(SourceWarp, TheDepthOfTheNearestSourceIsInTheSceneUnit) {
   const PlaneScene scene = plane_scene(four_cameras(), 2);
-  const auto nearest = nearest_source_depth(scene.views, scene.images.narrow(0, 0, 2), scene.geometry);
+  const auto nearest = nearest_source_depth(scene.views, depth_of(scene));
   EXPECT_EQ(nearest.doubt, "");
   ASSERT_EQ(nearest.depth.sizes(), (std::vector<int64_t>{2, 72, 96}));
   const test::TexturedPlane plane;
@@ -99,7 +106,7 @@ TEST(SourceWarp, TheDepthOfTheNearestSourceIsInTheSceneUnit) {
     EXPECT_LT(error.mean().item<double>(), 0.02) << target;
   }
   const PlaneScene alone = plane_scene({four_cameras()[0], four_cameras()[1]}, 1);
-  const auto none = nearest_source_depth(alone.views, alone.images.narrow(0, 0, 1), alone.geometry);
+  const auto none = nearest_source_depth(alone.views, depth_of(alone));
   EXPECT_EQ(none.doubt, "the depth of a single source view has no scale");
   EXPECT_FALSE(none.depth.defined());
 }
@@ -107,7 +114,7 @@ TEST(SourceWarp, TheDepthOfTheNearestSourceIsInTheSceneUnit) {
 TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
   const auto cameras = four_cameras();
   const PlaneScene alone = plane_scene({cameras[0], cameras[1]}, 1);
-  const SourceWarp none = warp_sources(alone.views, alone.images.narrow(0, 0, 1), alone.geometry, 2);
+  const SourceWarp none = warp_sources(alone.views, alone.images.narrow(0, 0, 1), depth_of(alone), 2);
   EXPECT_EQ(none.doubt, "the depth of a single source view has no scale");
   ASSERT_EQ(none.agreement.sizes(), (std::vector<int64_t>{1, 2, 72, 96}));
   EXPECT_EQ(none.agreement.abs().max().item<double>(), 0);
@@ -117,9 +124,36 @@ TEST(SourceWarp, NothingIsCarriedWhereTheScaleIsOpen) {
   const PlaneScene on_the_spot =
       plane_scene({cameras[0], camera_before_plane({0, 0, 0}, 0.1), cameras[2]}, 2);
   const SourceWarp turned =
-      warp_sources(on_the_spot.views, on_the_spot.images.narrow(0, 0, 2), on_the_spot.geometry, 1);
+      warp_sources(on_the_spot.views, on_the_spot.images.narrow(0, 0, 2), depth_of(on_the_spot), 1);
   EXPECT_THAT(turned.doubt, testing::StartsWith("the unit of the source views' depth is not known ("));
   EXPECT_EQ(turned.agreement.abs().max().item<double>(), 0);
+}
+
+// Depth may come from elsewhere: it is used as it is, in the unit of the cameras, and one source is enough then.
+TEST(SourceWarp, GivenDepthCarriesASingleSource) {
+  const PlaneScene alone = plane_scene({four_cameras()[0], four_cameras()[2]}, 1);
+  const test::TexturedPlane plane;
+  SourceDepth given;
+  given.from = "a sensor";
+  given.views = {plane.seen_by(alone.views.cameras[0], 1).depth};
+  const SourceWarp warp = warp_sources(alone.views, alone.images.narrow(0, 0, 1), given, 2);
+  EXPECT_EQ(warp.doubt, "");
+  ASSERT_TRUE(warp.completed.defined());
+  // As far as two sources carry it in the test above.
+  EXPECT_LT((warp.completed - alone.images.narrow(0, 1, 1)).abs().mean().item<double>(), 0.03);
+  EXPECT_GT((warp.agreement[0][0] > 0).to(torch::kFloat32).mean().item<double>(), 0.5);
+  // Half of the map is not known, which says nothing of the rest.
+  auto& depth = given.views[0];
+  std::fill(depth.values.begin(), depth.values.begin() + static_cast<std::ptrdiff_t>(depth.values.size() / 2),
+            0.0F);
+  const SourceWarp half = warp_sources(alone.views, alone.images.narrow(0, 0, 1), given, 1);
+  EXPECT_NEAR((half.agreement[0][0] > 0).to(torch::kFloat32).mean().item<double>(), 0.45, 0.1);
+  given.views.clear();
+  given.doubt = "the sensor was off";
+  EXPECT_EQ(warp_sources(alone.views, alone.images.narrow(0, 0, 1), given, 1).doubt, "the sensor was off");
+  given.views.resize(2);
+  EXPECT_EQ(test::error_of([&] { warp_sources(alone.views, alone.images.narrow(0, 0, 1), given, 1); }),
+            "depth of the source views: expected a map for each of 1 source views, found 2; give as many.");
 }
 
 }  // namespace

@@ -278,6 +278,39 @@ TEST(DistributedTraining, AMasterThatIsNotThereIsSaid) {
       HasSubstr("expected the store of rank 0 within 2 s, of LibTorch " + torch_version() + ", found "));
 }
 
+// Something that is no store: it takes a connection and says nothing, or bytes of another protocol, which LibTorch
+// takes for a size that no memory holds.
+TEST(DistributedTraining, AnotherProgramAtTheAddressIsSaid) {
+  for (const size_t bytes : {size_t{0}, size_t{4096}}) {
+    const test::TemporaryFolder folder;
+    const int number = ::socket(AF_INET6, SOCK_STREAM, 0);
+    sockaddr_in6 address = {};
+    address.sin6_family = AF_INET6;
+    socklen_t size = sizeof(address);
+    ASSERT_EQ(::bind(number, reinterpret_cast<sockaddr*>(&address), size), 0);
+    ASSERT_EQ(::listen(number, 8), 0);
+    ASSERT_EQ(::getsockname(number, reinterpret_cast<sockaddr*>(&address), &size), 0);
+    const Child server = start(folder.path(), "server", [&] {
+      for (;;) {
+        const int peer = ::accept(number, nullptr, nullptr);
+        const std::string text(bytes, '\xFF');
+        if (peer >= 0 && !text.empty() && ::send(peer, text.data(), text.size(), MSG_NOSIGNAL) < 0)
+          ::close(peer);
+      }
+    });
+    auto joining = placement(1, 2, ntohs(address.sin6_port));
+    joining.join_seconds = 2;
+    EXPECT_THAT(said_when_joining({joining}).at(0),
+                HasSubstr("of LibTorch " + torch_version() +
+                          ", found something else that listens there; correct "
+                          "--processes.master-address and --processes.master-port."))
+        << bytes;
+    ::kill(server.process, SIGKILL);
+    status_of(server);
+    ::close(number);
+  }
+}
+
 TEST(DistributedTraining, EachProcessNeedsAMicroBatch) {
   auto options = short_run();
   options.micro_batches = 1;

@@ -165,7 +165,8 @@ TEST(TrainingLoop, RefusesToResumeFromNothingAndToStartOverARun) {
   const auto run = test::toy_run(folder.path(), objective);
   EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kResume); }),
             folder.path().string() + ": expected a checkpoint to resume from, found none in " +
-                (folder.path() / "checkpoints").string() + "; start the run without --resume.");
+                (folder.path() / "checkpoints").string() +
+                "; begin again, with --overwrite in the place of --resume.");
   train(run, short_run(), TrainingStart::kFresh);
   EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
             folder.path().string() +
@@ -182,10 +183,10 @@ TEST(TrainingLoop, RefusesAPrecisionThatTheDeviceDoesNotCompute) {
   const test::TemporaryFolder folder;
   ToyElsewhere objective;
   auto options = short_run();
-  options.precision = ComputePrecision::kBFloat16x3;
+  options.precision = ComputePrecision::kBFloat16;
   EXPECT_EQ(
       test::error_of([&] { train(test::toy_run(folder.path(), objective), options, TrainingStart::kFresh); }),
-      "loop.precision: expected one that is computed on meta, found bfloat16x3; set loop.precision to float32, or to "
+      "loop.precision: expected one that is computed on meta, found bfloat16; set loop.precision to float32, or to "
       "bfloat16 on CUDA.");
 }
 

@@ -1,9 +1,10 @@
-#include "gld/cameras/pose_from_rays.h"
 #include "gld/flow/schedule.h"
+#include "gld/photogrammetry/pose_from_rays.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/random_bundle.h"
+#include "models/conditioning/decoder_inputs.h"
 #include "models/dit/flow_matching_loss.h"
-#include "models/latent_spaces/geometric_latent_space.h"
+#include "models/latent_spaces/latent_space.h"
 #include "models/scene_geometry/source_warp.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
@@ -30,8 +31,7 @@ TEST(FlowObjective, TrainsTheFlowMatchingLoss) {
   FlowObjectiveOptions options;
   options.camera_dropout = 0;
   FrozenParts frozen;
-  frozen.space =
-      std::make_shared<GeometricLatentSpace>(bundle.load_backbone(), bundle.options().boundary_level);
+  frozen.space = std::make_shared<LatentSpace>(bundle.load_backbone(), bundle.options().boundary_level);
   frozen.statistics = bundle.load_statistics(level_model(1));
   LevelObjective objective(bundle.options(), 1, options, frozen, {}, 1);
   objective.start_from(*model);
@@ -105,29 +105,26 @@ TEST(FlowObjective, ShowsThePhotographsInTheTargetViews) {
   const auto& scene = batch.scenes.front();
   ASSERT_EQ(scene.views.num_sources, 2);
   FrozenParts frozen;
-  const auto space =
-      std::make_shared<GeometricLatentSpace>(bundle.load_backbone(), bundle.options().boundary_level);
+  const auto space = std::make_shared<LatentSpace>(bundle.load_backbone(), bundle.options().boundary_level);
   frozen.space = space;
   frozen.statistics = bundle.load_statistics(level_model(1));
   frozen.geometry_head = std::make_shared<TrueGeometry>(scene);
 
   const torch::NoGradGuard no_grad;
   const auto sources = scene.images.narrow(0, 0, 2);
-  SourceEncoding wanted;
-  wanted.deepest = 3;
-  wanted.carried = false;
-  const auto encoded = space->encode_sources(sources, wanted);
-  const auto warp = warp_sources(scene.views, sources,
-                                 frozen.geometry_head->forward(geometry_inputs(*space, encoded), encoded.grid,
-                                                               GeometryMaps::kDepthAndRays),
-                                 2);
+  const auto encoded = space->encode(sources, 3);
+  const auto geometry = frozen.geometry_head->forward(geometry_inputs(*space, encoded),
+                                                      space->grid_of(2, sources.size(2), sources.size(3)),
+                                                      GeometryMaps::kDepthAndRays);
+  const auto warp =
+      warp_sources(scene.views, sources, source_depth_of_head(scene.views, sources, geometry), 2);
   ASSERT_EQ(warp.doubt, "");
   const auto normalised = [&](const torch::Tensor& level) {
     return frozen.statistics.normalise(level.slice(1, space->leading_tokens()));
   };
   DitSceneInputs inputs;
   inputs.views = scene.views;
-  inputs.source_features = normalised(encoded.levels[1]);
+  inputs.source_features = normalised(encoded[1]);
   inputs.warp_agreement = warp.agreement;
   inputs.warped_features =
       normalised(space->encode(torch::cat({sources, warp.completed}), 1)[1].slice(0, sources.size(0)));

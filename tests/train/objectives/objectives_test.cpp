@@ -55,7 +55,7 @@ TEST(BackboneTraining, TwoSteps) {
                   "validation_geometry_loss", "validation_pixel_error", "validation_pixel_psnr"});
   const auto bundle = ModelBundle::open(folder.path() / "model");
   EXPECT_TRUE(bundle.has(BundlePart::backbone()));
-  EXPECT_TRUE(bundle.has(BundlePart::dpt_head()));
+  EXPECT_TRUE(bundle.has(BundlePart::geometry_head()));
   EXPECT_EQ(bundle.load_backbone()->architecture().level_channels(), 64);
 }
 
@@ -139,7 +139,7 @@ TEST(BackboneTraining, ValidationsBeginWithAnError) {
   auto model = test::small_model();
   const torch::NoGradGuard no_grad;
   EXPECT_EQ(BackboneObjective(model, {}, {}, 1).validate(scenes).values.front().first, "geometry_loss");
-  model.dpt_head = GeometryHeadOptions::none();
+  model.geometry_head = GeometryHeadOptions::none();
   BackboneObjective of_pixels(model, {}, {}, 1);
   const auto values = of_pixels.validate(scenes).values;
   ASSERT_EQ(values.size(), 2U);

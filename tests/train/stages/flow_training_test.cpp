@@ -1,4 +1,6 @@
 // gld stats, gld train level and gld train cascade with a shrunken configuration, from one stage to the next.
+#include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
 #include "gld/latents/latent_statistics.h"
@@ -279,10 +281,31 @@ TEST_F(TrainedChain, LearnsInBFloat16AndGoesOnBitForBit) {
   const auto report = nlohmann::json::parse(report_file);
   EXPECT_EQ(report.at("precision"), precision_text(ComputePrecision::kBFloat16));
 
-  auto other = options("bfloat16", ComputePrecision::kBFloat16x3);
+  auto other = options("bfloat16", ComputePrecision::kFloat32);
   other.resume = true;
   other.loop.steps = 3;
   EXPECT_THAT(test::error_of([&] { train_level(other, {}); }), testing::HasSubstr("loop.precision"));
+}
+
+// Its time shift is what noise is drawn by, and stands in no option.
+TEST_F(TrainedChain, ResumingWithAnotherModelDescriptionIsRefused) {
+  const auto model = path("described");
+  std::filesystem::copy(path("stats/model"), model, std::filesystem::copy_options::recursive);
+  auto options = test::training_options<TrainLevelOptions>(model, path("other_description"));
+  train_level(options, {});
+  BundleOptions described = ModelBundle::open(model).options();
+  const double before = described.generator(level_model(1)).time_shift.training;
+  described.generator(level_model(1)).time_shift.training = before + 1;
+  write_file_atomically(model / "model.yaml", to_yaml(described));
+  options.resume = true;
+  options.loop.steps += 1;
+  EXPECT_THAT(
+      test::error_of([&] { train_level(options, {}); }),
+      testing::MatchesRegex("--resume: expected the model.yaml that the run was begun with "
+                            "\\(level1_time_shift.training [0-9.]+\\), found [0-9.]+; leave it as it was, or "
+                            "allow it with --may-change model.level1_time_shift.training\\."));
+  options.may_change = {"model.level1_time_shift.training"};
+  EXPECT_NO_THROW(train_level(options, {}));
 }
 
 TEST_F(TrainedChain, RecomputedActivationsGiveTheSameGradients) {
@@ -377,7 +400,10 @@ TEST_F(TrainedChain, BackboneAndDecoderGoOnFromTheBundle) {
   const auto with_backbone = ModelBundle::open(path("backbone_on/model"));
   EXPECT_LT((flat(*with_backbone.load_backbone()) - flat(*before.load_backbone())).abs().max().item<double>(),
             1e-6);
-  EXPECT_LT((flat(*with_backbone.load_dpt_head()) - flat(*before.load_dpt_head())).abs().max().item<double>(),
+  EXPECT_LT((flat(*with_backbone.load_geometry_head()) - flat(*before.load_geometry_head()))
+                .abs()
+                .max()
+                .item<double>(),
             1e-6);
   auto decoder = test::training_options<TrainDecoderOptions>(path("decoder/model"), path("decoder_on"));
   still(decoder);
@@ -418,7 +444,7 @@ TEST_F(TrainedChain, TheHeadGoesOnAlone) {
     }
     return false;
   };
-  EXPECT_TRUE(changed([](const ModelBundle& bundle) { return bundle.load_dpt_head(); }));
+  EXPECT_TRUE(changed([](const ModelBundle& bundle) { return bundle.load_geometry_head(); }));
   EXPECT_FALSE(changed([](const ModelBundle& bundle) { return bundle.load_backbone(); }));
   EXPECT_TRUE(after.has(BundlePart::rgb_decoder()));
 }
@@ -451,16 +477,16 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
   const auto encode = [&] {
     ++encoded;
     SceneLatents latents;
-    latents.sources = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
+    latents.shown.source_features = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
     latents.clean = torch::full({2, 2, 3}, 2.0);
     return latents;
   };
   KeptLatents kept(1e-3);
   const auto made = kept.get(first, encode), again = kept.get(first, encode);
   EXPECT_EQ(encoded, 1);
-  EXPECT_TRUE(torch::equal(made.sources, again.sources));
-  EXPECT_EQ(made.sources.scalar_type(), torch::kFloat32);
-  EXPECT_FALSE(made.deeper.defined());
+  EXPECT_TRUE(torch::equal(made.shown.source_features, again.shown.source_features));
+  EXPECT_EQ(made.shown.source_features.scalar_type(), torch::kFloat32);
+  EXPECT_FALSE(made.shown.deeper_level.defined());
   kept.get(second, encode);
   EXPECT_EQ(encoded, 2);
   // The same view in another crop is another picture.

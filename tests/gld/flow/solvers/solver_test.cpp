@@ -120,14 +120,40 @@ TEST(Solver, TellsTheObserverEveryStep) {
   SolverOptions options;
   options.evaluations = 7;
   std::vector<SolveProgress> seen;
-  SolveObserver observer{"level 1", [&](const SolveProgress& progress) { seen.push_back(progress); }};
-  solve(field, doubles({1}), options, observer);
+  SolveObserver observer{"level 1", [&](const SolveProgress& progress) {
+                           seen.push_back(progress);
+                           return SolveDecision::kGoOn;
+                         }};
+  EXPECT_FALSE(solve(field, doubles({1}), options, observer).stopped);
   ASSERT_EQ(seen.size(), 7u);
   for (size_t i = 0; i < seen.size(); ++i) {
     EXPECT_EQ(seen[i].step, static_cast<int64_t>(i) + 1);
     EXPECT_EQ(seen[i].steps, 7);
   }
   EXPECT_EQ(seen.back().time, 0);
+}
+
+// Every family leaves off after the step at which the observer says so, with what it has until then.
+TEST(Solver, StopsWhereTheObserverSaysSo) {
+  for (size_t solver = 0; solver < solver_names().size(); ++solver) {
+    auto field = constant_data_field(0.5);
+    SolverOptions options;
+    options.solver = static_cast<SolverKind>(solver);
+    options.evaluations = 40;
+    options.tolerance = 1e-9;  // so that adaptive solvers take more than two steps
+    SolveProgress last;
+    SolveObserver observer{"level 1", [&](const SolveProgress& progress) {
+                             last = progress;
+                             return progress.step == 2 ? SolveDecision::kStop : SolveDecision::kGoOn;
+                           }};
+    const auto report = solve(field, doubles({1}), options, observer);
+    EXPECT_TRUE(report.stopped) << solver_names()[solver];
+    EXPECT_FALSE(report.failure);
+    EXPECT_EQ(report.accepted, 2) << solver_names()[solver];
+    EXPECT_EQ(last.step, 2) << solver_names()[solver];
+    EXPECT_EQ(report.times.back(), last.time) << solver_names()[solver];
+    EXPECT_GT(last.time, 0) << solver_names()[solver];
+  }
 }
 
 // A value that is not finite stops with stage, step and time.

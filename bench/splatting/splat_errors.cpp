@@ -1,0 +1,218 @@
+#include "bench/splatting/splat_errors.h"
+
+#include "gld/base/interrupt.h"
+#include "gld/kernels/adam_kernel.h"
+#include "gld/machine/timing.h"
+#include "gld/splatting/feature_solve.h"
+#include "train/splats/splat_command.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <random>
+
+#include <Eigen/LU>
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// Far beyond what any of the compared fits reaches.
+constexpr double kSolved = 1e-7;
+constexpr int64_t kMostIterations = 400;
+
+double mean_of(const std::vector<double>& values) {
+  return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
+}
+
+// sin of a direction of the world's, one a channel: what a latent that is the same from everywhere looks like.
+SplatImage picture_of_places(const SplatPicture& picture, int64_t channels, double extent) {
+  std::mt19937 engine(7);
+  std::normal_distribution<double> normal;
+  SplatImage image(channels, picture.camera.width, picture.camera.height);
+  const Eigen::Matrix3d rays = picture.camera.intrinsics.inverse();
+  for (int64_t c = 0; c < channels; ++c) {
+    const Eigen::Vector3d wave = Eigen::Vector3d(normal(engine), normal(engine), normal(engine)) * 6 / extent;
+    const double phase = normal(engine);
+    for (int64_t y = 0; y < image.height; ++y) {
+      for (int64_t x = 0; x < image.width; ++x) {
+        const double depth = picture.depth.at(x, y);
+        const Eigen::Vector3d place =
+            picture.camera.world_from_camera *
+            (rays * Eigen::Vector3d(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5, 1) * depth);
+        image.row(c, y)[x] = static_cast<float>(std::sin(wave.dot(place) + phase));
+      }
+    }
+  }
+  return image;
+}
+
+struct FeatureProblem {
+  std::vector<FeatureView> views;
+  int64_t gaussians = 0, channels = 0;
+
+  SplatFeatures features(const std::vector<float>& values) const {
+    SplatFeatures result;
+    result.values = values.data();
+    result.channels = channels;
+    result.by_index = true;
+    return result;
+  }
+};
+
+FeatureProblem feature_problem(const Scene& scene, const SplatErrorSettings& settings, int64_t gaussians,
+                               const KernelSettings& kernels) {
+  const SplatFitViews views = load_fit_views(scene, settings.feature_side, 0, kernels);
+  const SceneReach reach = scene_reach(views.pictures, scene.points_in_world);
+  const GaussianSet set =
+      start_gaussians(views.pictures, scene.points_in_world, reach, gaussians, {}, scene.name);
+  ProjectionOptions projection;
+  projection.near = kNearShare * reach.extent;
+  FeatureProblem problem;
+  problem.gaussians = set.size();
+  problem.channels = settings.channels;
+  for (const SplatPicture& picture : views.pictures) {
+    problem.views.push_back(
+        {view_of_splats(set, splat_camera(picture.camera, set.origin, projection), kernels),
+         picture_of_places(picture, settings.channels, reach.extent)});
+  }
+  return problem;
+}
+
+std::vector<SplatImage> pictures_of(const FeatureProblem& problem, const std::vector<float>& values,
+                                    const KernelSettings& kernels) {
+  std::vector<SplatImage> pictures;
+  for (const FeatureView& view : problem.views)
+    pictures.push_back(composite(view.view, problem.features(values), kernels).image);
+  return pictures;
+}
+
+double error_of(const FeatureProblem& problem, const std::vector<float>& values,
+                const std::vector<SplatImage>& expected, const KernelSettings& kernels) {
+  const std::vector<SplatImage> found = pictures_of(problem, values, kernels);
+  double difference = 0, size = 0;
+  for (size_t v = 0; v < found.size(); ++v) {
+    for (size_t i = 0; i < found[v].values.size(); ++i) {
+      const double apart = static_cast<double>(found[v].values[i]) - expected[v].values[i];
+      const double picture = problem.views[v].picture.values[i];
+      difference += apart * apart;
+      size += picture * picture;
+    }
+  }
+  return std::sqrt(difference / size);
+}
+
+// Adam on features alone, one view a step, the rate falling to a hundredth.
+std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, double rate,
+                               const KernelSettings& kernels) {
+  constexpr double kFirst = 0.9, kSecond = 0.999;
+  std::vector<float> values(static_cast<size_t>(problem.gaussians * problem.channels), 0.0F);
+  std::vector<float> gradients(values.size()), first(values.size(), 0.0F), second(values.size(), 0.0F);
+  for (int64_t step = 0; step < steps; ++step) {
+    const FeatureView& view = problem.views[static_cast<size_t>(step) % problem.views.size()];
+    const SplatFeatures features = problem.features(values);
+    SplatImage residual = composite(view.view, features, kernels).image;
+    for (size_t i = 0; i < residual.values.size(); ++i) residual.values[i] -= view.picture.values[i];
+    const CompositingGradients found =
+        composite_backward(view.view, features, residual, SplatGradients::kFeatures, kernels);
+    std::fill(gradients.begin(), gradients.end(), 0.0F);
+    for (int64_t i = 0; i < view.view.size(); ++i) {
+      std::copy_n(found.features.data() + i * problem.channels, problem.channels,
+                  gradients.data() + view.view.splats[static_cast<size_t>(i)].index * problem.channels);
+    }
+    const double progress = static_cast<double>(step) / static_cast<double>(steps);
+    AdamStep adam;
+    adam.first_beta = static_cast<float>(kFirst);
+    adam.second_beta = static_cast<float>(kSecond);
+    adam.step_size = static_cast<float>(rate * std::pow(0.01, progress) /
+                                        (1 - std::pow(kFirst, static_cast<double>(step + 1))));
+    adam.inverse_correction =
+        static_cast<float>(1 / std::sqrt(1 - std::pow(kSecond, static_cast<double>(step + 1))));
+    adam.epsilon = 1e-15F;
+    const AdamArrays arrays{values.data(), gradients.data(), first.data(), second.data(), nullptr};
+    constexpr int64_t kPart = 1 << 14;
+    const auto count = static_cast<int64_t>(values.size());
+#pragma omp parallel for num_threads(kernels.threads) schedule(static)
+    for (int64_t begin = 0; begin < count; begin += kPart)
+      adam_update(arrays, adam, begin, std::min(begin + kPart, count));
+  }
+  return values;
+}
+
+}  // namespace
+
+std::vector<SplatFitRow> splat_fit_rows(const Scene& scene, const SplatErrorSettings& settings) {
+  KernelSettings kernels;
+  kernels.threads = settings.threads;
+  const SplatFitViews views = load_fit_views(scene, settings.side, settings.held_out, kernels);
+  std::vector<SplatFitRow> rows;
+  for (const int64_t most : settings.gaussians) {
+    SplatFitOptions options;
+    options.density.most_gaussians = most;
+    options.steps = settings.steps.back();
+    SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name);
+    double seconds = 0;
+    for (const int64_t steps : settings.steps) {
+      seconds += seconds_of([&] {
+        while (fit.step < steps) splat_fit_step(views.fitted, options, 0, kernels, fit);
+      });
+      stop_if_interrupted(fmt::format("{} rows", rows.size()));
+      rows.push_back({fit.set.size(), steps, seconds,
+                      mean_of(view_decibels(views.fitted, fit.set, options.projection, kernels)),
+                      mean_of(view_decibels(views.held_out, fit.set, options.projection, kernels))});
+    }
+  }
+  return rows;
+}
+
+Table splat_fit_table(const std::vector<SplatFitRow>& rows) {
+  Table table({"gaussians", "steps", "seconds", "fitted_psnr", "held_out_psnr"});
+  for (const SplatFitRow& row : rows)
+    table.add_row({row.gaussians, row.steps, row.seconds, row.fitted_psnr, row.held_out_psnr});
+  return table;
+}
+
+std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatErrorSettings& settings) {
+  KernelSettings kernels;
+  kernels.threads = settings.threads;
+  const FeatureProblem problem = feature_problem(scene, settings, settings.gaussians.back(), kernels);
+  FeatureSolveOptions solve;
+  solve.ridge = settings.ridge;
+  solve.tolerance = kSolved;
+  solve.most_iterations = kMostIterations;
+  const std::vector<SplatImage> expected = pictures_of(
+      problem, solve_features(problem.views, problem.gaussians, solve, kernels).features, kernels);
+  std::vector<SplatFeatureRow> rows;
+  for (const int64_t iterations : settings.iterations) {
+    solve.tolerance = FeatureSolveOptions().tolerance;
+    solve.most_iterations = iterations;
+    SolvedFeatures solved;
+    const double seconds =
+        seconds_of([&] { solved = solve_features(problem.views, problem.gaussians, solve, kernels); });
+    stop_if_interrupted(fmt::format("{} rows", rows.size()));
+    rows.push_back({"conjugate_gradients", problem.gaussians, static_cast<int64_t>(solved.residuals.size()),
+                    seconds, error_of(problem, solved.features, expected, kernels), solved.residuals.back()});
+    if (solved.residuals.back() <= solve.tolerance) break;
+  }
+  for (const double rate : settings.adam_rates) {
+    for (const int64_t steps : settings.adam_steps) {
+      std::vector<float> values;
+      const double seconds = seconds_of([&] { values = fit_by_adam(problem, steps, rate, kernels); });
+      stop_if_interrupted(fmt::format("{} rows", rows.size()));
+      rows.push_back({fmt::format("adam_{:g}", rate), problem.gaussians, steps, seconds,
+                      error_of(problem, values, expected, kernels), 0});
+    }
+  }
+  return rows;
+}
+
+Table splat_feature_table(const std::vector<SplatFeatureRow>& rows) {
+  Table table({"method", "gaussians", "steps", "seconds", "error", "residual"});
+  for (const SplatFeatureRow& row : rows) {
+    table.add_row({row.method, row.gaussians, row.steps, row.seconds, row.error,
+                   row.residual > 0 ? TableCell(row.residual) : TableCell(std::string())});
+  }
+  return table;
+}
+
+}  // namespace gld

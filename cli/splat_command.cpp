@@ -1,0 +1,50 @@
+#include "cli/splat_command.h"
+
+#include "infer/splats/splat_render.h"
+#include "train/splats/splat_command.h"
+
+namespace gld {
+namespace {
+
+Command make_fit_command() {
+  auto options = std::make_shared<SplatCommandOptions>();
+  Command command;
+  command.name = "splat fit";
+  command.summary = "Fit 3D Gaussians to the pictures of a scene, or to a run of gld sample";
+  command.description =
+      "Example: gld splat fit --scene rooms/scenes/room_0000 --held-out 5 --out runs/splats\n"
+      "It starts from measured or predicted depth, else from sparse points; splats.ply opens in public viewers.";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    run_splat_fit(*options);
+    return 0;
+  };
+  return command;
+}
+
+Command make_render_command() {
+  auto options = std::make_shared<SplatRenderOptions>();
+  Command command;
+  command.name = "splat render";
+  command.summary = "Draw 3D Gaussians along a path of cameras";
+  command.description =
+      "Example: gld splat render --splats runs/splats --path orbit --frames 60 --out runs/orbit";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    run_splat_render(*options);
+    return 0;
+  };
+  return command;
+}
+
+}  // namespace
+
+Command make_splat_command() {
+  Command command;
+  command.name = "splat";
+  command.summary = "3D Gaussians of a scene: fit them, draw them";
+  command.subcommands = {make_fit_command(), make_render_command()};
+  return command;
+}
+
+}  // namespace gld

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+struct Interval {
+  double low = 0;
+  double high = 0;
+};
+
+struct BootstrapOptions {
+  int64_t replicates = 10'000;
+  double coverage = 0.95;
+  uint64_t seed = 1;
+};
+
+// Percentile interval of the mean over seeds of the means over scenes by the hierarchical bootstrap: each replicate
+// draws seeds, then scenes. Rows are seeds, columns the scenes that all of them share; NaN where a seed has no number
+// of a scene. With one seed it is Efron's (1979) of a mean over scenes. The scenes are drawn once a replicate and stand
+// for all of its seeds, because the same scenes were measured under every seed (Owen 2007, "The pigeonhole bootstrap"):
+// scenes drawn anew under each seed would count a scene's difficulty as independent evidence once a seed, and the
+// interval would be too narrow by up to the root of the number of seeds. With as few seeds as three the interval covers
+// less than its name says where seeds differ more than scenes. The same numbers and options give the same interval;
+// NaN without numbers.
+Interval bootstrap_interval(const std::vector<std::vector<double>>& numbers,
+                            const BootstrapOptions& options = {});
+
+}  // namespace gld

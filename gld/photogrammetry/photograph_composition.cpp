@@ -1,0 +1,471 @@
+#include "gld/photogrammetry/photograph_composition.h"
+
+#include "gld/cameras/resized_camera.h"
+#include "gld/photogrammetry/bilinear_neighbours.h"
+#include "gld/photogrammetry/membrane.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+
+namespace gld {
+namespace {
+
+// Of a photograph that alone shows a place: nothing contradicts it, and nothing confirms its depth. About 24 dB, which
+// is what carried photographs of drawn rooms and of real places have there.
+constexpr float kVarianceOfOne = 0.004F;
+// What colours differ by where everything is right: noise of cameras, bilinear interpolation.
+constexpr float kColourNoise = 0.0004F;
+// A generated picture's error where no photograph can tell it (22 dB).
+constexpr double kUsualGeneratedVariance = 0.006;
+
+// A picture reduced to another size, every pixel the mean of the area that it covers.
+std::vector<float> area_means(const PicturedView& view, int64_t width, int64_t height) {
+  std::vector<float> reduced(static_cast<size_t>(3 * width * height), 0.0F);
+  const double across = static_cast<double>(view.width) / static_cast<double>(width);
+  const double down = static_cast<double>(view.height) / static_cast<double>(height);
+  // The part of source cell `cell` that [from, to) covers.
+  const auto covered = [](int64_t cell, double from, double to) {
+    return std::min(to, static_cast<double>(cell + 1)) - std::max(from, static_cast<double>(cell));
+  };
+  for (int64_t row = 0; row < height; ++row) {
+    const double top = static_cast<double>(row) * down, bottom = top + down;
+    for (int64_t column = 0; column < width; ++column) {
+      const double left = static_cast<double>(column) * across, right = left + across;
+      float* to = reduced.data() + 3 * (row * width + column);
+      for (auto y = static_cast<int64_t>(top); y < view.height && static_cast<double>(y) < bottom; ++y) {
+        for (auto x = static_cast<int64_t>(left); x < view.width && static_cast<double>(x) < right; ++x) {
+          const auto share =
+              static_cast<float>(covered(y, top, bottom) * covered(x, left, right) / (across * down));
+          for (int64_t c = 0; c < 3; ++c)
+            to[c] += share * view.rgb[static_cast<size_t>(3 * (y * view.width + x) + c)];
+        }
+      }
+    }
+  }
+  return reduced;
+}
+
+// The size with the longer side at most `side`.
+std::pair<int64_t, int64_t> size_within(int64_t width, int64_t height, int64_t side) {
+  const int64_t longer = std::max(width, height);
+  if (longer <= side) return {width, height};
+  const double factor = static_cast<double>(side) / static_cast<double>(longer);
+  return {std::max<int64_t>(1, std::llround(static_cast<double>(width) * factor)),
+          std::max<int64_t>(1, std::llround(static_cast<double>(height) * factor))};
+}
+
+PicturedView reduced_view(const PicturedView& view, int64_t side) {
+  const auto [width, height] = size_within(view.width, view.height, side);
+  PicturedView reduced;
+  reduced.camera = resized_camera(view.camera, width, height);
+  reduced.depth = view.depth;
+  reduced.width = width;
+  reduced.height = height;
+  reduced.rgb = width == view.width && height == view.height ? view.rgb : area_means(view, width, height);
+  return reduced;
+}
+
+float median(std::vector<float>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// Of one colour in two photographs: the median of log(first / second) over what both show, and its weight in the
+// adjustment, 0 where it says nothing.
+struct LogRatio {
+  double value = 0;
+  double weight = 0;
+};
+
+LogRatio log_ratio(const CarriedPicture& first, const std::vector<float>& second, size_t colour) {
+  constexpr float kDark = 0.05F, kBright = 0.95F;  // beyond these a ratio says nothing
+  constexpr size_t kFewest = 200;                  // pixels
+  std::vector<float> ratios;
+  for (size_t pixel = 0; pixel < first.seen.size(); ++pixel) {
+    if (first.seen[pixel] == 0) continue;
+    const float a = first.rgb[3 * pixel + colour], b = second[3 * pixel + colour];
+    if (a > kDark && b > kDark && a < kBright && b < kBright) ratios.push_back(std::log(a / b));
+  }
+  if (ratios.size() < kFewest) return {};
+  const float middle = median(ratios);
+  for (float& ratio : ratios) ratio = std::abs(ratio - middle);
+  // 1.4826 times the median distance is the deviation of a normal distribution; 1.2533 / sqrt(n) of that the median's.
+  // Neighbouring pixels err together: a sixteenth of them counts.
+  const double count = static_cast<double>(ratios.size()) / 16;
+  const double scatter = 1.2533 * 1.4826 * static_cast<double>(median(ratios)) / std::sqrt(count);
+  constexpr double kRounding = 1e-3;
+  return {static_cast<double>(middle), 1 / (scatter * scatter + kRounding * kRounding)};
+}
+
+// log gains g with g_i + log a_i = g_j + log a_j for all pairs as well as their weights allow; their sum is 0.
+Eigen::VectorXd adjusted_gains(const Eigen::MatrixXd& ratios, const Eigen::MatrixXd& weights) {
+  const Eigen::Index count = ratios.rows();
+  Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(count, count);
+  Eigen::VectorXd right = Eigen::VectorXd::Zero(count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    for (Eigen::Index j = 0; j < count; ++j) {
+      const double weight = weights(i, j);
+      if (weight == 0) continue;
+      // g_i - g_j = -ratio_ij
+      normal(i, i) += weight;
+      normal(j, j) += weight;
+      normal(i, j) -= weight;
+      normal(j, i) -= weight;
+      right(i) -= weight * ratios(i, j);
+      right(j) += weight * ratios(i, j);
+    }
+  }
+  // Photographs that share nothing with others keep their exposure; the sum is free otherwise.
+  normal.diagonal().array() += 1e-6 * (1 + normal.diagonal().maxCoeff());
+  Eigen::VectorXd gains = normal.ldlt().solve(right);
+  gains.array() -= gains.mean();
+  return gains;
+}
+
+// Of each pixel of a target view the angle between the lines of sight of target and source, radians.
+class SightAngle {
+ public:
+  SightAngle(const Camera& source, const Camera& target)
+      : centre_(target.camera_from_world() * source.world_from_camera.translation()),
+        rays_(target.intrinsics.inverse()) {}
+
+  double operator()(double x, double y, double depth) const {
+    const Eigen::Vector3d point = depth * (rays_ * Eigen::Vector3d(x, y, 1));
+    const Eigen::Vector3d from_source = point - centre_;
+    return std::atan2(point.cross(from_source).norm(), point.dot(from_source));
+  }
+
+ private:
+  Eigen::Vector3d centre_;  // of the source, in the target camera's frame
+  Eigen::Matrix3d rays_;
+};
+
+// How far a pixel's neighbourhood is seen, from 0 at the border of what is seen to 1 `reach` pixels inside: the
+// photograph's weight near where it ends. Steps along rows and columns.
+std::vector<float> inside_weight(const CarriedPicture& picture, int64_t reach) {
+  const int64_t width = picture.width, height = picture.height;
+  std::vector<int64_t> steps(picture.seen.size());
+  for (size_t i = 0; i < steps.size(); ++i) steps[i] = picture.seen[i] != 0 ? reach : 0;
+  // Beyond the target's own border nothing ends: only what is not seen inside of it counts.
+  const auto relax = [&](int64_t row, int64_t column, int64_t from_row, int64_t from_column) {
+    if (from_row < 0 || from_column < 0 || from_row >= height || from_column >= width) return;
+    auto& here = steps[static_cast<size_t>(row * width + column)];
+    here = std::min(here, steps[static_cast<size_t>(from_row * width + from_column)] + 1);
+  };
+  for (int64_t row = 0; row < height; ++row) {
+    for (int64_t column = 0; column < width; ++column) {
+      relax(row, column, row - 1, column);
+      relax(row, column, row, column - 1);
+    }
+  }
+  for (int64_t row = height - 1; row >= 0; --row) {
+    for (int64_t column = width - 1; column >= 0; --column) {
+      relax(row, column, row + 1, column);
+      relax(row, column, row, column + 1);
+    }
+  }
+  std::vector<float> weights(steps.size());
+  for (size_t i = 0; i < steps.size(); ++i)
+    weights[i] = static_cast<float>(steps[i]) / static_cast<float>(reach);
+  return weights;
+}
+
+// Means over windows of `reach` pixels to each side of the values that are known, by running sums along rows and
+// columns.
+void known_window_means(int64_t width, int64_t height, int64_t reach, const std::vector<float>& known,
+                        std::vector<float>& values) {
+  std::vector<double> sums(values.size()), counts(values.size());
+  const auto pass = [&](auto&& line) {
+    for (int64_t row = 0; row < height; ++row) line(static_cast<size_t>(row * width), width, size_t{1});
+    for (int64_t column = 0; column < width; ++column) {
+      line(static_cast<size_t>(column), height, static_cast<size_t>(width));
+    }
+  };
+  for (size_t i = 0; i < values.size(); ++i) {
+    sums[i] = static_cast<double>(known[i]) * (known[i] > 0 ? static_cast<double>(values[i]) : 0.0);
+    counts[i] = static_cast<double>(known[i]);
+  }
+  std::vector<double> copy;
+  const auto window = [&](std::vector<double>& data) {
+    pass([&](size_t first, int64_t count, size_t stride) {
+      copy.assign(static_cast<size_t>(count) + 1, 0.0);
+      for (int64_t i = 0; i < count; ++i)
+        copy[static_cast<size_t>(i) + 1] =
+            copy[static_cast<size_t>(i)] + data[first + static_cast<size_t>(i) * stride];
+      for (int64_t i = 0; i < count; ++i) {
+        data[first + static_cast<size_t>(i) * stride] =
+            copy[static_cast<size_t>(std::min(i + reach + 1, count))] -
+            copy[static_cast<size_t>(std::max<int64_t>(i - reach, 0))];
+      }
+    });
+  };
+  window(sums);
+  window(counts);
+  for (size_t i = 0; i < values.size(); ++i) {
+    if (known[i] > 0 && counts[i] > 0) values[i] = static_cast<float>(std::max(0.0, sums[i] / counts[i]));
+  }
+}
+
+// Depth of a target view at another size. Between cells of one surface it is interpolated; at an edge the nearest
+// cell's is taken, so that no surface hangs between two.
+TargetDepth resized_depth(const TargetDepth& depth, int64_t width, int64_t height) {
+  if (depth.width == width && depth.height == height) return depth;
+  constexpr double kOneSurface = 1.05;
+  TargetDepth result{width, height, std::vector<double>(static_cast<size_t>(width * height)),
+                     std::vector<uint8_t>(static_cast<size_t>(width * height))};
+  for (int64_t row = 0; row < height; ++row) {
+    const double y =
+        (static_cast<double>(row) + 0.5) * static_cast<double>(depth.height) / static_cast<double>(height) -
+        0.5;
+    for (int64_t column = 0; column < width; ++column) {
+      const double x = (static_cast<double>(column) + 0.5) * static_cast<double>(depth.width) /
+                           static_cast<double>(width) -
+                       0.5;
+      const BilinearNeighbours around(depth.width, depth.height, x, y);
+      double sum = 0, least = std::numeric_limits<double>::infinity(), most = 0;
+      for (size_t i = 0; i < 4; ++i) {
+        const double value = depth.values[around.cells[i]];
+        sum += static_cast<double>(around.weights[i]) * value;
+        least = std::min(least, value);
+        most = std::max(most, value);
+      }
+      const auto pixel = static_cast<size_t>(row * width + column);
+      const size_t nearest = around.nearest();
+      result.values[pixel] = most <= kOneSurface * least ? sum : depth.values[nearest];
+      result.reached[pixel] = depth.reached[nearest];
+    }
+  }
+  return result;
+}
+
+}  // namespace
+
+std::vector<ColourGains> exposure_gains(const std::vector<PicturedView>& sources) {
+  constexpr int64_t kSide = 128;  // pixels: medians need no more
+  const size_t count = sources.size();
+  std::vector<ColourGains> gains(count, ColourGains{1, 1, 1});
+  if (count < 2) return gains;
+  std::vector<PicturedView> small;
+  for (const PicturedView& source : sources) small.push_back(reduced_view(source, kSide));
+  const auto n = static_cast<Eigen::Index>(count);
+  std::array<Eigen::MatrixXd, 3> ratios, weights;
+  ratios.fill(Eigen::MatrixXd::Zero(n, n));
+  weights.fill(Eigen::MatrixXd::Zero(n, n));
+  CarryOptions as_it_is;
+  as_it_is.depth_reach = 0;  // matching colours would hide what they differ by
+  for (size_t j = 0; j < count; ++j) {
+    TargetDepth depth{small[j].width, small[j].height, {}, {}};
+    for (int64_t row = 0; row < depth.height; ++row) {
+      for (int64_t column = 0; column < depth.width; ++column) {
+        const BilinearNeighbours around(
+            small[j].depth.width, small[j].depth.height,
+            (static_cast<double>(column) + 0.5) * static_cast<double>(small[j].depth.width) /
+                    static_cast<double>(depth.width) -
+                0.5,
+            (static_cast<double>(row) + 0.5) * static_cast<double>(small[j].depth.height) /
+                    static_cast<double>(depth.height) -
+                0.5);
+        const float value = small[j].depth.values[around.nearest()];
+        depth.values.push_back(PlanarDepth::known(value) ? static_cast<double>(value) : 1.0);
+        depth.reached.push_back(PlanarDepth::known(value) ? 1 : 0);
+      }
+    }
+    const auto carried = carry_pictures_to(small, small[j].camera, depth, as_it_is);
+    for (size_t i = 0; i < count; ++i) {
+      if (i == j) continue;
+      for (size_t c = 0; c < 3; ++c) {
+        const LogRatio ratio = log_ratio(carried[i], small[j].rgb, c);
+        ratios[c](static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = ratio.value;
+        weights[c](static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) = ratio.weight;
+      }
+    }
+  }
+  constexpr double kNoDifference = 0.01;
+  for (size_t c = 0; c < 3; ++c) {
+    const Eigen::VectorXd adjusted = adjusted_gains(ratios[c], weights[c]);
+    if (adjusted.cwiseAbs().maxCoeff() < kNoDifference) continue;
+    for (size_t i = 0; i < count; ++i)
+      gains[i][c] = static_cast<float>(std::exp(adjusted(static_cast<Eigen::Index>(i))));
+  }
+  return gains;
+}
+
+double PhotographView::shown_share() const {
+  if (variance.empty()) return 0;
+  size_t count = 0;
+  for (size_t pixel = 0; pixel < variance.size(); ++pixel) count += shown(pixel) ? 1 : 0;
+  return static_cast<double>(count) / static_cast<double>(variance.size());
+}
+
+bool PhotographView::complete() const {
+  constexpr double kUnshown = 0.001, kConfirmed = 0.9;
+  const auto pixels = static_cast<double>(variance.size());
+  double count = 0, confirmed = 0, sum = 0;
+  for (size_t pixel = 0; pixel < variance.size(); ++pixel) {
+    if (!shown(pixel)) continue;
+    count += 1;
+    confirmed += variance[pixel] < kVarianceOfOne ? 1 : 0;
+    sum += static_cast<double>(variance[pixel]);
+  }
+  return count > 0 && count >= (1 - kUnshown) * pixels && confirmed >= kConfirmed * pixels &&
+         sum <= static_cast<double>(kVarianceOfOne) * count;
+}
+
+PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
+                                     const std::vector<ColourGains>& gains, const Camera& target,
+                                     const PhotographViewOptions& options) {
+  const auto pixels = static_cast<size_t>(target.width * target.height);
+  PhotographView view{target.width, target.height, std::vector<float>(3 * pixels, 0.0F),
+                      std::vector<float>(pixels, std::numeric_limits<float>::infinity())};
+  if (sources.empty()) return view;
+  // Photographs of one brightness, that of the target: its neighbours' in time and space are the best guess of it.
+  std::vector<PicturedView> even = sources;
+  ColourGains aim{0, 0, 0};
+  double nearness = 0;
+  for (size_t i = 0; i < sources.size(); ++i) {
+    const double apart =
+        (sources[i].camera.world_from_camera.translation() - target.world_from_camera.translation())
+            .squaredNorm();
+    const double weight = 1 / std::max(apart, 1e-12);
+    nearness += weight;
+    for (size_t c = 0; c < 3; ++c)
+      aim[c] += static_cast<float>(weight * std::log(static_cast<double>(gains[i][c])));
+  }
+  for (size_t i = 0; i < sources.size(); ++i) {
+    for (size_t c = 0; c < 3; ++c) {
+      const float factor = gains[i][c] * std::exp(-aim[c] / static_cast<float>(nearness));
+      if (factor == 1.0F) continue;
+      for (size_t p = c; p < even[i].rgb.size(); p += 3) even[i].rgb[p] *= factor;
+    }
+  }
+  const auto [width, height] = size_within(target.width, target.height, options.matched_side);
+  std::vector<PicturedView> small;
+  for (const PicturedView& source : even) small.push_back(reduced_view(source, options.matched_side));
+  const TargetDepth depth =
+      resized_depth(matched_target_depth(small, resized_camera(target, width, height), options.carry),
+                    target.width, target.height);
+  const auto carried = carry_pictures_to(even, target, depth, options.carry);
+
+  // A line of sight that is off by this counts half as much.
+  constexpr double kHalfAngle = 0.05;
+  const int64_t feather = std::max<int64_t>(1, std::max(target.width, target.height) / 40);
+  std::vector<std::vector<float>> weights;
+  for (size_t i = 0; i < carried.size(); ++i) {
+    std::vector<float> weight = inside_weight(carried[i], feather);
+    const SightAngle angle(even[i].camera, target);
+    for (int64_t row = 0; row < target.height; ++row) {
+      for (int64_t column = 0; column < target.width; ++column) {
+        const auto pixel = static_cast<size_t>(row * target.width + column);
+        if (weight[pixel] == 0) continue;
+        const double off =
+            angle(static_cast<double>(column) + 0.5, static_cast<double>(row) + 0.5, depth.values[pixel]) /
+            kHalfAngle;
+        weight[pixel] *= static_cast<float>(1 / (1 + off * off));
+      }
+    }
+    weights.push_back(std::move(weight));
+  }
+  std::vector<float> known(pixels, 0.0F);
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    size_t shown = 0, best = 0;
+    float total = 0;
+    for (size_t i = 0; i < carried.size(); ++i) {
+      if (carried[i].seen[pixel] == 0) continue;
+      if (shown == 0 || weights[i][pixel] > weights[best][pixel]) best = i;
+      total += weights[i][pixel];
+      ++shown;
+    }
+    if (shown == 0) continue;
+    known[pixel] = 1;
+    float* colour = view.rgb.data() + 3 * pixel;
+    if (shown == 1 || total <= 0) {
+      std::copy_n(carried[best].rgb.begin() + static_cast<std::ptrdiff_t>(3 * pixel), 3, colour);
+      view.variance[pixel] = kVarianceOfOne;
+      continue;
+    }
+    float spread = 0;
+    for (size_t c = 0; c < 3; ++c) {
+      float mean = 0, square = 0;
+      for (size_t i = 0; i < carried.size(); ++i) {
+        if (carried[i].seen[pixel] == 0) continue;
+        const float value = carried[i].rgb[3 * pixel + c], weight = weights[i][pixel] / total;
+        mean += weight * value;
+        square += weight * value * value;
+      }
+      colour[c] = mean;
+      spread += std::max(0.0F, square - mean * mean) / 3;
+    }
+    view.variance[pixel] = kColourNoise + spread;
+    // Two things, not one with an error: their mean would be a ghost of both.
+    constexpr float kContradiction = 0.02F;
+    if (spread > kContradiction) {
+      const float alone = kContradiction / spread;
+      for (size_t c = 0; c < 3; ++c)
+        colour[c] = alone * colour[c] + (1 - alone) * carried[best].rgb[3 * pixel + c];
+    }
+  }
+  // A single pixel may agree by chance: its neighbourhood says whether its depth is right.
+  constexpr int64_t kNeighbourhood = 2;
+  known_window_means(target.width, target.height, kNeighbourhood, known, view.variance);
+  for (float& value : view.rgb) value = std::clamp(value, 0.0F, 1.0F);
+  return view;
+}
+
+double generated_variance(const PhotographView& view, const std::vector<float>& generated) {
+  constexpr size_t kFewest = 100;  // pixels
+  constexpr float kAgree = 4 * kColourNoise;
+  double sum = 0;
+  size_t count = 0;
+  for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {
+    if (view.variance[pixel] > kAgree) continue;
+    ++count;
+    for (size_t c = 0; c < 3; ++c) {
+      const double off = static_cast<double>(generated[3 * pixel + c] - view.rgb[3 * pixel + c]);
+      sum += off * off / 3;
+    }
+  }
+  return count < kFewest ? kUsualGeneratedVariance : sum / static_cast<double>(count);
+}
+
+ComposedPicture compose(const PhotographView& view, const std::vector<float>& generated,
+                        double generated_variance) {
+  const size_t pixels = view.variance.size();
+  ComposedPicture result{generated, std::vector<float>(pixels, 0.0F)};
+  std::vector<float> differences(3 * pixels, 0.0F);
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    if (!view.shown(pixel)) continue;
+    const auto variance = static_cast<double>(view.variance[pixel]);
+    result.shown[pixel] = static_cast<float>(generated_variance / (generated_variance + variance));
+    for (size_t c = 0; c < 3; ++c)
+      differences[3 * pixel + c] = view.rgb[3 * pixel + c] - generated[3 * pixel + c];
+  }
+  const std::vector<float> moved = membrane(view.width, view.height, 3, differences, result.shown);
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    const float shown = result.shown[pixel];
+    for (size_t c = 0; c < 3; ++c) {
+      float& colour = result.rgb[3 * pixel + c];
+      colour = shown * view.rgb[3 * pixel + c] + (1 - shown) * (colour + moved[3 * pixel + c]);
+      colour = std::clamp(colour, 0.0F, 1.0F);
+    }
+  }
+  return result;
+}
+
+std::vector<float> filled(const PhotographView& view) {
+  std::vector<float> weights(view.variance.size());
+  bool any = false;
+  for (size_t pixel = 0; pixel < weights.size(); ++pixel) {
+    weights[pixel] = view.shown(pixel) ? 1.0F : 0.0F;
+    any = any || view.shown(pixel);
+  }
+  if (!any) return std::vector<float>(view.rgb.size(), 0.5F);
+  return membrane(view.width, view.height, 3, view.rgb, weights);
+}
+
+}  // namespace gld

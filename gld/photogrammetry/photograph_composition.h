@@ -1,0 +1,77 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/photogrammetry/photo_consistency.h"
+#include "gld/photogrammetry/picture_warp.h"
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// What is seen is kept: what photographs show of a target view, carried there at their own resolution, and a generated
+// picture for the rest.
+
+// A factor for each colour.
+using ColourGains = std::array<float, 3>;
+
+// What each photograph's colours are multiplied by so that all of them show the same places in the same brightness;
+// their geometric mean over the photographs is 1. Of pixels that two photographs show by the depth of one of them the
+// median ratio counts; exactly 1 where photographs share too little, or differ by less than they scatter.
+std::vector<ColourGains> exposure_gains(const std::vector<PicturedView>& sources);
+
+struct PhotographViewOptions {
+  CarryOptions carry;
+  // Pixels of the longer side at which the depth of the target view is matched; colours are carried at the size of the
+  // target camera, whatever that is.
+  int64_t matched_side = 256;
+};
+
+// A target view as far as photographs show it.
+struct PhotographView {
+  int64_t width = 0;
+  int64_t height = 0;
+  std::vector<float> rgb;  // (height, width, 3) in [0, 1]; 0 where nothing is shown
+  // (height, width): the variance that a colour's error is expected to have, of numbers from 0 to 1: what photographs
+  // that show the place disagree by, or for a single one a usual value. Infinity where none shows it.
+  std::vector<float> variance;
+
+  bool shown(size_t pixel) const { return variance[pixel] < kNotShown; }
+  double shown_share() const;  // of the pixels
+  // Whether photographs show all of it (but one pixel in a thousand, which are filled from around) and agree: a second
+  // one confirms nine tenths, and the error that is expected is that of a photograph that nothing contradicts.
+  bool complete() const;
+
+  static constexpr float kNotShown = 1e30F;
+};
+
+// sources: depth in the unit of the cameras, as for matched_target_depth(); gains: one a source. Where several
+// photographs show a place, those count most whose camera looks at it from the target's side (by the angle between
+// both lines of sight), and less towards a photograph's border, so that no seam is left there; where they contradict
+// each other the one that counts most is taken alone.
+PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
+                                     const std::vector<ColourGains>& gains, const Camera& target,
+                                     const PhotographViewOptions& options = {});
+
+// The variance of a generated picture's errors, measured where photographs agree with each other best; a usual value
+// where there is no such place. generated: (height, width, 3) of the view's size.
+double generated_variance(const PhotographView& view, const std::vector<float>& generated);
+
+struct ComposedPicture {
+  std::vector<float> rgb;    // (height, width, 3)
+  std::vector<float> shown;  // (height, width): the share of a pixel that comes from photographs, from 0 to 1
+};
+
+// Each pixel is the mixture of the photographs' and the generated colour whose error is expected to be least:
+// m = variance of generated / (variance of generated + variance of photographs). So that no border is seen where
+// photographs end, the generated picture is moved by the smooth membrane through the differences from the photographs,
+// which far away from all of them is their mean.
+ComposedPicture compose(const PhotographView& view, const std::vector<float>& generated,
+                        double generated_variance);
+
+// The view with what no photograph shows filled in smoothly from around it: what there is without a generated picture.
+// Mid-grey where nothing is shown at all.
+std::vector<float> filled(const PhotographView& view);
+
+}  // namespace gld

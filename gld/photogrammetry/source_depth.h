@@ -1,0 +1,24 @@
+#pragma once
+
+#include "gld/photogrammetry/planar_depth.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Depth of the source views of a scene, whoever says it: a geometry head, the photographs themselves, a sensor. What
+// carries photographs into target views asks this, and not for where it came from.
+struct SourceDepth {
+  // One map a source view, of any size, in the unit of the scene's cameras; none where that is not known.
+  std::vector<PlanarDepth> views;
+  // How far it may be off, a natural logarithm: carrying tries depths so far nearer and farther. A network is off by a
+  // third, its scale included.
+  double reach = 0.35;
+  std::string from;   // who says it, for people: "geometry head"
+  std::string doubt;  // why it is not known; empty where it is
+
+  bool known() const { return !views.empty(); }
+};
+
+}  // namespace gld

@@ -1,0 +1,72 @@
+#pragma once
+
+#include "gld/splatting/splat_view.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// Some channels of a picture, each row by row. Rows begin `stride` numbers apart, a multiple of kSplatTile; what lies
+// behind a row's end is 0 in what gradients are taken from.
+struct SplatImage {
+  int64_t channels = 0, width = 0, height = 0, stride = 0;
+  std::vector<float> values;  // (channels, height, stride)
+
+  SplatImage() = default;
+  SplatImage(int64_t image_channels, int64_t image_width, int64_t image_height);
+  int64_t plane() const { return height * stride; }
+  float* row(int64_t channel, int64_t y) { return values.data() + channel * plane() + y * stride; }
+  const float* row(int64_t channel, int64_t y) const {
+    return values.data() + channel * plane() + y * stride;
+  }
+};
+
+// What is composited, front to back: w_i = alpha_i prod_{j < i} (1 - alpha_j), a channel is the sum of w_i f_i and
+// of the background through what is left. alpha is at most .99; a Gaussian that would leave less than 1e-4 ends its
+// pixel, and is not in it.
+struct SplatFeatures {
+  const float* values = nullptr;  // (rows, channels)
+  int64_t channels = 0;
+  bool by_index = false;               // rows are the set's Gaussians; else the view's splats, front to back
+  std::vector<float> background = {};  // (channels), or empty for 0
+};
+
+struct CompositedView {
+  SplatImage image;
+  SplatImage transmittance;  // one channel: what is left behind the last Gaussian
+};
+CompositedView composite(const SplatView& view, const SplatFeatures& features,
+                         const KernelSettings& settings);
+
+// d loss / d what was composited, for every splat of the view. Sums go by Gaussian in the order of tiles: they are
+// equal to the bit whatever settings.threads is.
+struct CompositingGradients {
+  std::vector<float> features;  // (splats, channels)
+  // (splats, kSplatMoments): sums of a = alpha d loss / d alpha, 0 where alpha is clipped, times 1, u, v, u u, u v, v v
+  // (u and v of VisibleSplat). Empty where only features were asked for.
+  std::vector<float> moments;
+};
+enum class SplatGradients { kFeatures, kFeaturesAndShapes };
+CompositingGradients composite_backward(const SplatView& view, const SplatFeatures& features,
+                                        const SplatImage& of_image, SplatGradients wanted,
+                                        const KernelSettings& settings);
+
+// d loss / d the splat's place, covariance and opacity, from its moments.
+ProjectedGradient projected_gradient(const VisibleSplat& splat, const float* moments);
+
+// A picture of a set in 3DGS's colours.
+CompositedView render_colours(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
+
+// What a step of fitting needs: the gradients of all parameters (zero for Gaussians that are not seen), and for
+// density control how the loss changes with the place in the picture, d loss / d mean in pixels, (splats, 2).
+struct ColourGradients {
+  GaussianSet of_set;
+  std::vector<float> of_means_in_picture;
+};
+// colours: view_colours of the same set. gradients.of_set is reused where it has the set's size.
+void render_colours_backward(const GaussianSet& set, const SplatView& view, const std::vector<float>& colours,
+                             const SplatImage& of_image, const KernelSettings& settings,
+                             ColourGradients& gradients);
+
+}  // namespace gld

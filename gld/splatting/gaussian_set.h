@@ -1,0 +1,58 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+namespace gld {
+
+constexpr int64_t kMostHarmonicDegree = 3;
+
+// Coefficients of spherical harmonics up to a degree: 1, 4, 9 or 16.
+constexpr int64_t harmonic_coefficients(int64_t degree) { return (degree + 1) * (degree + 1); }
+
+// A scene as n 3D Gaussians (Kerbl et al. 2023). Each array holds n rows. Gradients of a loss, moments of Adam and the
+// like are sets of the same shape.
+struct GaussianSet {
+  // Where the means' zero lies in the world: a scene far from the world's origin keeps its digits so.
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();
+  int64_t degree = 0;             // of the colour's spherical harmonics, 0 to 3
+  std::vector<float> means;       // (n, 3) relative to origin
+  std::vector<float> log_scales;  // (n, 3) natural logarithm of the standard deviation along each axis
+  std::vector<float>
+      rotations;  // (n, 4) quaternion w, x, y, z of any length but 0: world from the Gaussian's axes
+  std::vector<float> logit_opacities;  // (n)
+  std::vector<float> colours;          // (n, 3) coefficient 0 of red, green, blue
+  std::vector<float> harmonics;        // (n, harmonic_coefficients(degree) - 1, 3) the others
+
+  int64_t size() const { return static_cast<int64_t>(logit_opacities.size()); }
+  int64_t harmonics_each() const { return 3 * (harmonic_coefficients(degree) - 1); }
+};
+
+// One of a set's arrays: its name as messages say it and its numbers a Gaussian.
+struct GaussianArray {
+  const char* name;  // "mean"
+  std::vector<float> GaussianSet::*values;
+  int64_t each;
+};
+constexpr size_t kGaussianArrays = 6;
+// In the order of GaussianSet's declaration.
+std::array<GaussianArray, kGaussianArrays> gaussian_arrays(const GaussianSet& set);
+
+// n Gaussians whose numbers are all 0, as sums of gradients begin.
+GaussianSet zero_gaussians(int64_t count, int64_t degree);
+
+// Throws Error that names the Gaussian and the parameter: a number that is not finite, a quaternion of length 0, arrays
+// of the wrong length. where names the set ("splats.ply").
+void check_gaussians(const GaussianSet& set, const std::string& where);
+
+// Of the Gaussians for which keep is not 0, in their order.
+GaussianSet kept_gaussians(const GaussianSet& set, const std::vector<uint8_t>& keep);
+// Gaussian i of from behind the last of set; both have one degree.
+void append_gaussian(GaussianSet& set, const GaussianSet& from, int64_t i);
+
+}  // namespace gld

@@ -1,0 +1,54 @@
+#pragma once
+
+#include "gld/kernels/attention_kernel.h"
+#include "gld/splatting/projection.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// Sides of a tile in pixels.
+constexpr int64_t kSplatTile = 16;
+
+// log2(e) / 2: u^2 + v^2 of VisibleSplat over d^T S2^-1 d.
+constexpr double kExponentUnit = 0.7213475204444817;
+
+// A Gaussian that a view may show. alpha = 2^(height - u^2 - v^2) with u = along_x dx + along_y dy and v = across_y
+// dy of d = pixel - mean: the Cholesky factor of S2^-1 times sqrt(kExponentUnit), so that a needle's exponent is a
+// sum of squares and not a difference of large terms.
+struct VisibleSplat {
+  int32_t index;  // in the set
+  float depth;
+  double mean[2];  // pixels
+  double along_x, along_y, across_y;
+  double height;                                         // log2 of the opacity
+  int32_t first_column, end_column, first_row, end_row;  // pixels that it may cover: alpha >= 1/255
+};
+
+// What a view shows of a set: Gaussians front to back, those at one depth by index, and for each tile those that reach
+// it, in the same order.
+struct SplatView {
+  SplatCamera camera;
+  int64_t tile_columns = 0, tile_rows = 0;
+  std::vector<VisibleSplat> splats;
+  std::vector<int32_t> tile_first;     // (tiles + 1) into tile_splats
+  std::vector<int32_t> tile_splats;    // numbers of splats
+  std::vector<int32_t> splat_first;    // (splats + 1) into splat_entries
+  std::vector<int32_t> splat_entries;  // where the Gaussian stands in tile_splats, tile by tile
+
+  int64_t size() const { return static_cast<int64_t>(splats.size()); }
+  int64_t tiles() const { return tile_columns * tile_rows; }
+};
+
+// Projects, sorts and lists. The result does not depend on settings.threads.
+SplatView view_of_splats(const GaussianSet& set, const SplatCamera& camera, const KernelSettings& settings);
+
+// The numbers of keys in rising order, equal ones in their own: a radix sort. Keys are positive and finite.
+std::vector<int32_t> sorted_by_depth(const std::vector<float>& depths);
+
+// max(0, 1/2 + harmonics) of every splat of the view, (splats, 3).
+std::vector<float> view_colours(const GaussianSet& set, const SplatView& view,
+                                const KernelSettings& settings);
+
+}  // namespace gld

@@ -1,0 +1,46 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
+
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Who says how deep the source views are.
+enum class SourceDepthOrigin { kHead, kStereo, kFused };
+
+// Whether what photographs show of a target view is kept in its picture.
+enum class Composition { kNone, kPhotographs };
+
+// What a run makes of the photographs beside showing them to the model. The defaults are the published sampler's.
+struct PhotographUse {
+  SourceDepthOrigin depth = SourceDepthOrigin::kHead;
+  Composition composition = Composition::kNone;
+  // Target views that photographs show whole are not generated (complete_targets()), unless latents are asked for.
+  bool leaves_out_complete = false;
+  StereoOptions stereo;  // of kStereo and kFused
+
+  bool matches() const { return depth != SourceDepthOrigin::kHead; }
+  bool composes() const { return composition == Composition::kPhotographs; }
+};
+
+// The same as options; what is automatic, the model decides.
+struct PhotographOptions : OptionsGroup {
+  enum class DepthChoice { kAutomatic, kModel, kStereo, kFused };
+  enum class ComposeChoice { kAutomatic, kPhotographs, kNone };
+
+  DepthChoice source_depth = DepthChoice::kAutomatic;
+  ComposeChoice compose = ComposeChoice::kAutomatic;
+  bool generate_complete = false;
+  StereoOptions stereo;
+
+  void visit(FieldVisitor& visitor) override;
+
+  // Of a model that takes so many photographs in each target view (0: it was trained without, and its sampling stays as
+  // it was published unless the options say otherwise), with a geometry head or without.
+  PhotographUse use(int64_t warped_sources, bool has_geometry_head) const;
+};
+
+}  // namespace gld

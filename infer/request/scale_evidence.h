@@ -1,0 +1,29 @@
+#pragma once
+
+#include "infer/request/sampling_scene.h"
+#include "models/scene_geometry/geometry_placement.h"
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// The kinds of evidence, as DepthScale::estimator and --scale-from name them.
+const std::vector<std::string>& scale_evidence_names();
+// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths. With
+// one photograph camera_poses tell nothing, and count only where they alone are asked for. stereo: what the photographs
+// agree on, which says more than pictures laid over each other; nothing where they were not matched.
+ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds,
+                             const std::optional<StereoScene>& stereo = std::nullopt);
+// The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.
+std::vector<std::string> usual_scale_evidence();
+
+// What every kind of evidence said, for report.json: estimator, scale, interval, residual and, where it is not
+// believed, the doubt.
+nlohmann::ordered_json depth_scale_json(const DepthScale& estimate);
+nlohmann::ordered_json estimates_json(const std::vector<DepthScale>& estimates);
+
+}  // namespace gld

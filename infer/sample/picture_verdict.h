@@ -1,0 +1,56 @@
+#pragma once
+
+#include "gld/photogrammetry/leave_one_out.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
+#include "models/bundle/seen_scenes.h"
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// What is known of a sampling before anybody looks at its pictures.
+struct PictureEvidence {
+  int64_t sources = 1;
+  std::vector<LeftOutPhotograph> left_out;  // empty with one source
+  bool keeps_photographs = false;           // what they show of target views is kept in the pictures
+  double kept = 0;  // of the target views' pixels, the share that comes from photographs
+  // How far the photographs are from what the model was trained on: its depth beside what they agree on, where both are
+  // known, and their latents beside its statistics, one a generator.
+  std::optional<PriorAgreement> prior;
+  std::vector<SeenLevel> usual;     // of each generator's level; empty where the bundle does not say
+  std::vector<double> divergences;  // of the source views, one a generator
+  bool drawn_rooms_only = false;    // the model was trained on no photograph
+};
+
+enum class PhotographsAgree {
+  kOne,     // a single source
+  kHardly,  // they hardly show the same
+  kNot,     // depth and cameras carry one to the others no better than it is as it is
+  kRoughly,
+  kWell
+};
+
+struct PictureVerdict {
+  PhotographsAgree photographs = PhotographsAgree::kOne;
+  bool unfamiliar = false;  // to the model
+  std::string sentence;
+};
+
+// One sentence for people.
+PictureVerdict verdict_of(const PictureEvidence& evidence);
+
+// The left-out photographs, for people: a line, empty where there are none.
+std::string left_out_text(const std::vector<LeftOutPhotograph>& left_out);
+
+// For report.json.
+nlohmann::ordered_json verdict_json(const PictureVerdict& verdict, const PictureEvidence& evidence);
+// names: of the source views.
+nlohmann::ordered_json left_out_json(const std::vector<LeftOutPhotograph>& left_out,
+                                     const std::vector<std::string>& names);
+
+}  // namespace gld

@@ -1,0 +1,125 @@
+#include "infer/splats/splat_render.h"
+
+#include "datasets/formats/cameras_json.h"
+#include "datasets/splats/splat_picture.h"
+#include "gld/base/command_options.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/machine/timing.h"
+#include "gld/report/progress.h"
+#include "gld/report/provenance.h"
+#include "gld/report/report_text.h"
+#include "gld/report/run_folder.h"
+#include "gld/splatting/splat_ply.h"
+#include "infer/export/image_export.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <iostream>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+constexpr const char* kCamerasFile = "cameras.json";
+
+// A file as it is, or that of this name in a folder.
+std::filesystem::path file_in(const std::filesystem::path& place, const std::string& name) {
+  return std::filesystem::is_directory(place) ? place / name : place;
+}
+
+// The cameras that a path is made from: those that a fit names as its sources, or all.
+std::vector<Camera> path_sources(const CameraList& list) {
+  std::vector<Camera> sources, all;
+  for (const CameraRecord& record : list.records) {
+    all.push_back(record.camera);
+    if (record.role == "source") sources.push_back(record.camera);
+  }
+  return sources.empty() ? all : sources;
+}
+
+}  // namespace
+
+SplatRenderOptions::SplatRenderOptions() {
+  path.frames = 30;
+  projection.near = 0;
+}
+
+void SplatRenderOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"splats", "what is drawn: a run folder of gld splat fit, or a PLY file of 3DGS"}, splats);
+  visitor.text(
+      {"cameras",
+       "cameras.json, or a folder with one, whose cameras the path is about; empty: of the run folder"},
+      cameras);
+  visit_out(visitor, out, overwrite);
+  visit_threads(visitor, threads);
+  visitor.group({"path", "where the cameras go"}, path);
+  visitor.group({"projection", "how Gaussians are drawn"}, projection);
+}
+
+void SplatRenderOptions::check() const {
+  check_out(out, "runs/splat_views");
+  if (splats.empty())
+    fail({"--splats", "a run folder of gld splat fit or a PLY file", "nothing",
+          "add for example --splats runs/splats"});
+  if (cameras.empty() && !std::filesystem::is_directory(splats)) {
+    fail({"--cameras", "a cameras.json beside a file of Gaussians", "nothing",
+          "name one, or the run folder in --splats"});
+  }
+  path.check();
+}
+
+void run_splat_render(const SplatRenderOptions& options) {
+  options.check();
+  check_run_folder(options.out, "splat render", earlier_run(options.overwrite));
+  const GaussianSet set = read_splat_ply(file_in(options.splats, "splats.ply"));
+  const CameraList list =
+      read_cameras_json(file_in(options.cameras.empty() ? options.splats : options.cameras, kCamerasFile));
+  const std::vector<Camera> sources = path_sources(list);
+  PathSurroundings surroundings;
+  for (const CameraRecord& record : list.records) surroundings.cameras.push_back(record.camera);
+  const CameraPath path = make_camera_path(options.path, sources, surroundings);
+  ProjectionOptions projection = options.projection;
+  if (projection.near == 0)
+    projection.near = kNearShare * std::max(known_reach(sources, surroundings), 1e-30);
+  KernelSettings settings;
+  settings.threads = static_cast<int>(threads_to_use(options.threads));
+  RunFolder run(options.out, "splat render", options, earlier_run(options.overwrite));
+  const Provenance provenance = make_provenance("splat render", options);
+  CameraList written;
+  written.metric = list.metric;
+  const auto views = static_cast<int64_t>(path.cameras.size());
+  Progress progress("views", views);
+  double seconds = 0;
+  const auto folder = run.subfolder("images");
+  for (int64_t view = 0; view < views; ++view) {
+    stop_if_interrupted(fmt::format("{} of {} views are in {}", view, views, folder.string()));
+    CameraRecord record;
+    record.name = view_name(view, views);
+    record.role = "target";
+    record.camera = path.cameras[static_cast<size_t>(view)];
+    record.image = "images/" + record.name + ".png";
+    CompositedView picture;
+    seconds += seconds_of([&] { picture = splat_picture(set, record.camera, projection, settings); });
+    export_image(run.path() / record.image, image_of(picture.image), provenance);
+    written.records.push_back(record);
+    progress.update(view + 1);
+  }
+  progress.finish();
+  write_cameras_json(run.path() / kCamerasFile, written);
+  nlohmann::ordered_json report;
+  report["gaussians"] = set.size();
+  report["views"] = views;
+  report["seconds_a_view"] = seconds / static_cast<double>(std::max<int64_t>(1, views));
+  report["near"] = projection.near;
+  if (!path.note.empty()) report["path"] = path.note;
+  run.write_report(report);
+  print_warnings(path.warnings);
+  run.note("views", "images/");
+  run.note("cameras", kCamerasFile);
+  run.note("report", "report.json");
+  std::cout << run.closing_box();
+}
+
+}  // namespace gld

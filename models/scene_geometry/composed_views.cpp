@@ -1,0 +1,119 @@
+#include "models/scene_geometry/composed_views.h"
+
+#include "gld/cameras/resized_camera.h"
+#include "gld/photogrammetry/photograph_composition.h"
+#include "models/scene_geometry/tensor_pictures.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <torch/nn/functional/upsampling.h>
+
+namespace gld {
+namespace {
+
+// How many times larger than the views the photographs are, a whole number.
+int64_t magnification(const Views& views, const SourcePhotographs& photographs) {
+  const Camera& camera = views.cameras.front();
+  int64_t times = camera.width;
+  for (const PicturedView& view : photographs.views) {
+    times = std::min({times, view.width / camera.width, view.height / camera.height});
+  }
+  return std::max<int64_t>(times, 1);
+}
+
+// The target views as photographs show them, each `times` as large as its camera says.
+std::vector<PhotographView> photograph_views(const Views& views, const SourcePhotographs& photographs,
+                                             const SourceDepth& depth, int64_t times) {
+  std::vector<PicturedView> sources = photographs.views;
+  for (size_t i = 0; i < sources.size() && depth.known(); ++i) sources[i].depth = depth.views[i];
+  if (!depth.known()) sources.clear();
+  const std::vector<ColourGains> gains = exposure_gains(sources);
+  PhotographViewOptions options;
+  options.carry.depth_reach = depth.reach;
+  std::vector<PhotographView> shown;
+  for (int64_t view = views.num_sources; view < views.size(); ++view) {
+    const Camera& camera = views.cameras[static_cast<size_t>(view)];
+    shown.push_back(view_from_photographs(
+        sources, gains, resized_camera(camera, times * camera.width, times * camera.height), options));
+  }
+  return shown;
+}
+
+torch::Tensor reduced(const torch::Tensor& pictures, int64_t times) {
+  return times == 1 ? pictures : torch::avg_pool2d(pictures, times);
+}
+
+ComposedViews composed_of(const std::vector<torch::Tensor>& images, const std::vector<torch::Tensor>& shares,
+                          int64_t times) {
+  ComposedViews result;
+  result.large_images = torch::stack(images);
+  result.large_shown = torch::stack(shares);
+  result.images = reduced(result.large_images, times);
+  result.shown = reduced(result.large_shown.unsqueeze(1), times).squeeze(1);
+  return result;
+}
+
+}  // namespace
+
+torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times) {
+  if (times == 1) return pictures;
+  namespace F = torch::nn::functional;
+  return F::interpolate(pictures,
+                        F::InterpolateFuncOptions()
+                            .size(std::vector<int64_t>{times * pictures.size(2), times * pictures.size(3)})
+                            .mode(torch::kBicubic)
+                            .align_corners(false));
+}
+
+std::vector<int64_t> complete_targets(const Views& views, const SourcePhotographs& photographs,
+                                      const SourceDepth& depth) {
+  std::vector<int64_t> complete;
+  if (!depth.known()) return complete;
+  const auto shown = photograph_views(views, photographs, depth, 1);
+  for (size_t i = 0; i < shown.size(); ++i) {
+    if (shown[i].complete()) complete.push_back(static_cast<int64_t>(i));
+  }
+  return complete;
+}
+
+ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
+                            const SourceDepth& depth) {
+  const int64_t times = magnification(views, photographs);
+  std::vector<torch::Tensor> images, shares;
+  for (const PhotographView& view : photograph_views(views, photographs, depth, times)) {
+    images.push_back(picture_of(filled(view), view.width, view.height));
+    shares.push_back(torch::ones({view.height, view.width}));
+  }
+  return composed_of(images, shares, times);
+}
+
+ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
+                            const SourceDepth& depth, const torch::Tensor& generated) {
+  const int64_t times = magnification(views, photographs);
+  const auto shown = photograph_views(views, photographs, depth, times);
+  const auto large = enlarged(generated.to(torch::kCPU, torch::kFloat32), times).clamp(0, 1);
+  std::vector<torch::Tensor> images, shares;
+  for (size_t i = 0; i < shown.size(); ++i) {
+    const PhotographView& view = shown[i];
+    const auto pixels = pixels_of(large[static_cast<int64_t>(i)]);
+    const ComposedPicture composed = compose(view, pixels, generated_variance(view, pixels));
+    images.push_back(picture_of(composed.rgb, view.width, view.height));
+    shares.push_back(torch::tensor(at::ArrayRef<float>(composed.shown)).view({view.height, view.width}));
+  }
+  return composed_of(images, shares, times);
+}
+
+FilledViews filled_views(const Views& views, const SourcePhotographs& photographs, const SourceDepth& depth) {
+  const int64_t times = magnification(views, photographs);
+  std::vector<torch::Tensor> pictures, shown;
+  for (const PhotographView& view : photograph_views(views, photographs, depth, times)) {
+    pictures.push_back(picture_of(filled(view), view.width, view.height));
+    std::vector<float> known(view.variance.size());
+    for (size_t pixel = 0; pixel < known.size(); ++pixel) known[pixel] = view.shown(pixel) ? 1.0F : 0.0F;
+    shown.push_back(torch::tensor(at::ArrayRef<float>(known)).view({1, view.height, view.width}));
+  }
+  return {reduced(torch::stack(pictures), times), reduced(torch::stack(shown), times).squeeze(1) >= 0.5};
+}
+
+}  // namespace gld

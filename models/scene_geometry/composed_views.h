@@ -1,0 +1,51 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "models/scene_geometry/photograph_depth.h"
+
+#include <cstdint>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Target views of which the photographs' part is kept and the rest generated
+// (gld/photogrammetry/photograph_composition.h).
+struct ComposedViews {
+  torch::Tensor images;  // (target views, 3, height, width) in [0, 1], of the generated pictures' size
+  // (target views, height, width) from 0 to 1: how much of a pixel comes from photographs.
+  torch::Tensor shown;
+  // The same at the photographs' size, a whole multiple of the generated one.
+  torch::Tensor large_images;
+  torch::Tensor large_shown;
+};
+
+// generated: (target views, 3, height, width). Photographs that are `n` times as large as the generated pictures,
+// rounded down, make the composition n times as large; its images of the generated size are means over n x n pixels.
+ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
+                            const SourceDepth& depth, const torch::Tensor& generated);
+
+// (pictures, 3, height, width) each side so many times as large, bicubically.
+torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times);
+
+// Target views that photographs show whole and agree on (PhotographView::complete()), by number from 0: nothing of them
+// needs to be generated. Looked at in the views' own size.
+std::vector<int64_t> complete_targets(const Views& views, const SourcePhotographs& photographs,
+                                      const SourceDepth& depth);
+
+// Target views from photographs alone: as compose_views() with what is shown around it in the place of the few pixels
+// that are not.
+ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
+                            const SourceDepth& depth);
+
+// The target views as far as photographs show them, gaps filled in smoothly and nothing generated: what a generated
+// part has to beat.
+struct FilledViews {
+  torch::Tensor images;  // (target views, 3, height, width) of the views' size
+  torch::Tensor
+      shown;  // (target views, height, width), bool: where photographs show at least half of a pixel
+};
+FilledViews filled_views(const Views& views, const SourcePhotographs& photographs, const SourceDepth& depth);
+
+}  // namespace gld

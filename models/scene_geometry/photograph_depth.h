@@ -1,0 +1,40 @@
+#pragma once
+
+#include "gld/cameras/camera.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
+#include "gld/photogrammetry/source_depth.h"
+#include "models/decoders/geometry_head.h"
+
+#include <optional>
+#include <vector>
+
+#include <torch/types.h>
+
+#include <Eigen/Core>
+
+namespace gld {
+
+// The photographs of the source views as they are matched and kept: larger than the model takes them where they were
+// taken larger.
+struct SourcePhotographs {
+  std::vector<PicturedView> views;  // without depth; the cameras are those of the source views, resized
+  std::vector<Eigen::Vector3d>
+      points_in_world;  // sparse points of a reconstruction, where the scene has them
+};
+
+// What the model is shown, (sources, 3, height, width) in [0, 1], as photographs: where no larger ones are at hand.
+SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor& source_images);
+
+struct PhotographDepth {
+  SourceDepth depth;
+  StereoScene stereo;
+};
+
+// Depth of the source views that their photographs agree on. head: what a geometry head says of the source views alone,
+// depth and rays in its own unit, as the prior of the match; null for none. Where hardly any pixel tells the unit, the
+// head's depth counts as source_depth_of_head() brings it to the cameras' unit, or nothing is known.
+PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
+                                 const SourcePhotographs& photographs, const GeometryOutput* head,
+                                 const StereoOptions& options);
+
+}  // namespace gld

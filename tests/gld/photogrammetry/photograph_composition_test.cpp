@@ -1,0 +1,141 @@
+#include "gld/photogrammetry/photograph_composition.h"
+
+#include "gld/cameras/resized_camera.h"
+#include "tests/support/textured_plane.h"
+
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::camera_before_plane;
+using test::camera_between;
+using test::two_views_of_plane;
+
+double mean_error(const PhotographView& view, const std::vector<float>& truth) {
+  double sum = 0, count = 0;
+  for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {
+    if (!view.shown(pixel)) continue;
+    for (size_t c = 0; c < 3; ++c) sum += std::abs(view.rgb[3 * pixel + c] - truth[3 * pixel + c]);
+    count += 3;
+  }
+  return sum / count;
+}
+
+void brighten(PicturedView& view, float factor) {
+  for (float& value : view.rgb) value *= factor;
+}
+
+TEST(PhotographComposition, AViewIsWhatItsPhotographsShow) {
+  const auto sources = two_views_of_plane();
+  const PhotographView view = view_from_photographs(sources, exposure_gains(sources), camera_between());
+  EXPECT_GT(view.shown_share(), 0.95);
+  EXPECT_LT(mean_error(view, test::TexturedPlane().seen_by(camera_between(), 1).rgb), 0.01);
+}
+
+// A larger target has the photographs' own resolution: depth is matched small, colours are not.
+TEST(PhotographComposition, ColoursHaveTheSizeOfTheTarget) {
+  const auto sources = two_views_of_plane();
+  const Camera large =
+      resized_camera(camera_between(), 3 * camera_between().width, 3 * camera_between().height);
+  PhotographViewOptions options;
+  options.matched_side = 48;
+  const PhotographView view = view_from_photographs(sources, exposure_gains(sources), large, options);
+  EXPECT_EQ(view.width, large.width);
+  EXPECT_LT(mean_error(view, test::TexturedPlane().seen_by(large, 1).rgb), 0.02);
+}
+
+TEST(PhotographComposition, ExposureIsTheFactorBetweenPhotographs) {
+  auto sources = two_views_of_plane();
+  EXPECT_EQ(exposure_gains(sources)[0], (ColourGains{1, 1, 1}));
+  brighten(sources[1], 0.5F);
+  const auto gains = exposure_gains(sources);
+  for (size_t c = 0; c < 3; ++c) {
+    EXPECT_NEAR(gains[1][c] / gains[0][c], 2, 0.04)
+        << c;  // the median of pixels that bilinear carrying moves a little
+    EXPECT_NEAR(gains[0][c] * gains[1][c], 1, 1e-4) << c;
+  }
+  // Of one brightness they agree, and the view has that of the nearer one.
+  const PhotographView matched = view_from_photographs(sources, gains, sources[0].camera);
+  const PhotographView raw = view_from_photographs(sources, {{1, 1, 1}, {1, 1, 1}}, sources[0].camera);
+  EXPECT_LT(mean_error(matched, sources[0].rgb), 0.02);
+  EXPECT_GT(mean_error(raw, sources[0].rgb), 2 * mean_error(matched, sources[0].rgb));
+}
+
+TEST(PhotographComposition, PhotographsThatShareNothingKeepTheirExposure) {
+  auto sources = two_views_of_plane();
+  sources[1].camera = camera_before_plane({0, 0, 0}, std::acos(-1.0));  // looks away
+  brighten(sources[1], 0.3F);
+  EXPECT_EQ(exposure_gains(sources)[1], (ColourGains{1, 1, 1}));
+  EXPECT_TRUE(exposure_gains({}).empty());
+}
+
+TEST(PhotographComposition, WhatContradictsIsDoubted) {
+  auto sources = two_views_of_plane();
+  for (float& value : sources[1].rgb) value = 1 - value;
+  const std::vector<ColourGains> none{{1, 1, 1}, {1, 1, 1}};
+  const PhotographView at_odds = view_from_photographs(sources, none, camera_between());
+  const PhotographView agreed = view_from_photographs(two_views_of_plane(), none, camera_between());
+  const auto middle =
+      static_cast<size_t>(camera_between().height / 2 * camera_between().width + camera_between().width / 2);
+  EXPECT_GT(at_odds.variance[middle], 10 * agreed.variance[middle]);
+}
+
+TEST(PhotographComposition, AViewIsCompleteWhereAllIsShownAndAgrees) {
+  auto sources = two_views_of_plane();
+  sources.push_back(test::TexturedPlane().seen_by(camera_before_plane({0.2, 0, -1.5}, -0.05), 1));
+  sources.push_back(test::TexturedPlane().seen_by(camera_before_plane({0.8, 0, -1.5}, -0.15), 1));
+  const std::vector<ColourGains> none(4, ColourGains{1, 1, 1});
+  // From behind both of the first it would need what nobody saw; before the last two all is inside of both.
+  PhotographView inside = view_from_photographs(sources, none, camera_before_plane({0.5, 0, 0}, -0.1));
+  EXPECT_TRUE(inside.complete());
+  EXPECT_FALSE(view_from_photographs(sources, none, camera_before_plane({0.5, 0, -4}, -0.1)).complete());
+  // One pixel in a hundred that nobody shows is too much, and so is what contradicts.
+  PhotographView holes = inside, doubtful = inside;
+  for (size_t i = 0; i < holes.variance.size(); i += 100)
+    holes.variance[i] = std::numeric_limits<float>::infinity();
+  EXPECT_FALSE(holes.complete());
+  for (float& variance : doubtful.variance) variance += 0.01F;
+  EXPECT_FALSE(doubtful.complete());
+}
+
+TEST(PhotographComposition, NothingShownIsGreyOrGenerated) {
+  const PhotographView none = view_from_photographs({}, {}, camera_between());
+  EXPECT_EQ(none.shown_share(), 0);
+  EXPECT_FALSE(none.complete());
+  for (const float value : filled(none)) ASSERT_EQ(value, 0.5F);
+  const std::vector<float> generated(none.rgb.size(), 0.25F);
+  EXPECT_EQ(compose(none, generated, generated_variance(none, generated)).rgb, generated);
+}
+
+// Half of the view is shown, and the generated picture is a tenth too dark everywhere: kept pixels are the
+// photographs', and the rest meets them without a step.
+TEST(PhotographComposition, TheGeneratedPartMeetsThePhotographsWithoutAStep) {
+  const int64_t width = 40, height = 20;
+  PhotographView view{width, height, std::vector<float>(3 * width * height, 0.0F),
+                      std::vector<float>(width * height, std::numeric_limits<float>::infinity())};
+  std::vector<float> truth(view.rgb.size()), generated(view.rgb.size());
+  for (int64_t y = 0; y < height; ++y) {
+    for (int64_t x = 0; x < width; ++x) {
+      const auto pixel = static_cast<size_t>(y * width + x);
+      for (size_t c = 0; c < 3; ++c) {
+        truth[3 * pixel + c] = 0.5F + 0.3F * std::sin(0.5F * static_cast<float>(x));
+        generated[3 * pixel + c] = truth[3 * pixel + c] - 0.1F;
+        if (x < width / 2) view.rgb[3 * pixel + c] = truth[3 * pixel + c];
+      }
+      if (x < width / 2) view.variance[pixel] = 1e-6F;
+    }
+  }
+  EXPECT_NEAR(generated_variance(view, generated), 0.01, 1e-4);
+  const ComposedPicture composed = compose(view, generated, 0.01);
+  for (size_t i = 0; i < truth.size(); ++i) ASSERT_NEAR(composed.rgb[i], truth[i], 1e-3) << i;
+  EXPECT_GT(composed.shown[0], 0.99);
+  EXPECT_EQ(composed.shown[static_cast<size_t>(width - 1)], 0);
+}
+
+}  // namespace
+}  // namespace gld

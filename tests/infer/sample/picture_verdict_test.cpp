@@ -1,0 +1,85 @@
+#include "infer/sample/picture_verdict.h"
+
+#include <limits>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+LeftOutPhotograph left_out(double covered, double psnr_covered, double psnr, double trivial) {
+  LeftOutPhotograph one;
+  one.from = {1};
+  one.covered = covered;
+  one.psnr_covered = psnr_covered;
+  one.psnr = psnr;
+  one.psnr_nearest = trivial;
+  one.psnr_mean = trivial - 1;
+  return one;
+}
+
+PictureEvidence evidence_of(const LeftOutPhotograph& one) {
+  PictureEvidence evidence;
+  evidence.sources = 2;
+  evidence.left_out = {one, one};
+  evidence.keeps_photographs = true;
+  evidence.kept = 0.84;
+  return evidence;
+}
+
+// The means of tests/shared/shared_leave_one_out_test.cpp, best first.
+TEST(PictureVerdict, RealScenesAreOrderedRightly) {
+  const double none = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0.93, 30.1, 29.5, 18.4))).photographs, PhotographsAgree::kWell);
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0.97, 25.0, 24.6, 17.5))).photographs, PhotographsAgree::kWell);
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0.66, 22.5, 20.4, 16.1))).photographs, PhotographsAgree::kWell);
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0.66, 19.5, 18.4, 16.1))).photographs,
+            PhotographsAgree::kRoughly);
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0.42, 10.9, 12.2, 13.1))).photographs, PhotographsAgree::kNot);
+  EXPECT_EQ(verdict_of(evidence_of(left_out(0, none, 12.7, 11.2))).photographs, PhotographsAgree::kHardly);
+  EXPECT_EQ(verdict_of(PictureEvidence()).photographs, PhotographsAgree::kOne);
+}
+
+TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
+  const std::string good = verdict_of(evidence_of(left_out(0.93, 30.1, 29.5, 18.4))).sentence;
+  EXPECT_EQ(
+      good,
+      "These pictures are as good as the photographs' predictions of each other are (30 dB where they show the "
+      "same, 30 dB in all, 93 % shown); 84 % of the target views come from them.");
+  const std::string bad = verdict_of(evidence_of(left_out(0.12, 18, 12.7, 11.2))).sentence;
+  EXPECT_THAT(bad, HasSubstr("hardly overlap (the others show 12 % of one): expect inventions"));
+  PictureEvidence generated = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
+  generated.keeps_photographs = false;
+  EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));
+}
+
+TEST(PictureVerdict, AModelNoticesWhatItHasNotSeen) {
+  PictureEvidence evidence = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
+  evidence.drawn_rooms_only = true;
+  evidence.usual = {{1, 0.02, 0.08, 0.12}};
+  evidence.divergences = {0.05};
+  evidence.prior = PriorAgreement{5000, 2.5, 0.08, 0.1};
+  EXPECT_FALSE(verdict_of(evidence).unfamiliar);
+  EXPECT_THAT(verdict_of(evidence).sentence, Not(HasSubstr("drawn rooms")));
+  // Its latents, or its depth of another shape than the photographs agree on.
+  evidence.divergences = {0.1};
+  EXPECT_TRUE(verdict_of(evidence).unfamiliar);
+  evidence.divergences = {0.05};
+  evidence.prior->spread = 0.33;
+  EXPECT_THAT(
+      verdict_of(evidence).sentence,
+      HasSubstr(
+          "this model has seen drawn rooms only and has nothing to say about what no photograph shows"));
+  evidence.prior->pixels = 0;  // photographs that agree nowhere say nothing of it
+  EXPECT_FALSE(verdict_of(evidence).unfamiliar);
+  evidence.divergences = {0.1};
+  evidence.drawn_rooms_only = false;
+  EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("unlike what this model was trained on"));
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,123 @@
+#include "models/conditioning/source_conditioning.h"
+
+#include "gld/photogrammetry/pose_from_rays.h"
+#include "models/backbones/da3_backbone.h"
+#include "models/scene_geometry/source_warp.h"
+#include "tests/support/textured_plane.h"
+
+#include <memory>
+#include <vector>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+constexpr double kUnit = 2.5;  // of the head's depth, in the world
+
+LatentSpace small_space() {
+  Da3BackboneOptions options;
+  options.embed_dim = 48;
+  options.num_heads = 3;
+  options.pos_embed_grid = 5;
+  auto backbone = std::make_shared<Da3Backbone>(options, ParameterPlacement());
+  backbone->initialise(at::detail::createCPUGenerator(1));
+  return LatentSpace(backbone, 1);
+}
+
+// Of whole patches of the backbone.
+Camera camera_at(double x) { return test::camera_before_plane({x, 0.1 * x, 0}, -0.2 * x, 84, 70); }
+
+// Two source views of a plane and a target between them.
+SourceScene plane_scene() {
+  SourceScene scene;
+  scene.views.cameras = {camera_at(0), camera_at(1.2), camera_at(0.5)};
+  scene.views.num_sources = 2;
+  std::vector<torch::Tensor> images;
+  for (size_t i = 0; i < 2; ++i) {
+    const PicturedView seen = test::TexturedPlane().seen_by(scene.views.cameras[i], 1);
+    images.push_back(torch::tensor(seen.rgb).view({seen.height, seen.width, 3}).permute({2, 0, 1}));
+  }
+  scene.images = torch::stack(images);
+  return scene;
+}
+
+// Knows the plane, in a unit of its own.
+class PlaneHead : public GeometryHead {
+ public:
+  explicit PlaneHead(const SourceScene& scene) {
+    std::vector<torch::Tensor> depths, rays;
+    for (size_t i = 0; i < 2; ++i) {
+      const PlanarDepth depth = test::TexturedPlane().seen_by(scene.views.cameras[i], kUnit).depth;
+      depths.push_back(torch::tensor(depth.values).view({depth.height, depth.width}));
+      Camera in_model = scene.views.cameras[i];
+      in_model.world_from_camera.translation() /= kUnit;
+      rays.push_back(torch::tensor(rays_of_camera(in_model, 16, 12).values).view({12, 16, 6}));
+    }
+    truth_.depth = torch::stack(depths);
+    truth_.depth_confidence = torch::full_like(truth_.depth, 2.0F);
+    truth_.rays = torch::stack(rays);
+    truth_.ray_confidence = torch::full({2, 12, 16}, 2.0F);
+  }
+  GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid, GeometryMaps) const override {
+    EXPECT_EQ(inputs.levels.size(), 4U);
+    EXPECT_EQ(grid.views, 2);
+    return truth_;
+  }
+  void initialise(const torch::Generator&) override {}
+
+ private:
+  GeometryOutput truth_;
+};
+
+// Depth from elsewhere takes the head's place: where both say the same, so does the conditioning.
+TEST(SourceConditioning, GivenDepthIsUsedInThePlaceOfTheHeads) {
+  const torch::NoGradGuard no_grad;
+  const LatentSpace space = small_space();
+  SourceScene scene = plane_scene();
+  const PlaneHead head(scene);
+  const auto needs = conditioning_needs(scene, 1, 2);
+  EXPECT_TRUE(needs.head_depth);
+  EXPECT_EQ(deepest_encoded_level(needs, 4), 3);
+  const auto by_head = condition_on_sources(space, &head, scene, needs);
+  EXPECT_EQ(by_head.warped.doubt, "");
+  EXPECT_EQ(by_head.levels.size(), 2U);
+  ASSERT_EQ(by_head.warped.levels.size(), 2U);
+  EXPECT_EQ(by_head.warped.levels[1].sizes(), (std::vector<int64_t>{1, 30, 96}));
+  EXPECT_EQ(by_head.warped.agreement.sizes(), (std::vector<int64_t>{1, 2, 70, 84}));
+
+  scene.depth = source_depth_of_head(scene.views, scene.images, source_geometry(head, by_head));
+  EXPECT_EQ(scene.depth->from, "geometry head");
+  const auto given_needs = conditioning_needs(scene, 1, 2);
+  EXPECT_FALSE(given_needs.head_depth);
+  EXPECT_EQ(deepest_encoded_level(given_needs, 4), 1);
+  const auto given = condition_on_sources(space, nullptr, scene, given_needs);
+  EXPECT_TRUE(given.for_geometry.levels.empty());
+  EXPECT_TRUE(given.warped.agreement.equal(by_head.warped.agreement));
+  for (size_t level = 0; level < 2; ++level) {
+    EXPECT_TRUE(given.levels[level].equal(by_head.levels[level]));
+    EXPECT_TRUE(given.warped.levels[level].equal(by_head.warped.levels[level]));
+  }
+}
+
+TEST(SourceConditioning, NothingIsCarriedForModelsThatTakeNothingOrBySingleSources) {
+  const torch::NoGradGuard no_grad;
+  const LatentSpace space = small_space();
+  SourceScene scene = plane_scene();
+  EXPECT_FALSE(conditioning_needs(scene, 1, 0).head_depth);
+  scene.views.cameras.erase(scene.views.cameras.begin());
+  scene.views.num_sources = 1;
+  scene.images = scene.images.slice(0, 1);
+  auto needs = conditioning_needs(scene, 1, 2);
+  EXPECT_FALSE(needs.head_depth);
+  needs.propagation = true;
+  const auto alone = condition_on_sources(space, nullptr, scene, needs);
+  EXPECT_FALSE(alone.warped.agreement.defined());
+  EXPECT_TRUE(alone.leading.equal(alone.levels[1].narrow(1, 0, space.leading_tokens())));
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,34 @@
+#pragma once
+
+#include "gld/report/table.h"
+#include "train/splats/splat_fit.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// A fit as it stands after a step: with the views and the options all that the others depend on.
+struct SplatCheckpoint {
+  SplatFit fit;
+  int64_t started_with = 0;                  // Gaussians
+  double seconds = 0;                        // so far
+  double processor_seconds = 0;              // so far
+  std::string views;                         // fit_views_hash
+  std::vector<std::vector<TableCell>> rows;  // of steps.csv
+};
+
+constexpr const char* kSplatCheckpointFile = "fit.checkpoint";
+
+// Of cameras and pixels of what is fitted and held out.
+std::string fit_views_hash(const std::vector<const FittedView*>& views);
+
+// The file appears whole or not at all. Its first line is the SHA-256 of the rest: a line of JSON, and the arrays as
+// they are in memory.
+void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckpoint& checkpoint);
+// Throws Error that names the file where a byte of it is another than was written.
+SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file);
+
+}  // namespace gld

@@ -1,0 +1,112 @@
+#include "train/splats/splat_fit.h"
+
+#include "gld/base/error.h"
+#include "gld/base/philox.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+namespace gld {
+namespace {
+
+// The view of a step counted from 0.
+size_t view_of_step(int64_t step, size_t views, uint64_t seed) {
+  const auto round = static_cast<uint64_t>(step) / views;
+  const PhiloxKey key = philox_key(seed, "splat views");
+  std::vector<size_t> order(views);
+  std::iota(order.begin(), order.end(), size_t{0});
+  for (size_t left = views; left > 1; --left) {
+    const auto random = philox4x32(
+        {static_cast<uint32_t>(round), static_cast<uint32_t>(round >> 32), static_cast<uint32_t>(left), 0},
+        key);
+    const uint64_t wide = static_cast<uint64_t>(random[0]) << 32 | random[1];
+    std::swap(order[left - 1], order[wide % left]);
+  }
+  return order[static_cast<size_t>(step) % views];
+}
+
+// The same coefficients and zeros for those of higher degrees.
+void raise_degree(GaussianSet& set, int64_t degree) {
+  const auto before = static_cast<size_t>(set.harmonics_each());
+  set.degree = degree;
+  const auto after = static_cast<size_t>(set.harmonics_each());
+  std::vector<float> harmonics(static_cast<size_t>(set.size()) * after, 0.0F);
+  for (size_t i = 0; i < static_cast<size_t>(set.size()); ++i)
+    std::copy_n(set.harmonics.data() + i * before, before, harmonics.data() + i * after);
+  set.harmonics = std::move(harmonics);
+}
+
+}  // namespace
+
+SplatFitOptions::SplatFitOptions() { projection.near = 0; }
+
+void SplatFitOptions::visit(FieldVisitor& visitor) {
+  visitor.integer({"steps", "steps of Adam, one view each"}, steps, {0, 1'000'000'000});
+  visitor.integer({"degree", "degree of the colours' spherical harmonics at last"}, degree,
+                  {0, kMostHarmonicDegree});
+  visitor.integer({"degree_every", "steps after which one more degree is fitted"}, degree_every,
+                  {1, 1'000'000'000});
+  visitor.real({"dissimilarity", "weight of 1 - SSIM; that of the absolute difference is the rest"},
+               dissimilarity, {0, 1});
+  visitor.group({"projection", "how Gaussians are drawn"}, projection);
+  visitor.group({"start", "where the fit begins"}, start);
+  visitor.group({"rates", "Adam's learning rates"}, rates);
+  visitor.group({"density", "how many Gaussians there are"}, density);
+}
+
+void SplatFitOptions::check() const {
+  if (rates.last_mean > rates.mean) {
+    fail({"--rates.last-mean", "at most --rates.mean", std::to_string(rates.last_mean), "make it smaller"});
+  }
+}
+
+SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
+                         const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
+                         const std::string& where) {
+  const SceneReach reach = scene_reach(pictures, points_in_world);
+  if (options.projection.near == 0) options.projection.near = kNearShare * reach.extent;
+  SplatFit fit;
+  fit.extent = reach.extent;
+  fit.set =
+      start_gaussians(pictures, points_in_world, reach, options.density.most_gaussians, options.start, where);
+  fit.moments = splat_moments(fit.set);
+  return fit;
+}
+
+SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFitOptions& options,
+                            uint64_t seed, const KernelSettings& settings, SplatFit& fit) {
+  const int64_t degree = std::min(options.degree, fit.step / options.degree_every);
+  if (fit.set.degree < degree) {
+    for (GaussianSet* set : {&fit.set, &fit.moments.first, &fit.moments.second}) raise_degree(*set, degree);
+  }
+  const FittedView& shown = views[view_of_step(fit.step, views.size(), seed)];
+  ++fit.step;
+  const SplatView view =
+      view_of_splats(fit.set, splat_camera(shown.camera, fit.set.origin, options.projection), settings);
+  const std::vector<float> colours = view_colours(fit.set, view, settings);
+  SplatFeatures features;
+  features.values = colours.data();
+  features.channels = 3;
+  const ImageLoss loss =
+      image_loss(composite(view, features, settings).image, shown.target, options.dissimilarity, settings);
+  ColourGradients gradients;
+  render_colours_backward(fit.set, view, colours, loss.gradient, settings, gradients);
+  if (options.density.densify != Densification::kNone)
+    gather(view, gradients, fit.set.size(), fit.statistics);
+  const double progress =
+      static_cast<double>(fit.step) / static_cast<double>(std::max<int64_t>(1, options.steps));
+  adam_step(options.rates, {progress, fit.extent}, gradients.of_set, fit.moments, fit.set, settings);
+  SplatFitStep result;
+  result.step = fit.step;
+  result.loss = loss.loss;
+  result.absolute = loss.absolute;
+  result.similarity = loss.similarity;
+  result.seen = view.size();
+  result.change =
+      control_density(options.density, {fit.step, fit.extent, seed}, fit.statistics, fit.set, fit.moments);
+  result.gaussians = fit.set.size();
+  return result;
+}
+
+}  // namespace gld

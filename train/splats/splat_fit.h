@@ -1,0 +1,65 @@
+#pragma once
+
+#include "datasets/splats/splat_start.h"
+#include "gld/base/options.h"
+#include "gld/splatting/density_control.h"
+#include "gld/splatting/image_loss.h"
+
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// How Gaussians are fitted to pictures; what is not said otherwise is 3DGS's.
+struct SplatFitOptions : OptionsGroup {
+  int64_t steps = 2000;         // one view each
+  int64_t degree = 3;           // of the spherical harmonics at last
+  int64_t degree_every = 1000;  // steps after which one more degree is fitted
+  double dissimilarity = 0.2;   // weight of 1 - SSIM beside the absolute difference
+  ProjectionOptions projection;
+  SplatStartOptions start;
+  SplatRates rates;
+  DensityOptions density;
+
+  SplatFitOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+struct FittedView {
+  std::string name;
+  Camera camera;
+  LossTarget target;
+};
+
+// What is fitted, and where it stands: all that the next step depends on.
+struct SplatFit {
+  GaussianSet set;
+  SplatMoments moments;
+  DensityStatistics statistics;
+  int64_t step = 0;  // done
+  double extent = 1;
+};
+
+// A fit before its first step, on pictures with depth or on sparse points (start_gaussians). Sets
+// options.projection.near where none is named. where: the scene's name in errors.
+SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
+                         const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
+                         const std::string& where);
+
+struct SplatFitStep {
+  int64_t step = 0;  // from 1
+  double loss = 0, absolute = 0, similarity = 0;
+  int64_t gaussians = 0;
+  int64_t seen = 0;  // of the step's view
+  DensityChange change;
+};
+
+// One step: the view whose turn it is (every view once a round, in an order of the round's own that seed decides), its
+// loss, its gradients, Adam, density. The result does not depend on settings.threads. views is not empty.
+SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFitOptions& options,
+                            uint64_t seed, const KernelSettings& settings, SplatFit& fit);
+
+}  // namespace gld
