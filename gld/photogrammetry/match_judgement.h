@@ -1,0 +1,25 @@
+#pragma once
+
+#include "gld/machine/instruction_set.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
+#include "gld/photogrammetry/semi_global_matching.h"
+#include "gld/photogrammetry/stereo_picture.h"
+#include "gld/photogrammetry/swept_views.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// Depth, confidence and doubt of all views from what was matched. finest_pixels: of the last pass, in a pixel of these
+// pictures; movement counts in them.
+std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictures,
+                                        const std::vector<SweptView>& swept,
+                                        const std::vector<MatchedPlanes>& matched, int64_t window_radius,
+                                        double finest_pixels, const KernelSettings& settings);
+
+// A window that shows two surfaces gives the one's depth to pixels of the other, in all views alike, so that no other
+// check sees it; and what is certain alone among what is not was matched by chance.
+void doubt_edges_and_specks(StereoDepth& found, int64_t radius);
+
+}  // namespace gld
