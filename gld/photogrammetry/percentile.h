@@ -14,4 +14,11 @@ inline double percentile(std::vector<double>& values, double share) {
   return *place;
 }
 
+// The middle one, of an even number the upper of both; at least one value, whose order changes.
+inline float median(std::vector<float>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 }  // namespace gld

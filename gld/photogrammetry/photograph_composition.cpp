@@ -3,6 +3,7 @@
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/bilinear_neighbours.h"
 #include "gld/photogrammetry/membrane.h"
+#include "gld/photogrammetry/percentile.h"
 
 #include <algorithm>
 #include <cmath>
@@ -68,12 +69,6 @@ PicturedView reduced_view(const PicturedView& view, int64_t side) {
   reduced.height = height;
   reduced.rgb = width == view.width && height == view.height ? view.rgb : area_means(view, width, height);
   return reduced;
-}
-
-float median(std::vector<float>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // Of one colour in two photographs: the median of log(first / second) over what both show, and its weight in the

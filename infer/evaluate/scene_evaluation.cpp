@@ -275,24 +275,32 @@ class SceneMetrics {
       }
       return inputs;
     }
-    inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
     inputs.rays = geometry.rays;
     const GeometryPlacement placement = place_geometry(
         geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence(), sample.stereo));
     inputs.predicted_cameras = placement.predicted;
     inputs.missing[MetricNeed::kRays] = "no camera fits the predicted rays";
     inputs.missing[MetricNeed::kDepthScale] = "the scale of the predicted depth is not known";
-    inputs.missing[MetricNeed::kCloud] =
-        placement.scale ? "a view of the scene has no true depth" : inputs.missing[MetricNeed::kDepthScale];
     inputs.missing[MetricNeed::kCameraScale] = "the cameras that the sample's rays show do not tell a scale";
     if (placement.alignment && placement.alignment->scale_known) {
       inputs.camera_scale = placement.alignment->b_from_a.scale;
     }
     inputs.true_surface = true_surface(scene_);
-    if (placement.scale) {
-      inputs.depth_scale = placement.scale->scale;
-      inputs.cloud = points_of(cloud_of(sample, placement));
+    const bool unit_known = placement.scale || !sample.view_depth.empty();
+    inputs.missing[MetricNeed::kCloud] =
+        unit_known ? "a view of the scene has no true depth" : inputs.missing[MetricNeed::kDepthScale];
+    if (placement.scale) inputs.depth_scale = placement.scale->scale;
+    if (unit_known) inputs.cloud = points_of(cloud_of(sample, placement));
+    inputs.depth = geometry.depth.narrow(0, views.num_sources, views.num_targets());
+    if (sample.view_depth.empty()) return inputs;
+    // As gld sample writes it, but in the model's unit, which metrics beside the head's own depth take.
+    if (!inputs.depth_scale) inputs.depth_scale = 1;
+    std::vector<torch::Tensor> fused;
+    for (size_t view = static_cast<size_t>(views.num_sources); view < sample.view_depth.size(); ++view) {
+      const PlanarDepth& map = sample.view_depth[view];
+      fused.push_back(torch::tensor(at::ArrayRef<float>(map.values)).view({map.height, map.width}));
     }
+    inputs.depth = torch::stack(fused) / *inputs.depth_scale;
     return inputs;
   }
 
@@ -303,7 +311,8 @@ class SceneMetrics {
   PointCloud cloud_of(const PipelineResult& sample, const GeometryPlacement& placement) const {
     std::vector<Image> images = scene_.source_images;
     for (int64_t i = 0; i < sample.images.size(0); ++i) images.push_back(to_image(sample.images[i]));
-    return point_cloud_of(sample.geometry, placement, scene_.views.cameras, images, PointCloudOptions());
+    return point_cloud_of({sample.geometry, placement, sample.view_depth}, scene_.views.cameras, images,
+                          PointCloudOptions());
   }
 
   // Its depth, and the cameras that it finds when it is given the true pictures of all views and no cameras.

@@ -7,24 +7,37 @@
 
 namespace gld {
 
-PointLifting lifting_of(const GeometryPlacement& placement, const PointCloudOptions& options) {
-  if (options.lifting == PointLifting::kPointMaps) return options.lifting;  // in the frame of the rays anyway
-  return placement.predicted.empty() && !placement.scale ? PointLifting::kRays : options.lifting;
+DepthMap depth_map_of(const PlanarDepth& depth) {
+  DepthMap map;
+  map.width = depth.width;
+  map.height = depth.height;
+  map.metres = depth.values;
+  return map;
 }
 
-PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacement& placement,
-                          const std::vector<Camera>& given, const std::vector<Image>& images,
-                          const PointCloudOptions& options) {
+PointLifting lifting_of(const PlacedDepth& depth, const PointCloudOptions& options) {
+  if (options.lifting == PointLifting::kPointMaps) return options.lifting;  // in the frame of the rays anyway
+  return depth.placement.predicted.empty() && !depth.unit_known() ? PointLifting::kRays : options.lifting;
+}
+
+PointCloud point_cloud_of(const PlacedDepth& depth, const std::vector<Camera>& given,
+                          const std::vector<Image>& images, const PointCloudOptions& options) {
+  const GeometryOutput& geometry = depth.geometry;
+  const GeometryPlacement& placement = depth.placement;
   PointCloudOptions used = options;
-  used.lifting = lifting_of(placement, options);
-  const std::vector<Camera> cameras = cameras_of_depth(placement, given);
+  used.lifting = lifting_of(depth, options);
+  const bool by_camera = used.lifting == PointLifting::kCameras;
+  const bool in_scene = by_camera && !depth.in_scene.empty();
+  const std::vector<Camera> cameras = in_scene ? given : cameras_of_depth(placement, given);
   std::vector<PointView> views;
   for (size_t i = 0; i < images.size(); ++i) {
     const auto view_index = static_cast<int64_t>(i);
     PointView view;
     view.camera = cameras.empty() ? given[i] : cameras[i];
     view.image = images[i];
-    view.depth = to_depth_map(geometry.depth[view_index].to(torch::kCPU, torch::kFloat32).contiguous());
+    view.depth = in_scene
+                     ? depth_map_of(depth.in_scene[i])
+                     : to_depth_map(geometry.depth[view_index].to(torch::kCPU, torch::kFloat32).contiguous());
     const bool of_points = used.lifting == PointLifting::kPointMaps && geometry.points.defined();
     view.confidence =
         to_confidence_map((of_points ? geometry.point_confidence : geometry.depth_confidence)[view_index]);
@@ -33,8 +46,8 @@ PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacemen
     view.world_from_rays = placement.scene_from_model();
     views.push_back(std::move(view));
   }
-  const bool by_camera = used.lifting == PointLifting::kCameras;
-  return build_point_cloud(views, by_camera && placement.scale ? placement.scale->scale : 1, used);
+  return build_point_cloud(views, by_camera && !in_scene && placement.scale ? placement.scale->scale : 1,
+                           used);
 }
 
 }  // namespace gld

@@ -2,6 +2,7 @@
 
 #include "datasets/images/image.h"
 #include "gld/cameras/camera.h"
+#include "gld/photogrammetry/planar_depth.h"
 #include "infer/export/point_cloud.h"
 #include "models/scene_geometry/geometry_placement.h"
 
@@ -9,12 +10,25 @@
 
 namespace gld {
 
-// The cloud of all views, images one a view, in the frame of cameras_of_depth(). Where there are none, rays lift.
-PointCloud point_cloud_of(const GeometryOutput& geometry, const GeometryPlacement& placement,
-                          const std::vector<Camera>& given, const std::vector<Image>& images,
-                          const PointCloudOptions& options);
+// What is known of the depth of all views of a sample.
+struct PlacedDepth {
+  const GeometryOutput& geometry;
+  const GeometryPlacement& placement;
+  // In the unit of the given cameras, one a view (PipelineResult::view_depth); empty where the head alone says depth.
+  std::vector<PlanarDepth> in_scene = {};
+
+  bool unit_known() const { return !in_scene.empty() || placement.scale.has_value(); }
+};
+
+// The cloud of all views, images one a view: with depth in the unit of the given cameras in their world, else in the
+// frame of cameras_of_depth(). Where there are none, rays lift, and the head's own depth with them.
+PointCloud point_cloud_of(const PlacedDepth& depth, const std::vector<Camera>& given,
+                          const std::vector<Image>& images, const PointCloudOptions& options);
+
+// As a file and a cloud take it.
+DepthMap depth_map_of(const PlanarDepth& depth);
 
 // What point_cloud_of uses.
-PointLifting lifting_of(const GeometryPlacement& placement, const PointCloudOptions& options);
+PointLifting lifting_of(const PlacedDepth& depth, const PointCloudOptions& options);
 
 }  // namespace gld

@@ -300,6 +300,13 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   return maps;
 }
 
+// With what the photographs agree on, where they were matched.
+void fuse_depth(const PipelineRequest& request, const PipelineState& state, PipelineResult& result) {
+  if (!result.stereo || !state.depth || !state.depth->known() || !result.geometry.depth.defined()) return;
+  result.view_depth = fused_view_depths(request.views, request.source_images, *state.depth, *result.stereo,
+                                        result.geometry.depth);
+}
+
 // The request without some of its target views (numbers from 0), for what is generated of the others: their pictures.
 PipelineRequest without_targets(const PipelineRequest& request, const std::vector<int64_t>& left_out,
                                 const SourceDepth& depth) {
@@ -366,6 +373,7 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
   stages.run(name, [&] {
     result.geometry = geometry_of_images(models, request, result, name);
     require_finite_geometry(result.geometry, name);
+    fuse_depth(request, state, result);
   });
 }
 
@@ -428,6 +436,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         if (models.geometry_model_backbone) {
           result.geometry = geometry_of_images(models, request, result, stage.name);
           require_finite_geometry(result.geometry, stage.name);
+          fuse_depth(request, state, result);
           return;
         }
         require_all_levels(result.levels, stage.name);
@@ -435,6 +444,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         result.geometry = models.geometry_head()->forward(GeometryInputs{selected.levels, result.leading},
                                                           selected.grid, request.geometry_maps);
         require_finite_geometry(result.geometry, stage.name);
+        fuse_depth(request, state, result);
         return;
       }
     }

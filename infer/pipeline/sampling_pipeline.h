@@ -122,6 +122,9 @@ struct PipelineResult {
   // leading and grid are of the other views, and geometry is what the head sees in the pictures of all.
   std::vector<int64_t> carried_only;
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined
+  // Of the views of geometry.depth, in the unit of their cameras, where photographs were matched and tell it: what they
+  // agree on, and the head's depth for the rest (fused_view_depths()).
+  std::vector<PlanarDepth> view_depth;
   std::vector<FlowReport> flows;
   std::vector<std::string> warnings;
 };

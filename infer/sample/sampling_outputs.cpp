@@ -95,9 +95,12 @@ void SamplingOutputs::write_rest(const PipelineResult& result, const SheetText& 
 void SamplingOutputs::write_depth(const PipelineResult& result) {
   const auto& depth = result.geometry.depth;
   // All depth files are in the unit of the poses, so that cameras.json describes one scene.
-  depth_has_scene_unit_ = placement_.scale.has_value();
-  const double scale = depth_has_scene_unit_ ? placement_.scale->scale : 1;
+  const double scale = placement_.scale ? placement_.scale->scale : 1;
   for (int64_t i = 0; i < depth.size(0); ++i) {
+    if (!result.view_depth.empty()) {
+      depths_.push_back(depth_map_of(result.view_depth[static_cast<size_t>(i)]));
+      continue;
+    }
     depths_.push_back(depth_map(depth[i]));
     for (float& value : depths_.back().metres) value = static_cast<float>(value * scale);
   }
@@ -121,6 +124,7 @@ void SamplingOutputs::write_depth(const PipelineResult& result) {
                  provenance_);
   }
   findings_["depth_unit"] = depth_unit_;
+  findings_["depth_from"] = result.view_depth.empty() ? "geometry head" : "photographs and geometry head";
   run_.note("depth", "depth");
 }
 
@@ -176,11 +180,10 @@ void SamplingOutputs::place(const PipelineResult& result) {
                                    {"spread", alignment.spread}};
   }
   if (!requested_.needs_depth()) return;
+  depth_has_scene_unit_ = placement_.scale || !result.view_depth.empty();
   findings_["depth_scale_estimates"] = estimates_json(placement_.estimates);
-  if (placement_.scale) {
-    findings_["depth_scale"] = depth_scale_json(*placement_.scale);
-    return;
-  }
+  if (placement_.scale) findings_["depth_scale"] = depth_scale_json(*placement_.scale);
+  if (depth_has_scene_unit_) return;
   warnings_.push_back(fmt::format(
       "The scale of the predicted depth is not known ({}). {}", estimates_text(placement_.estimates),
       placement_.predicted.empty()
@@ -191,7 +194,8 @@ void SamplingOutputs::place(const PipelineResult& result) {
 
 std::string SamplingOutputs::scale_text() const {
   if (!requested_.needs_depth()) return "";
-  if (!placement_.scale) return "depth is in the model's own unit: its scale is not known\n";
+  if (!depth_has_scene_unit_) return "depth is in the model's own unit: its scale is not known\n";
+  if (!placement_.scale) return "depth is in the unit of the cameras, by what photographs agree on\n";
   const DepthScale& scale = *placement_.scale;
   return fmt::format("depth scale {:.4g} (95 %: {:.4g} to {:.4g}; the fit leaves {:.0f} %), from {}\n",
                      scale.scale, scale.low, scale.high, 100 * scale.residual, scale.estimator);
@@ -200,8 +204,8 @@ std::string SamplingOutputs::scale_text() const {
 void SamplingOutputs::write_points(const PipelineResult& result) {
   std::vector<Image> images = scene_.source_images;
   images.insert(images.end(), images_.begin(), images_.end());
-  const PointCloud cloud =
-      point_cloud_of(result.geometry, placement_, geometry_cameras(), images, options_.points);
+  const PlacedDepth depth{result.geometry, placement_, result.view_depth};
+  const PointCloud cloud = point_cloud_of(depth, geometry_cameras(), images, options_.points);
   export_ply(run_.path() / "points.ply", cloud, provenance_);
   const PointCounts& counts = cloud.counts;
   if (cloud.size() == 0) {
@@ -210,7 +214,7 @@ void SamplingOutputs::write_points(const PipelineResult& result) {
         "depth, and {} are farther away than --far-limit lets them.",
         counts.pixels, counts.unknown_depth, counts.low_confidence, counts.depth_edges, counts.too_far));
   }
-  const PointLifting lifting = lifting_of(placement_, options_.points);
+  const PointLifting lifting = lifting_of(depth, options_.points);
   findings_["points"] = {{"written", cloud.size()},
                          {"lifted_by", point_lifting_names()[static_cast<size_t>(lifting)]},
                          {"pixels", counts.pixels},
@@ -259,7 +263,7 @@ CameraList SamplingOutputs::of_pictures(CameraList list) const {
 void SamplingOutputs::write_cameras() {
   write_source_images();
   // Depth belongs to the cameras that it is written with: where it keeps the model's unit, to the model's.
-  const bool of_model = requested_.needs_depth() && !placement_.scale;
+  const bool of_model = requested_.needs_depth() && !depth_has_scene_unit_;
   const std::vector<Camera> model_cameras =
       of_model ? cameras_of_depth(placement_, geometry_cameras()) : std::vector<Camera>();
   CameraList list;

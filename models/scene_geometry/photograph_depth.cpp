@@ -1,11 +1,14 @@
 #include "models/scene_geometry/photograph_depth.h"
 
 #include "gld/cameras/resized_camera.h"
+#include "gld/photogrammetry/fused_view_depth.h"
 #include "gld/photogrammetry/matched_source_depth.h"
 #include "gld/tensors/torch_version.h"
 #include "models/scene_geometry/source_warp.h"
 #include "models/scene_geometry/tensor_pictures.h"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace gld {
@@ -51,6 +54,50 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
   depth = matched_source_depth(result.stereo);
   depth.from = head != nullptr ? "photographs and geometry head" : "photographs";
   return result;
+}
+
+std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,
+                                           const SourceDepth& depth, const StereoScene& stereo,
+                                           const torch::Tensor& predicted) {
+  // As large as the model sees them: the predicted depth is no larger.
+  const SourcePhotographs pictures = photographs_of_images(views, source_images);
+  std::vector<ConfirmedDepth> sources;
+  for (size_t i = 0; i < depth.views.size(); ++i) {
+    ConfirmedDepth source{pictures.views[i], {}};
+    source.view.depth = depth.views[i];
+    // Not of the depth's size where photographs left the unit open: then they confirm nothing.
+    const ConfidenceMap& confidence = stereo.views[i].confidence;
+    if (confidence.values.size() == depth.views[i].values.size()) source.confidence = confidence;
+    sources.push_back(std::move(source));
+  }
+  std::vector<FusedViewDepth> fused;
+  double log_units = 0, told = 0;
+  const auto maps = predicted.to(torch::kCPU, torch::kFloat32);
+  const auto first = static_cast<size_t>(views.size() - maps.size(0));
+  const double believed = belief_in_prior(stereo.prior);
+  const auto head = [&](size_t view) {
+    const auto map = maps[static_cast<int64_t>(view - first)];
+    return PredictedDepth{{map.size(1), map.size(0), numbers_of(map)}, believed};
+  };
+  for (size_t view = first; view < views.cameras.size(); ++view) {
+    fused.push_back(view < sources.size()
+                        ? fused_source_depth(sources[view], head(view))
+                        : fused_target_depth(sources, depth.reach, views.cameras[view], head(view)));
+    if (fused.back().depth.values.empty()) continue;
+    log_units += std::log(fused.back().unit);
+    told += 1;
+  }
+  std::vector<PlanarDepth> depths;
+  if (told == 0) return depths;
+  for (size_t i = 0; i < fused.size(); ++i) {
+    if (fused[i].depth.values.empty()) {
+      fused[i].depth = head(first + i).depth;
+      for (float& value : fused[i].depth.values)
+        value = static_cast<float>(static_cast<double>(value) * std::exp(log_units / told));
+    }
+    depths.push_back(std::move(fused[i].depth));
+  }
+  return depths;
 }
 
 }  // namespace gld

@@ -117,8 +117,8 @@ TEST(GeometryPlacement, AKnownScaleBringsThePlaneIntoTheScene) {
   ASSERT_TRUE(placement.scale.has_value());
   EXPECT_NEAR(placement.scale->scale, 3, 1e-3);
   const auto by_camera =
-      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
-  const auto by_rays = point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kRays));
+      point_cloud_of({geometry, placement}, given, kImages, keep_all(PointLifting::kCameras));
+  const auto by_rays = point_cloud_of({geometry, placement}, given, kImages, keep_all(PointLifting::kRays));
   EXPECT_EQ(by_camera.size(), 3 * kWidth * kHeight);
   EXPECT_LT(off_plane(by_camera), 0.01);
   EXPECT_LT(off_plane(by_rays), 0.01);
@@ -153,15 +153,16 @@ TEST(GeometryPlacement, PointMapsComeToTheSamePlane) {
   geometry.points = torch::stack(points);
   geometry.point_confidence = torch::full_like(geometry.depth, 3.0F);
   const auto by_points =
-      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kPointMaps));
+      point_cloud_of({geometry, placement}, given, kImages, keep_all(PointLifting::kPointMaps));
   const auto by_camera =
-      point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
+      point_cloud_of({geometry, placement}, given, kImages, keep_all(PointLifting::kCameras));
   ASSERT_EQ(by_points.size(), by_camera.size());
   for (size_t i = 0; i < by_points.x_in_world.size(); ++i) {
     EXPECT_LT((by_points.x_in_world[i] - by_camera.x_in_world[i]).norm(), 0.02);
     EXPECT_EQ(by_points.confidences[i], 3.0F);
   }
-  EXPECT_EQ(lifting_of(GeometryPlacement(), keep_all(PointLifting::kPointMaps)), PointLifting::kPointMaps);
+  EXPECT_EQ(lifting_of({GeometryOutput(), GeometryPlacement()}, keep_all(PointLifting::kPointMaps)),
+            PointLifting::kPointMaps);
 }
 
 // A scene taken from one place does not tell the scale; the model's own cameras make its views line up.
@@ -173,7 +174,7 @@ TEST(GeometryPlacement, WithoutAScaleTheViewsStillLineUp) {
   ASSERT_EQ(placement.predicted.size(), 3U);
   EXPECT_FALSE(placement.scale.has_value());
   for (const PointLifting lifting : {PointLifting::kCameras, PointLifting::kRays}) {
-    const auto cloud = point_cloud_of(geometry, placement, given, kImages, keep_all(lifting));
+    const auto cloud = point_cloud_of({geometry, placement}, given, kImages, keep_all(lifting));
     EXPECT_EQ(cloud.size(), 3 * kWidth * kHeight);
     EXPECT_LT(off_plane(cloud), 0.01);
   }
@@ -231,7 +232,7 @@ TEST(GeometryPlacement, PhotographsTellTheScaleWhereRaysDoNot) {
   geometry.rays.fill_(std::numeric_limits<float>::quiet_NaN());
   const auto without_rays = place_geometry(geometry, given, evidence);
   ASSERT_TRUE(without_rays.scale.has_value());
-  EXPECT_EQ(lifting_of(without_rays, PointCloudOptions()), PointLifting::kCameras);
+  EXPECT_EQ(lifting_of({GeometryOutput(), without_rays}, PointCloudOptions()), PointLifting::kCameras);
   EXPECT_EQ(cameras_of_depth(without_rays, given).size(), 3U);
 }
 
@@ -242,8 +243,8 @@ TEST(GeometryPlacement, WithoutCamerasTheRaysLift) {
   const auto placement = place_geometry(geometry, given);
   EXPECT_TRUE(placement.predicted.empty());
   EXPECT_THAT(placement.problem, testing::HasSubstr("at least 16 finite rays"));
-  EXPECT_EQ(lifting_of(placement, keep_all(PointLifting::kCameras)), PointLifting::kRays);
-  const auto cloud = point_cloud_of(geometry, placement, given, kImages, keep_all(PointLifting::kCameras));
+  EXPECT_EQ(lifting_of({GeometryOutput(), placement}, keep_all(PointLifting::kCameras)), PointLifting::kRays);
+  const auto cloud = point_cloud_of({geometry, placement}, given, kImages, keep_all(PointLifting::kCameras));
   EXPECT_EQ(cloud.size(), 2 * kWidth * kHeight);
   EXPECT_EQ(cloud.counts.unknown_depth, kWidth * kHeight);
   EXPECT_LT(off_plane(cloud), 1e-3);
