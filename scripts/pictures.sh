@@ -1,0 +1,94 @@
+#!/usr/bin/env bash
+# Makes the pictures that README.md and docs/ show, in docs/pictures; plots of measurements are made by their runs in docs/measured.
+# Needs the built program, Python 3 with Pillow, and the folder of shared data for the photographs of the Lund door.
+#   scripts/pictures.sh [SHARED]    by default ../shared
+set -euo pipefail
+cd "$(dirname "$0")/.."
+shared=${1:-../shared}
+gld=build/release/cli/gld
+model=configs/tiny
+pictures=docs/pictures
+work=runs/pictures
+
+door=$shared/scenes/colmap_lund_door
+if [ ! -d "$door" ]; then
+  echo "pictures: expected the scene colmap_lund_door in $shared/scenes, found none; say where the shared data is." >&2
+  exit 1
+fi
+if ! python3 -c 'import PIL' 2>/dev/null; then
+  echo "pictures: expected Python 3 with Pillow, found none; apt install python3-pil." >&2
+  exit 1
+fi
+mkdir -p "$work" "$pictures"
+
+# The room of scripts/demo.sh: the first of its seed. Its views are sampled two at a time, four with the sources, as the model
+# was trained.
+"$gld" synth --seed 910000 --scene-count 1 --frames 12 --width 448 --height 448 --out "$work/scene" --overwrite
+room=$(find "$work/scene" -name cameras.json -printf '%h\n' | sort | head -1)
+for targets in 1,2 3,4 2,4 5,7; do
+  "$gld" sample --model "$model" --scene "$room" --sources 0,6 --targets "$targets" --size photographs --overwrite \
+    --out "$work/room_$targets"
+done
+
+# Photographs of a real place: the setting lund_door_4 of docs/measured/photographs, at the photographs' size.
+"$gld" sample --model "$model" --scene "$door" --sources 2,4,6,8 --targets 3,5,7 --size photographs --overwrite \
+  --out "$work/door"
+
+# What drawn rooms look like, plain and varied.
+"$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --out "$work/first" --overwrite
+"$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms varied --out "$work/varied" --overwrite
+
+python3 - "$work" "$pictures" <<'PYTHON'
+import pathlib
+import sys
+
+from PIL import Image, ImageDraw
+
+work, pictures = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
+GAP, FRAME, GIVEN = 6, 4, (224, 120, 32)
+
+
+def strip(views, height, columns=None):
+    """Pictures side by side; those that were given have a frame."""
+    shown = []
+    for file, given in views:
+        picture = Image.open(file).convert("RGB")
+        picture = picture.resize((round(picture.width * height / picture.height), height), Image.LANCZOS)
+        if given:
+            ImageDraw.Draw(picture).rectangle((0, 0, picture.width - 1, height - 1), outline=GIVEN, width=FRAME)
+        shown.append(picture)
+    columns = columns or len(shown)
+    rows = -(-len(shown) // columns)
+    width = max(picture.width for picture in shown)
+    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP), "white")
+    for number, picture in enumerate(shown):
+        sheet.paste(picture, (number % columns * (width + GAP), number // columns * (height + GAP)))
+    return sheet
+
+
+def view(folder, number):
+    return work / folder / "images" / f"view_{number:02d}.png"
+
+
+def save(picture, name, quality=82):
+    picture.save(pictures / name, quality=quality, method=6)
+
+
+# A room's sources are views 00 and 01 of each run, its targets 02 and 03.
+sources = [work / "room_1,2" / "sources" / f"view_{k:02d}.png" for k in (0, 1)]
+save(strip([(sources[0], True), (view("room_1,2", 2), False), (view("room_3,4", 2), False), (view("room_3,4", 3), False),
+            (view("room_5,7", 2), False), (sources[1], True)], 200), "hero.webp")
+given = [work / "door" / "sources" / f"view_{k:02d}.png" for k in range(4)]
+made = [view("door", k) for k in (4, 5, 6)]
+save(strip([(given[0], True), (made[0], False), (given[1], True), (made[1], False), (given[2], True), (made[2], False),
+            (given[3], True)], 240), "lund_door.webp")
+sheet = Image.open(work / "room_2,4" / "contact_sheet.png").convert("RGB")
+sheet.thumbnail((1000, 1000), Image.LANCZOS)
+save(sheet, "contact_sheet.webp")
+rooms = [(file, False) for kind in ("first", "varied") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
+save(strip(rooms, 150, 6), "rooms.webp")
+total = sum(file.stat().st_size for file in pictures.iterdir())
+if total > 1000000:
+    sys.exit(f"pictures: expected at most 1000000 bytes in {pictures}, found {total}; make them smaller.")
+print(f"pictures: {total} bytes in {pictures}")
+PYTHON
