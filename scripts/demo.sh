@@ -16,9 +16,9 @@ scripts/build.sh gld
 # size of the drawn photographs, what these show at their own resolution.
 build/release/cli/gld synth --seed "$held_out_seed" --scene-count 1 --frames 12 --width 448 --height 448 --out "$out/scene" --overwrite
 scene=$(find "$out/scene" -name cameras.json -printf '%h\n' | sort | head -1)
-sample=(build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --size photographs --overwrite)
-"${sample[@]}" --path orbit --frames 2 --out "$out/orbit"
-"${sample[@]}" --targets 2,4 --out "$out/targets"
+sample=(build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,3 --size photographs --overwrite)
+"${sample[@]}" --path orbit --orbit-degrees 20 --frames 2 --out "$out/orbit"
+"${sample[@]}" --targets 1,2 --out "$out/targets"
 echo
 echo "demo: beside the truth: $out/targets/contact_sheet.png; an orbit: $out/orbit/contact_sheet.png; its geometry: $out/orbit/points.ply"
 echo "demo: look at this first: $out/targets/contact_sheet.png"

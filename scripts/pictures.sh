@@ -21,14 +21,11 @@ if ! python3 -c 'import PIL' 2>/dev/null; then
 fi
 mkdir -p "$work" "$pictures"
 
-# The room of scripts/demo.sh: the first of its seed. Its views are sampled two at a time, four with the sources, as the model
-# was trained.
+# The room of scripts/demo.sh: the first of its seed. Two views between each two photographs, four together, as the model was trained.
 "$gld" synth --seed 910000 --scene-count 1 --frames 12 --width 448 --height 448 --out "$work/scene" --overwrite
 room=$(find "$work/scene" -name cameras.json -printf '%h\n' | sort | head -1)
-for targets in 1,2 3,4 2,4 5,7; do
-  "$gld" sample --model "$model" --scene "$room" --sources 0,6 --targets "$targets" --size photographs --overwrite \
-    --out "$work/room_$targets"
-done
+"$gld" sample --model "$model" --scene "$room" --sources 0,3 --targets 1,2 --size photographs --overwrite --out "$work/room_1"
+"$gld" sample --model "$model" --scene "$room" --sources 3,6 --targets 4,5 --size photographs --overwrite --out "$work/room_2"
 
 # Photographs of a real place: the setting lund_door_4 of docs/measured/photographs, at the photographs' size.
 "$gld" sample --model "$model" --scene "$door" --sources 2,4,6,8 --targets 3,5,7 --size photographs --overwrite \
@@ -74,15 +71,18 @@ def save(picture, name, quality=82):
     picture.save(pictures / name, quality=quality, method=6)
 
 
-# A room's sources are views 00 and 01 of each run, its targets 02 and 03.
-sources = [work / "room_1,2" / "sources" / f"view_{k:02d}.png" for k in (0, 1)]
-save(strip([(sources[0], True), (view("room_1,2", 2), False), (view("room_3,4", 2), False), (view("room_3,4", 3), False),
-            (view("room_5,7", 2), False), (sources[1], True)], 200), "hero.webp")
-given = [work / "door" / "sources" / f"view_{k:02d}.png" for k in range(4)]
+def source(folder, number):
+    return work / folder / "sources" / f"view_{number:02d}.png"
+
+
+# Sources are the first views of a run, targets the others.
+save(strip([(source("room_1", 0), True), (view("room_1", 2), False), (view("room_1", 3), False), (source("room_1", 1), True),
+            (view("room_2", 2), False), (view("room_2", 3), False), (source("room_2", 1), True)], 240), "hero.webp")
+given = [source("door", k) for k in range(4)]
 made = [view("door", k) for k in (4, 5, 6)]
 save(strip([(given[0], True), (made[0], False), (given[1], True), (made[1], False), (given[2], True), (made[2], False),
             (given[3], True)], 240), "lund_door.webp")
-sheet = Image.open(work / "room_2,4" / "contact_sheet.png").convert("RGB")
+sheet = Image.open(work / "room_1" / "contact_sheet.png").convert("RGB")
 sheet.thumbnail((1000, 1000), Image.LANCZOS)
 save(sheet, "contact_sheet.webp")
 rooms = [(file, False) for kind in ("first", "varied") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
