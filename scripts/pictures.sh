@@ -31,6 +31,12 @@ room=$(find "$work/scene" -name cameras.json -printf '%h\n' | sort | head -1)
 "$gld" sample --model "$model" --scene "$door" --sources 2,4,6,8 --targets 3,5,7 --size photographs --overwrite \
   --out "$work/door"
 
+# What the captions say of them comes from these runs.
+for run in room_1 room_2 door; do
+  mkdir -p "docs/measured/pictures/$run"
+  cp "$work/$run/config.yaml" "$work/$run/report.json" "docs/measured/pictures/$run/"
+done
+
 # What drawn rooms look like, plain and varied.
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --out "$work/first" --overwrite
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms varied --out "$work/varied" --overwrite
