@@ -1,9 +1,15 @@
 # The check of figures passes on this tree, and refuses a figure that its report does not have, one of no report, and one that is
-# named and stands nowhere. cmake -DROOT=tree -DSCRATCH=folder -P check_figures_test.cmake
+# named and stands nowhere. README.md is of 150 lines at most: what it has no room for is a page of docs/. cmake -DROOT=tree -DSCRATCH=folder -P check_figures_test.cmake
 set(check ${ROOT}/scripts/check_figures.py)
 execute_process(COMMAND python3 ${check} RESULT_VARIABLE status ERROR_VARIABLE errors)
 if(NOT status EQUAL 0)
   message(FATAL_ERROR "expected this tree's figures to be what reports have, found ${status}: ${errors}")
+endif()
+file(READ ${ROOT}/README.md readme)
+string(REGEX MATCHALL "\n" lines "${readme}")
+list(LENGTH lines count)
+if(count GREATER 150)
+  message(FATAL_ERROR "expected a README.md of at most 150 lines, found ${count}; make it a page of docs/")
 endif()
 
 file(REMOVE_RECURSE ${SCRATCH})
