@@ -1,10 +1,26 @@
 # cmake -P cmake/check_citations.cmake: what comments and documents cite as DESIGN.md or NUMBERS.md, by section and heading,
 # must be in docs/, every file that a source or a document names must be in the tree, and every link of a document must lead
-# somewhere. -DROOT=DIR checks another tree.
+# somewhere, to a heading where it names one. -DROOT=DIR checks another tree.
 cmake_minimum_required(VERSION 3.25)
 if(NOT ROOT)
   get_filename_component(ROOT ${CMAKE_CURRENT_LIST_DIR}/.. ABSOLUTE)
 endif()
+
+# The headings of a document as links name them: small letters, digits and dashes.
+function(anchors_of result file)
+  set(anchors "")
+  if(EXISTS ${file} AND NOT IS_DIRECTORY ${file})
+    file(STRINGS ${file} headings ENCODING UTF-8 REGEX "^#+ ")
+    foreach(heading IN LISTS headings)
+      string(REGEX REPLACE "^#+ +" "" anchor "${heading}")
+      string(TOLOWER "${anchor}" anchor)
+      string(REGEX REPLACE "[^a-z0-9_ -]" "" anchor "${anchor}")
+      string(REPLACE " " "-" anchor "${anchor}")
+      list(APPEND anchors "${anchor}")
+    endforeach()
+  endif()
+  set(${result} "${anchors}" PARENT_SCOPE)
+endfunction()
 
 set(problems "")
 set(citations 0)
@@ -20,7 +36,10 @@ foreach(folder gld models datasets train infer bench verify ablate cli tests con
     file(READ ${ROOT}/${file} text)
     # Reports of runs under docs/measured say what was there when they were made.
     if(NOT file MATCHES "\\.yaml$|^docs/measured/")
-      string(REGEX MATCHALL "(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests|cmake|scripts|docs)/[A-Za-z0-9_/]*[A-Za-z0-9_]\\.(h|cpp|txt|cmake|sh|py|md)" named "${text}")
+      # A name begins where a path does: measured/train/x.md is none of train/.
+      string(REGEX REPLACE "[][;]" " " named_text "${text}")  # what lists of CMake's may not hold
+      string(REGEX MATCHALL "(^|[^A-Za-z0-9_/])(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests|cmake|scripts|docs)/[A-Za-z0-9_/]*[A-Za-z0-9_]\\.(h|cpp|txt|cmake|sh|py|md)" named "${named_text}")
+      list(TRANSFORM named REPLACE "^[^A-Za-z0-9_]" "")
       list(REMOVE_DUPLICATES named)
       # What CONTRIBUTING.md says of any room (tests/ROOM/x_test.cpp).
       list(FILTER named EXCLUDE REGEX "/ROOM/|/x_[a-z]+\\.")
@@ -38,6 +57,20 @@ foreach(folder gld models datasets train infer bench verify ablate cli tests con
         string(REGEX REPLACE "^<link>(.*)[)#]$" "\\1" target "${link}")
         if(NOT EXISTS ${beside}/${target})
           list(APPEND problems "${file}: expected a link to what is there, found ${target}")
+        endif()
+      endforeach()
+      string(REGEX MATCHALL "<link>[^)#: ]*#[^)]+\\)" links "${linked}")
+      foreach(link IN LISTS links)
+        string(REGEX MATCH "^<link>([^#]*)#(.*)\\)$" matched "${link}")
+        set(target ${CMAKE_MATCH_1})
+        set(anchor ${CMAKE_MATCH_2})
+        if(target STREQUAL "")
+          anchors_of(anchors ${ROOT}/${file})
+        else()
+          anchors_of(anchors ${beside}/${target})
+        endif()
+        if(NOT anchor IN_LIST anchors)
+          list(APPEND problems "${file}: expected a link to a heading that is there, found ${target}#${anchor}")
         endif()
       endforeach()
     endif()

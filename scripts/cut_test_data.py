@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Cuts tests/data out of the folder of shared data: how every file there was made. Needs Python 3 with Pillow, and
-is not needed to build or test.
+"""Cuts tests/data out of the folder of shared data: how every file there was made, but for the pictures of the RealEstate10K
+clip, which are drawn (draw_test_clip.py). Needs Python 3 with Pillow, and is not needed to build or test.
 
     scripts/cut_test_data.py ../shared tests/data
 
@@ -17,6 +17,8 @@ import zipfile
 from pathlib import Path
 
 from PIL import Image
+
+from draw_test_clip import drawn
 
 CLIP = "gld_layout_5e040cd0758dcc96"
 TARTANAIR_FRAMES = ["000040", "000043"]
@@ -46,13 +48,18 @@ def write_zip(file, members, method):
 
 
 def cut_clip(source, target):
-    """All 8 frames. The cameras of the odd ones are deflated, with the arrays in the other order, as they are found
-    elsewhere in this layout."""
+    """The cameras of all 8 frames, those of the odd ones deflated, with the arrays in the other order, as they are found
+    elsewhere in this layout. The pictures of the clip are frames of somebody's video: in their place stand drawn ones of a
+    room under the same cameras, of the same size."""
     images = Path("nerfstudio") / "images_4"
     copy(source / "nerfstudio" / "transforms.json", target / "nerfstudio" / "transforms.json")
     for k in range(8):
         name = f"frame_{k:05d}"
-        copy(source / images / f"{name}.png", target / images / f"{name}.png")
+        with Image.open(source / images / f"{name}.png") as picture:
+            size = picture.size
+        (target / images).mkdir(parents=True, exist_ok=True)
+        pixels = drawn((source / images / f"{name}.npz").read_bytes(), *size)
+        Image.frombytes("RGB", size, pixels).save(target / images / f"{name}.png", optimize=True)
         if k % 2 == 0:
             copy(source / images / f"{name}.npz", target / images / f"{name}.npz")
             continue

@@ -2,7 +2,8 @@
 # Makes a package of the program, below build/packages/.
 #   scripts/package.sh                    a Debian package, for Debian 12: apt installs it with LibTorch and all else
 #   scripts/package.sh --libtorch DIR     an archive for any x86-64 Linux whose C library is no older than this one's: the program,
-#                                         its libraries other than LibTorch, the small model, README.md. It is named after the LibTorch
+#                                         its libraries other than LibTorch with their notices, the small model, README.md and
+#                                         the pages that it links. It is named after the LibTorch
 #                                         that it was built with, and runs with that version
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -31,8 +32,16 @@ rm -rf "$root"
 cmake --install "$build_folder" --prefix "$root" --strip >/dev/null
 mkdir -p "$root/lib/gld"
 mv "$root/bin/gld" "$root/lib/gld/gld"
-mv "$root/share/doc/gld/README.md" "$root/README.md"
+mv "$root"/share/doc/gld/* "$root/"
 rm -r "$root/share/doc"
+
+# notice_of FILE: the copyright file of the Debian package that FILE is of, which may list it below /lib instead of /usr/lib.
+mkdir -p "$root/share/gld/notices"
+notice_of() {
+  local package
+  package=$( (dpkg-query -S "$1" 2>/dev/null || dpkg-query -S "${1#/usr}") | head -1 | cut -d: -f1)
+  install -m 644 "/usr/share/doc/$package/copyright" "$root/share/gld/notices/$package"
+}
 
 # All libraries but LibTorch with what lies beside it, and the C library with what belongs to it.
 ldd "$build_folder/cli/gld" | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | while read -r soname path; do
@@ -45,6 +54,7 @@ ldd "$build_folder/cli/gld" | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | 
     liblapack.so.3) path=/usr/lib/x86_64-linux-gnu/lapack/$soname ;;
   esac
   install -m 644 "$(realpath "$path")" "$root/lib/gld/$soname"
+  notice_of "$(realpath "$path")"
   strip --strip-unneeded "$root/lib/gld/$soname"
 done
 # The old kind of run path holds for libraries of libraries too.
@@ -54,6 +64,7 @@ patchelf --force-rpath --set-rpath '$ORIGIN:$ORIGIN/../../libtorch/lib' "$root/l
 mkdir -p "$root/share/gld/fonts"
 install -m 644 /usr/share/fonts/truetype/dejavu/DejaVuSans.ttf /usr/share/fonts/truetype/dejavu/DejaVuSans-Bold.ttf \
   "$root/share/gld/fonts"
+notice_of /usr/share/fonts/truetype/dejavu/DejaVuSans.ttf
 cat >"$root/share/gld/fonts.conf" <<'FONTS'
 <?xml version="1.0"?>
 <!DOCTYPE fontconfig SYSTEM "urn:fontconfig:fonts.dtd">

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
+#   --testing                 also what tests need beside the build
 #   --development             also what checks the sources, and COLMAP, which tests of the label shared run
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
@@ -7,11 +8,13 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+testing=
 development=
 packaging=
 libtorch_version=
 while [ $# -gt 0 ]; do
   case $1 in
+    --testing) testing=yes ;;
     --development) development=yes ;;
     --packaging) packaging=yes ;;
     --libtorch-version)
@@ -23,7 +26,7 @@ while [ $# -gt 0 ]; do
       shift
       ;;
     *)
-      echo "setup: expected --development, --packaging or --libtorch-version VERSION, found '$1'." >&2
+      echo "setup: expected --testing, --development, --packaging or --libtorch-version VERSION, found '$1'." >&2
       exit 2
       ;;
   esac
@@ -37,6 +40,9 @@ packages=(
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
   libssl-dev
 )
+if [ -n "$testing" ]; then
+  packages+=(python3)
+fi
 if [ -n "$development" ]; then
   packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev colmap)
 fi

@@ -76,4 +76,5 @@ if [ "$recipe" != "$tiny" ]; then rm -rf "$recipe"; fi
 # Its errors were those of other weights.
 rm -f "$tiny/plan_errors.json"
 echo "ship_tiny: $bytes bytes of weights are in $tiny; measure their sampling errors with gld bench sample" \
-  "--model $tiny --synthetic 16 --write-table --precisions bfloat16,int8 --out docs/measured/sample"
+  "--model $tiny --synthetic 16 --write-table --precisions bfloat16,int8 --out docs/measured/sample," \
+  "and change $tiny/README.md with its evaluation; scripts/check_figures.py says where"

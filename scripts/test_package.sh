@@ -53,6 +53,10 @@ else
     exit 1
   fi
   echo "test_package: without LibTorch: $said"
+  if [ ! -s "$root/opt/$name/docs/SAMPLING.md" ] || [ ! -s "$root/opt/$name/share/gld/notices/fonts-dejavu-core" ]; then
+    echo "test_package: expected pages and notices in $name, found $(ls "$root/opt/$name" "$root/opt/$name/share/gld")." >&2
+    exit 1
+  fi
   mkdir -p "$root/opt/$name/libtorch"
   cp -r "$libtorch/lib" "$root/opt/$name/libtorch/"
   mkdir -p "$root/opt/$name/libtorch/share"

@@ -1,4 +1,5 @@
-# The check of options in documents passes on this tree, and refuses one that is not there, of a command and of a kind of it.
+# The check of options in documents passes on this tree, and refuses one that is not there, of a command and of a kind of it, and
+# lines of code with a command, a script, an option of a script or a configuration that is not there.
 # cmake -DROOT=tree -DGLD=program -DSCRATCH=folder -P documented_options_test.cmake
 function(check tree expected)
   execute_process(COMMAND ${CMAKE_COMMAND} -DROOT=${tree} -DGLD=${GLD} -P ${ROOT}/cmake/check_documented_options.cmake
@@ -16,3 +17,14 @@ file(WRITE ${SCRATCH}/README.md "Say `gld sample --scene DIR\n--preset fast` or 
 check(${SCRATCH} "README.md: expected an option of gld sample, found --preset\n")
 file(WRITE ${SCRATCH}/README.md "So:\n\n    build/release/cli/gld train level --level 0 \\\n        --epochs 2\n")
 check(${SCRATCH} "README.md: expected an option of gld train level, found --epochs\n")
+file(WRITE ${SCRATCH}/README.md "So:\n\n    build/release/cli/gld paint --out DIR\n")
+check(${SCRATCH} "README.md: expected a command of gld, found paint\n")
+file(WRITE ${SCRATCH}/scripts/build.sh "case $1 in --libtorch) ;; esac\n")
+file(WRITE ${SCRATCH}/README.md "So:\n\n    scripts/build.sh --libtorch DIR gld    # --nothing\n")
+check(${SCRATCH} "")
+file(WRITE ${SCRATCH}/README.md "So:\n\n    scripts/build.sh --fast gld\n")
+check(${SCRATCH} "README.md: expected an option of scripts/build.sh, found --fast\n")
+file(WRITE ${SCRATCH}/README.md "So:\n\n    scripts/brew.sh\n")
+check(${SCRATCH} "README.md: expected a file of the tree in a line of code, found scripts/brew.sh\n")
+file(WRITE ${SCRATCH}/README.md "So:\n\n    build/release/cli/gld train level --config configs/none.yaml\n")
+check(${SCRATCH} "README.md: expected a file of the tree in a line of code, found configs/none.yaml\n")

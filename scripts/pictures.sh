@@ -1,0 +1,100 @@
+#!/usr/bin/env bash
+# Makes the pictures that README.md and docs/ show, in docs/pictures; plots of measurements are made by their runs in docs/measured.
+# Needs the built program, Python 3 with Pillow, and the folder of shared data for the photographs of the Lund door.
+#   scripts/pictures.sh [SHARED]    by default ../shared
+set -euo pipefail
+cd "$(dirname "$0")/.."
+shared=${1:-../shared}
+gld=build/release/cli/gld
+model=configs/tiny
+pictures=docs/pictures
+work=runs/pictures
+
+door=$shared/scenes/colmap_lund_door
+if [ ! -d "$door" ]; then
+  echo "pictures: expected the scene colmap_lund_door in $shared/scenes, found none; say where the shared data is." >&2
+  exit 1
+fi
+if ! python3 -c 'import PIL' 2>/dev/null; then
+  echo "pictures: expected Python 3 with Pillow, found none; apt install python3-pil." >&2
+  exit 1
+fi
+mkdir -p "$work" "$pictures"
+
+# The room of scripts/demo.sh: the first of its seed. Two views between each two photographs, four together, as the model was trained.
+"$gld" synth --seed 910000 --scene-count 1 --frames 12 --width 448 --height 448 --out "$work/scene" --overwrite
+room=$(find "$work/scene" -name cameras.json -printf '%h\n' | sort | head -1)
+"$gld" sample --model "$model" --scene "$room" --sources 0,3 --targets 1,2 --size photographs --overwrite --out "$work/room_1"
+"$gld" sample --model "$model" --scene "$room" --sources 3,6 --targets 4,5 --size photographs --overwrite --out "$work/room_2"
+
+# Photographs of a real place: the setting lund_door_4 of docs/measured/photographs, at the photographs' size.
+"$gld" sample --model "$model" --scene "$door" --sources 2,4,6,8 --targets 3,5,7 --size photographs --overwrite \
+  --out "$work/door"
+
+# What the captions say of them comes from these runs.
+for run in room_1 room_2 door; do
+  mkdir -p "docs/measured/pictures/$run"
+  cp "$work/$run/config.yaml" "$work/$run/report.json" "docs/measured/pictures/$run/"
+done
+
+# What drawn rooms look like, plain and varied.
+"$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --out "$work/first" --overwrite
+"$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms varied --out "$work/varied" --overwrite
+
+python3 - "$work" "$pictures" <<'PYTHON'
+import pathlib
+import sys
+
+from PIL import Image, ImageDraw
+
+work, pictures = pathlib.Path(sys.argv[1]), pathlib.Path(sys.argv[2])
+GAP, FRAME, GIVEN = 6, 4, (224, 120, 32)
+
+
+def strip(views, height, columns=None):
+    """Pictures side by side; those that were given have a frame."""
+    shown = []
+    for file, given in views:
+        picture = Image.open(file).convert("RGB")
+        picture = picture.resize((round(picture.width * height / picture.height), height), Image.LANCZOS)
+        if given:
+            ImageDraw.Draw(picture).rectangle((0, 0, picture.width - 1, height - 1), outline=GIVEN, width=FRAME)
+        shown.append(picture)
+    columns = columns or len(shown)
+    rows = -(-len(shown) // columns)
+    width = max(picture.width for picture in shown)
+    sheet = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP), "white")
+    for number, picture in enumerate(shown):
+        sheet.paste(picture, (number % columns * (width + GAP), number // columns * (height + GAP)))
+    return sheet
+
+
+def view(folder, number):
+    return work / folder / "images" / f"view_{number:02d}.png"
+
+
+def save(picture, name, quality=82):
+    picture.save(pictures / name, quality=quality, method=6)
+
+
+def source(folder, number):
+    return work / folder / "sources" / f"view_{number:02d}.png"
+
+
+# Sources are the first views of a run, targets the others.
+save(strip([(source("room_1", 0), True), (view("room_1", 2), False), (view("room_1", 3), False), (source("room_1", 1), True),
+            (view("room_2", 2), False), (view("room_2", 3), False), (source("room_2", 1), True)], 240), "hero.webp")
+given = [source("door", k) for k in range(4)]
+made = [view("door", k) for k in (4, 5, 6)]
+save(strip([(given[0], True), (made[0], False), (given[1], True), (made[1], False), (given[2], True), (made[2], False),
+            (given[3], True)], 240), "lund_door.webp")
+sheet = Image.open(work / "room_1" / "contact_sheet.png").convert("RGB")
+sheet.thumbnail((1000, 1000), Image.LANCZOS)
+save(sheet, "contact_sheet.webp")
+rooms = [(file, False) for kind in ("first", "varied") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
+save(strip(rooms, 150, 6), "rooms.webp")
+total = sum(file.stat().st_size for file in pictures.iterdir())
+if total > 1000000:
+    sys.exit(f"pictures: expected at most 1000000 bytes in {pictures}, found {total}; make them smaller.")
+print(f"pictures: {total} bytes in {pictures}")
+PYTHON
