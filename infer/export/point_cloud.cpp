@@ -248,21 +248,16 @@ void PointCloudOptions::visit(FieldVisitor& visitor) {
                   {1, 1'000'000'000});
 }
 
-std::optional<double> inverse_depth_bend(const DepthMap& depth, int64_t x, int64_t y, int64_t dx,
-                                         int64_t dy) {
-  if (x < dx || y < dy || x + dx >= depth.width || y + dy >= depth.height) return std::nullopt;
-  const float before = depth.at(x - dx, y - dy);
-  const float here = depth.at(x, y);
-  const float after = depth.at(x + dx, y + dy);
-  if (!is_known_depth(before) || !is_known_depth(here) || !is_known_depth(after)) return std::nullopt;
-  const double z = here;
-  return std::abs(z / before - 2 + z / after);
-}
-
 std::vector<uint8_t> depth_edges(const DepthMap& depth, double step) {
   std::vector<uint8_t> edges(depth.metres.size(), 0);
   const auto bends = [&](int64_t x, int64_t y, int64_t dx, int64_t dy) {
-    return inverse_depth_bend(depth, x, y, dx, dy).value_or(0) > step;
+    if (x < dx || y < dy || x + dx >= depth.width || y + dy >= depth.height) return false;
+    const float before = depth.at(x - dx, y - dy);
+    const float here = depth.at(x, y);
+    const float after = depth.at(x + dx, y + dy);
+    if (!is_known_depth(before) || !is_known_depth(here) || !is_known_depth(after)) return false;
+    const double z = here;
+    return std::abs(z / before - 2 + z / after) > step;
   };
   for (int64_t y = 0; y < depth.height; ++y) {
     for (int64_t x = 0; x < depth.width; ++x) {

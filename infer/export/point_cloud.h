@@ -8,7 +8,6 @@
 #include "gld/photogrammetry/view_maps.h"
 
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -76,13 +75,9 @@ struct PointCloud {
 PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_scale,
                              const PointCloudOptions& options);
 
-// How inverse depth bends at a pixel between its neighbours at (-dx, -dy) and (dx, dy). Inverse depth is affine on a plane
-// seen in perspective, so its second difference, relative to the pixel's own inverse depth, is 0 on slanted planes and
-// large at occlusions. Nothing where one of the three is not known or lies outside.
-std::optional<double> inverse_depth_bend(const DepthMap& depth, int64_t x, int64_t y, int64_t dx, int64_t dy);
-
-// 1 where a pixel lies at a step of the surface: inverse depth bends by more than step in its row or column. (height,
-// width).
+// 1 where a pixel lies at a step of the surface. Inverse depth is affine on a plane seen in perspective, so its second
+// difference between the two neighbours in a row or column, relative to the pixel's own inverse depth, is 0 on slanted
+// planes and large at occlusions. Neighbours with unknown depth do not count. (height, width).
 std::vector<uint8_t> depth_edges(const DepthMap& depth, double step);
 
 // Keeps the surest point of each cell of a cubic grid, the smallest tried with which at most max_points are left.

@@ -1,8 +1,6 @@
 #include "infer/run_export/depth_surface.h"
 
 #include "gld/base/error.h"
-#include "gld/photogrammetry/depth_between.h"
-#include "infer/export/point_cloud.h"
 
 #include <algorithm>
 #include <cmath>
@@ -12,6 +10,10 @@
 namespace gld {
 namespace {
 
+// Relative difference of depth from a pixel to the next beyond which no surface is believed.
+constexpr float kSteepest = 0.08F;
+// Pixels from a step to what counts as its sides: predicted depth smears steps over a few.
+constexpr int64_t kStepWidth = 4;
 constexpr uint32_t kNoVertex = std::numeric_limits<uint32_t>::max();
 
 // A step in a row or column of pixels.
@@ -25,6 +27,7 @@ class SurfaceMaker {
   SurfaceMaker(const DepthMap& depth, const Camera& camera, const DepthSurfaceOptions& options)
       : options_(options), camera_(camera), full_width_(depth.width), full_height_(depth.height) {
     const int64_t step = options.step;
+    around_ = std::max<int64_t>(2, (kStepWidth + step - 1) / step);
     grid_ = DepthMap((depth.width + step - 1) / step, (depth.height + step - 1) / step);
     for (int64_t y = 0; y < grid_.height; ++y) {
       for (int64_t x = 0; x < grid_.width; ++x) {
@@ -48,20 +51,39 @@ class SurfaceMaker {
     return std::min(place * options_.step + (options_.step - 1) / 2, size - 1);
   }
 
-  bool known(int64_t x, int64_t y) const { return grid_.at(x, y) > 0; }
+  // How inverse depth changes from a place to the next one in that direction; nothing where one of them is not known.
+  std::optional<float> change(int64_t x, int64_t y, Neighbour next) const {
+    if (x < 0 || y < 0 || x + next.dx >= grid_.width || y + next.dy >= grid_.height) return std::nullopt;
+    const float a = grid_.at(x, y), b = grid_.at(x + next.dx, y + next.dy);
+    if (!(a > 0) || !(b > 0)) return std::nullopt;
+    return 1 / b - 1 / a;
+  }
+
+  // The same some places away in that direction, or as far as the picture goes; where nothing is known there, half as far
+  // on the other side.
+  std::optional<float> change_near(int64_t x, int64_t y, Neighbour next, int64_t away) const {
+    const int64_t here = next.dx > 0 ? x : y, last = (next.dx > 0 ? grid_.width : grid_.height) - 2;
+    const auto change_at = [&](int64_t place) {
+      return next.dx > 0 ? change(place, y, next) : change(x, place, next);
+    };
+    const int64_t there = std::clamp<int64_t>(here + away, 0, last);
+    const auto found = there == here ? std::nullopt : change_at(there);
+    return found ? found : change_at(here - away / 2);
+  }
 
   // Whether a place and the next one in that direction are on one surface.
   bool joined(int64_t x, int64_t y, Neighbour next) const {
-    const float a = grid_.at(x, y), b = grid_.at(x + next.dx, y + next.dy);
-    if (!(a > 0) || !(b > 0)) return false;
-    const float ratio = std::max(a, b) / std::min(a, b);
-    if (ratio > kOneSurface) return false;
-    // At the border of what is known nothing tells how depth bends, and the other place decides alone.
-    const auto here = inverse_depth_bend(grid_, x, y, next.dx, next.dy);
-    const auto there = inverse_depth_bend(grid_, x + next.dx, y + next.dy, next.dx, next.dy);
-    if (!here && !there) return ratio <= 1 + options_.edge_step;
-    const double bend = here && there ? std::min(*here, *there) : (here ? *here : *there);
-    return bend <= options_.edge_step;
+    const auto here = change(x, y, next);
+    if (!here) return false;
+    const float a = grid_.at(x, y), b = grid_.at(x + next.dx, y + next.dy), nearer = std::min(a, b);
+    if (std::max(a, b) > (1 + kSteepest * static_cast<float>(options_.step)) * nearer) return false;
+    // A step, smeared or not, is steeper than what lies on both its sides.
+    double excess = std::numeric_limits<double>::infinity();
+    for (const int64_t away : {-around_, around_}) {
+      const auto there = change_near(x, y, next, away);
+      if (there) excess = std::min(excess, static_cast<double>(std::abs(*here - *there) * nearer));
+    }
+    return !std::isfinite(excess) || excess <= options_.edge_step;
   }
 
   uint32_t vertex(int64_t x, int64_t y) {
@@ -117,6 +139,7 @@ class SurfaceMaker {
   const Camera& camera_;
   int64_t full_width_;
   int64_t full_height_;
+  int64_t around_ = kStepWidth;  // places of the grid
   DepthMap grid_;
   std::vector<uint32_t> vertices_;  // of the grid's places
   DepthSurface surface_;

@@ -13,8 +13,9 @@ namespace gld {
 
 struct DepthSurfaceOptions {
   int64_t step = 1;  // pixels from one vertex to the next
-  // How much inverse depth bends (infer/export/point_cloud.h) on both sides of where the surface is cut.
-  double edge_step = 0.08;
+  // A surface is cut where inverse depth changes from a vertex to the next by more than this, relative to itself, beyond
+  // how it changes a few pixels to both sides. On a plane seen in perspective the difference is 0.
+  double edge_step = 0.02;
   double farthest = std::numeric_limits<double>::infinity();  // deeper pixels are left out
 };
 
@@ -30,8 +31,8 @@ struct DepthSurface {
 };
 
 // The camera is of the depth map's size. Neighbouring pixels are joined where both are known, near enough, and on one
-// surface: their depths differ by less than 15 %, and inverse depth does not bend at both as it does on the two sides of
-// a step. Vertices that no triangle has are left out.
+// surface: their depths differ by less than 8 %, and not by edge_step more than those around. Vertices that no
+// triangle has are left out.
 DepthSurface depth_surface(const DepthMap& depth, const Camera& camera, const DepthSurfaceOptions& options);
 
 }  // namespace gld

@@ -22,7 +22,7 @@ constexpr double kFloatRounding = 1.0 / (1 << 24);
 constexpr double kLargestRounding = 1e-6;  // over the scene's size
 // How far a principal point may be from the middle for glTF's cameras, which have none, to be right: pixels.
 constexpr double kMiddle = 1e-3;
-constexpr double kNearest = 1e-3, kFarthest = 1e3;  // typical depths, where viewers clip
+constexpr double kNearest = 1e-2, kFarthest = 1e2;  // typical depths, where viewers clip
 
 struct Box {
   Eigen::Vector3d low = Eigen::Vector3d::Constant(std::numeric_limits<double>::infinity());

@@ -187,12 +187,12 @@ class Exporter {
     if (known.empty())
       warn("There are no surfaces, because the run has no depth in the world of its cameras.");
     write_glb(place(format), scene);
-    const Eigen::Vector3d origin = glb_origin(scene);
+    const Eigen::Vector3d moved = Eigen::Vector3d::Zero() - glb_origin(scene);
     report_["glb"] = {{"points", scene.cloud.size()},
                       {"surface_step", surface.step},
                       {"vertices", vertices},
                       {"triangles", triangles},
-                      {"recentred_by", {-origin.x(), -origin.y(), -origin.z()}}};
+                      {"recentred_by", {moved.x(), moved.y(), moved.z()}}};
   }
 
   void write_colmap(const ExportFormat& format) {
@@ -271,8 +271,8 @@ void ExportOptions::visit(FieldVisitor& visitor) {
                   {1, 1'000'000'000});
   visitor.integer({"surface_vertices", "glb: coarser surfaces where those of all views have more vertices"},
                   surface_vertices, {4, 100'000'000});
-  visitor.real({"edge_step", "glb: relative step of inverse depth at which surfaces are cut"}, edge_step,
-               {1e-6, 1e6});
+  visitor.real({"edge_step", "glb: surfaces are cut where inverse depth steps by this share of itself"},
+               edge_step, {1e-6, 1e6});
   visitor.real(
       {"far_limit", "glb: surfaces without what is deeper than this many median depths (0: with all)"},
       far_limit, {0, 1e30});

@@ -16,7 +16,7 @@ struct ExportOptions : OptionsGroup {
   bool overwrite = false;
   int64_t max_points = 300'000;
   int64_t surface_vertices = 500'000;
-  double edge_step = 0.08;
+  double edge_step = 0.02;
   double far_limit = 20;
   int64_t between = 0;
   int64_t views_per_second = 4;

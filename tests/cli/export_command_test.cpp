@@ -24,7 +24,7 @@ struct Ended {
   std::string errors;
 };
 
-Ended gld(const std::vector<std::string>& arguments) {
+Ended ended_of(const std::vector<std::string>& arguments) {
   ::testing::internal::CaptureStdout();
   ::testing::internal::CaptureStderr();
   Ended ended;
@@ -59,11 +59,12 @@ TEST_F(ExportCommand, TakesARunOfGldSample) {
   }
   // The written configuration repeats it, and a flag names the run as well.
   const std::string again = (folder_->path() / "again").string();
-  EXPECT_EQ(gld({"export", "--config", out + "/config.yaml", "--out", again}).status, 0);
+  EXPECT_EQ(ended_of({"export", "--config", out + "/config.yaml", "--out", again}).status, 0);
   EXPECT_EQ(read_file(std::filesystem::path(again) / "scene.glb") ==
                 read_file(std::filesystem::path(out) / "scene.glb"),
             true);
-  const Ended twice = gld({"export", sampled.out, "--run", "elsewhere", "--as", "glb", "--out", again + "2"});
+  const Ended twice =
+      ended_of({"export", sampled.out, "--run", "elsewhere", "--as", "glb", "--out", again + "2"});
   EXPECT_NE(twice.status, 0);
   EXPECT_THAT(twice.errors, HasSubstr("--run: expected one run folder, found two; name it once."));
 }

@@ -70,7 +70,7 @@ TEST(NerfstudioWriter, IsReadBack) {
   EXPECT_LT((scene.frames[0].camera.world_from_camera.matrix() - expected.world_from_camera.matrix())
                 .cwiseAbs()
                 .maxCoeff(),
-            1e-15);
+            1e-14);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include "tests/support/error_of.h"
 
+#include <algorithm>
 #include <cmath>
 #include <set>
 
@@ -59,7 +60,7 @@ TEST(DepthSurface, JoinsAllOfAPlane) {
 TEST(DepthSurface, IsCutAtSteps) {
   DepthMap depth = slanted(20, 15);
   for (int64_t y = 0; y < 15; ++y) {
-    for (int64_t x = 0; x < 8; ++x) depth.at(x, y) *= 0.9F;  // less than 15 %: only the bend tells it
+    for (int64_t x = 0; x < 8; ++x) depth.at(x, y) *= 0.96F;  // less than 8 %: only what lies around tells it
   }
   const DepthSurface surface = depth_surface(depth, camera_of(20, 15), {});
   // All columns but the one across the step.
@@ -79,9 +80,22 @@ TEST(DepthSurface, IsCutAtSteps) {
   EXPECT_EQ(depth_surface(depth, camera_of(20, 15), lenient).corners.size(), 3U * 2 * 19 * 14);
 }
 
+// Predicted depth goes from one surface to the next in a few pixels, none of which is steep.
+TEST(DepthSurface, IsCutAtSmearedSteps) {
+  DepthMap depth = slanted(20, 15);
+  for (int64_t y = 0; y < 15; ++y) {
+    for (int64_t x = 0; x < 11; ++x)
+      depth.at(x, y) *= static_cast<float>(0.84 + 0.04 * std::max<double>(0, static_cast<double>(x) - 7));
+  }
+  const DepthSurface surface = depth_surface(depth, camera_of(20, 15), {});
+  EXPECT_EQ(surface.corners.size(), 3U * 2 * 15 * 14);
+  for (const auto& texture : surface.texture)
+    EXPECT_FALSE(texture.x() > 8.0F / 20 && texture.x() < 11.0F / 20);
+}
+
 TEST(DepthSurface, IsCutAtStepsOfTheBorder) {
   DepthMap depth = slanted(20, 15);
-  for (int64_t y = 0; y < 15; ++y) depth.at(0, y) *= 0.9F;
+  for (int64_t y = 0; y < 15; ++y) depth.at(0, y) *= 0.96F;
   EXPECT_EQ(depth_surface(depth, camera_of(20, 15), {}).corners.size(), 3U * 2 * 18 * 14);
 }
 

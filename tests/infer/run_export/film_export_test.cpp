@@ -27,7 +27,10 @@ using ::testing::MatchesRegex;
 
 class FilmExport : public ::testing::Test {
  protected:
-  Film film_of(const DrawnRun& drawn) {
+  // Large enough that half the resolution of colours is enough of them.
+  Film film_of(DrawnRun drawn) {
+    drawn.width = 256;
+    drawn.height = 192;
     const auto place = folder_.path() / "run";
     std::filesystem::remove_all(place);
     test::write_drawn_run(place, drawn);
@@ -43,10 +46,10 @@ class FilmExport : public ::testing::Test {
     const auto place = folder_.path() / "decoded";
     std::filesystem::remove_all(place);
     std::filesystem::create_directory(place);
-    const auto run =
-        test::run_program("ffmpeg", {"-nostdin", "-loglevel", "error", "-i", video.string(), "-vf",
-                                     "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd", "-pix_fmt",
-                                     "rgb24", (place / "%03d.png").string()});
+    const auto run = test::run_program(
+        "ffmpeg", {"-nostdin", "-loglevel", "error", "-i", video.string(), "-vf",
+                   "scale=in_color_matrix=bt709:in_range=tv:flags=accurate_rnd+full_chroma_int+bicubic",
+                   "-pix_fmt", "rgb24", (place / "%03d.png").string()});
     EXPECT_EQ(run.status, 0) << run.text;
     std::vector<Image> frames;
     for (int i = 1; std::filesystem::exists(place / fmt::format("{:03}.png", i)); ++i)
@@ -90,8 +93,8 @@ TEST_F(FilmExport, WritesMp4) {
   const auto& stream = json.at("streams")[0];
   EXPECT_EQ(stream.at("codec_name"), "h264");
   EXPECT_EQ(stream.at("pix_fmt"), "yuv420p");
-  EXPECT_EQ(stream.at("width"), 48);
-  EXPECT_EQ(stream.at("height"), 36);
+  EXPECT_EQ(stream.at("width"), 256);
+  EXPECT_EQ(stream.at("height"), 192);
   EXPECT_EQ(stream.at("r_frame_rate"), "5/1");
   EXPECT_EQ(stream.at("nb_read_frames"), "4");
   EXPECT_EQ(stream.at("color_space"), "bt709");
@@ -113,26 +116,26 @@ TEST_F(FilmExport, RoundsOddSidesUp) {
   DrawnRun drawn;
   drawn.cut = 3;
   const Film film = film_of(drawn);
-  ASSERT_EQ(film.width, 45);
-  ASSERT_EQ(film.height, 33);
+  ASSERT_EQ(film.width, 253);
+  ASSERT_EQ(film.height, 189);
   const auto file = folder_.path() / "path.mp4";
   export_mp4(file, film, texts_, require_ffmpeg());
   const std::vector<Image> frames = decoded(file);
   ASSERT_EQ(frames.size(), 4U);
-  ASSERT_EQ(frames[0].width, 46);
-  ASSERT_EQ(frames[0].height, 34);
+  ASSERT_EQ(frames[0].width, 254);
+  ASSERT_EQ(frames[0].height, 190);
   const Image expected = read_image(film.frames[0].file);
   double sum = 0;
-  for (int64_t y = 0; y < 34; ++y) {
-    for (int64_t x = 0; x < 46; ++x) {
+  for (int64_t y = 0; y < 190; ++y) {
+    for (int64_t x = 0; x < 254; ++x) {
       for (int c = 0; c < 3; ++c) {
-        const double difference =
-            frames[0].pixel(x, y)[c] - expected.pixel(std::min<int64_t>(x, 44), std::min<int64_t>(y, 32))[c];
+        const double difference = frames[0].pixel(x, y)[c] -
+                                  expected.pixel(std::min<int64_t>(x, 252), std::min<int64_t>(y, 188))[c];
         sum += difference * difference;
       }
     }
   }
-  EXPECT_GT(10 * std::log10(255.0 * 255 * 46 * 34 * 3 / sum), 35);
+  EXPECT_GT(10 * std::log10(255.0 * 255 * 254 * 190 * 3 / sum), 35);
 }
 
 TEST_F(FilmExport, SaysInASentenceWhatFfmpegDoes) {

@@ -188,7 +188,7 @@ TEST_F(GlbFile, HasLinearColours) {
   EXPECT_EQ(primitive.at("mode"), 0);
   const auto colours = test::accessor_values(gltf, primitive.at("attributes").at("COLOR_0"));
   EXPECT_EQ(colours[0], (std::vector<double>{0, 14146, 65535, 65535}));
-  EXPECT_EQ(colours[1], (std::vector<double>{199, 219, 32955, 65535}));
+  EXPECT_EQ(colours[1], (std::vector<double>{199, 219, 32957, 65535}));
 }
 
 TEST_F(GlbFile, DoesWithoutPointsSurfacesOrViews) {
