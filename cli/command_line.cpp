@@ -228,6 +228,8 @@ void require_argument_count(const Command& command, const std::vector<std::strin
       arguments.maximum == 0 ? "no argument without a flag"
       : arguments.minimum == arguments.maximum
           ? std::to_string(arguments.minimum) + " argument(s): " + arguments.usage
+      : arguments.minimum == 0
+          ? "at most " + std::to_string(arguments.maximum) + " argument(s): " + arguments.usage
           : "at least " + std::to_string(arguments.minimum) + " argument(s): " + arguments.usage;
   const std::string found = arguments.maximum == 0 ? "'" + given.front() + "'" : std::to_string(count);
   fail({"gld " + command.name, expected, found, "see gld " + command.name + " --help"});

@@ -5,6 +5,7 @@
 #include "cli/convert_command.h"
 #include "cli/doctor_command.h"
 #include "cli/eval_command.h"
+#include "cli/export_command.h"
 #include "cli/inspect_command.h"
 #include "cli/plan_command.h"
 #include "cli/sample_command.h"
@@ -24,7 +25,7 @@ std::vector<Command> all_commands() {
                                    make_convert_command(),    make_inspect_command(), make_verify_command(),
                                    make_check_data_command(), make_synth_command(),   make_train_command(),
                                    make_stats_command(),      make_eval_command(),    make_splat_command(),
-                                   make_ablate_command()};
+                                   make_export_command(),     make_ablate_command()};
 #ifdef GLD_BENCHMARKS
   commands.push_back(make_bench_command());
 #endif

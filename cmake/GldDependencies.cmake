@@ -38,9 +38,18 @@ endmacro()
 gld_require_module(CAIRO cairo libcairo2-dev cairo cairo-svg cairo-png)
 gld_require_module(PANGO Pango libpango1.0-dev pangocairo>=1.44)
 gld_require_module(EXIF libexif libexif-dev libexif)
-gld_require_module(WEBP libwebp libwebp-dev libwebp libwebpdemux)
+gld_require_module(WEBP libwebp libwebp-dev libwebp libwebpdemux libwebpmux)
 gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d calib3d)
 gld_require(Ceres libceres-dev 2.1)
+
+# A header alone, compiled in one place without what it has for images: no library of Debian's is linked.
+find_path(GLD_TINYGLTF_FOLDER tiny_gltf.h)
+if(NOT GLD_TINYGLTF_FOLDER)
+  message(FATAL_ERROR "tinygltf was not found. Run scripts/setup.sh, or install the Debian package libtinygltf-dev.")
+endif()
+add_library(gld_tinygltf INTERFACE)
+target_include_directories(gld_tinygltf SYSTEM INTERFACE ${GLD_TINYGLTF_FOLDER})
+target_compile_definitions(gld_tinygltf INTERFACE TINYGLTF_NO_STB_IMAGE TINYGLTF_NO_STB_IMAGE_WRITE)
 
 if(GLD_BUILD_TESTS)
   gld_require_module(HDF5 HDF5 libhdf5-dev hdf5)  # writes what our reader of it is tested with

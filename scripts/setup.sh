@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
-#   --testing                 also what tests need beside the build
-#   --development             also what checks the sources, and COLMAP, which tests of the label shared run
+#   --testing                 also the programs that tests run: what we write is read by others
+#   --development             also all of --testing and what checks the sources
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
 #                             build/; what it is and how large is said first, and where it lies at the end
@@ -15,7 +15,7 @@ libtorch_version=
 while [ $# -gt 0 ]; do
   case $1 in
     --testing) testing=yes ;;
-    --development) development=yes ;;
+    --development) development=yes testing=yes ;;
     --packaging) packaging=yes ;;
     --libtorch-version)
       libtorch_version=${2:-}
@@ -38,13 +38,13 @@ packages=(
   libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libceres-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
-  libssl-dev
+  libssl-dev libtinygltf-dev
 )
 if [ -n "$testing" ]; then
-  packages+=(python3)
+  packages+=(python3 colmap ffmpeg assimp-utils)
 fi
 if [ -n "$development" ]; then
-  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev colmap)
+  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
 fi
 if [ -n "$libtorch_version" ]; then
   packages+=(python3-venv)

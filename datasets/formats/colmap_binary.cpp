@@ -198,6 +198,7 @@ ColmapSightings read_colmap_sightings(const std::filesystem::path& folder) {
 }
 
 void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel& model) {
+  const auto tracks = colmap_tracks(model);
   BinaryWriter cameras;
   cameras.put(static_cast<uint64_t>(model.cameras.size()));
   for (const auto& [id, camera] : model.cameras) {
@@ -218,7 +219,12 @@ void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel&
     images.put(image.translation);
     images.put(static_cast<int32_t>(image.camera_id));
     images.put_text(image.name);
-    images.put(uint64_t{0});
+    images.put(static_cast<uint64_t>(image.sightings.size()));
+    for (const ColmapSighting& sighting : image.sightings) {
+      images.put(sighting.position.x());
+      images.put(sighting.position.y());
+      images.put(sighting.point);
+    }
   }
   write_file_atomically(folder / "images.bin", images.bytes());
   BinaryWriter points;
@@ -226,9 +232,14 @@ void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel&
   for (size_t i = 0; i < model.points_in_world.size(); ++i) {
     points.put(static_cast<uint64_t>(i + 1));
     points.put(model.points_in_world[i]);
-    for (int c = 0; c < 3; ++c) points.put(uint8_t{128});
-    points.put(0.0);
-    points.put(uint64_t{0});
+    const ColmapPointLooks looks = model.point_looks.empty() ? ColmapPointLooks() : model.point_looks[i];
+    for (const uint8_t value : looks.colour) points.put(value);
+    points.put(looks.error);
+    points.put(static_cast<uint64_t>(tracks[i].size()));
+    for (const ColmapTrackElement& element : tracks[i]) {
+      points.put(static_cast<int32_t>(element.image_id));
+      points.put(static_cast<int32_t>(element.sighting));
+    }
   }
   write_file_atomically(folder / "points3D.bin", points.bytes());
 }

@@ -17,10 +17,6 @@ ColmapModel read_colmap_binary(const std::filesystem::path& folder);
 void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel& model);
 
 // Where the images of a model show its points: much more than the model itself, so read apart.
-struct ColmapSighting {
-  uint64_t point = 0;
-  Eigen::Vector2d position = Eigen::Vector2d::Zero();  // pixels, distorted as in the photograph
-};
 struct ColmapSightings {
   std::map<uint64_t, Eigen::Vector3d> points_in_world;        // by id
   std::map<std::string, std::vector<ColmapSighting>> images;  // by name; only places that belong to a point

@@ -90,6 +90,27 @@ void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& 
   }
 }
 
+std::vector<std::vector<ColmapTrackElement>> colmap_tracks(const ColmapModel& model) {
+  const size_t points = model.points_in_world.size();
+  if (!model.point_looks.empty() && model.point_looks.size() != points) {
+    fail({"COLMAP model", std::to_string(points) + " points with colours",
+          std::to_string(model.point_looks.size()), "give one a point, or none"});
+  }
+  std::vector<std::vector<ColmapTrackElement>> tracks(points);
+  for (size_t i = 0; i < model.images.size(); ++i) {
+    const ColmapImage& image = model.images[i];
+    for (size_t k = 0; k < image.sightings.size(); ++k) {
+      const uint64_t point = image.sightings[k].point;
+      if (point < 1 || point > points) {
+        fail({"COLMAP model, image " + image.name, "sightings of points 1 to " + std::to_string(points),
+              std::to_string(point), "add the point or leave the sighting out"});
+      }
+      tracks[point - 1].push_back({static_cast<int64_t>(i) + 1, static_cast<int64_t>(k)});
+    }
+  }
+  return tracks;
+}
+
 ColmapLocation find_colmap_model(const std::filesystem::path& scene) {
   for (const auto& folder : {scene, scene / "sparse" / "0", scene / "sparse",
                              scene / "colmap" / "sparse" / "0", scene / "sparse_txt"}) {

@@ -3,6 +3,7 @@
 #include "datasets/formats/frame_pixels.h"
 #include "datasets/scenes/lens_distortion.h"
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <map>
@@ -23,18 +24,42 @@ struct ColmapCamera {
   std::vector<double> parameters;  // in the model's order
 };
 
+// Where an image shows a point.
+struct ColmapSighting {
+  uint64_t point = 0;                                  // its id
+  Eigen::Vector2d position = Eigen::Vector2d::Zero();  // pixels, distorted as in the photograph
+};
+
 struct ColmapImage {
   Eigen::Quaterniond rotation = Eigen::Quaterniond::Identity();
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();
   int64_t camera_id = 0;
   std::string name;  // path below the image folder
+  // For writing; much more than the model itself, so that reading is read_colmap_sightings()'s.
+  std::vector<ColmapSighting> sightings;
+};
+
+// What a reconstruction says of a point beside its place and where it is seen.
+struct ColmapPointLooks {
+  std::array<uint8_t, 3> colour{128, 128, 128};
+  double error = 0;  // pixels; -1: not known
 };
 
 struct ColmapModel {
   std::map<int64_t, ColmapCamera> cameras;       // by id
   std::vector<ColmapImage> images;               // by name, natural order
-  std::vector<Eigen::Vector3d> points_in_world;  // by id
+  std::vector<Eigen::Vector3d> points_in_world;  // by id; written with the ids 1, 2, ...
+  std::vector<ColmapPointLooks> point_looks;     // for writing, one a point, or none
+  std::vector<std::string> comments;             // for writing, lines of text files; binary ones hold none
 };
+
+// For writers: the track of each point of a model, the images (counted from 1) that show it and the place in their
+// sightings (counted from 0). Throws Error for a sighting of a point that the model does not have.
+struct ColmapTrackElement {
+  int64_t image_id = 0;
+  int64_t sighting = 0;
+};
+std::vector<std::vector<ColmapTrackElement>> colmap_tracks(const ColmapModel& model);
 
 enum class ColmapForm { kText, kBinary };
 

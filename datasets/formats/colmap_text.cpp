@@ -31,6 +31,13 @@ std::string after_fields(const std::string& line, size_t count) {
   return line.substr(position, line.find_last_not_of(" \t") + 1 - position);
 }
 
+// A comment must not begin a line of its own.
+std::string one_line(std::string text) {
+  std::replace_if(
+      text.begin(), text.end(), [](char letter) { return letter == '\n' || letter == '\r'; }, ' ');
+  return text;
+}
+
 void read_cameras_txt(const std::filesystem::path& file, ColmapModel& model) {
   for (const TextLine& line : read_lines(file)) {
     if (is_comment(line.text) || is_blank(line.text)) continue;
@@ -98,26 +105,41 @@ ColmapModel read_colmap_text(const std::filesystem::path& folder) {
 }
 
 void write_colmap_text(const std::filesystem::path& folder, const ColmapModel& model) {
-  std::string text = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n";
+  const auto tracks = colmap_tracks(model);
+  std::string comments;
+  for (const std::string& comment : model.comments) comments += "# " + one_line(comment) + "\n";
+  std::string text = "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n" + comments;
   for (const auto& [id, camera] : model.cameras) {
     text += fmt::format("{} {} {} {}", id, camera.model, camera.width, camera.height);
     for (double value : camera.parameters) text += fmt::format(" {}", value);
     text += "\n";
   }
   write_file_atomically(folder / "cameras.txt", text);
-  text = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n";
+  text = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n" +
+         comments;
   for (size_t i = 0; i < model.images.size(); ++i) {
     const ColmapImage& image = model.images[i];
     const Eigen::Quaterniond& q = image.rotation;
     const Eigen::Vector3d& t = image.translation;
-    text += fmt::format("{} {} {} {} {} {} {} {} {} {}\n\n", i + 1, q.w(), q.x(), q.y(), q.z(), t.x(), t.y(),
+    text += fmt::format("{} {} {} {} {} {} {} {} {} {}\n", i + 1, q.w(), q.x(), q.y(), q.z(), t.x(), t.y(),
                         t.z(), image.camera_id, image.name);
+    for (size_t k = 0; k < image.sightings.size(); ++k) {
+      const ColmapSighting& sighting = image.sightings[k];
+      text += fmt::format("{}{} {} {}", k == 0 ? "" : " ", sighting.position.x(), sighting.position.y(),
+                          sighting.point);
+    }
+    text += "\n";
   }
   write_file_atomically(folder / "images.txt", text);
-  text = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n";
+  text = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n" + comments;
   for (size_t i = 0; i < model.points_in_world.size(); ++i) {
     const Eigen::Vector3d& p = model.points_in_world[i];
-    text += fmt::format("{} {} {} {} 128 128 128 0\n", i + 1, p.x(), p.y(), p.z());
+    const ColmapPointLooks looks = model.point_looks.empty() ? ColmapPointLooks() : model.point_looks[i];
+    text += fmt::format("{} {} {} {} {} {} {} {}", i + 1, p.x(), p.y(), p.z(), looks.colour[0],
+                        looks.colour[1], looks.colour[2], looks.error);
+    for (const ColmapTrackElement& element : tracks[i])
+      text += fmt::format(" {} {}", element.image_id, element.sighting);
+    text += "\n";
   }
   write_file_atomically(folder / "points3D.txt", text);
 }

@@ -1,12 +1,10 @@
 // Layouts that keep each camera beside its image or in one JSON list: cameras-json, npz, nerfstudio.
 #include "datasets/formats/cameras_json.h"
 #include "datasets/formats/depth_files.h"
-#include "datasets/formats/json_file.h"
+#include "datasets/formats/nerfstudio_writer.h"
 #include "datasets/formats/scene_layouts.h"
 #include "datasets/images/image_file.h"
-#include "datasets/scenes/frame_checks.h"
 #include "gld/base/atomic_file.h"
-#include "gld/base/json_text.h"
 #include "gld/files/npy.h"
 
 #include <vector>
@@ -72,27 +70,12 @@ void write_npz_layout(const Scene& scene, const std::filesystem::path& folder) {
 void write_nerfstudio_layout(const Scene& scene, const std::filesystem::path& folder) {
   std::filesystem::create_directories(folder / "images");
   std::filesystem::create_directories(folder / "depth");
-  nlohmann::ordered_json content;
-  content["camera_model"] = "OPENCV";
-  content["frames"] = nlohmann::ordered_json::array();
+  Transforms transforms;
   for (const Frame& frame : scene.frames) {
     const WrittenFrame written = write_pixels(frame, folder);
-    const Eigen::Matrix3d& k = frame.camera.intrinsics;
-    nlohmann::ordered_json entry;
-    entry["file_path"] = written.image;
-    if (!written.depth.empty()) entry["depth_file_path"] = written.depth;
-    entry["w"] = frame.camera.width;
-    entry["h"] = frame.camera.height;
-    entry["fl_x"] = k(0, 0);
-    entry["fl_y"] = k(1, 1);
-    entry["cx"] = k(0, 2);
-    entry["cy"] = k(1, 2);
-    // Turning y and z around is its own inverse.
-    entry["transform_matrix"] =
-        pose_to_json(opencv_from_opengl_pose(frame.camera.world_from_camera).matrix());
-    content["frames"].push_back(entry);
+    transforms.frames.push_back({written.image, written.depth, frame.camera});
   }
-  write_file_atomically(folder / "transforms.json", json_text(content, 1) + "\n");
+  write_transforms_json(folder / "transforms.json", transforms);
 }
 
 }  // namespace gld

@@ -11,51 +11,23 @@
 #include "gld/base/child_process.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/work_folder.h"
 
 #include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
-#include <cstdlib>
 #include <fstream>
 #include <map>
 #include <optional>
-#include <sstream>
 #include <thread>
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 namespace gld {
 namespace {
 
 constexpr int kJpegQuality = 97;
-
-// A folder below the system's temporary one, removed unless it is kept.
-class WorkFolder {
- public:
-  WorkFolder() {
-    std::string name = (std::filesystem::temp_directory_path() / "gld-colmap-XXXXXX").string();
-    if (::mkdtemp(name.data()) == nullptr) {
-      fail({name, "a folder for what COLMAP writes", "none could be made",
-            "check the temporary folder ($TMPDIR)"});
-    }
-    path_ = name;
-  }
-  ~WorkFolder() {
-    std::error_code ignored;
-    if (!kept_) std::filesystem::remove_all(path_, ignored);
-  }
-  WorkFolder(const WorkFolder&) = delete;
-  WorkFolder& operator=(const WorkFolder&) = delete;
-  const std::filesystem::path& path() const { return path_; }
-  std::filesystem::path log() const { return path_ / "colmap.log"; }
-  void keep() { kept_ = true; }
-
- private:
-  std::filesystem::path path_;
-  bool kept_ = false;
-};
 
 // Runs COLMAP's commands one after another.
 class ColmapProgram {
@@ -212,21 +184,12 @@ FirstFocalLengths first_focal_lengths(const std::vector<UnregisteredPhotograph>&
 
 }  // namespace
 
-std::filesystem::path found_colmap() {
-  const char* folders = std::getenv("PATH");
-  std::istringstream list(folders == nullptr ? "" : folders);
-  for (std::string folder; std::getline(list, folder, ':');) {
-    if (folder.empty()) continue;
-    auto program = std::filesystem::absolute(std::filesystem::path(folder) / "colmap");
-    if (std::filesystem::is_regular_file(program) && ::access(program.c_str(), X_OK) == 0) return program;
-  }
-  return {};
-}
+std::filesystem::path found_colmap() { return found_program("colmap"); }
 
 Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photographs,
                                 const ColmapRegistrationOptions& options, const std::string& where) {
   require_several(photographs, where);
-  WorkFolder folder;
+  WorkFolder folder("colmap");
   const auto images = folder.path() / "images", models = folder.path() / "models";
   std::filesystem::create_directory(images);
   std::filesystem::create_directory(models);

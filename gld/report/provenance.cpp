@@ -26,14 +26,17 @@ void shorten_paths(nlohmann::json& values) {
 
 std::string program_version() { return "gld " GLD_VERSION; }
 
+std::string identifying_options(nlohmann::json options) {
+  for (const std::string& name : options_beside_the_result()) options.erase(name);
+  shorten_paths(options);
+  return json_text(options);
+}
+
 Provenance make_provenance(const std::string& command, const OptionsGroup& options) {
-  nlohmann::json values = to_json(options);
-  for (const std::string& name : options_beside_the_result()) values.erase(name);
-  shorten_paths(values);
   Provenance provenance;
   provenance.program = program_version();
   provenance.command = command;
-  provenance.options = json_text(values);
+  provenance.options = identifying_options(to_json(options));
   return provenance;
 }
 

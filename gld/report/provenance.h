@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 namespace gld {
 
 // Named texts inside a file, in order: PNG text chunks, PLY comments. Texts are UTF-8.
@@ -25,6 +27,10 @@ struct Provenance {
 
 // "gld 0.1.0": this build.
 std::string program_version();
+
+// JSON on one line of a run's options, those that identify a result (options_beside_the_result), of absolute paths the
+// last name.
+std::string identifying_options(nlohmann::json options);
 
 // program is this build's; options are those that identify a result (options_beside_the_result): an output's bytes must
 // not depend on where it lies.

@@ -75,6 +75,13 @@ std::filesystem::path made_folder(const std::filesystem::path& folder, const std
 
 }  // namespace
 
+std::string command_of_run(const std::filesystem::path& folder) {
+  const std::string line = first_line(folder / kRunConfiguration), before = "# gld ";
+  const size_t end = line.find(": the options");
+  if (line.rfind(before, 0) != 0 || end == std::string::npos) return {};
+  return line.substr(before.size(), end - before.size());
+}
+
 EarlierRun earlier_run(bool overwrite) { return overwrite ? EarlierRun::kOverwrite : EarlierRun::kRefuse; }
 
 void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier) {
@@ -94,11 +101,9 @@ void check_run_folder(const std::filesystem::path& folder, const std::string& co
   // Killed before it wrote its configuration, a run has only begun.
   const bool begun = found.empty() && journal;
   if (!begun && found != configuration_header(command)) {
-    const auto other_command = found.find(": the options");
-    const bool other_run = found.rfind("# gld ", 0) == 0 && other_command != std::string::npos;
+    const std::string other = command_of_run(folder);
     fail({folder.string(), "a new or empty folder",
-          other_run ? "a run of " + found.substr(2, other_command - 2) : "a folder with other files",
-          "choose another --out"});
+          other.empty() ? "a folder with other files" : "a run of gld " + other, "choose another --out"});
   }
   if (earlier == EarlierRun::kContinue) return;
   if (earlier == EarlierRun::kRefuse) {

@@ -1,5 +1,6 @@
 #include "datasets/formats/colmap_reader.h"
 
+#include "datasets/formats/colmap_binary.h"
 #include "datasets/formats/colmap_model.h"
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
@@ -157,6 +158,54 @@ TEST_F(SmallColmap, BinaryCountsAreCheckedAgainstTheFile) {
   EXPECT_NE(
       error().find("expected the end of the file, found 4 more bytes; check that it is a file of this kind."),
       std::string::npos);
+}
+
+// What images show of points is written in both forms, the binary one as read_colmap_sightings reads it.
+TEST_F(SmallColmap, WritesWhereImagesShowPoints) {
+  ColmapModel model;
+  model.cameras[1] = {"PINHOLE", 8, 6, {7, 9, 3, 2.5}};
+  for (const char* name : {"a.png", "b.png"}) {
+    ColmapImage image;
+    image.camera_id = 1;
+    image.name = name;
+    model.images.push_back(image);
+  }
+  model.points_in_world = {{1, 2, 3}, {4, 5, 6}, {7, 8, 9}};
+  model.point_looks = {{{1, 2, 3}, 0.5}, {{4, 5, 255}, -1}, {{0, 0, 0}, 0}};
+  model.images[0].sightings = {{2, {1.25, 3.5}}, {1, {0.1, 0.2}}};
+  model.images[1].sightings = {{1, {7.75, 5}}};
+  model.comments = {"made by\na test"};
+  const auto text = folder_.path() / "text", binary = folder_.path() / "binary";
+  for (const auto& path : {text, binary}) std::filesystem::create_directories(path);
+  write_colmap_model(text, model, ColmapForm::kText);
+  write_colmap_model(binary, model, ColmapForm::kBinary);
+  EXPECT_EQ(read_file(text / "points3D.txt"),
+            "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n# made by a test\n"
+            "1 1 2 3 1 2 3 0.5 1 1 2 0\n2 4 5 6 4 5 255 -1 1 0\n3 7 8 9 0 0 0 0\n");
+  EXPECT_EQ(
+      read_file(text / "images.txt"),
+      "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
+      "# made by a test\n1 1 0 0 0 0 0 0 1 a.png\n1.25 3.5 2 0.1 0.2 1\n2 1 0 0 0 0 0 0 1 b.png\n7.75 5 1\n");
+  const ColmapSightings read = read_colmap_sightings(binary);
+  EXPECT_EQ(read.points_in_world.at(3), Eigen::Vector3d(7, 8, 9));
+  ASSERT_EQ(read.images.at("a.png").size(), 2U);
+  EXPECT_EQ(read.images.at("a.png")[0].point, 2U);
+  EXPECT_EQ(read.images.at("a.png")[0].position, Eigen::Vector2d(1.25, 3.5));
+  EXPECT_EQ(read.images.at("b.png")[0].position, Eigen::Vector2d(7.75, 5));
+  for (const ColmapForm form : {ColmapForm::kText, ColmapForm::kBinary}) {
+    const ColmapModel whole = read_colmap_model(form == ColmapForm::kText ? text : binary, form);
+    EXPECT_EQ(whole.points_in_world, model.points_in_world);
+    EXPECT_EQ(whole.images.size(), 2U);
+  }
+  model.images[0].sightings[0].point = 4;
+  EXPECT_EQ(
+      test::error_of([&] { write_colmap_model(text, model, ColmapForm::kText); }),
+      "COLMAP model, image a.png: expected sightings of points 1 to 3, found 4; add the point or leave the "
+      "sighting out.");
+  model.images[0].sightings.clear();
+  model.point_looks.pop_back();
+  EXPECT_EQ(test::error_of([&] { write_colmap_model(text, model, ColmapForm::kText); }),
+            "COLMAP model: expected 3 points with colours, found 2; give one a point, or none.");
 }
 
 // Random damage never crashes and either reads or gives our sentence.

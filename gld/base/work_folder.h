@@ -1,0 +1,32 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+
+namespace gld {
+
+// A folder below the system's temporary one for what another program reads and writes, removed at the end unless it is
+// kept for somebody to look at.
+class WorkFolder {
+ public:
+  // name: what it is for, "colmap": the folder's name begins with it. Throws Error where none can be made.
+  explicit WorkFolder(const std::string& name);
+  ~WorkFolder();
+  WorkFolder(const WorkFolder&) = delete;
+  WorkFolder& operator=(const WorkFolder&) = delete;
+
+  const std::filesystem::path& path() const { return path_; }
+  // Where what the program prints goes: NAME.log.
+  std::filesystem::path log() const { return path_ / (name_ + ".log"); }
+  void keep() { kept_ = true; }
+
+ private:
+  std::string name_;
+  std::filesystem::path path_;
+  bool kept_ = false;
+};
+
+// The program of that name on the PATH; empty where there is none.
+std::filesystem::path found_program(const std::string& name);
+
+}  // namespace gld
