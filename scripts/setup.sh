@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
 #   --development             also what checks the sources, and COLMAP, which tests of the label shared run
+#   --testing                 also the browser that tests look at pages with
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
 #                             build/; what it is and how large is said first, and where it lies at the end
@@ -8,11 +9,13 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 development=
+testing=
 packaging=
 libtorch_version=
 while [ $# -gt 0 ]; do
   case $1 in
     --development) development=yes ;;
+    --testing) testing=yes ;;
     --packaging) packaging=yes ;;
     --libtorch-version)
       libtorch_version=${2:-}
@@ -23,7 +26,7 @@ while [ $# -gt 0 ]; do
       shift
       ;;
     *)
-      echo "setup: expected --development, --packaging or --libtorch-version VERSION, found '$1'." >&2
+      echo "setup: expected --development, --testing, --packaging or --libtorch-version VERSION, found '$1'." >&2
       exit 2
       ;;
   esac
@@ -35,10 +38,13 @@ packages=(
   libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libceres-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
-  libssl-dev
+  libssl-dev libjs-three
 )
 if [ -n "$development" ]; then
   packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev colmap)
+fi
+if [ -n "$testing" ]; then
+  packages+=(chromium chromium-driver python3-selenium)
 fi
 if [ -n "$libtorch_version" ]; then
   packages+=(python3-venv)

@@ -19,7 +19,7 @@ if [ -n "$libtorch" ]; then
   targets=(--target gld gld_missing_hardware tests_of_libtorch)
 fi
 
-scripts/setup.sh
+scripts/setup.sh --testing
 cmake --preset release -B "$build_folder" "${configuration[@]}" >/dev/null
 cmake --build "$build_folder" "${targets[@]}"
 
