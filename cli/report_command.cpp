@@ -1,6 +1,9 @@
 #include "cli/report_command.h"
 
+#include "ablate/page/ablation_page.h"
+#include "infer/page/eval_page.h"
 #include "infer/page/report_command.h"
+#include "train/page/training_page.h"
 
 namespace gld {
 
@@ -16,7 +19,10 @@ Command make_report_command() {
   command.options = options;
   command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>& arguments) {
-    report_run(arguments[0], *options);
+    report_run(arguments[0], {sample_page_maker(*options),
+                              {"eval", evaluation_page},
+                              {"train", training_page},
+                              {"ablate", ablation_page}});
     return 0;
   };
   return command;

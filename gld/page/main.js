@@ -11,6 +11,9 @@ async function showPage() {
     showPictures(main, gldPage.viewer);
     showTurning(main);
     showMaking(main);
+  } else {
+    showResults(main);
+    showMaking(main);
   }
   gldPage.ready = true;
 }

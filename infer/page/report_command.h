@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/page/run_page.h"
 #include "infer/page/page_options.h"
 
 #include <filesystem>
@@ -8,7 +9,7 @@
 
 namespace gld {
 
-// gld report: the page of a run, made again from its folder.
+// What gld report is told of the page of a run of gld sample.
 struct ReportOptions : OptionsGroup {
   PageOptions page;  // what the run was made with, where the command line says nothing
   // Keys that the command line names; not an option itself.
@@ -17,11 +18,10 @@ struct ReportOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// Writes RUN/report.html, and prints where it is and what is doubtful about the run. Throws Error for a folder that is no
-// run of gld sample, a run without report.json, and one that is still written.
-void report_run(const std::filesystem::path& run, const ReportOptions& options);
+// For report_run(). The options must outlive it.
+PageMaker sample_page_maker(const ReportOptions& options);
 
-// The page of a run into its folder, whole or not at all; returns its bytes. For the command that writes the run.
+// The page of a run of gld sample into its folder, whole or not at all; returns its bytes. For the command that writes the run.
 size_t write_run_page(const std::filesystem::path& run, const PageOptions& options);
 
 }  // namespace gld

@@ -4,10 +4,9 @@
 #include "datasets/images/image_file.h"
 #include "datasets/pictures/colour_map.h"
 #include "datasets/pictures/depth_preview.h"
-#include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
-#include "gld/base/json_text.h"
 #include "gld/cameras/relative_cameras.h"
+#include "gld/page/run_report.h"
 #include "infer/export/ply_file.h"
 #include "infer/page/page_cloud.h"
 #include "infer/page/page_pictures.h"
@@ -24,8 +23,6 @@ namespace gld {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-constexpr uint64_t kLargestReport = uint64_t{1} << 28;
 
 // What a view of the run has on the page.
 struct PageView {
@@ -203,17 +200,13 @@ Json facts_json(const Json& report) {
   const auto add = [&](const char* what, const std::string& text) {
     if (!text.empty()) facts.push_back({what, text});
   };
-  const auto number = [&](const char* path) {
-    const Json& value = report_value(report, path);
-    return value.is_number() ? value.dump() : "";
-  };
   add("Scene", report_text_at(report, "/scene/name"));
   add("Model", report_text_at(report, "/model/name"));
   add("SHA-256 of its weights", report_text_at(report, "/model/hash"));
-  add("Seed", number("/seed"));
+  add("Seed", report_number_at(report, "/seed"));
   add("How it was sampled", report_text_at(report, "/sampling/in_words"));
   add("Precision", report_text_at(report, "/precision"));
-  add("Threads", number("/threads"));
+  add("Threads", report_number_at(report, "/threads"));
   add("Cameras of the photographs found by", report_text_at(report, "/photo_cameras/from"));
   add("Scale of depth from", report_text_at(report, "/depth_scale/estimator"));
   return facts;
@@ -227,20 +220,6 @@ Json stages_json(const Json& report) {
     if (stage.is_object() && stage.contains("stage") && stage["stage"].is_string()) stages.push_back(stage);
   }
   return stages;
-}
-
-// That of the files of the run, from what its report says.
-TextItems provenance_of(const Json& report) {
-  Provenance provenance;
-  provenance.program = program_version();
-  provenance.command = report_text_at(report, "/command");
-  const Json& options = report_value(report, "/options");
-  if (options.is_object()) provenance.options = identifying_options(options);
-  provenance.model_hash = report_text_at(report, "/model/hash");
-  const Json& seed = report_value(report, "/seed");
-  if (seed.is_number_integer()) provenance.seed = seed.get<int64_t>();
-  provenance.precision = report_text_at(report, "/precision");
-  return provenance_items(provenance);
 }
 
 // The middle of cameras and cloud, which becomes the page's 0: floats of a browser hold no scene far from it.
@@ -269,8 +248,7 @@ std::string cloud_note(const Json& report, const PointCloud& cloud, bool has_fil
 }  // namespace
 
 Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
-  const Json report =
-      parse_ordered_json(read_file(run / "report.json", kLargestReport), (run / "report.json").string());
+  const Json report = read_run_report(run);
   RunParts parts(run);
   bool metric = false;
   const std::vector<PageView> views = read_views(parts, report, metric);
@@ -294,7 +272,7 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   page.heading = "New views of " + report_text_at(report, "/scene/name");
   page.asked = asked_of_sample(report);
   page.verdict = verdict_of_sample(report);
-  page.provenance = provenance_of(report);
+  page.provenance = provenance_of_run(report);
   PagePictures pictures;
   page.data["kind"] = "sample";
   page.data["views"] = views_json(views, report, origin, range, pictures);

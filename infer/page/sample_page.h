@@ -7,9 +7,8 @@
 
 namespace gld {
 
-// What a page and its parts are called in a run folder.
-inline constexpr const char* kPageFile = "report.html";
-inline constexpr const char* kTruthFolder = "truth";  // truth/NAME.png: what a target view should look like
+// truth/NAME.png of a run folder: what a target view should look like.
+inline constexpr const char* kTruthFolder = "truth";
 
 // The page of a run of gld sample, from its folder alone (docs/PAGE.md): report.json must be there; a picture, depth map
 // or cloud that is missing, damaged or outside of the folder is left out, and a doubt says so. The same folder gives the

@@ -24,7 +24,7 @@ using testing::HasSubstr;
 std::string written(const std::filesystem::path& run, const ReportOptions& options) {
   testing::internal::CaptureStdout();
   testing::internal::CaptureStderr();
-  report_run(run, options);
+  report_run(run, {sample_page_maker(options)});
   const std::string text = testing::internal::GetCapturedStdout();
   EXPECT_THAT(text, HasSubstr((run / kPageFile).string()));
   EXPECT_THAT(testing::internal::GetCapturedStderr(),
@@ -63,7 +63,8 @@ TEST(ReportCommand, MakesThePageThatTheRunMade) {
 TEST(ReportCommand, RefusesWhatIsNoFinishedRunOfSample) {
   test::TemporaryFolder temporary;
   const auto run = temporary.path() / "run";
-  const auto refusal = [&] { return test::error_of([&] { report_run(run, ReportOptions()); }); };
+  const ReportOptions options;
+  const auto refusal = [&] { return test::error_of([&] { report_run(run, {sample_page_maker(options)}); }); };
   const std::string remedy = "; name the folder that the command wrote with --out.";
   EXPECT_EQ(refusal(), run.string() + ": expected the folder of a run, found nothing" + remedy);
   std::filesystem::create_directories(run);
