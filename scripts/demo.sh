@@ -18,4 +18,4 @@ scene=$(find "$out/scene" -name cameras.json -printf '%h\n' | sort | head -1)
 build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --targets 2,3,4,9 --out "$out/targets" --overwrite
 build/release/cli/gld sample --model "$model" --scene "$scene" --sources 0,6 --path orbit --frames 6 --out "$out/orbit" --overwrite
 echo
-echo "demo: look at $out/targets/contact_sheet.png (with the true pictures), $out/orbit/contact_sheet.png and $out/orbit/points.ply"
+echo "demo: open $out/targets/report.html (with the true pictures) and $out/orbit/report.html in a browser"
