@@ -63,7 +63,7 @@ function chartPicture(chart) {
   const picture = svg("svg", {viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": chart.title});
   for (const tick of ticksOf(y0, y1, chart.logarithmic)) {
     picture.append(svg("line", {class: "grid", x1: left, x2: width - right, y1: yOf(tick), y2: yOf(tick)}),
-      svg("text", {x: left - 8, y: yOf(tick) + 4, "text-anchor": "end"}, String(Number(tick.toPrecision(3)))));
+      svg("text", {x: left - 8, y: yOf(tick) + 4, "text-anchor": "end"}, String(Number(tick.toPrecision(6)))));
   }
   for (const tick of ticksOf(x0, x1, false)) {
     picture.append(svg("text", {x: xOf(tick), y: height - bottom + 18, "text-anchor": "middle"}, String(Number(tick.toPrecision(6)))));

@@ -28,7 +28,8 @@ ResultTable means_table(const nlohmann::ordered_json& means, const std::string& 
   table.columns = {"metric", "mean", "95 % interval", "unit", "better", "scenes", "absent"};
   if (!means.is_object()) return table;
   for (const auto& [name, of_metric] : means.items()) {
-    if (!of_metric.is_object()) continue;
+    // What no scene has is no number.
+    if (!report_value(of_metric, "/mean").is_number()) continue;
     const auto& interval = report_value(of_metric, "/interval_95");
     const std::string low = number_text(report_value(of_metric, "/interval_95/0"));
     int64_t absent = 0;
