@@ -1,8 +1,9 @@
 """The page of a run of gld sample in Chromium: file://, no network, software WebGL.
 
-report_page_test.py WRITE_DRAWN_RUN SCRATCH
+report_page_test.py WRITE_DRAWN_RUN WRITE_RESULT_PAGES SCRATCH
 
-WRITE_DRAWN_RUN (tests/support/write_drawn_run.cpp) makes run folders of a drawn room with true depth. Debian's chromium,
+WRITE_DRAWN_RUN (tests/support/write_drawn_run.cpp) makes run folders of a drawn room with true depth, WRITE_RESULT_PAGES (beside it) pages
+of a training, an evaluation and an ablation of the tree. Debian's chromium,
 chromium-driver and python3-selenium are what it needs (scripts/setup.sh --testing).
 """
 
@@ -354,14 +355,32 @@ def test_without_3d(run):
         browser.check_silence()
 
 
+def test_results(browser, folder):
+    for name, sentence, counts in [
+            ("train", "400 steps were done", {"figure svg path": 8, "table tbody tr": 8, ".sheets img": 1}),
+            ("eval", "Over 64 scenes", {"table tbody tr": 40}),
+            ("ablate", "Of 3 claims: 2 reproduced, 1 undecided.", {"table tbody tr": 10, ".sheets img": 1})]:
+        browser.open(folder / f"{name}.html")
+        check(sentence in browser.driver.find_element(By.CSS_SELECTOR, ".verdict").text, f"expected {sentence!r} on the page of gld {name}")
+        for selector, least in counts.items():
+            found = browser.run("return document.querySelectorAll(arguments[0]).length", selector)
+            check(found >= least, f"expected at least {least} of {selector} on the page of gld {name}, found {found}")
+        pictures = browser.run("return [...document.images].map((image) => { image.loading = 'eager'; return image.alt; })")
+        browser.wait("return [...document.images].every((image) => image.complete)")
+        check(browser.run("return [...document.images].every((image) => image.naturalWidth > 0)"), f"expected pictures that show, found {pictures}")
+        browser.check_silence()
+
+
 def main():
     begun = time.monotonic()
-    program, scratch = sys.argv[1], pathlib.Path(sys.argv[2])
+    program, result_pages, scratch = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[3])
     shutil.rmtree(scratch, ignore_errors=True)
     runs = {}
     for name, pixels in [("plain", "plain"), ("odd", "odd")]:
         runs[name] = scratch / name
         subprocess.run([program, runs[name], "112x112" if name == "plain" else "128x70", "3", "3", pixels, HOSTILE, HOSTILE], check=True)
+    root = pathlib.Path(__file__).resolve().parents[2]
+    subprocess.run([result_pages, root, scratch / "results"], check=True)
     with Browser("--use-angle=swiftshader", "--enable-unsafe-swiftshader") as browser:
         test_cameras(browser, runs["plain"], odd=False)
         test_cameras(browser, runs["odd"], odd=True)
@@ -370,6 +389,7 @@ def main():
         test_names(browser, runs["plain"])
         test_narrow_screen(browser, runs["plain"])
         test_old_browser(browser, runs["plain"])
+        test_results(browser, scratch / "results")
     test_without_3d(runs["plain"])
     print(f"all of it in {time.monotonic() - begun:.0f} s")
 
