@@ -20,5 +20,5 @@ sample=(build/release/cli/gld sample --model "$model" --scene "$scene" --sources
 "${sample[@]}" --path orbit --orbit-degrees 20 --frames 2 --out "$out/orbit"
 "${sample[@]}" --targets 1,2 --out "$out/targets"
 echo
-echo "demo: beside the truth: $out/targets/contact_sheet.png; an orbit: $out/orbit/contact_sheet.png; its geometry: $out/orbit/points.ply"
-echo "demo: look at this first: $out/targets/contact_sheet.png"
+echo "demo: an orbit: $out/orbit/report.html; its geometry: $out/orbit/points.ply"
+echo "demo: open this first, in a browser: $out/targets/report.html (with the true pictures)"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
-#   --testing                 also the programs that tests run: what we write is read by others
+#   --testing                 also the programs that tests run: what we write is read by others, pages are looked at in a browser
 #   --development             also all of --testing and what checks the sources
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
@@ -38,10 +38,10 @@ packages=(
   libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libceres-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
   libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
-  libssl-dev libtinygltf-dev
+  libssl-dev libtinygltf-dev libjs-three
 )
 if [ -n "$testing" ]; then
-  packages+=(python3 colmap ffmpeg assimp-utils)
+  packages+=(python3 colmap ffmpeg assimp-utils chromium chromium-driver python3-selenium)
 fi
 if [ -n "$development" ]; then
   packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)

@@ -2,8 +2,13 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
+#include "gld/base/dashed_name.h"
 #include "gld/base/json_text.h"
+#include "gld/base/option_differences.h"
 
+#include <algorithm>
+#include <cctype>
+#include <cstring>
 #include <filesystem>
 
 #include <nlohmann/json.hpp>
@@ -22,7 +27,56 @@ void shorten_paths(nlohmann::json& values) {
   }
 }
 
+// As a shell takes it for one word.
+std::string shell_word(const std::string& text) {
+  const bool plain = !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
+    return std::isalnum(c) != 0 || std::strchr("_-./,:+=@%", c) != nullptr;
+  });
+  if (plain) return text;
+  std::string quoted = "'";
+  for (const char c : text) quoted += c == '\'' ? std::string("'\\''") : std::string(1, c);
+  return quoted + "'";
+}
+
+// A value as a flag takes it: lists are divided at commas.
+std::string flag_value(const nlohmann::json& value) {
+  if (value.is_string()) return value.get<std::string>();
+  if (!value.is_array()) return value.dump();
+  std::string list;
+  for (const auto& one : value) list += (list.empty() ? "" : ",") + flag_value(one);
+  return list;
+}
+
+const nlohmann::json& value_of(const nlohmann::json& values, const std::string& key) {
+  std::string path = "/" + key;
+  std::replace(path.begin(), path.end(), '.', '/');
+  return values.at(nlohmann::json::json_pointer(path));
+}
+
 }  // namespace
+
+std::string identifying_options(nlohmann::json options) {
+  for (const std::string& name : options_beside_the_result()) options.erase(name);
+  shorten_paths(options);
+  return json_text(options);
+}
+
+std::string command_line_text(const std::string& command, const OptionsGroup& options,
+                              const OptionsGroup& defaults) {
+  nlohmann::json values = to_json(options), usual = to_json(defaults);
+  shorten_paths(values);
+  shorten_paths(usual);
+  std::string line = "gld " + command;
+  for (const OptionDescription& option : describe_options(options)) {
+    if (is_beside_the_result(option.key)) continue;
+    const auto& value = value_of(values, option.key);
+    if (value == value_of(usual, option.key)) continue;
+    const std::string name = dashed_name(option.key);
+    line += value.is_boolean() ? (value.get<bool>() ? " --" : " --no-") + name
+                               : " --" + name + " " + shell_word(flag_value(value));
+  }
+  return line;
+}
 
 std::string program_version() { return "gld " GLD_VERSION; }
 

@@ -280,8 +280,8 @@ PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_s
   return cloud;
 }
 
-void thin_point_cloud(PointCloud& cloud, int64_t max_points) {
-  if (cloud.size() <= max_points) return;
+double thin_point_cloud(PointCloud& cloud, int64_t max_points) {
+  if (cloud.size() <= max_points) return 0;
   Eigen::Vector3d corner = cloud.x_in_world.front();
   Eigen::Vector3d opposite = corner;
   for (const Eigen::Vector3d& point : cloud.x_in_world) {
@@ -306,6 +306,7 @@ void thin_point_cloud(PointCloud& cloud, int64_t max_points) {
     thinned.confidences.push_back(cloud.confidences[point]);
   }
   cloud = std::move(thinned);
+  return cell_size;
 }
 
 }  // namespace gld

@@ -77,6 +77,7 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"guidance.guidance_branches", guided, guidance},
       {"guidance.guidance_batch_memory", guided, guidance},
       {"points.", options.requested().points, "points among --outputs"},
+      {"page.", options.requested().page, "page among --outputs"},
       {"scale_from", geometry, "depth, rays or points among --outputs"},
       {"geometry_model", geometry || !options.photos.files.empty(), "depth, rays or points among --outputs"},
   };
@@ -160,7 +161,8 @@ void SampleOptions::visit(FieldVisitor& visitor) {
       size);
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
-  visitor.texts({"outputs", "what to make: image, depth, rays, points, latents"}, outputs);
+  visitor.texts({"outputs", "what to make: image, depth, rays, points, latents, and page, which shows them"},
+                outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
                geometry_model);
@@ -184,6 +186,7 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                  "source_depth (measured in source views)"},
                 scale_from);
   visitor.group({"points", "how the point cloud is made"}, points);
+  visitor.group({"page", "what report.html holds"}, page);
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);
@@ -249,11 +252,10 @@ RequestedOutputs SampleOptions::requested() const {
     const char* name;
     bool RequestedOutputs::*member;
   };
-  const std::vector<Output> known{{"image", &RequestedOutputs::image},
-                                  {"depth", &RequestedOutputs::depth},
-                                  {"rays", &RequestedOutputs::rays},
-                                  {"points", &RequestedOutputs::points},
-                                  {"latents", &RequestedOutputs::latents}};
+  const std::vector<Output> known{
+      {"image", &RequestedOutputs::image},     {"depth", &RequestedOutputs::depth},
+      {"rays", &RequestedOutputs::rays},       {"points", &RequestedOutputs::points},
+      {"latents", &RequestedOutputs::latents}, {"page", &RequestedOutputs::page}};
   std::vector<std::string> names;
   names.reserve(std::size(known));
   for (const auto& output : known) names.emplace_back(output.name);
@@ -269,11 +271,15 @@ RequestedOutputs SampleOptions::requested() const {
     }
     if (!found) {
       const auto near = nearest_name(name, names);
-      fail({"--outputs", "image, depth, rays, points or latents", "'" + name + "'",
+      fail({"--outputs", "image, depth, rays, points, latents or page", "'" + name + "'",
             near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
     }
   }
   if (outputs.empty()) fail({"--outputs", "at least one output", "none", "add for example --outputs image"});
+  if (outputs == std::vector<std::string>{"page"}) {
+    fail({"--outputs", "beside page an output that it can show", "none",
+          "add for example --outputs image,page"});
+  }
   requested.geometry_of_images = !geometry_model.empty();
   return requested;
 }

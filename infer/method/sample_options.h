@@ -7,6 +7,7 @@
 #include "gld/machine/precision_option.h"
 #include "infer/export/point_cloud.h"
 #include "infer/method/sampling_method.h"
+#include "infer/page/page_options.h"
 #include "infer/pipeline/photograph_use.h"
 #include "infer/request/photo_selection.h"
 #include "infer/request/requested_outputs.h"
@@ -29,7 +30,7 @@ struct SampleOptions : OptionsGroup {
   ViewSelection views;
   std::string size = "auto";
   PhotographOptions photograph_use;
-  std::vector<std::string> outputs{"image", "depth", "points"};
+  std::vector<std::string> outputs{"image", "depth", "points", "page"};
   // Bundle whose backbone and geometry head look at the generated images; empty for the model's own levels.
   std::string geometry_model;
   int64_t seed = 0;
@@ -42,6 +43,7 @@ struct SampleOptions : OptionsGroup {
   ApproximateSavings approximate;
   std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (scale_evidence.h)
   PointCloudOptions points;
+  PageOptions page;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   PrecisionChoice precision = PrecisionChoice::kFloat32;
   std::string device = "cpu";

@@ -12,6 +12,7 @@ struct RequestedOutputs {
   bool rays = false;
   bool points = false;
   bool latents = false;
+  bool page = false;                // report.html, of what else there is
   bool geometry_of_images = false;  // geometry is what another model sees in the generated images
 
   bool needs_depth() const { return depth || points; }

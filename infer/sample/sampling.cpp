@@ -7,6 +7,7 @@
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/base/printable_text.h"
+#include "gld/page/run_report.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -14,6 +15,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/page/report_command.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/request/scene_request.h"
 #include "infer/sample/background_hash.h"
@@ -254,6 +256,30 @@ std::vector<std::string> lines_of(const std::string& sentence, size_t most) {
   return lines;
 }
 
+// What the page says of the run too.
+std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
+                                   const PictureEvidence& evidence,
+                                   const std::vector<std::string>& warnings) {
+  nlohmann::ordered_json report;
+  report["warnings"] = warnings;
+  if (verdict) report["verdict"] = verdict_json(*verdict, evidence);
+  return doubts_of_run(report);
+}
+
+SheetText sheet_text(const std::optional<PictureVerdict>& verdict, const std::vector<std::string>& doubts,
+                     const std::string& summary) {
+  constexpr size_t kLineOfSheet = 110;
+  SheetText text;
+  text.subtitle = summary;
+  if (verdict) text.verdict = lines_of(verdict->sentence, kLineOfSheet);
+  for (const std::string& doubt : doubts) {
+    for (std::string& line : lines_of("In doubt: " + printable_text(doubt), kLineOfSheet)) {
+      text.verdict.push_back(std::move(line));
+    }
+  }
+  return text;
+}
+
 // What a sampling was and came to.
 struct FinishedSampling {
   const PreparedSampling& prepared;
@@ -283,6 +309,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
                           {"name", prepared.geometry_model->options().name},
                           {"hash", prepared.geometry_model->content_hash()}};
   }
+  report["command_line"] = command_line_text("sample", options, SampleOptions());
   report["seed"] = options.seed;
   report["scene"] = {{"name", scene.name},        {"format", prepared.found.format},
                      {"width", scene.size.width}, {"height", scene.size.height},
@@ -420,25 +447,28 @@ void sample(const SampleOptions& options) {
   }
   std::optional<PictureVerdict> verdict;
   if (has_pictures) verdict = verdict_of(evidence);
-  stages.run("writing", [&] {
-    if (prepared.photos) write_photo_scene(run, *prepared.photos, provenance);
-    SheetText sheet;
-    constexpr size_t kLineOfSheet = 110;
-    if (verdict) sheet.verdict = lines_of(verdict->sentence, kLineOfSheet);
-    sheet.subtitle = one_line_summary(options, result, bundle.options().name);
-    outputs.write_rest(result, sheet);
-  });
-
   std::vector<std::string> warnings = scene.warnings;
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   const auto printed = static_cast<std::ptrdiff_t>(warnings.size());
-  add_new(warnings, result.warnings);
-  add_new(warnings, outputs.warnings());
+  std::vector<std::string> doubts;
+  stages.run("writing", [&] {
+    if (prepared.photos) write_photo_scene(run, *prepared.photos, provenance);
+    outputs.write_rest(result);
+    add_new(warnings, result.warnings);
+    add_new(warnings, outputs.warnings());
+    doubts = doubts_of(verdict, evidence, warnings);
+    outputs.write_contact_sheet(
+        sheet_text(verdict, doubts, one_line_summary(options, result, bundle.options().name)));
+  });
   print_warnings({warnings.begin() + printed, warnings.end()});
   const auto report =
       sampling_report(options, {prepared, planned, result, stages, provenance.model_hash, verdict, evidence},
                       outputs.findings(), warnings);
   run.write_report(report);
+  if (requested.page) {
+    write_run_page(run.path(), options.page);
+    run.note("page", kPageFile);
+  }
   kept.remove();
   const bool all_computed = std::none_of(result.flows.begin(), result.flows.end(),
                                          [](const FlowReport& flow) { return flow.kept; });
@@ -454,6 +484,7 @@ void sample(const SampleOptions& options) {
               << photographs_text(scene, result, saved_flop(prepared, options, planned, result),
                                   planned.plan.flop())
               << run.closing_box();
+    for (const std::string& doubt : doubts) std::cout << "in doubt: " << printable_text(doubt) << "\n";
   }
 }
 

@@ -12,6 +12,7 @@
 #include "infer/export/ply_file.h"
 #include "infer/export/point_cloud.h"
 #include "infer/export/ray_export.h"
+#include "infer/page/sample_page.h"
 #include "infer/pipeline/placed_cloud.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/predicted_cameras.h"
@@ -82,14 +83,14 @@ void SamplingOutputs::compare_with_truth() {
   if (!rows.empty()) findings_["against_truth"] = rows;
 }
 
-void SamplingOutputs::write_rest(const PipelineResult& result, const SheetText& sheet) {
+void SamplingOutputs::write_rest(const PipelineResult& result) {
   if (requested_.needs_rays()) place(result);
   if (requested_.needs_depth()) write_depth(result);
   if (requested_.rays) write_rays(result);
   if (requested_.points) write_points(result);
   if (requested_.latents) write_latents(result);
   write_cameras();
-  write_contact_sheet(sheet);
+  if (requested_.page && requested_.image) write_true_images();
 }
 
 void SamplingOutputs::write_depth(const PipelineResult& result) {
@@ -245,6 +246,20 @@ void SamplingOutputs::write_source_images() {
     }
     const PicturedView& photograph = scene_.photographs.views[view];
     export_image(file, to_image(picture_of(photograph.rgb, photograph.width, photograph.height)),
+                 provenance_);
+  }
+}
+
+// For the page, which is made of the run folder alone.
+void SamplingOutputs::write_true_images() {
+  const bool any = std::any_of(scene_.true_images.begin(), scene_.true_images.end(),
+                               [](const Image& image) { return !image.empty(); });
+  if (!any) return;
+  const auto folder = run_.subfolder(kTruthFolder);
+  for (size_t i = 0; i < scene_.true_images.size(); ++i) {
+    if (scene_.true_images[i].empty()) continue;
+    const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
+    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), scene_.true_images[i],
                  provenance_);
   }
 }

@@ -28,9 +28,10 @@ class SamplingOutputs {
   // images/: the target views, (targets, 3, height, width), with --size photographs as large as these. Keeps them for
   // the sheet and the point cloud.
   void write_images(const torch::Tensor& images, const std::optional<ComposedViews>& composed);
-  // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json and contact_sheet.png.
-  // sheet: verdict and subtitle.
-  void write_rest(const PipelineResult& result, const SheetText& sheet);
+  // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json, and truth/ for the page.
+  void write_rest(const PipelineResult& result);
+  // contact_sheet.png, last; text: verdict, doubts and subtitle.
+  void write_contact_sheet(SheetText text);
 
   // What is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
@@ -46,11 +47,11 @@ class SamplingOutputs {
   void write_latents(const PipelineResult& result);
   void write_cameras();
   void write_source_images();
+  void write_true_images();
   // Cameras of the model's size as those of the pictures that are written, without depth where that has another size.
   CameraList of_pictures(CameraList list) const;
   // How many times as large as the model's the pictures are that are written.
   int64_t magnification() const;
-  void write_contact_sheet(SheetText text);
   // Fills placement_, with what is unusual about it among the warnings.
   void place(const PipelineResult& result);
   std::vector<Camera> geometry_cameras() const;

@@ -259,7 +259,7 @@ TEST_F(SamplingRequests, WrongRequestsGetOneSentence) {
       "--size: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found 'big'; write for example 504x280.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
-      "--outputs: expected image, depth, rays, points or latents, found 'imagse'; did you mean 'image'?");
+      "--outputs: expected image, depth, rays, points, latents or page, found 'imagse'; did you mean 'image'?");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.device = "tpu"; }),
             "--device: expected cpu, cuda or cuda:N, found 'tpu'; write for example --device cpu.");
   EXPECT_EQ(
@@ -387,6 +387,9 @@ TEST_F(SamplingRequests, WhatWouldHaveNoEffectIsRefused) {
               asked.outputs = {"image", "image"};
             }),
             "--outputs: expected every output once, found 'image' twice; leave out one of the two.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) { asked.outputs = {"page"}; }),
+      "--outputs: expected beside page an output that it can show, found none; add for example --outputs image,page.");
   EXPECT_EQ(sentence([](SampleOptions& asked) {
               asked.views.targets = {1, 1};
             }),

@@ -11,11 +11,13 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/json_text.h"
+#include "gld/page/run_report.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/ply_file.h"
 #include "infer/forecast/doctor.h"
 #include "infer/forecast/machine_rates.h"
+#include "infer/page/report_command.h"
 #include "infer/sample/prepared_sampling.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/random_bundle.h"
@@ -71,13 +73,13 @@ TEST_F(Sampling, SaysWhereAModelIsNotShownThePhotographs) {
 
 TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   auto asked = options("everything");
-  asked.outputs = {"image", "depth", "rays", "points", "latents"};
+  asked.outputs = {"image", "depth", "rays", "points", "latents", "page"};
   const auto report = run(asked);
   const std::filesystem::path out = asked.out;
-  for (const char* file :
-       {"config.yaml", "report.json", "contact_sheet.png", "cameras.json", "points.ply",
-        "latents.safetensors", "images/view_02.png", "images/view_03.png", "depth/view_02.png",
-        "depth/view_02.pfm", "depth/view_02_preview.png", "rays/view_03.npz"}) {
+  for (const char* file : {"config.yaml", "report.json", "contact_sheet.png", "cameras.json", "points.ply",
+                           "latents.safetensors", "images/view_02.png", "images/view_03.png",
+                           "depth/view_02.png", "depth/view_02.pfm", "depth/view_02_preview.png",
+                           "rays/view_03.npz", "truth/view_02.png", "report.html"}) {
     EXPECT_TRUE(std::filesystem::is_regular_file(out / file)) << file;
   }
   EXPECT_FALSE(std::filesystem::exists(out / "images" / "view_00.png"));  // sources are not generated
@@ -97,6 +99,34 @@ TEST_F(Sampling, WritesEverythingThatIsAskedFor) {
   EXPECT_EQ(report.at("model").at("hash").get<std::string>().size(), 64u);
   EXPECT_THAT(printed_, HasSubstr("2 source and 2 target views at 112x56"));
   EXPECT_THAT(printed_, HasSubstr((out / "contact_sheet.png").string()));
+  EXPECT_THAT(printed_, HasSubstr((out / "report.html").string()));
+  // Every doubt stands below the box.
+  for (const std::string& doubt : doubts_of_run(nlohmann::ordered_json(report))) {
+    EXPECT_GT(printed_.find("in doubt: " + doubt + "\n"), printed_.find("report.html")) << doubt;
+    EXPECT_THAT(printed_, HasSubstr("in doubt: " + doubt + "\n"));
+  }
+}
+
+TEST_F(Sampling, ThePageIsMadeAgainFromTheFolderAlone) {
+  auto asked = options("page");
+  asked.outputs = {"image", "page"};
+  const auto report = run(asked);
+  const std::filesystem::path out = asked.out;
+  const std::string page = read_file(out / "report.html");
+  EXPECT_THAT(page, HasSubstr("<meta name=\"gld:model\" content=\"" +
+                              report.at("model").at("hash").get<std::string>()));
+  EXPECT_THAT(page, HasSubstr("This run has no point cloud"));
+  // Where a run lies is nobody's business; what makes it again is.
+  EXPECT_THAT(page, testing::Not(HasSubstr(folder_->path().string())));
+  EXPECT_THAT(report.at("command_line").get<std::string>(), HasSubstr("gld sample --model "));
+  EXPECT_THAT(report.at("command_line").get<std::string>(), HasSubstr(" --outputs image,page"));
+  write_run_page(out, PageOptions());
+  EXPECT_EQ(read_file(out / "report.html"), page);
+  asked = options("without_page");
+  asked.outputs = {"image"};
+  run(asked);
+  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "without_page" / "report.html"));
+  EXPECT_FALSE(std::filesystem::exists(folder_->path() / "without_page" / "truth"));
 }
 
 // The shipped model's ray origins do not tell the scale, and nothing else is asked. Then files belong to each other,

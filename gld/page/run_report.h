@@ -1,0 +1,31 @@
+#pragma once
+
+#include "gld/report/provenance.h"
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// What the report.json of a run says. A report of another version may lack anything: what it does not say is left out.
+
+// Throws Error where there is none or it is no JSON.
+nlohmann::ordered_json read_run_report(const std::filesystem::path& run);
+
+// The text, number or anything else at a path of keys ("/verdict/sentence"); null where the report has none.
+const nlohmann::ordered_json& report_value(const nlohmann::ordered_json& report, const std::string& path);
+// The text there; empty where there is none.
+std::string report_text_at(const nlohmann::ordered_json& report, const std::string& path);
+// The number there as text; empty where there is none.
+std::string report_number_at(const nlohmann::ordered_json& report, const std::string& path);
+
+// Every doubt, a sentence each: what the model has not seen, and the warnings of the run.
+std::vector<std::string> doubts_of_run(const nlohmann::ordered_json& report);
+
+// That of the run's files, by this program.
+TextItems provenance_of_run(const nlohmann::ordered_json& report);
+
+}  // namespace gld

@@ -1,0 +1,85 @@
+#include "train/page/training_page.h"
+
+#include "gld/base/atomic_file.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+
+// The last training of the small model's M1.
+TEST(TrainingPage, ShowsHowARunWent) {
+  const Page page = training_page(test::source_root() / "configs/tiny/training/level/part_4");
+  EXPECT_EQ(page.title, "gld train level");
+  EXPECT_EQ(
+      page.verdict,
+      "400 steps were done with 5451811 parameters, the last part of them in 41.6 minutes; the loss ended at 0.223.");
+  EXPECT_THAT(page.doubts, testing::IsEmpty());
+  const auto& parts = page.data.at("parts");
+  ASSERT_EQ(parts.size(), 3u);
+  const auto& charts = parts[0].at("charts");
+  ASSERT_EQ(charts.size(), 5u);
+  EXPECT_EQ(charts[0].at("series")[0].at("name"), "loss");
+  EXPECT_EQ(charts[0].at("series")[0].at("points")[0].dump(), "[20.0,0.2507124558091164]");
+  EXPECT_EQ(charts[2].at("series")[0].at("name"), "target psnr");
+  EXPECT_EQ(parts[1].at("title"), "Held-out scenes");
+  EXPECT_THAT(parts[1].at("rows").dump(), HasSubstr("[\"target psnr, dB\",\"21.7\","));
+  EXPECT_EQ(parts[2].at("pictures").size(), 1u);
+}
+
+TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
+  test::TemporaryFolder run;
+  std::string lines;
+  for (int step = 1; step <= 5000; ++step) {
+    lines += "{\"step\":" + std::to_string(step) + ",\"loss\":" + std::to_string(step) + ",\"reward\":-1}\n";
+  }
+  lines += "{\"step\":5000,\"validation_psnr\":null}\n\n";
+  write_file_atomically(run.path() / "metrics.jsonl", lines);
+  write_file_atomically(
+      run.path() / "report.json",
+      "{\"command\": \"train decoder\", \"steps\": 5000, \"skipped_steps\": 2, \"messages\": [\"a message\"]}");
+  std::filesystem::create_directories(run.path() / "validation");
+  for (const int step : {100, 200, 300, 400}) {
+    write_file_atomically(run.path() / "validation" / ("step_000000" + std::to_string(step) + ".png"),
+                          std::string("\x89PNG\r\n\x1a\n", 8));
+  }
+  const Page page = training_page(run.path());
+  EXPECT_EQ(page.verdict, "5000 steps were done.");
+  EXPECT_THAT(page.doubts,
+              ElementsAre("2 steps were left out because their loss was not finite.", "a message"));
+  const auto& chart = page.data.at("parts")[0].at("charts")[0];
+  // A reward of -1 has no logarithm.
+  EXPECT_EQ(chart.at("logarithmic"), false);
+  const auto& points = chart.at("series")[0].at("points");
+  EXPECT_EQ(points.size(), 600u);
+  double sum = 0;
+  for (const auto& point : points) sum += point[1].get<double>() / 600;
+  EXPECT_NEAR(sum, 2500.5, 5);
+  std::string names;
+  for (const auto& picture : page.data.at("parts")[1].at("pictures"))
+    names += picture.at("name").get<std::string>() + ", ";
+  EXPECT_EQ(names, "after step 100, after step 300, after step 400, ");
+}
+
+TEST(TrainingPage, DoesWithoutMetricsAndRefusesBrokenOnes) {
+  test::TemporaryFolder run;
+  write_file_atomically(run.path() / "report.json", "{}");
+  const Page page = training_page(run.path());
+  EXPECT_EQ(page.title, "gld train");
+  EXPECT_THAT(page.doubts, ElementsAre("metrics.jsonl is left out of this page: the file is missing."));
+  write_file_atomically(run.path() / "metrics.jsonl", "{\"step\": 1}\n{\n");
+  EXPECT_THAT(test::error_of([&] { training_page(run.path()); }), HasSubstr("metrics.jsonl, line 2"));
+}
+
+}  // namespace
+}  // namespace gld
