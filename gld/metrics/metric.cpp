@@ -27,8 +27,13 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "there are no features of the true pictures",
                                                 "a view of the scene has no true depth",
                                                 "there are no levels of the true pictures",
-                                                "no photographs were carried into the target views"};
+                                                "no photographs were carried into the target views",
+                                                "there are no samples to compare"};
   return phrases.at(static_cast<size_t>(need));
+}
+
+bool needs_one(const Metric& metric, MetricNeed need) {
+  return std::find(metric.needs.begin(), metric.needs.end(), need) != metric.needs.end();
 }
 
 }  // namespace
@@ -72,6 +77,8 @@ bool MetricInputs::has(MetricNeed need) const {
       return !true_levels.empty();
     case MetricNeed::kShownPixels:
       return shown.defined();
+    case MetricNeed::kSamples:
+      return true_images.defined() && samples.defined();
     case MetricNeed::kRays:
       return rays.defined() && !predicted_cameras.empty();
   }
@@ -96,9 +103,9 @@ MetricValue metric_of_views(const torch::Tensor& per_view, const std::string& re
   return value;
 }
 
-bool Metric::of_images() const {
-  return std::find(needs.begin(), needs.end(), MetricNeed::kImages) != needs.end();
-}
+bool Metric::of_images() const { return needs_one(*this, MetricNeed::kImages) && !of_samples(); }
+
+bool Metric::of_samples() const { return needs_one(*this, MetricNeed::kSamples); }
 
 MetricValue measure(const Metric& metric, const MetricInputs& inputs) {
   for (const MetricNeed need : metric.needs) {

@@ -35,12 +35,15 @@ enum class MetricNeed {
   kAllTrueDepth,      // true depth of all views
   kTrueLevels,        // a backbone's levels of the true pictures of all views
   kShownPixels,       // which pixels of the target views photographs show
+  kSamples,           // several predictions of the same target views, measured together
 };
 
 // A scene's truth beside what was predicted. A quantity that is not known stays as it is here; `missing` says why.
 struct MetricInputs {
   torch::Tensor true_images;  // (targets, 3, height, width), RGB in [0, 1]
   torch::Tensor images;       // of the same shape; metrics clamp it to [0, 1]
+  // (samples, targets, 3, height, width): all that was drawn of the scene; one for who predicts without chance.
+  torch::Tensor samples;
   // Two batches of images in [0, 1], (targets, 3, height, width) -> (targets): LPIPS, where its weights are there.
   std::function<torch::Tensor(const torch::Tensor&, const torch::Tensor&)> perceptual_distance;
   torch::Tensor shown;                // (targets, height, width), bool: what photographs show
@@ -92,6 +95,9 @@ struct Metric {
 
   // Whether it compares images, so that any picture can be measured by it.
   bool of_images() const;
+  // Whether it compares all samples of a scene with its truth, together: their number is one of the scene and not a
+  // mean over samples.
+  bool of_samples() const;
 };
 
 // Absent, with the reason, where something is missing that the metric needs.

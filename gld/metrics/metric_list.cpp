@@ -13,6 +13,7 @@ std::vector<Metric> pixel_metrics();
 std::vector<Metric> perceptual_metrics();
 std::vector<Metric> random_feature_metrics();
 std::vector<Metric> sharpness_metrics();
+std::vector<Metric> energy_score_metrics();
 std::vector<Metric> depth_metrics();
 std::vector<Metric> cloud_metrics();
 std::vector<Metric> pose_metrics();
@@ -24,9 +25,10 @@ std::vector<Metric> correspondence_metrics();
 const std::vector<Metric>& metric_list() {
   static const std::vector<Metric> metrics = [] {
     std::vector<Metric> all;
-    for (const auto& of_file : {pixel_metrics, perceptual_metrics, random_feature_metrics, sharpness_metrics,
-                                depth_metrics, cloud_metrics, pose_metrics, trajectory_metrics,
-                                reprojection_metrics, feature_consistency_metrics, correspondence_metrics}) {
+    for (const auto& of_file :
+         {pixel_metrics, perceptual_metrics, random_feature_metrics, sharpness_metrics, energy_score_metrics,
+          depth_metrics, cloud_metrics, pose_metrics, trajectory_metrics, reprojection_metrics,
+          feature_consistency_metrics, correspondence_metrics}) {
       for (Metric& metric : of_file()) all.push_back(std::move(metric));
     }
     return all;

@@ -15,7 +15,6 @@ namespace gld {
 namespace {
 
 constexpr uint64_t kSeed = 1;  // any would do; it must not change
-constexpr int64_t kLeastSide = 8;
 
 struct Layer {
   torch::Tensor weight;  // (out, in, 3, 3)
@@ -49,8 +48,19 @@ const std::vector<Layer>& layers() {
   return made;
 }
 
-// One map a layer, of length 1 along the channels.
-std::vector<torch::Tensor> features_of(const torch::Tensor& images) {
+void require_images(const torch::Tensor& images) {
+  if (images.dim() != 4 || images.size(1) != 3 ||
+      std::min(images.size(2), images.size(3)) < kSmallestRandomFeatureSide) {
+    fail({"random features", "RGB images (batch, 3, height, width) with sides of at least 8 pixels",
+          c10::str(images.sizes()), "take larger images"});
+  }
+}
+
+}  // namespace
+
+std::vector<torch::Tensor> random_feature_maps(const torch::Tensor& images) {
+  require_images(images);
+  const torch::NoGradGuard no_gradients;
   std::vector<torch::Tensor> maps;
   torch::Tensor x = images.to(torch::kCPU, torch::kFloat32).clamp(0, 1) * 2 - 1;
   for (const Layer& layer : layers()) {
@@ -60,16 +70,14 @@ std::vector<torch::Tensor> features_of(const torch::Tensor& images) {
   return maps;
 }
 
-}  // namespace
-
 torch::Tensor random_feature_distance(const torch::Tensor& images, const torch::Tensor& others) {
   if (images.dim() != 4 || images.size(1) != 3 || images.sizes() != others.sizes() ||
-      std::min(images.size(2), images.size(3)) < kLeastSide) {
+      std::min(images.size(2), images.size(3)) < kSmallestRandomFeatureSide) {
     fail({"random features", "two batches of RGB images of one shape with sides of at least 8 pixels",
           c10::str(images.sizes()) + " and " + c10::str(others.sizes()), "compare larger images"});
   }
   const torch::NoGradGuard no_gradients;
-  const auto of_images = features_of(images), of_others = features_of(others);
+  const auto of_images = random_feature_maps(images), of_others = random_feature_maps(others);
   auto sum = torch::zeros({images.size(0)}, torch::kFloat64);
   for (size_t layer = 0; layer < of_images.size(); ++layer) {
     sum += (of_images[layer] - of_others[layer]).square().sum(1).mean({1, 2}).to(torch::kFloat64);
@@ -81,7 +89,7 @@ namespace {
 
 Metric random_features_metric() {
   return {"random_features", "", Better::kLower, {MetricNeed::kImages}, [](const MetricInputs& inputs) {
-            if (std::min(inputs.images.size(2), inputs.images.size(3)) < kLeastSide) {
+            if (std::min(inputs.images.size(2), inputs.images.size(3)) < kSmallestRandomFeatureSide) {
               return absent_metric("random features take images of at least 8 pixels");
             }
             return metric_of_views(random_feature_distance(inputs.true_images, inputs.images),

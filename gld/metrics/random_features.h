@@ -1,8 +1,19 @@
 #pragma once
 
+#include <cstdint>
+#include <vector>
+
 #include <torch/types.h>
 
 namespace gld {
+
+constexpr int64_t kSmallestRandomFeatureSide = 8;  // of images, in pixels
+constexpr int64_t kRandomFeatureMaps = 4;
+
+// The features themselves: a map a layer, (batch, channels, rows, columns), of length 1 along the channels, at the full
+// resolution and at 1/2, 1/4 and 1/8 of it, sides rounded up. images: (batch, 3, height, width), clamped to [0, 1],
+// sides of at least 8 pixels.
+std::vector<torch::Tensor> random_feature_maps(const torch::Tensor& images);
 
 // How unlike two batches of images look to a convolutional network of random weights, (batch), float64; 0 for equal
 // ones. images: (batch, 3, height, width) in [0, 1], sides of at least 8 pixels.

@@ -201,7 +201,10 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
                    {0, 1'000'000});
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
-  visitor.integer({"samples", "samples of each scene; numbers are means over them"}, samples, {1, 10'000});
+  visitor.integer(
+      {"samples",
+       "samples of each scene; numbers are means over them, energy scores of 2 or more are of all together"},
+      samples, {1, 10'000});
   visitor.group({"solver", "solver of both flows, for the samples"}, solver);
   visitor.group({"guidance", "guidance of both flows, for the samples"}, guidance);
   visit_seed(visitor, seed,

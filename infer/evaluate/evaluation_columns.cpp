@@ -26,11 +26,11 @@ const std::vector<Predictor>& all_predictors() {
 }
 
 const std::vector<Predictor>& main_predictors() {
-  static const std::vector<Predictor> predictors{Predictor::kSample,        Predictor::kMeanPrediction,
-                                                 Predictor::kNearestSource, Predictor::kMeanSource,
-                                                 Predictor::kMeanColor,     Predictor::kWarpedSources,
-                                                 Predictor::kFill,          Predictor::kFillByTrueDepth,
-                                                 Predictor::kGenerated,     Predictor::kReconstruction};
+  static const std::vector<Predictor> predictors{
+      Predictor::kSample,     Predictor::kMeanPrediction,    Predictor::kNearestSource,
+      Predictor::kMeanSource, Predictor::kMeanColor,         Predictor::kWarpedSources,
+      Predictor::kFill,       Predictor::kReconstructedFill, Predictor::kFillByTrueDepth,
+      Predictor::kGenerated,  Predictor::kReconstruction};
   return predictors;
 }
 
@@ -52,11 +52,33 @@ const std::vector<Predictor>& trivial_predictors() {
   return predictors;
 }
 
+const std::vector<Predictor>& rivals() {
+  static const std::vector<Predictor> predictors{Predictor::kNearestSource, Predictor::kMeanSource,
+                                                 Predictor::kMeanColor,     Predictor::kWarpedSources,
+                                                 Predictor::kFill,          Predictor::kReconstructedFill,
+                                                 Predictor::kMeanPrediction};
+  return predictors;
+}
+
+const std::vector<Metric>& compared_metrics() {
+  static const std::vector<Metric> metrics = [] {
+    std::vector<Metric> list;
+    for (const char* name : {"psnr", "energy_score", "energy_score_features"}) {
+      for (const char* pixels : {"", "_seen", "_unseen"})
+        list.push_back(metric_named(std::string(name) + pixels));
+    }
+    return list;
+  }();
+  return metrics;
+}
+
+bool of_every_predictor(const Metric& metric) { return metric.of_images() || metric.of_samples(); }
+
 std::string predictor_name(const Predictor& predictor) {
-  static const std::vector<std::string> names{"sample",         "mean_prediction",     "nearest_source",
-                                              "mean_source",    "mean_color",          "warped_sources",
-                                              "fill",           "fill_by_true_depth",  "generated",
-                                              "reconstruction", "reconstruction_level"};
+  static const std::vector<std::string> names{"sample",      "mean_prediction",    "nearest_source",
+                                              "mean_source", "mean_color",         "warped_sources",
+                                              "fill",        "reconstructed_fill", "fill_by_true_depth",
+                                              "generated",   "reconstruction",     "reconstruction_level"};
   const std::string& name = names[static_cast<size_t>(predictor.kind)];
   return predictor.kind == Predictor::kReconstructionOfLevel ? name + std::to_string(predictor.level) : name;
 }
@@ -79,7 +101,7 @@ const std::vector<EvaluationColumn>& evaluation_columns() {
   static const std::vector<EvaluationColumn> columns = [] {
     std::vector<EvaluationColumn> list;
     for (const Metric& metric : metric_list()) {
-      if (!metric.of_images()) {
+      if (!of_every_predictor(metric)) {
         list.push_back({metric.name, metric, Predictor::kSample});
         if (compares_depth(metric)) {
           list.push_back({column_name(Predictor::kWarpedSources, metric), metric, Predictor::kWarpedSources});

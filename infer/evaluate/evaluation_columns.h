@@ -24,7 +24,11 @@ struct Predictor {
     // The same kept at the photographs' own resolution, and gaps filled smoothly from around them: what a generated
     // part has to beat.
     kFill,
-    // The same by the true depth of the sources: how much of what samples miss is the depth that carries photographs.
+    // The filled pictures encoded beside the sources and decoded: what the decoder alone costs a generator that has
+    // nothing to add. What a sample has over it is what was learnt.
+    kReconstructedFill,
+    // The filled pictures by the true depth of the sources: how much of what samples miss is the depth that carries
+    // photographs.
     kFillByTrueDepth,
     // The sample before what photographs show was kept in it.
     kGenerated,
@@ -51,9 +55,18 @@ const std::vector<Predictor>& trivial_predictors();
 bool is_trivial(const Predictor& predictor);
 std::string predictor_name(const Predictor& predictor);  // "mean_prediction", "reconstruction_level0"
 
+// What samples are compared with room by room: everything that does not generate, and the mean prediction. More than
+// the trivial predictors, which know nothing of the model.
+const std::vector<Predictor>& rivals();
+// By which metrics: PSNR and the energy scores, of all pixels, of those that photographs show and of the others.
+const std::vector<Metric>& compared_metrics();
+
+// Whether a metric has a column for each predictor: those of images and of samples.
+bool of_every_predictor(const Metric& metric);
+
 // A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
-// "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr"), or one of the sample's geometry under the
-// metric's own name ("depth_abs_rel_unscaled"), or of the depth of warped sources
+// "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr", "fill_energy_score"), or one of the sample's
+// geometry under the metric's own name ("depth_abs_rel_unscaled"), or of the depth of warped sources
 // ("warped_sources_depth_abs_rel_unscaled").
 struct EvaluationColumn {
   std::string name;
@@ -61,7 +74,7 @@ struct EvaluationColumn {
   Predictor of = Predictor::kSample;
 };
 const std::vector<EvaluationColumn>& evaluation_columns();
-// Of a metric of a predictor's images, as above.
+// Of a metric that every predictor has, as above.
 std::string column_name(const Predictor& predictor, const Metric& metric);
 
 }  // namespace gld

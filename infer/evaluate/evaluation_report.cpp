@@ -113,7 +113,8 @@ std::string image_table(const nlohmann::ordered_json& means) {
     header.push_back(name);
   }
   Table table(header);
-  for (const Metric& metric : image_metric_list()) {
+  for (const Metric& metric : metric_list()) {
+    if (!of_every_predictor(metric)) continue;
     std::vector<TableCell> row{name_with_unit(metric)};
     for (const Predictor& predictor : main_predictors()) {
       row.emplace_back(with_interval(means.at(column_of(metric, predictor)->name), metric.unit));
@@ -123,10 +124,53 @@ std::string image_table(const nlohmann::ordered_json& means) {
   return table.markdown();
 }
 
+// How often samples win, and of how many scenes that have both numbers.
+nlohmann::ordered_json wins_json(const std::vector<SceneEvaluation>& scenes, const Predictor& rival,
+                                 const Metric& metric) {
+  int64_t won = 0, compared = 0;
+  for (const SceneEvaluation& scene : scenes) {
+    const auto wins = scene.sample_wins(rival, metric);
+    compared += wins ? 1 : 0;
+    won += wins.value_or(false) ? 1 : 0;
+  }
+  return {{"won", won}, {"scenes", compared}};
+}
+
+std::string wins_table(const nlohmann::ordered_json& wins) {
+  std::vector<std::string> header{"scenes where samples win against"};
+  for (const Metric& metric : compared_metrics()) header.push_back(metric.name);
+  Table table(header);
+  for (const Predictor& rival : rivals()) {
+    std::string name = predictor_name(rival);
+    std::replace(name.begin(), name.end(), '_', ' ');
+    std::vector<TableCell> row{name};
+    for (const Metric& metric : compared_metrics()) {
+      const auto& of_both = wins.at(metric.name).at(predictor_name(rival));
+      const auto compared = of_both.at("scenes").get<int64_t>();
+      row.emplace_back(compared == 0 ? std::string("absent")
+                                     : fmt::format("{} of {}", of_both.at("won").get<int64_t>(), compared));
+    }
+    table.add_row(row);
+  }
+  return table.markdown();
+}
+
+// What the energy score of samples is made of: with one sample a scene it is no score of its distribution.
+nlohmann::ordered_json energy_score_json(const std::vector<SceneEvaluation>& scenes) {
+  int64_t fewest = std::numeric_limits<int64_t>::max();
+  for (const SceneEvaluation& scene : scenes) fewest = std::min(fewest, scene.samples);
+  const bool pairs = fewest > 1;
+  return {{"samples", fewest},
+          {"formula", pairs ? "E|x - y| - E|x - x'| / 2" : "|x - y|"},
+          {"note", pairs ? "proper: unbiased over pairs of different samples"
+                         : "of one sample a scene its distance alone, which a blur wins; --samples 2 or more "
+                           "make it the energy score"}};
+}
+
 std::string geometry_table(const nlohmann::ordered_json& means) {
   Table table({"geometry of the samples", "mean", "scenes"});
   for (const Metric& metric : metric_list()) {
-    if (metric.of_images()) continue;
+    if (of_every_predictor(metric)) continue;
     const auto& statistics = means.at(metric.name);
     if (statistics.at("scenes") == 0 && !statistics.contains("infinite")) continue;  // absent_text says why
     table.add_row({name_with_unit(metric), with_interval(statistics, metric.unit),
@@ -141,6 +185,17 @@ std::string csv_cell(const std::string& text) {
   std::string quoted = "\"";
   for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
   return quoted + "\"";
+}
+
+// Those whose wins stand in the rows of eval.csv.
+const std::vector<Metric>& metrics_of_rows() {
+  static const std::vector<Metric> metrics{metric_named("energy_score"),
+                                           metric_named("energy_score_features")};
+  return metrics;
+}
+
+std::string win_column(const Predictor& rival, const Metric& metric) {
+  return "sample_wins_" + metric.name + "_" + predictor_name(rival);
 }
 
 std::string target_cell(const SceneNumber& number, size_t sample, size_t target) {
@@ -166,6 +221,9 @@ std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
   std::string text = "scene";
   for (const EvaluationColumn& column : evaluation_columns()) text += "," + column.name;
   for (const Predictor& trivial : trivial_predictors()) text += ",sample_beats_" + predictor_name(trivial);
+  for (const Metric& metric : metrics_of_rows()) {
+    for (const Predictor& rival : rivals()) text += "," + win_column(rival, metric);
+  }
   text += ",sources,samples\n";
   for (const SceneEvaluation& scene : scenes) {
     text += csv_cell(scene.scene);
@@ -173,6 +231,12 @@ std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes) {
       text += number.absent.empty() ? fmt::format(",{:.6f}", number.value) : ",";
     }
     for (const Predictor& trivial : trivial_predictors()) text += scene.sample_beats(trivial) ? ",1" : ",0";
+    for (const Metric& metric : metrics_of_rows()) {
+      for (const Predictor& rival : rivals()) {
+        const auto wins = scene.sample_wins(rival, metric);
+        text += !wins ? "," : *wins ? ",1" : ",0";
+      }
+    }
     text += fmt::format(",{},{}\n", scene.sources.size(), scene.samples);
   }
   return text;
@@ -216,7 +280,7 @@ std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& s
       const auto values = sorted_values(scenes, column->name);
       if (values.size() < 2) continue;
       PlotSeries series;
-      series.name = metric.of_images() ? predictor_name(predictor) : "sample";
+      series.name = of_every_predictor(metric) ? predictor_name(predictor) : "sample";
       std::replace(series.name.begin(), series.name.end(), '_', ' ');
       for (size_t i = 0; i < values.size(); ++i)
         series.points.emplace_back(static_cast<double>(i + 1), values[i]);
@@ -256,6 +320,12 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
   summary["better_than_every_trivial"] =
       std::count_if(scenes.begin(), scenes.end(),
                     [](const SceneEvaluation& scene) { return scene.sample_beats_every_trivial(); });
+  for (const Metric& compared : compared_metrics()) {
+    for (const Predictor& rival : rivals()) {
+      summary["sample_wins"][compared.name][predictor_name(rival)] = wins_json(scenes, rival, compared);
+    }
+  }
+  summary["energy_score"] = energy_score_json(scenes);
   // A scene whose scale is not known is one where it is missed.
   const auto right = std::count_if(scenes.begin(), scenes.end(), [](const SceneEvaluation& scene) {
     const double ratio = scene.number("depth_scale_ratio").value;
@@ -277,10 +347,15 @@ nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& sc
 std::string evaluation_text(const nlohmann::ordered_json& summary) {
   const auto& means = summary.at("means");
   const auto scenes = summary.at("scenes").get<size_t>();
-  std::string text = image_table(means) + "\n" + geometry_table(means) + "\n";
+  std::string text =
+      image_table(means) + "\n" + wins_table(summary.at("sample_wins")) + "\n" + geometry_table(means) + "\n";
   text += absent_text(means, scenes);
   text += fmt::format("samples are better than every trivial predictor in {} of {} scenes (PSNR)\n",
                       summary.at("better_than_every_trivial").get<int64_t>(), scenes);
+  const auto& energy = summary.at("energy_score");
+  text +=
+      fmt::format("energy scores of samples: {} ({} a scene), {}\n", energy.at("formula").get<std::string>(),
+                  energy.at("samples").get<int64_t>(), energy.at("note").get<std::string>());
   const auto& scale = summary.at("depth_scale");
   const auto& distance = summary.at("median_cloud_distance");
   text += fmt::format(

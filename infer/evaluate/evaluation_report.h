@@ -11,8 +11,9 @@
 namespace gld {
 
 // eval.csv: the header and one row a scene, numbers with 6 digits, "inf" for the PSNR of a perfect prediction, nothing
-// where a number is absent; then 1 or 0 for each trivial predictor that the sample beats or does not, and the numbers
-// of sources and of samples. Text that CSV would split is quoted.
+// where a number is absent; then 1 or 0 for each trivial predictor that the sample beats or does not, for each rival
+// against which the samples win or do not by an energy score, and the numbers of sources and of samples. Text that CSV
+// would split is quoted.
 std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes);
 
 // targets.csv: one row a scene, number of sources, sample and target view, for the metrics that have a value a target.
@@ -28,7 +29,8 @@ struct MetricPicture {
 std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& scenes);
 
 // For report.json: each column's mean, deviation and intervals over scenes, with how many scenes have a finite value,
-// an infinite one or none, and why; the best trivial predictor, the margins over it, and how often samples beat them.
+// an infinite one or none, and why; the best trivial predictor, the margins over it, and how often samples beat them;
+// how often samples win against each rival by each of compared_metrics(), and what their energy score is made of.
 nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& scenes);
 
 // The same for people: predictors side by side, then the samples' geometry.

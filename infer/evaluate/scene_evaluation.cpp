@@ -2,8 +2,8 @@
 
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
-#include "gld/cameras/relative_cameras.h"
 #include "gld/metrics/metric_list.h"
+#include "infer/evaluate/carried_pictures.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/placed_cloud.h"
@@ -11,11 +11,9 @@
 #include "infer/request/scale_evidence.h"
 #include "infer/request/scene_request.h"
 #include "models/conditioning/decoder_inputs.h"
-#include "models/scene_geometry/composed_views.h"
-#include "models/scene_geometry/photograph_depth.h"
-#include "models/scene_geometry/source_warp.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <optional>
@@ -25,44 +23,27 @@
 namespace gld {
 namespace {
 
-constexpr const char* kNoHead = "the model has no geometry head that sees cameras";
-
-// For every target the image of the source whose camera centre is nearest.
-torch::Tensor nearest_sources(const Views& views, const torch::Tensor& source_images) {
-  std::vector<torch::Tensor> images;
-  for (int64_t target = views.num_sources; target < views.size(); ++target) {
-    images.push_back(source_images[nearest_source(views, target)]);
-  }
-  return torch::stack(images);
-}
-
-// The true pictures of all views, sources first, and what the model makes of them.
-struct TruePictures {
-  torch::Tensor images;  // (views, 3, height, width); undefined unless every target has a picture
-  std::vector<torch::Tensor> levels;  // as decoders take them, (views, tokens, channels), encoded together
+// Pictures of all views, sources first, encoded together.
+struct EncodedPictures {
+  torch::Tensor images;               // (views, 3, height, width); undefined where there are none
+  std::vector<torch::Tensor> levels;  // as decoders take them, (views, tokens, channels)
   LatentGrid grid;
-  GeometryOutput geometry;  // maps are undefined without a geometry head
 };
 
-TruePictures true_pictures(const EvaluationModels& models, const torch::Tensor& images) {
-  TruePictures pictures;
+EncodedPictures encoded(const EvaluationModels& models, const torch::Tensor& images) {
+  EncodedPictures pictures;
   pictures.images = images;
-  if (!images.defined()) return pictures;
   const auto backbone = models.models.backbone();
   const auto& architecture = backbone->architecture();
   pictures.grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
   for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
     pictures.levels.push_back(backbone->decodable(level).patches);
   }
-  if (models.bundle.geometry_head.predicts_rays()) {
-    pictures.geometry =
-        geometry_of_pictures(models.models, images, GeometryMaps::kDepthAndRays, models.device);
-  }
   return pictures;
 }
 
 // All levels that the decoder takes, or `alone` with the others zero.
-torch::Tensor reconstruction(const EvaluationModels& models, const TruePictures& pictures,
+torch::Tensor reconstruction(const EvaluationModels& models, const EncodedPictures& pictures,
                              std::optional<int64_t> alone) {
   auto levels = pictures.levels;
   for (size_t level = 0; alone && level < levels.size(); ++level) {
@@ -70,6 +51,14 @@ torch::Tensor reconstruction(const EvaluationModels& models, const TruePictures&
   }
   const auto features = image_features(levels, models.models.levels.decoded_levels());
   return models.models.rgb_decoder()->decode(features, pictures.grid).to(torch::kCPU);
+}
+
+// Pictures of the target views encoded beside the sources' and decoded; undefined where there are none.
+torch::Tensor through_decoder(const EvaluationModels& models, const torch::Tensor& source_images,
+                              const torch::Tensor& images) {
+  if (!images.defined()) return {};
+  return reconstruction(models, encoded(models, torch::cat({source_images, images})), std::nullopt)
+      .narrow(0, source_images.size(0), images.size(0));
 }
 
 // (views, tokens, channels) -> (views, channels, rows, columns).
@@ -154,55 +143,6 @@ torch::Tensor true_surface(const SamplingScene& scene) {
   return points_of(build_point_cloud(views, 1, all));
 }
 
-// What the sources say of the target views without anything generated: carried by the depth of their own views.
-struct WarpedSources {
-  torch::Tensor images;   // undefined where nothing could be carried
-  torch::Tensor depth;    // of the nearest source, in the scene's unit; undefined where that is not known
-  std::string no_images;  // why there are none; empty where there are
-  std::string no_depth;
-  FilledViews filled;  // undefined where nothing could be carried
-};
-
-// What the true depth of the sources would carry; undefined unless every source has a depth map.
-FilledViews filled_by_true_depth(const SamplingScene& scene) {
-  SourceDepth depth;
-  depth.from = "the scene";
-  depth.reach = 0;
-  for (const DepthMap& map : scene.source_depths) {
-    if (map.empty()) return {};
-    depth.views.push_back({map.width, map.height, map.metres});
-  }
-  if (!depth.known()) return {};
-  return filled_views(scene.views,
-                      scene.photographs.views.empty()
-                          ? photographs_of_images(scene.views, stacked(scene.source_images))
-                          : scene.photographs,
-                      depth);
-}
-
-WarpedSources warped_sources(const EvaluationModels& models, const SamplingScene& scene) {
-  const auto pictures = stacked(scene.source_images);
-  const SourcePhotographs photographs =
-      scene.photographs.views.empty() ? photographs_of_images(scene.views, pictures) : scene.photographs;
-  const PhotographUse& use = models.photographs;
-  std::optional<GeometryOutput> head;
-  if (models.bundle.geometry_head.predicts_rays()) {
-    head = geometry_of_pictures(models.models, pictures, GeometryMaps::kDepthAndRays, models.device);
-  } else if (!use.matches()) {
-    return {{}, {}, kNoHead, kNoHead, {}};
-  }
-  const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
-  const SourceDepth depth = use.matches() ? photograph_depth(scene.views, pictures, photographs,
-                                                             asks_head && head ? &*head : nullptr, use.stereo)
-                                                .depth
-                                          : source_depth_of_head(scene.views, pictures, *head);
-  const SourceWarp warp = warp_sources(scene.views, pictures, depth, 1);
-  const NearestSourceDepth nearest = nearest_source_depth(scene.views, depth);
-  WarpedSources warped{warp.completed, nearest.depth, warp.doubt, nearest.doubt, {}};
-  if (depth.known()) warped.filled = filled_views(scene.views, photographs, depth);
-  return warped;
-}
-
 PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, const FlowSettings& settings,
                    const PhotographUse& photographs, int64_t noise_seed, DecodedViews geometry_views) {
   PipelineRequest request = scene_request(scene, models.bundle, noise_seed, models.device);
@@ -232,10 +172,15 @@ class SceneMetrics {
       truth_.missing[need] = no_picture;
     }
     if (truth_.true_images.defined()) {
-      pictures_ = true_pictures(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
+      pictures_ = encoded(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
       truth_.true_features = features_of_each(models, pictures_.images);
       for (const auto& level : pictures_.levels) truth_.true_levels.push_back(as_maps(level, pictures_.grid));
-      set_what_the_head_says_of_true_pictures();
+      if (models.bundle.geometry_head.predicts_rays()) {
+        set_what_the_head_says_of_true_pictures(geometry_of_pictures(
+            models.models, pictures_.images, GeometryMaps::kDepthAndRays, models.device));
+      } else {
+        truth_.missing[MetricNeed::kPhotoCameras] = truth_.missing[MetricNeed::kPseudoDepth] = kNoCameraHead;
+      }
     }
     auto& no_lpips = truth_.missing[MetricNeed::kPerceptualDistance];
     if (!lpips_) {
@@ -257,6 +202,14 @@ class SceneMetrics {
     MetricInputs inputs = truth_;
     inputs.true_images = truth;
     inputs.images = images;
+    if (images.defined()) inputs.samples = images.unsqueeze(0);
+    return inputs;
+  }
+
+  // Of all samples of the target views together.
+  MetricInputs of_samples(const std::vector<torch::Tensor>& samples) const {
+    MetricInputs inputs = of_images(samples.front());
+    inputs.samples = torch::stack(samples);
     return inputs;
   }
 
@@ -271,7 +224,7 @@ class SceneMetrics {
     if (!geometry.depth.defined()) {
       for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays,
                                     MetricNeed::kCameraScale, MetricNeed::kPseudoDepth}) {
-        inputs.missing[need] = kNoHead;
+        inputs.missing[need] = kNoCameraHead;
       }
       return inputs;
     }
@@ -304,7 +257,8 @@ class SceneMetrics {
     return inputs;
   }
 
-  const TruePictures& pictures() const { return pictures_; }
+  // The true ones of all views.
+  const EncodedPictures& pictures() const { return pictures_; }
 
  private:
   // As gld sample writes it: the sources' pixels with their photographs, the targets' with the sample's images.
@@ -316,12 +270,7 @@ class SceneMetrics {
   }
 
   // Its depth, and the cameras that it finds when it is given the true pictures of all views and no cameras.
-  void set_what_the_head_says_of_true_pictures() {
-    const GeometryOutput& geometry = pictures_.geometry;
-    if (!geometry.depth.defined()) {
-      truth_.missing[MetricNeed::kPhotoCameras] = truth_.missing[MetricNeed::kPseudoDepth] = kNoHead;
-      return;
-    }
+  void set_what_the_head_says_of_true_pictures(const GeometryOutput& geometry) {
     truth_.pseudo_depth = geometry.depth.narrow(0, truth_.views.num_sources, truth_.views.num_targets());
     const torch::Tensor& pictures = pictures_.images;
     // Of one size, so one lens, as gld sample --photos takes it.
@@ -341,7 +290,7 @@ class SceneMetrics {
       inputs.missing[MetricNeed::kEstimatedCameras] = inputs.missing[MetricNeed::kViewGeometry] = reason;
     };
     if (models_.poses == PoseEstimator::kNone) return missing("no poses were asked for (--poses none)");
-    if (!models_.pose_model && !own.rays.defined()) return missing(kNoHead);
+    if (!models_.pose_model && !own.rays.defined()) return missing(kNoCameraHead);
     const GeometryOutput geometry = models_.pose_model
                                         ? geometry_of_pictures(*models_.pose_model, inputs.view_images,
                                                                GeometryMaps::kDepthAndRays, models_.device)
@@ -357,7 +306,7 @@ class SceneMetrics {
   const EvaluationModels& models_;
   const SamplingScene& scene_;
   MetricInputs truth_;
-  TruePictures pictures_;
+  EncodedPictures pictures_;
   std::shared_ptr<Lpips> lpips_;
 };
 
@@ -381,7 +330,7 @@ bool depends_on_sample(const EvaluationColumn& column) {
       return std::find(needs.begin(), needs.end(), need) != needs.end();
     });
   };
-  if (column.metric.of_images() || column.of != Predictor::kSample) {
+  if (of_every_predictor(column.metric) || column.of != Predictor::kSample) {
     return column.of == Predictor::kSample || column.of == Predictor::kGenerated;
   }
   return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures});
@@ -423,8 +372,14 @@ const SceneNumber& SceneEvaluation::number(const std::string& column) const {
 }
 
 bool SceneEvaluation::sample_beats(const Predictor& trivial) const {
-  const Metric& metric = metric_named("psnr");
-  return number(column_name(Predictor::kSample, metric)).value > number(column_name(trivial, metric)).value;
+  return sample_wins(trivial, metric_named("psnr")).value_or(false);
+}
+
+std::optional<bool> SceneEvaluation::sample_wins(const Predictor& other, const Metric& metric) const {
+  const double of_sample = number(column_name(Predictor::kSample, metric)).value;
+  const double of_other = number(column_name(other, metric)).value;
+  if (std::isnan(of_sample) || std::isnan(of_other)) return std::nullopt;
+  return metric.better == Better::kLower ? of_sample < of_other : of_sample > of_other;
 }
 
 bool SceneEvaluation::sample_beats_every_trivial() const {
@@ -443,8 +398,8 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   shown_only.composition = Composition::kNone;
   result.mean_prediction = run(models, scene, mean_prediction_settings(models.bundle), shown_only,
                                noise_seeds.front(), DecodedViews::kNone);
-  const WarpedSources warped = warped_sources(models, scene);
-  const SceneMetrics metrics(models, scene, warped.filled.shown);
+  const CarriedPictures carried = carried_pictures(models, scene);
+  const SceneMetrics metrics(models, scene, carried.filled.shown);
   const auto sources = stacked(scene.source_images);
   const int64_t targets = scene.views.num_targets();
   const auto for_every_target = [&](const torch::Tensor& image) {
@@ -458,21 +413,24 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   set(Predictor::kNearestSource, metrics.of_images(nearest_sources(scene.views, sources)));
   set(Predictor::kMeanSource, metrics.of_images(for_every_target(sources.mean(0, /*keepdim=*/true))));
   set(Predictor::kMeanColor, metrics.of_images(for_every_target(sources.mean({0, 2, 3}, /*keepdim=*/true))));
-  MetricInputs of_warped = metrics.of_images(warped.images);
-  of_warped.depth = warped.depth;
-  of_warped.depth_scale = 1;
-  if (!warped.no_images.empty()) of_warped.missing[MetricNeed::kImages] = warped.no_images;
-  of_warped.missing[MetricNeed::kDepth] = warped.no_depth;
-  set(Predictor::kWarpedSources, std::move(of_warped));
-  MetricInputs of_fill = metrics.of_images(warped.filled.images);
-  if (!warped.no_images.empty()) of_fill.missing[MetricNeed::kImages] = warped.no_images;
+  MetricInputs of_carried = metrics.of_images(carried.images);
+  of_carried.depth = carried.depth;
+  of_carried.depth_scale = 1;
+  if (!carried.no_images.empty()) of_carried.missing[MetricNeed::kImages] = carried.no_images;
+  of_carried.missing[MetricNeed::kDepth] = carried.no_depth;
+  set(Predictor::kWarpedSources, std::move(of_carried));
+  MetricInputs of_fill = metrics.of_images(carried.filled.images);
+  if (!carried.no_images.empty()) of_fill.missing[MetricNeed::kImages] = carried.no_images;
   set(Predictor::kFill, std::move(of_fill));
+  MetricInputs of_reconstructed = metrics.of_images(through_decoder(models, sources, carried.filled.images));
+  if (!carried.no_images.empty()) of_reconstructed.missing[MetricNeed::kImages] = carried.no_images;
+  set(Predictor::kReconstructedFill, std::move(of_reconstructed));
   MetricInputs of_true_depth = metrics.of_images(filled_by_true_depth(scene).images);
   if (!of_true_depth.images.defined()) {
     of_true_depth.missing[MetricNeed::kImages] = "a source view of the scene has no true depth";
   }
   set(Predictor::kFillByTrueDepth, std::move(of_true_depth));
-  const TruePictures& pictures = metrics.pictures();
+  const EncodedPictures& pictures = metrics.pictures();
   const auto set_reconstruction = [&](const Predictor& predictor, std::optional<int64_t> alone) {
     MetricInputs inputs = metrics.of_images(torch::Tensor());
     const auto decoded = models.models.levels.decoded_levels();
@@ -488,6 +446,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
 
   const auto& columns = evaluation_columns();
   std::vector<std::vector<MetricValue>> values(columns.size());
+  std::vector<torch::Tensor> samples, generated_samples;
   for (const int64_t seed : noise_seeds) {
     PipelineResult sample =
         run(models, scene, sampling, models.photographs, seed,
@@ -499,14 +458,25 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
           "nothing of the photographs is kept in samples: they are generated";
     }
     set(Predictor::kGenerated, std::move(generated));
+    samples.push_back(sample.images);
+    if (sample.generated_images.defined()) generated_samples.push_back(sample.generated_images);
     const MetricInputs geometry = metrics.of_geometry(sample);
     for (size_t i = 0; i < columns.size(); ++i) {
+      if (columns[i].metric.of_samples()) continue;
       if (!values[i].empty() && !depends_on_sample(columns[i])) continue;
       const bool of_sample_geometry = !columns[i].metric.of_images() && columns[i].of == Predictor::kSample;
       values[i].push_back(measure(
           columns[i].metric, of_sample_geometry ? geometry : by_predictor.at(predictor_name(columns[i].of))));
     }
     if (seed == noise_seeds.front()) result.sample = std::move(sample);
+  }
+  set(Predictor::kSample, metrics.of_samples(samples));
+  if (generated_samples.size() == samples.size()) {
+    set(Predictor::kGenerated, metrics.of_samples(generated_samples));
+  }
+  for (size_t i = 0; i < columns.size(); ++i) {
+    if (!columns[i].metric.of_samples()) continue;
+    values[i].push_back(measure(columns[i].metric, by_predictor.at(predictor_name(columns[i].of))));
   }
   SceneEvaluation& evaluation = result.evaluation;
   evaluation.scene = scene.name;

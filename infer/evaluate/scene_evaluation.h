@@ -2,23 +2,19 @@
 
 #include "gld/metrics/metric.h"
 #include "infer/evaluate/evaluation_columns.h"
-#include "infer/evaluate/pose_estimation.h"
+#include "infer/evaluate/evaluation_models.h"
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/request/sampling_scene.h"
-#include "models/bundle/bundle.h"
-#include "models/losses/lpips.h"
 
 #include <cstdint>
-#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
-#include <torch/types.h>
-
 namespace gld {
 
-// The mean of a metric over a scene's target views, then over its samples, or why there is none.
+// The mean of a metric over a scene's target views, then over its samples, or why there is none; of a metric of all
+// samples together its mean over target views.
 struct SceneNumber {
   double value = 0;            // NaN where absent; a perfect prediction's PSNR is infinite
   std::string absent;          // in every sample
@@ -39,6 +35,9 @@ struct SceneEvaluation {
   const SceneNumber& number(const std::string& column) const;
   // Whether the PSNR of a trivial predictor is below that of the sample.
   bool sample_beats(const Predictor& trivial) const;
+  // Whether the sample's number of a metric that is better higher or lower is better than another predictor's; nothing
+  // where either has none.
+  std::optional<bool> sample_wins(const Predictor& other, const Metric& metric) const;
   bool sample_beats_every_trivial() const;
 };
 
@@ -47,18 +46,6 @@ struct EvaluatedScene {
   SceneEvaluation evaluation;
   PipelineResult sample;  // the first one
   PipelineResult mean_prediction;
-};
-
-// What all scenes share.
-struct EvaluationModels {
-  BundleOptions bundle;
-  PipelineModels models;
-  std::shared_ptr<Lpips> lpips;  // null without weights
-  torch::Device device = torch::kCPU;
-  PhotographUse photographs;  // of the samples
-  PoseEstimator poses = PoseEstimator::kOurs;
-  // Whose geometry head looks at the sources and the generated pictures, for poses; the model's own reads the levels.
-  std::optional<PipelineModels> pose_model;
 };
 
 // Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling:

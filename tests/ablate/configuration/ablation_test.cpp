@@ -96,6 +96,21 @@ TEST(Ablation, SmokeSettingsAndOverridesStandAboveTheRest) {
   EXPECT_EQ(ablation.options.seeds, (std::vector<int64_t>{3}));
 }
 
+// Columns of gld eval by metrics that the program knows: direction and unit need not be said.
+TEST(Ablation, KnowsTheMetricsOfEnergyScores) {
+  Described described;
+  std::string text = kSources;
+  const std::string known = "  seconds: {better: lower, unit: s}";
+  text.replace(text.find(known), known.size(),
+               known +
+                   "\n  energy_score: {column: sample_energy_score}\n"
+                   "  energy_score_features_unseen: {column: sample_energy_score_features_unseen}");
+  const Ablation ablation = described.read(text);
+  EXPECT_EQ(ablation.metric("energy_score").direction(), Better::kLower);
+  EXPECT_EQ(ablation.metric("energy_score").column, "sample_energy_score");
+  EXPECT_EQ(ablation.metric("energy_score_features_unseen").direction(), Better::kLower);
+}
+
 TEST(Ablation, OnlySomeVariantsAreKeptAndClaimsOfTheOthersStay) {
   Described described;
   described.options.only = {"two"};

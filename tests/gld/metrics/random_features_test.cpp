@@ -40,6 +40,18 @@ TEST(RandomFeatures, PreferASharpPictureSlightlyMovedToABlurredOne) {
 // Its weights are part of what the number means: another LibTorch must give the same.
 TEST(RandomFeatures, AreTheSameEverywhere) { EXPECT_NEAR(distance(stripes(0), stripes(2)), 0.820223, 1e-5); }
 
+TEST(RandomFeatures, AreAMapALayerOfUnitVectors) {
+  const auto maps = random_feature_maps(torch::rand({2, 3, 19, 32}, at::detail::createCPUGenerator(1)));
+  ASSERT_EQ(maps.size(), static_cast<size_t>(kRandomFeatureMaps));
+  const std::vector<std::vector<int64_t>> shapes{
+      {2, 32, 19, 32}, {2, 64, 10, 16}, {2, 128, 5, 8}, {2, 128, 3, 4}};
+  for (size_t map = 0; map < maps.size(); ++map) {
+    EXPECT_EQ(maps[map].sizes(), c10::IntArrayRef(shapes[map]));
+    EXPECT_LT((maps[map].norm(2, 1) - 1).abs().max().item<double>(), 1e-5);
+  }
+  EXPECT_NE(test::error_of([] { random_feature_maps(torch::zeros({1, 3, 7, 30})); }), "");
+}
+
 TEST(RandomFeatures, AreAMetricOfImagesOrAbsent) {
   const Metric& metric = metric_named("random_features");
   EXPECT_TRUE(metric.of_images());

@@ -4,22 +4,21 @@
 #include "datasets/formats/scene_writer.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
-#include "gld/metrics/metric_list.h"
+#include "gld/metrics/energy_score.h"
+#include "gld/metrics/image_metrics.h"
 #include "gld/tensors/weight_tensors.h"
-#include "infer/evaluate/evaluation_report.h"
 #include "infer/evaluate/scene_evaluation.h"
-#include "infer/evaluate/scene_record.h"
 #include "infer/pipeline/bundle_models.h"
+#include "infer/request/scene_request.h"
 #include "infer/sample/sampling.h"
 #include "models/bundle/random_bundle.h"
+#include "tests/support/csv_cells.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
-#include <map>
 #include <sstream>
 
 #include <gmock/gmock.h>
@@ -28,101 +27,8 @@
 namespace gld {
 namespace {
 
+using test::csv_cells;
 using testing::HasSubstr;
-
-constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-
-// A scene whose columns have these values; the others are absent.
-SceneEvaluation scene_with(const std::string& name, const std::map<std::string, double>& values) {
-  SceneEvaluation scene;
-  scene.scene = name;
-  for (const EvaluationColumn& column : evaluation_columns()) {
-    const auto found = values.find(column.name);
-    scene.numbers.push_back(found == values.end() ? SceneNumber{kNaN, "it was not measured"}
-                                                  : SceneNumber{found->second, ""});
-  }
-  return scene;
-}
-
-SceneEvaluation scene(const std::string& name, double sample_psnr) {
-  return scene_with(name, {{"sample_psnr", sample_psnr},
-                           {"mean_prediction_psnr", 21.0},
-                           {"psnr_nearest_source", 14.0},
-                           {"psnr_mean_source", 15.5},
-                           {"psnr_mean_color", 19.0},
-                           {"sample_sharpness", 0.5}});
-}
-
-std::vector<std::string> cells(const std::string& line) {
-  std::vector<std::string> result;
-  std::istringstream text(line + ",");
-  for (std::string cell; std::getline(text, cell, ',');) result.push_back(cell);
-  return result;
-}
-
-TEST(EvaluationReport, HasBothPredictionsOfEveryMetricOfImages) {
-  std::vector<std::string> names;
-  for (const EvaluationColumn& column : evaluation_columns()) names.push_back(column.name);
-  for (const Metric& metric : image_metric_list()) {
-    for (const std::string& name : {"sample_" + metric.name, "mean_prediction_" + metric.name,
-                                    metric.name + "_nearest_source", "reconstruction_" + metric.name}) {
-      EXPECT_THAT(names, testing::Contains(name));
-    }
-  }
-  for (const char* name :
-       {"psnr_mean_source", "psnr_mean_color", "depth_abs_rel_unscaled", "rotation_error"}) {
-    EXPECT_THAT(names, testing::Contains(name));
-  }
-  EXPECT_THAT(names, testing::Not(testing::Contains("psnr")));
-}
-
-TEST(EvaluationReport, TheTableLeavesAbsentNumbersEmpty) {
-  auto first = scene("room_1", 18.25);
-  const std::string csv = evaluation_csv({first});
-  std::istringstream text(csv);
-  std::string header, row;
-  std::getline(text, header);
-  std::getline(text, row);
-  const auto names = cells(header), values = cells(row);
-  ASSERT_EQ(values.size(), names.size());
-  std::map<std::string, std::string> by_name;
-  for (size_t i = 0; i < names.size(); ++i) by_name[names[i]] = values[i];
-  EXPECT_EQ(by_name.at("scene"), "room_1");
-  EXPECT_EQ(by_name.at("sample_psnr"), "18.250000");
-  EXPECT_EQ(by_name.at("mean_prediction_psnr"), "21.000000");
-  EXPECT_EQ(by_name.at("depth_abs_rel_unscaled"), "");
-  EXPECT_EQ(by_name.at("sample_beats_mean_source"), "1");
-  EXPECT_EQ(by_name.at("sample_beats_mean_color"), "0");
-}
-
-TEST(EvaluationReport, CountsWhereSamplesBeatTheTrivialPredictors) {
-  const auto summary = evaluation_summary({scene("a", 18.0), scene("b", 20.0), scene("c", 13.0)});
-  EXPECT_EQ(summary.at("better_than_every_trivial"), 1);
-  EXPECT_EQ(summary.at("sample_beats").at("nearest_source"), 2);
-  EXPECT_EQ(summary.at("sample_beats").at("mean_source"), 2);
-  EXPECT_EQ(summary.at("sample_beats").at("mean_color"), 1);
-  EXPECT_EQ(summary.at("best_trivial_predictor"), "psnr_mean_color");
-  EXPECT_NEAR(summary.at("sample_margin_over_best_trivial_db").get<double>(), 17 - 19, 1e-12);
-  EXPECT_NEAR(summary.at("mean_prediction_margin_over_best_trivial_db").get<double>(), 2, 1e-12);
-  EXPECT_THAT(evaluation_text(summary), HasSubstr("better than every trivial predictor in 1 of 3 scenes"));
-}
-
-TEST(EvaluationReport, AMeanSaysWhatItIsOf) {
-  auto perfect = scene("b", std::numeric_limits<double>::infinity());
-  const auto summary = evaluation_summary({scene("a", 18.0), perfect, scene("c", 20.0)});
-  const auto& psnr = summary.at("means").at("sample_psnr");
-  EXPECT_NEAR(psnr.at("mean").get<double>(), 19.0, 1e-12);
-  EXPECT_NEAR(psnr.at("deviation").get<double>(), 1, 1e-12);
-  EXPECT_EQ(psnr.at("scenes"), 2);
-  EXPECT_EQ(psnr.at("infinite"), 1);
-  EXPECT_EQ(psnr.at("unit"), "dB");
-  EXPECT_EQ(psnr.at("better"), "higher");
-  const auto& depth = summary.at("means").at("depth_abs_rel_unscaled");
-  EXPECT_TRUE(depth.at("mean").is_null());
-  EXPECT_EQ(depth.at("scenes"), 0);
-  EXPECT_EQ(depth.at("absent").at("it was not measured"), 3);
-  EXPECT_THAT(evaluation_text(summary), HasSubstr("absent in 3 of 3 scenes, it was not measured"));
-}
 
 TEST(EvaluationOptions, SamplesAreDrawnAsGldSampleDrawsThem) {
   const EvaluationOptions options;
@@ -147,62 +53,6 @@ TEST(EvaluationOptions, RefuseToEvaluateNothing) {
   options.views.most_sources = 2;
   options.lpips.lpips_heads = "heads.pth";
   EXPECT_THAT(test::error_of([&] { options.check(); }), HasSubstr("only the heads"));
-}
-
-TEST(EvaluationReport, AnIntervalIsDrawnOverScenesAndAbsentForOne) {
-  const auto three = evaluation_summary({scene("a", 18.0), scene("b", 19.0), scene("c", 23.0)}).at("means");
-  const auto& interval = three.at("sample_psnr").at("interval_95");
-  EXPECT_GE(interval.at(0).get<double>(), 18);
-  EXPECT_LT(interval.at(0).get<double>(), 20);
-  EXPECT_GT(interval.at(1).get<double>(), 20);
-  EXPECT_LE(interval.at(1).get<double>(), 23);
-  EXPECT_FALSE(three.at("sample_psnr").contains("confidence_95"));  // one interval
-  EXPECT_TRUE(
-      evaluation_summary({scene("a", 18.0)}).at("means").at("sample_psnr").at("interval_95").at(0).is_null());
-}
-
-TEST(EvaluationReport, ARowATargetLeavesOutWhatIsOfTheScene) {
-  auto measured = scene("a, \"b\"", 18.0);
-  measured.samples = 2;
-  measured.sources = {"f0"};
-  measured.targets = {"f1", "f2"};
-  const auto& columns = evaluation_columns();
-  for (size_t i = 0; i < columns.size(); ++i) {
-    if (columns[i].name == "sample_psnr") measured.numbers[i].of_targets = {{17, kNaN}, {18, 19}};
-    if (columns[i].name == "mean_prediction_psnr") measured.numbers[i].of_targets = {{20, 21}};
-  }
-  EXPECT_EQ(targets_csv({measured}),
-            "scene,sources,sample,target,sample_psnr,mean_prediction_psnr\n"
-            "\"a, \"\"b\"\"\",1,0,f1,17.000000,20.000000\n"
-            "\"a, \"\"b\"\"\",1,0,f2,,21.000000\n"
-            "\"a, \"\"b\"\"\",1,1,f1,18.000000,\n"
-            "\"a, \"\"b\"\"\",1,1,f2,19.000000,\n");
-}
-
-TEST(EvaluationReport, PicturesAreOfMetricsThatSeveralScenesHave) {
-  std::vector<std::string> names;
-  for (const auto& picture : metric_pictures({scene("a", 18.0), scene("b", 19.0)}))
-    names.push_back(picture.name);
-  EXPECT_THAT(names, testing::Contains("psnr"));
-  EXPECT_THAT(names, testing::Not(testing::Contains("ate")));  // absent in both
-  EXPECT_TRUE(metric_pictures({scene("a", 18.0)}).empty());
-}
-
-TEST(SceneRecord, ReadsBackEqual) {
-  auto measured = scene("a", std::numeric_limits<double>::infinity());
-  measured.samples = 3;
-  measured.sources = {"f0", "f9"};
-  measured.targets = {"f1"};
-  measured.numbers[0].of_targets = {{1.0 / 3}, {kNaN}, {-std::numeric_limits<double>::infinity()}};
-  measured.numbers[0].absent_samples = 1;
-  const auto text = scene_record(measured).dump();
-  const auto found = scene_from_record(nlohmann::json::parse(text), "here");
-  EXPECT_EQ(scene_record(found).dump(), text);
-  EXPECT_EQ(found.number("sample_psnr").value, std::numeric_limits<double>::infinity());
-  EXPECT_TRUE(std::isnan(found.number("ate").value));
-  EXPECT_EQ(found.number("ate").absent, "it was not measured");
-  EXPECT_THAT(test::error_of([] { scene_from_record(nlohmann::json::parse("{}"), "scenes/0.json"); }),
-              HasSubstr("scenes/0.json: expected a scene that gld eval has measured"));
 }
 
 // One random model and one drawn scene for all tests.
@@ -398,12 +248,12 @@ TEST_F(EvaluationProtocol, NumbersAreMeansOverSamplesAndTargets) {
   std::istringstream text(file(asked, "targets.csv"));
   std::string line;
   std::getline(text, line);
-  const auto header = cells(line);
+  const auto header = csv_cells(line);
   const auto column =
       static_cast<size_t>(std::find(header.begin(), header.end(), "sample_psnr") - header.begin());
   double sum = 0;
   std::vector<double> values;
-  while (std::getline(text, line)) values.push_back(std::stod(cells(line)[column]));
+  while (std::getline(text, line)) values.push_back(std::stod(csv_cells(line)[column]));
   ASSERT_EQ(values.size(), 4U);  // 2 samples, 2 targets
   for (const double value : values) sum += value / 4;
   EXPECT_NE(values[0], values[2]);
@@ -411,6 +261,92 @@ TEST_F(EvaluationProtocol, NumbersAreMeansOverSamplesAndTargets) {
   EXPECT_NEAR(means.at("sample_psnr").at("mean").get<double>(), sum, 1e-5);
   EXPECT_EQ(means.at("ate").at("absent").at("no poses were asked for (--poses none)"), 1);
   EXPECT_TRUE(means.at("ate").at("mean").is_null());
+}
+
+// Of all samples together; of what is predicted without chance the distance.
+TEST_F(EvaluationProtocol, EnergyScoresAreOfAllSamplesTogether) {
+  auto asked = rooms("energy");
+  asked.synthetic = 1;
+  asked.samples = 3;
+  asked.pictures = 0;
+  asked.poses = PoseEstimator::kNone;
+  run(asked);
+  const auto found = report(asked);
+  const auto mean = [&](const std::string& name) {
+    return found.at("means").at(name).at("mean").get<double>();
+  };
+
+  const auto bundle = ModelBundle::open(asked.model);
+  const auto dataset = held_out_dataset({}, asked.generator, asked.synthetic_seed, 1);
+  const SamplingScene scene = load_held_out_scene(dataset->scene(0), asked.views,
+                                                  held_out_key(asked.synthetic_seed, 0), bundle.options());
+  EvaluationModels models;
+  models.bundle = bundle.options();
+  models.models = kept_bundle_models(bundle, torch::kCPU);
+  models.photographs = photograph_use_of(asked.photograph_use, models.bundle);
+  const FlowSettings settings = flow_settings(asked.sampling_method(), asked.guidance, bundle.options());
+  std::vector<torch::Tensor> samples;
+  std::vector<double> distances;
+  for (const int64_t seed : {11, 1'000'011, 2'000'011}) {
+    const EvaluatedScene one = evaluate_scene(models, scene, settings, {seed});
+    samples.push_back(one.sample.images);
+    // One sample: its distance, which its PSNR is too.
+    distances.push_back(one.evaluation.number("sample_energy_score").value);
+  }
+  const auto truth = stacked(scene.true_images);
+  EXPECT_NEAR(mean("sample_energy_score"), energy_score(truth, torch::stack(samples)).mean().item<double>(),
+              1e-9);
+  EXPECT_NEAR(mean("sample_energy_score_features"),
+              energy_score_of_features(truth, torch::stack(samples)).mean().item<double>(), 1e-9);
+  EXPECT_LT(mean("sample_energy_score"), (distances[0] + distances[1] + distances[2]) / 3);
+  EXPECT_EQ(found.at("energy_score").at("samples"), 3);
+  const auto colours = stacked(scene.source_images).mean({0, 2, 3}, true).expand_as(truth);
+  EXPECT_NEAR(mean("energy_score_mean_color"),
+              torch::pow(10.0, psnr(truth, colours) / -20).mean().item<double>(), 1e-6);
+  // One row a target, in those of the first sample.
+  std::istringstream text(file(asked, "targets.csv"));
+  std::string line;
+  std::getline(text, line);
+  const auto header = csv_cells(line);
+  const auto column =
+      static_cast<size_t>(std::find(header.begin(), header.end(), "sample_energy_score") - header.begin());
+  ASSERT_LT(column, header.size());
+  std::vector<bool> filled;
+  while (std::getline(text, line)) filled.push_back(!csv_cells(line).at(column).empty());
+  EXPECT_EQ(filled, (std::vector<bool>{true, true, false, false, false, false}));
+}
+
+// What the decoder alone makes of the pictures that a generated part has to beat.
+TEST_F(EvaluationProtocol, TheFillGoesThroughTheDecoder) {
+  auto asked = rooms("through_decoder");
+  // Photographs are matched without the head, which a random model has no use for.
+  asked.photograph_use.source_depth = PhotographOptions::DepthChoice::kStereo;
+  asked.pictures = 0;
+  run(asked);
+  const auto means = report(asked).at("means");
+  const auto& fill = means.at("fill_psnr");
+  const auto& reconstructed = means.at("reconstructed_fill_psnr");
+  EXPECT_EQ(fill.at("scenes"), reconstructed.at("scenes"));
+  EXPECT_EQ(fill.value("absent", nlohmann::json()), reconstructed.value("absent", nlohmann::json()));
+  ASSERT_GT(fill.at("scenes"), 0);
+  EXPECT_NE(fill.at("mean"), reconstructed.at("mean"));
+  for (const char* pixels : {"seen", "unseen"}) {
+    for (const char* metric : {"psnr_", "energy_score_", "energy_score_features_"}) {
+      for (const char* predictor : {"sample_", "fill_", "reconstructed_fill_"}) {
+        EXPECT_GT(means.at(std::string(predictor) + metric + pixels).at("scenes"), 0)
+            << predictor << metric << pixels;
+      }
+    }
+  }
+  // One source's depth has no unit that its photograph tells: nothing is carried and nothing decoded.
+  asked.views.views = 3;
+  asked.source_counts = {1};
+  asked.views.most_sources = 1;
+  asked.overwrite = true;
+  run(asked);
+  const auto of_one = report(asked).at("means");
+  EXPECT_EQ(of_one.at("reconstructed_fill_psnr").at("scenes"), 0);
+  EXPECT_EQ(of_one.at("reconstructed_fill_psnr").at("absent"), of_one.at("fill_psnr").at("absent"));
 }
 
 TEST_F(EvaluationProtocol, EveryNumberOfSourcesIsReported) {
@@ -447,7 +383,7 @@ TEST_F(EvaluationProtocol, QueriesAndKeysOfEveryBlockAreMatched) {
   EXPECT_EQ(line, "stage,block,part,time,pck,low_95,high_95,scenes");
   int64_t rows = 0;
   while (std::getline(text, line)) {
-    const auto row = cells(line);
+    const auto row = csv_cells(line);
     EXPECT_EQ(row.at(7), "2") << line;
     EXPECT_GE(std::stod(row.at(4)), 0) << line;
     EXPECT_LE(std::stod(row.at(4)), 100) << line;

@@ -1,0 +1,30 @@
+#pragma once
+
+#include "infer/evaluate/pose_estimation.h"
+#include "infer/pipeline/sampling_pipeline.h"
+#include "models/bundle/bundle.h"
+#include "models/losses/lpips.h"
+
+#include <memory>
+#include <optional>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Why a model does not say where its pictures stand.
+constexpr const char* kNoCameraHead = "the model has no geometry head that sees cameras";
+
+// What all scenes of an evaluation share.
+struct EvaluationModels {
+  BundleOptions bundle;
+  PipelineModels models;
+  std::shared_ptr<Lpips> lpips;  // null without weights
+  torch::Device device = torch::kCPU;
+  PhotographUse photographs;  // of the samples
+  PoseEstimator poses = PoseEstimator::kOurs;
+  // Whose geometry head looks at the sources and the generated pictures, for poses; the model's own reads the levels.
+  std::optional<PipelineModels> pose_model;
+};
+
+}  // namespace gld
