@@ -139,7 +139,8 @@ Metric pseudo_depth_metric(const NamedError& error) {
   metric.better = error.better;
   metric.needs = {MetricNeed::kPseudoDepth, MetricNeed::kDepth};
   metric.compute = [error](const MetricInputs& inputs) {
-    const auto depth = inputs.depth.to(torch::kCPU, torch::kFloat64);
+    const torch::Tensor& of_head = inputs.head_depth.defined() ? inputs.head_depth : inputs.depth;
+    const auto depth = of_head.to(torch::kCPU, torch::kFloat64);
     if (!depth.isfinite().all().item<bool>()) return absent_metric("the predicted depth is not finite");
     return metric_of_views(depth_errors(inputs.pseudo_depth.to(torch::kCPU), depth).*error.values,
                            "the depth of the true pictures is nowhere positive");

@@ -253,6 +253,7 @@ class SceneMetrics {
       const PlanarDepth& map = sample.view_depth[view];
       fused.push_back(torch::tensor(at::ArrayRef<float>(map.values)).view({map.height, map.width}));
     }
+    inputs.head_depth = inputs.depth;
     inputs.depth = torch::stack(fused) / *inputs.depth_scale;
     return inputs;
   }

@@ -84,6 +84,11 @@ TEST(DepthMetrics, PseudoDepthIsComparedAsItIs) {
   EXPECT_NEAR(measure(metric_named("pseudo_depth_abs_rel"), inputs).mean(), 0.5, 1e-12);
   EXPECT_NEAR(measure(metric_named("pseudo_depth_rmse"), inputs).mean(), 1, 1e-12);
   EXPECT_EQ(measure(metric_named("pseudo_depth_delta1"), inputs).mean(), 0);
+  // Depth that photographs are part of does not count: it is the head that is measured.
+  inputs.head_depth = torch::full({1, 2, 2}, 3.0);
+  EXPECT_NEAR(measure(metric_named("pseudo_depth_abs_rel"), inputs).mean(), 0.5, 1e-12);
+  inputs.head_depth = torch::full({1, 2, 2}, 2.0);
+  EXPECT_EQ(measure(metric_named("pseudo_depth_abs_rel"), inputs).mean(), 0);
 }
 
 TEST(DepthScale, RecoversTheFactorOfAWholeScene) {
