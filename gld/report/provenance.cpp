@@ -80,12 +80,6 @@ std::string command_line_text(const std::string& command, const OptionsGroup& op
 
 std::string program_version() { return "gld " GLD_VERSION; }
 
-std::string identifying_options(nlohmann::json options) {
-  for (const std::string& name : options_beside_the_result()) options.erase(name);
-  shorten_paths(options);
-  return json_text(options);
-}
-
 Provenance make_provenance(const std::string& command, const OptionsGroup& options) {
   Provenance provenance;
   provenance.program = program_version();
