@@ -60,8 +60,8 @@ struct MetricInputs {
   std::vector<Camera> estimated_cameras;
   std::optional<double> camera_scale;  // scene units in one of the estimated cameras'
   torch::Tensor pseudo_depth;          // (targets, height, width) in the model's own unit, 0 where unknown
-  // What the head alone says where `depth` has more in it (photographs), in the same unit: it is compared with pseudo_depth.
-  // Undefined where `depth` is that.
+  // What the head alone says where `depth` has more in it (photographs), in the same unit: it is compared with
+  // pseudo_depth. Undefined where `depth` is that.
   torch::Tensor head_depth;
   torch::Tensor
       view_images;  // (views, 3, height, width): the sources' pictures and the targets' predicted ones

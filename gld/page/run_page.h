@@ -18,8 +18,8 @@ struct PageMaker {
   std::function<Page(const std::filesystem::path& run)> make;
 };
 
-// gld report: writes RUN/report.html, and prints where it is and what is doubtful about the run. Throws Error for a folder that is
-// no run of these commands, a run without report.json, and one that is still written.
+// gld report: writes RUN/report.html, and prints where it is and what is doubtful about the run. Throws Error for a
+// folder that is no run of these commands, a run without report.json, and one that is still written.
 void report_run(const std::filesystem::path& run, const std::vector<PageMaker>& makers);
 
 }  // namespace gld

@@ -15,7 +15,8 @@ namespace gld {
 // The prior at every pixel of the view's picture; 0 where not known.
 std::vector<float> prior_at(const PicturedView& view, const StereoPicture& picture);
 
-// What the confident pixels of a pass say of the priors, one a view as prior_at() gives them; nothing where there is none.
+// What the confident pixels of a pass say of the priors, one a view as prior_at() gives them; nothing where there is
+// none.
 std::optional<PriorAgreement> prior_agreement(const std::vector<StereoDepth>& found,
                                               const std::vector<std::vector<float>>& priors);
 

@@ -14,7 +14,8 @@
 
 namespace gld {
 
-// Of a plane-sweep stereo (plane_sweep_stereo.h): which depths of each view are looked at, and in which other photographs.
+// Of a plane-sweep stereo (plane_sweep_stereo.h): which depths of each view are looked at, and in which other
+// photographs.
 
 // Pixels and planar depth of one camera to another's, both counted from pixel middles.
 struct BetweenViews {

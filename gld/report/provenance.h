@@ -28,16 +28,17 @@ struct Provenance {
 // "gld 0.1.0": this build.
 std::string program_version();
 
-// JSON on one line of a run's options, as to_json() writes them: those that identify a result (options_beside_the_result), of
-// absolute paths the last name.
+// JSON on one line of a run's options, as to_json() writes them: those that identify a result
+// (options_beside_the_result), of absolute paths the last name.
 std::string identifying_options(nlohmann::json options);
 
 // program is this build's; options are those that identify a result (options_beside_the_result): an output's bytes must
 // not depend on where it lies.
 Provenance make_provenance(const std::string& command, const OptionsGroup& options);
 
-// The command line that makes a result again: "gld sample --views.sources 0,6 ...", quoted for a shell, with the options
-// that have another value than in `defaults`, without those that change no result; of absolute paths the last name.
+// The command line that makes a result again: "gld sample --views.sources 0,6 ...", quoted for a shell, with the
+// options that have another value than in `defaults`, without those that change no result; of absolute paths the last
+// name.
 std::string command_line_text(const std::string& command, const OptionsGroup& options,
                               const OptionsGroup& defaults);
 

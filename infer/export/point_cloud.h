@@ -80,8 +80,8 @@ PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_s
 // planes and large at occlusions. Neighbours with unknown depth do not count. (height, width).
 std::vector<uint8_t> depth_edges(const DepthMap& depth, double step);
 
-// Keeps the surest point of each cell of a cubic grid, the smallest tried with which at most max_points are left. Returns
-// the length of a cell; 0 where none had to go.
+// Keeps the surest point of each cell of a cubic grid, the smallest tried with which at most max_points are left.
+// Returns the length of a cell; 0 where none had to go.
 double thin_point_cloud(PointCloud& cloud, int64_t max_points);
 
 }  // namespace gld

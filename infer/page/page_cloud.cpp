@@ -16,8 +16,8 @@ constexpr double kStepsAnOctave = 16;
 // How far a point may lie from the depth of a camera that sees it.
 constexpr double kSameSurface = 0.03;
 
-// The length that a pixel of this camera covers at the point; infinite where it lies outside of the picture. `seen` is whether
-// the camera's depth there is the point's.
+// The length that a pixel of this camera covers at the point; infinite where it lies outside of the picture. `seen` is
+// whether the camera's depth there is the point's.
 double pixel_length(const SeenDepth& view, const Eigen::Isometry3d& camera_from_world,
                     const Eigen::Vector3d& x_in_world, bool& seen) {
   seen = false;

@@ -59,8 +59,8 @@ class SurfaceMaker {
     return 1 / b - 1 / a;
   }
 
-  // The same some places away in that direction, or as far as the picture goes; where nothing is known there, half as far
-  // on the other side.
+  // The same some places away in that direction, or as far as the picture goes; where nothing is known there, half as
+  // far on the other side.
   std::optional<float> change_near(int64_t x, int64_t y, Neighbour next, int64_t away) const {
     const int64_t here = next.dx > 0 ? x : y, last = (next.dx > 0 ? grid_.width : grid_.height) - 2;
     const auto change_at = [&](int64_t place) {

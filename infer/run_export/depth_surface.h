@@ -13,8 +13,8 @@ namespace gld {
 
 struct DepthSurfaceOptions {
   int64_t step = 1;  // pixels from one vertex to the next
-  // A surface is cut where inverse depth changes from a vertex to the next by more than this, relative to itself, beyond
-  // how it changes a few pixels to both sides. On a plane seen in perspective the difference is 0.
+  // A surface is cut where inverse depth changes from a vertex to the next by more than this, relative to itself,
+  // beyond how it changes a few pixels to both sides. On a plane seen in perspective the difference is 0.
   double edge_step = 0.02;
   double farthest = std::numeric_limits<double>::infinity();  // deeper pixels are left out
 };

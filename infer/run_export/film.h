@@ -49,10 +49,10 @@ std::vector<size_t> shown_frames(size_t frames, bool closes);
 // Throws Error where no target has a picture, sizes differ, or depth is missing for pictures between views.
 void check_film(const FinishedRun& run, int64_t between);
 
-// Pictures between the views go into folder; the views' own files are taken as they are. A picture between two views has
-// a camera on the spline through all targets (infer/paths/spline_path.h), closed where the path is, and shows what the two views
-// show of it by their depth (gld/photogrammetry/photograph_composition.h). Throws the
-// Errors of check_film(), and Interrupted on Ctrl-C.
+// Pictures between the views go into folder; the views' own files are taken as they are. A picture between two views
+// has a camera on the spline through all targets (infer/paths/spline_path.h), closed where the path is, and shows what
+// the two views show of it by their depth (gld/photogrammetry/photograph_composition.h). Throws the Errors of
+// check_film(), and Interrupted on Ctrl-C.
 Film make_film(const FinishedRun& run, const FilmOptions& options, const std::filesystem::path& folder);
 
 // "1-3, 5-7": the pictures between views, by their number in the order of showing, from 0; empty where there are none.

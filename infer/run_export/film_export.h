@@ -14,8 +14,8 @@ void export_webp(const std::filesystem::path& file, const Film& film, const Text
 std::filesystem::path require_ffmpeg();
 
 // An MP4 file of the film made by that program: H.264, yuv420p, BT.709, sides rounded up to even ones by showing the
-// last column or row twice, the texts as a JSON comment. One thread, so that the same film gives the same bytes. Atomic.
-// Throws Error where ffmpeg fails, with the place of what it printed; Interrupted on Ctrl-C.
+// last column or row twice, the texts as a JSON comment. One thread, so that the same film gives the same bytes.
+// Atomic. Throws Error where ffmpeg fails, with the place of what it printed; Interrupted on Ctrl-C.
 void export_mp4(const std::filesystem::path& file, const Film& film, const TextItems& texts,
                 const std::filesystem::path& ffmpeg);
 

@@ -29,7 +29,8 @@ struct GlbScene {
 };
 
 // What is subtracted from the coordinates of a scene before they become floats: zero as long as a float's rounding is
-// below a millionth of the box around cameras, cloud and surfaces, else the middle of that box, rounded to whole numbers of float.
+// below a millionth of the box around cameras, cloud and surfaces, else the middle of that box, rounded to whole
+// numbers of float.
 Eigen::Vector3d glb_origin(const GlbScene& scene);
 
 // A binary glTF 2.0 file, written by tinygltf. Its nodes:

@@ -31,10 +31,10 @@ struct ExportOptions : OptionsGroup {
 // "glb", "colmap", "nerfstudio", "webp", "mp4".
 const std::vector<std::string>& export_format_names();
 
-// Reads the run's folder and nothing else; writes scene.glb, colmap/, nerfstudio/, path.webp, path.mp4, those that are asked
-// for, and report.json into options.out. Each is there whole or not at all, and has the same bytes whatever is asked
-// for beside it. What is missing in the run is an Error before anything is written. Stops between files and pictures on
-// Ctrl-C.
+// Reads the run's folder and nothing else; writes scene.glb, colmap/, nerfstudio/, path.webp, path.mp4, those that are
+// asked for, and report.json into options.out. Each is there whole or not at all, and has the same bytes whatever is
+// asked for beside it. What is missing in the run is an Error before anything is written. Stops between files and
+// pictures on Ctrl-C.
 void run_export(const ExportOptions& options);
 
 }  // namespace gld

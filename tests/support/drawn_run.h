@@ -6,14 +6,14 @@
 
 namespace gld::test {
 
-// A run folder as gld sample writes one, of a drawn room with its true depth: what stands for generated views are its pictures a
-// little brighter.
+// A run folder as gld sample writes one, of a drawn room with its true depth: what stands for generated views are its
+// pictures a little brighter.
 struct DrawnRun {
   int64_t scene = 0;  // of the seed
   int64_t width = 112, height = 112;
   int64_t sources = 3, targets = 3;
-  // The picture's left fifth and lower eighth are cut off, and two of its rows become one: the principal point is off the
-  // middle, and pixels are twice as high as wide.
+  // The picture's left fifth and lower eighth are cut off, and two of its rows become one: the principal point is off
+  // the middle, and pixels are twice as high as wide.
   bool odd_pixels = false;
   bool depth = true;
   std::string scene_name = "room";

@@ -144,8 +144,8 @@ inline void expect_keys(const nlohmann::json& object, const std::string& what, c
     EXPECT_EQ(known.count(item.key()), 1U) << what << " has " << item.key();
 }
 
-// The structure that glTF 2.0 asks for: keys, types, numbers of other objects, a tree of nodes, ranges, alignment, sizes,
-// values that are finite, and exact bounds of positions.
+// The structure that glTF 2.0 asks for: keys, types, numbers of other objects, a tree of nodes, ranges, alignment,
+// sizes, values that are finite, and exact bounds of positions.
 inline void expect_valid_gltf(const GltfFile& file) {
   const auto& json = file.json;
   expect_keys(
