@@ -30,16 +30,24 @@ struct Arguments {
   size_t maximum = 0;
 };
 
+// Options that gld COMMAND --help shows under one heading; all others stand in --help-all alone.
+struct UsualOptions {
+  std::string heading;
+  std::vector<std::string> keys;  // "views.sources"
+};
+
 struct Command {
   std::string name;
   std::string summary;      // one line for gld --help
-  std::string description;  // more for gld COMMAND --help; may be empty
+  std::string description;  // more for gld COMMAND --help-all, its first line, an example, for --help too; may be empty
   Arguments arguments;
   // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other field of the
   // command ends like that; underscores are dashes. Booleans are --name and --no-name. All commands have
   // --config FILE.yaml, --set key=value and --quiet as well. A flag's value is its text, YAML is only what stands in
   // the file and right of --set's "=".
   std::shared_ptr<OptionsGroup> options;
+  // What --help shows beside --out, --seed and the like, in that order; empty: the first ones outside groups.
+  std::vector<UsualOptions> usual;
   // Reads what --config names where that is more than a file of options; empty: it is one.
   std::function<void(const std::string& file)> read_config;
   // Called before options are checked, with the keys ("group.field") that flags and --set name; may be empty.

@@ -1,4 +1,7 @@
 #include "cli/command.h"
+#include "cli/flag_list.h"
+#include "cli/help_text.h"
+#include "cli/manual_page.h"
 #include "cli/option_uses.h"
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
@@ -41,82 +44,34 @@ struct Collected {
   std::vector<FlagValue> flags;
 };
 
-std::string last_part(const std::string& key) { return key.substr(key.rfind('.') + 1); }
-
-bool has_short_form(const std::string& key, const std::map<std::string, int>& uses_of_last_part) {
-  const std::string last = last_part(key);
-  return last != key && uses_of_last_part.at(last) == 1;
-}
-
 // "--solver.evaluations,--evaluations": the short form only where it is unambiguous.
-std::string flag_names(const std::string& key, const std::map<std::string, int>& uses_of_last_part,
-                       const std::string& prefix) {
-  std::string names = prefix + dashed_name(key);
-  if (has_short_form(key, uses_of_last_part)) names += "," + prefix + dashed_name(last_part(key));
+std::string flag_names(const Flag& flag, const std::string& prefix) {
+  std::string names = prefix + flag.full.substr(2);
+  if (flag.has_short_form()) names += "," + prefix + flag.shown.substr(2);
   return names;
-}
-
-// Types of the options that commands have outside groups, by name.
-using OutermostTypes = std::map<std::string, std::set<std::string>>;
-
-void add_outermost_types(const std::vector<Command>& commands, OutermostTypes& types) {
-  for (const auto& command : commands) {
-    add_outermost_types(command.subcommands, types);
-    if (!command.options) continue;
-    for (const auto& option : describe_options(*command.options)) {
-      if (option.key.find('.') == std::string::npos) types[option.key].insert(option.type + option.range);
-    }
-  }
 }
 
 constexpr const char* kSetFlag = "--set";
 
-void add_flags(CLI::App& app, const OptionsGroup& options, const OutermostTypes& outermost,
-               Collected& collected) {
-  app.add_option("--config", collected.config_file, "YAML file of options, applied before --set and flags")
-      ->type_name("FILE");
-  app.add_option(kSetFlag, collected.settings, "set one option, applied after --config; may be repeated")
-      ->type_name("KEY=VALUE")
-      ->allow_extra_args(false);
-  app.add_flag("--quiet", collected.quiet, "print warnings and errors only");
-  const auto descriptions = describe_options(options);
-  std::map<std::string, int> uses_of_last_part{{"config", 1}, {"set", 1}, {"help", 1}, {"quiet", 1}};
-  for (const auto& description : descriptions) {
-    const std::string last = last_part(description.key);
-    ++uses_of_last_part[last];
-    // "--tolerance" is what gld sample calls so, and not the solver's where a command has that alone.
-    const auto other = outermost.find(last);
-    if (last != description.key && other != outermost.end() &&
-        other->second.count(description.type + description.range) == 0) {
-      ++uses_of_last_part[last];
-    }
-  }
-  for (const auto& description : descriptions) {
-    const std::string key = description.key;
-    const std::string shown =
-        "--" + dashed_name(has_short_form(key, uses_of_last_part) ? last_part(key) : key);
-    std::string type = description.type;
-    if (!description.range.empty()) type += " " + description.range;
-    if (description.type == "true|false") {
-      const std::string names =
-          flag_names(key, uses_of_last_part, "--") + "," + flag_names(key, uses_of_last_part, "!--no-");
-      app.add_flag_function(
-             names,
-             [&collected, key, shown](int64_t count) {
-               collected.flags.push_back({key, count > 0 ? "true" : "false", shown});
-             },
-             description.help + " (default " + description.default_value + ")")
+void add_flags(CLI::App& app, const Command& command, const OutermostTypes& outermost, Collected& collected) {
+  app.add_option("--config", collected.config_file);
+  app.add_option(kSetFlag, collected.settings)->allow_extra_args(false);
+  app.add_flag("--quiet", collected.quiet);
+  for (const Flag& flag : list_flags(command, outermost)) {
+    const std::string key = flag.key, shown = flag.shown;
+    if (flag.is_switch()) {
+      app.add_flag_function(flag_names(flag, "--") + "," + flag_names(flag, "!--no-"),
+                            [&collected, key, shown](int64_t count) {
+                              collected.flags.push_back({key, count > 0 ? "true" : "false", shown});
+                            })
           ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
       continue;
     }
-    auto* option = app.add_option_function<std::string>(
-        flag_names(key, uses_of_last_part, "--"),
-        [&collected, key, shown](const std::string& value) {
-          collected.flags.push_back({key, value, shown});
-        },
-        description.help);
-    option->type_name(type)->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
-    if (!description.default_value.empty()) option->default_str(description.default_value);
+    app.add_option_function<std::string>(flag_names(flag, "--"),
+                                         [&collected, key, shown](const std::string& value) {
+                                           collected.flags.push_back({key, value, shown});
+                                         })
+        ->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
   }
 }
 
@@ -325,20 +280,21 @@ int run_invocation(const Invocation& invocation) {
 // Empty after --help, which is printed.
 std::optional<Invocation> parse(const Command& command, std::vector<std::string> arguments,
                                 const OutermostTypes& outermost) {
-  CLI::App app(
-      command.summary + (command.description.empty() ? "" : "\n\n" + command.description),
-      "gld " + command.name + (command.arguments.usage.empty() ? "" : " " + command.arguments.usage));
+  CLI::App app;
+  app.set_help_all_flag("--help-all");
   app.allow_extras();
-  app.get_formatter()->column_width(48);
   Collected collected;
-  if (command.options) add_flags(app, *command.options, outermost, collected);
+  if (command.options) add_flags(app, command, outermost, collected);
   try {
     arguments = with_lists_joined(app, command, arguments);
     if (command.options) refuse_values_of_switches(app, *command.options, arguments);
     std::reverse(arguments.begin(), arguments.end());  // CLI11 takes them last first
     app.parse(arguments);
   } catch (const CLI::CallForHelp&) {
-    std::cout << app.help();
+    std::cout << short_help(command, outermost);
+    return std::nullopt;
+  } catch (const CLI::CallForAllHelp&) {
+    std::cout << full_help(command, outermost);
     return std::nullopt;
   } catch (const CLI::ArgumentMismatch& error) {  // "--out: 1 required text missing"
     const std::string text = error.what();
@@ -373,19 +329,18 @@ void print_overview(const CommandGroup& group) {
   const std::string& program = group.program;
   if (!group.description.empty()) std::cout << group.description << "\n";
   std::cout << "Usage: " << program << " COMMAND [options]\n\nCommands:\n";
-  const auto last_word = [](const Command& command) {
-    return command.name.substr(command.name.rfind(' ') + 1);
-  };
   size_t width = 0;
   for (const auto& command : group.commands) width = std::max(width, last_word(command).size());
   for (const auto& command : group.commands) {
     const std::string last = last_word(command);
     std::cout << "  " << last << std::string(width - last.size() + 2, ' ') << command.summary << "\n";
   }
-  std::cout << "\n"
-            << program
-            << " COMMAND --help, or gld help COMMAND, lists a command's options with type, range and "
-            << "default; gld --version says which program this is.\n";
+  std::cout
+      << "\n"
+      << program
+      << " COMMAND --help, or gld help COMMAND, shows a command's usual options, --help-all every "
+         "one with type, range\nand default; gld help --man is the manual, and gld --version says which "
+         "program this is.\n";
 }
 
 std::optional<Invocation> find_and_parse(const CommandGroup& group,
@@ -395,12 +350,17 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     print_overview(group);
     fail({program, "a command", "none", "choose one of the above"});
   }
+  if (program == "gld" && arguments == std::vector<std::string>{"help", "--man"}) {
+    std::cout << manual_page(commands, outermost);
+    return std::nullopt;
+  }
   if (arguments[0] == "help" && arguments.size() > 1) {  // gld help train level: gld train level --help
     std::vector<std::string> asked(arguments.begin() + 1, arguments.end());
     asked.emplace_back("--help");
     return find_and_parse(group, asked);
   }
-  if (arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "help") {
+  if (arguments[0] == "--help" || arguments[0] == "-h" || arguments[0] == "--help-all" ||
+      arguments[0] == "help") {
     print_overview(group);
     return std::nullopt;
   }
@@ -410,7 +370,7 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
   }
   std::vector<std::string> names;
   for (const auto& command : commands) {
-    const std::string last = command.name.substr(command.name.rfind(' ') + 1);
+    const std::string last = last_word(command);
     names.push_back(last);
     if (last != arguments[0]) continue;
     const std::vector<std::string> rest(arguments.begin() + 1, arguments.end());
@@ -432,8 +392,7 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
   int status_of_error = kWrongUsage;
   install_interrupt_handler(StopDeadline::kOneSecond);
   try {
-    OutermostTypes outermost;
-    add_outermost_types(commands, outermost);
+    const OutermostTypes outermost = outermost_types(commands);
     const auto invocation = find_and_parse({"gld", "", commands, outermost}, arguments);
     if (invocation) status_of_error = kFailed;
     const int status = invocation ? run_invocation(*invocation) : 0;

@@ -2,6 +2,7 @@
 
 #include "cli/ablate_command.h"
 #include "cli/check_data_command.h"
+#include "cli/completion_command.h"
 #include "cli/convert_command.h"
 #include "cli/doctor_command.h"
 #include "cli/eval_command.h"
@@ -30,6 +31,7 @@ std::vector<Command> all_commands() {
 #ifdef GLD_BENCHMARKS
   commands.push_back(make_bench_command());
 #endif
+  commands.push_back(make_completion_command(all_commands));
   return commands;
 }
 

@@ -29,6 +29,10 @@ Command make_eval_command() {
       "blur nor an invention wins it. "
       "A run that was killed goes on with the next scene with --resume.";
   command.options = options;
+  command.usual = {
+      {"Scenes", {"scenes", "synthetic", "source_counts", "views.views"}},
+      {"Measurement",
+       {"model", "samples", "solver.solver", "solver.evaluations", "guidance.guidance_scale", "poses"}}};
   command.run = [options](const std::vector<std::string>&) {
     std::cout << evaluate(*options);
     return 0;

@@ -1,5 +1,6 @@
 #include "cli/plan_command.h"
 
+#include "cli/sample_command.h"
 #include "gld/base/error.h"
 #include "gld/report/report_text.h"
 #include "infer/sample/sampling.h"
@@ -40,6 +41,8 @@ Command make_plan_command() {
   command.name = "plan";
   command.summary = "Say what gld sample would run for a scene, and its time and memory";
   command.options = options;
+  command.usual = usual_sampling_options();
+  command.usual.back().keys.emplace_back("measure");
   command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {
     print_report(

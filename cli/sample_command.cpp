@@ -4,6 +4,11 @@
 
 namespace gld {
 
+std::vector<UsualOptions> usual_sampling_options() {
+  return {{"Views", {"scene", "photos", "views.sources", "views.targets", "views.path", "size"}},
+          {"Sampling", {"model", "quality", "solver.evaluations", "outputs"}}};
+}
+
 Command make_sample_command() {
   auto options = std::make_shared<SampleOptions>();
   Command command;
@@ -16,6 +21,7 @@ Command make_sample_command() {
       "How it is sampled: the solver, guidance and approximate options, or instead of them --quality\n"
       "(published, exact, fast) or --tolerance (the largest relative error of the latents).";
   command.options = options;
+  command.usual = usual_sampling_options();
   command.on_named = [options](const std::vector<std::string>& keys) { options->named = keys; };
   command.run = [options](const std::vector<std::string>&) {
     sample(*options);

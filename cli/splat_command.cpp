@@ -15,6 +15,10 @@ Command make_fit_command() {
       "Example: gld splat fit --scene rooms/scenes/room_0000 --held-out 5 --out runs/splats\n"
       "It starts from measured or predicted depth, else from sparse points; splats.ply opens in public viewers.";
   command.options = options;
+  command.usual = {
+      {"Scene", {"scene", "run", "side", "held_out"}},
+      {"Fit",
+       {"fit.steps", "fit.degree", "fit.density.most_gaussians", "checkpoint_every", "validate_every"}}};
   command.run = [options](const std::vector<std::string>&) {
     run_splat_fit(*options);
     return 0;

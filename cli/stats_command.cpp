@@ -18,6 +18,9 @@ Command make_stats_command() {
       "model/ in the run folder is a copy of the bundle, "
       "with the statistics of every level that it generates.";
   command.options = options;
+  command.usual = {{"Statistics",
+                    {"model", "scene_count", "data.scenes", "data.views.views", "data.loading.batch_size",
+                     "data.loading.seed"}}};
   command.run = [options](const std::vector<std::string>&) {
     std::cout << compute_statistics(*options);
     return 0;

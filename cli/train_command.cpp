@@ -11,14 +11,24 @@
 namespace gld {
 namespace {
 
+// own: options that --help shows and other stages have not.
 template <class Options>
 Command stage_command(const std::string& name, const std::string& summary,
-                      std::string (*run)(const Options&, const DrawValidation&)) {
+                      std::string (*run)(const Options&, const DrawValidation&),
+                      const std::vector<std::string>& own) {
   auto options = std::make_shared<Options>();
   Command command;
   command.name = "train " + name;
   command.summary = summary;
   command.options = options;
+  command.usual = {{"Data",
+                    {"data.scenes", "data.views.views", "data.loading.batch_size", "data.validation_folder",
+                     "data.validation_scenes"}},
+                   {"Training",
+                    {"model", "loop.steps", "loop.learning_rate.peak", "loop.precision", "loop.workers",
+                     "loop.seed", "loop.checkpoint_every", "loop.validate_every"}}};
+  auto& training = command.usual.back().keys;
+  training.insert(training.begin() + 1, own.begin(), own.end());
   command.run = [options, run](const std::vector<std::string>&) {
     std::cout << run(*options, draw_validation_sheet);
     return 0;
@@ -41,10 +51,13 @@ Command make_train_command() {
   command.subcommands = {
       stage_command("backbone",
                     "A geometric backbone and its DPT head on scenes with depth, or the head alone",
-                    train_backbone),
-      stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder),
-      stage_command("level", "M_L, which generates a level from noise", train_level),
-      stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade)};
+                    train_backbone, {"objective.training"}),
+      stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder,
+                    {"objective.start"}),
+      stage_command("level", "M_L, which generates a level from noise", train_level,
+                    {"level", "objective.start"}),
+      stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,
+                    {"objective.start"})};
   return command;
 }
 

@@ -238,10 +238,41 @@ TEST_F(CommandLine, AnOptionIsGivenOnce) {
 TEST_F(CommandLine, HelpShowsTypeRangeAndDefault) {
   EXPECT_EQ(run({"--help"}), 0);
   EXPECT_THAT(output_text_, testing::HasSubstr("paint  Paint something"));
+  EXPECT_EQ(run({"paint", "--help-all"}), 0);
+  EXPECT_EQ(
+      output_text_,
+      "Paint something\n"
+      "\n"
+      "Usage: gld paint FILE [options]\n"
+      "\n"
+      "Options:\n"
+      "  --help                                    the usual options; --help-all: every one\n"
+      "  --config FILE                             YAML file of options, applied before --set and flags\n"
+      "  --set KEY=VALUE                           set one option, applied after --config; may be repeated\n"
+      "  --quiet                                   print warnings and errors only\n"
+      "  --frame-count integer [1, 100]=4          how many frames\n"
+      "  --json                                    write JSON\n"
+      "  --sources list of integer [0, 1000]       source views\n"
+      "  --offset real=0                           an offset\n"
+      "\n"
+      "--guidance.*: guidance\n"
+      "  --scale real [0, 100]=1.5                 guidance scale\n");
+}
+
+TEST_F(CommandLine, HelpIsGroupedAndShort) {
+  command_.usual = {{"Pictures", {"sources", "guidance.scale"}}};
+  command_.description = "Example: gld paint a.png\nIt paints.";
   EXPECT_EQ(run({"paint", "--help"}), 0);
-  EXPECT_THAT(output_text_, testing::HasSubstr("--frame-count integer [1, 100]=4"));
-  EXPECT_THAT(output_text_, testing::HasSubstr("--guidance.scale,--scale real [0, 100]=1.5"));
-  EXPECT_THAT(output_text_, testing::HasSubstr("--config FILE"));
+  EXPECT_EQ(output_text_,
+            "Paint something\n"
+            "Example: gld paint a.png\n"
+            "Usage: gld paint FILE [options]\n"
+            "Pictures:\n"
+            "  --sources N,...  source views\n"
+            "  --scale X        guidance scale [1.5]\n"
+            "Run:\n"
+            "  --json           write JSON\n"
+            "5 more options, with type, range and default: gld paint --help-all\n");
 }
 
 // A shell makes several arguments of *.jpg.
