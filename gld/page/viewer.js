@@ -36,7 +36,6 @@ class Viewer {
     this.makeControls();
     this.resize();
     this.overview(false);
-    this.drain = performance.now();
     const tick = (now) => {
       this.tick(now);
       requestAnimationFrame(tick);
