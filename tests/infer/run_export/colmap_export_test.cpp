@@ -37,7 +37,7 @@ class ColmapExport : public ::testing::Test {
   PointCloud cloud_;
 };
 
-Eigen::Vector2d seen_at(const Camera& camera, const Eigen::Vector3d& x_in_world) {
+Eigen::Vector2d projected(const Camera& camera, const Eigen::Vector3d& x_in_world) {
   const Eigen::Vector3d x = camera.camera_from_world() * x_in_world;
   return (camera.intrinsics * x).hnormalized();
 }
@@ -81,7 +81,7 @@ TEST_F(ColmapExport, HoldsCamerasPointsAndWhereTheyAreSeen) {
     sighted += static_cast<int64_t>(places.size());
     for (const ColmapSighting& sighting : places) {
       const Eigen::Vector3d& x = cloud_.x_in_world[sighting.point - 1];
-      ASSERT_LT((seen_at(expected, x) - sighting.position).norm(), 0.01);
+      ASSERT_LT((projected(expected, x) - sighting.position).norm(), 0.01);
       // Nothing is seen through something else.
       const auto column = static_cast<int64_t>(sighting.position.x()),
                  row = static_cast<int64_t>(sighting.position.y());
