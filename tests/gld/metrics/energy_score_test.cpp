@@ -50,7 +50,7 @@ TEST(EnergyScore, OfOneSampleIsItsDistance) {
   EXPECT_EQ(score.scalar_type(), torch::kFloat64);
   const auto by_psnr = torch::pow(10.0, psnr(truth, picture) / -20);
   EXPECT_LT((score - by_psnr).abs().max().item<double>(), 1e-6);
-  EXPECT_LT((features - random_feature_distance(truth, picture).sqrt()).abs().max().item<double>(), 1e-6);
+  EXPECT_LT((features - random_feature_distance(truth, picture).sqrt()).abs().max().item<double>(), 1e-5);
 }
 
 TEST(EnergyScore, MeasuresEachViewByItself) {
@@ -87,10 +87,10 @@ TEST(EnergyScore, CountsThePixelsOfAMask) {
     EXPECT_TRUE(std::isnan(of_first[1].item<double>()));
     EXPECT_EQ(value_of(of_first), value_of(score(truth, samples, left)));
   }
-  // Features see a few pixels beyond, and nothing far away: eighths of the size with three more convolutions see 15.
+  // Features see a few pixels beyond, and nothing far away: the map of an eighth of the size sees 8.
   auto corner = torch::zeros({2, 32, 32}, torch::kBool);
   corner.narrow(2, 0, 1).fill_(true);
-  EXPECT_EQ(value_of(energy_score_of_features(truth, samples, corner)), 0);
+  EXPECT_LT(value_of(energy_score_of_features(truth, samples, corner)), 1e-5);
   EXPECT_LT(value_of(energy_score_of_features(truth, samples, left)),
             0.6 * value_of(energy_score_of_features(truth, samples, left.logical_not())));
 }
@@ -198,7 +198,7 @@ TEST(EnergyScore, PrefersSamplesWherePsnrPrefersABlur) {
 
 // Samples of too little and of too much difference, Gaussian in every pixel.
 TEST(EnergyScore, IsLeastForSamplesThatDifferAsMuchAsTheTruthDoes) {
-  const int64_t count = 300;
+  const int64_t count = 1500;
   const auto noise = [&](std::vector<int64_t> shape, uint64_t seed) {
     return torch::randn(shape, at::detail::createCPUGenerator(seed)) * 0.1;
   };
