@@ -17,7 +17,7 @@ namespace gld {
 //     Command command;
 //     command.name = "inspect";
 //     command.summary = "List the tensors of a weight file or model bundle";
-//     command.arguments = {"FILE|BUNDLE", 1, 1};
+//     command.arguments = {"FILE|FOLDER", 1, 1};
 //     command.options = options;
 //     command.run = [options](const std::vector<std::string>& arguments) {
 //       return inspect(arguments[0], *options);
