@@ -17,7 +17,7 @@ namespace gld {
 //     Command command;
 //     command.name = "inspect";
 //     command.summary = "List the tensors of a weight file or model bundle";
-//     command.arguments = {"FILE|BUNDLE", 1, 1};
+//     command.arguments = {"FILE|FOLDER", 1, 1};
 //     command.options = options;
 //     command.run = [options](const std::vector<std::string>& arguments) {
 //       return inspect(arguments[0], *options);
@@ -38,8 +38,9 @@ struct UsualOptions {
 
 struct Command {
   std::string name;
-  std::string summary;      // one line for gld --help
-  std::string description;  // more for gld COMMAND --help-all, its first line, an example, for --help too; may be empty
+  std::string summary;  // one line for gld --help
+  std::string
+      description;  // more for gld COMMAND --help-all, its first line, an example, for --help too; may be empty
   Arguments arguments;
   // Every field becomes a flag: field "guidance.scale" is --guidance.scale, and --scale too where no other field of the
   // command ends like that; underscores are dashes. Booleans are --name and --no-name. All commands have

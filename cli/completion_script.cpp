@@ -19,7 +19,7 @@ struct Level {
   std::vector<std::string> arguments;  // instead of files: the words that they may be
 };
 
-// "bash|zsh|fish" is a choice of words; "FILE|BUNDLE" stands for names of files.
+// "bash|zsh|fish" is a choice of words; "FILE|FOLDER" stands for names of files.
 std::vector<std::string> words_of_usage(const std::string& usage) {
   std::vector<std::string> words;
   if (usage.find_first_not_of("abcdefghijklmnopqrstuvwxyz|") != std::string::npos) return words;

@@ -36,7 +36,8 @@ struct FlagGroup {
 using OutermostTypes = std::map<std::string, std::set<std::string>>;
 OutermostTypes outermost_types(const std::vector<Command>& commands);
 
-// Those of the command's options; empty without any. --help, --help-all, --config, --set and --quiet are not among them.
+// Those of the command's options; empty without any. --help, --help-all, --config, --set and --quiet are not among
+// them.
 std::vector<Flag> list_flags(const Command& command, const OutermostTypes& outermost);
 // The same by group, those outside groups first.
 std::vector<FlagGroup> group_flags(const Command& command, const OutermostTypes& outermost);

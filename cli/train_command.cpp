@@ -21,12 +21,11 @@ Command stage_command(const std::string& name, const std::string& summary,
   command.name = "train " + name;
   command.summary = summary;
   command.options = options;
-  command.usual = {{"Data",
-                    {"data.scenes", "data.views.views", "data.loading.batch_size", "data.validation_folder",
-                     "data.validation_scenes"}},
-                   {"Training",
-                    {"model", "loop.steps", "loop.learning_rate.peak", "loop.precision", "loop.workers",
-                     "loop.seed", "loop.checkpoint_every", "loop.validate_every"}}};
+  command.usual = {
+      {"Data", {"data.scenes", "data.views.views", "data.loading.batch_size", "data.validation_folder"}},
+      {"Training",
+       {"model", "loop.steps", "loop.learning_rate.peak", "loop.precision", "loop.workers", "loop.seed",
+        "loop.checkpoint_every", "loop.validate_every"}}};
   auto& training = command.usual.back().keys;
   training.insert(training.begin() + 1, own.begin(), own.end());
   command.run = [options, run](const std::vector<std::string>&) {
@@ -57,7 +56,7 @@ Command make_train_command() {
       stage_command("level", "M_L, which generates a level from noise", train_level,
                     {"level", "objective.start"}),
       stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,
-                    {"objective.start"})};
+                    {"objective.flow.start"})};
   return command;
 }
 

@@ -226,6 +226,13 @@ PngHeader read_png_header(std::string_view bytes, const std::string& where) {
   if (png_get_eXIf_1(reader.png, reader.info, &size, &exif) != 0) {
     header.exif = std::string(kExifStart) + std::string(reinterpret_cast<const char*>(exif), size);
   }
+  png_textp texts = nullptr;
+  const int count = png_get_text(reader.png, reader.info, &texts, nullptr);
+  for (int i = 0; i < count; ++i) {
+    // Of iTXt the first length is that of the other encodings, and 0.
+    const size_t length = std::max(texts[i].text_length, texts[i].itxt_length);
+    header.texts.emplace_back(texts[i].key, std::string(texts[i].text, length));
+  }
   return header;
 }
 

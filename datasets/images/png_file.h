@@ -28,6 +28,7 @@ struct PngHeader {
   int64_t width = 0;
   int64_t height = 0;
   std::string exif;  // metadata behind kExifStart; empty when there are none before the pixels
+  TextItems texts;   // of the chunks before the pixels, in order; any bytes where another program wrote them
 };
 
 // Reads what stands before the pixels. Throws Error where the bytes end before them or libpng complains.

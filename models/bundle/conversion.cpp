@@ -2,14 +2,13 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/atomic_folder.h"
-#include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
-#include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/run_journal.h"
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/published_backbones.h"
+#include "models/bundle/published_release.h"
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>
@@ -68,28 +67,11 @@ std::vector<IgnoredName> ignored_in_checkpoint(CheckpointWeights weights) {
   return ignored;
 }
 
-// A file of a backbone that was given.
-struct BackboneFile {
-  const PublishedBackbone& published;
-  std::string path;
-};
-
-// In the table's order.
-std::vector<BackboneFile> backbone_files(const ConversionOptions& options) {
-  std::vector<BackboneFile> files;
-  for (const auto& published : published_backbones()) {
-    const auto found = options.backbones.find(published.option);
-    if (found != options.backbones.end() && !found->second.empty())
-      files.push_back({published, found->second});
-  }
-  return files;
-}
-
 std::vector<Source> sources_of(const ConversionOptions& options, const BundleOptions& bundle) {
   const std::string prefix = checkpoint_prefix(options.weights);
   const auto ignored = ignored_in_checkpoint(options.weights);
   std::vector<Source> sources;
-  for (const auto& [published, file] : backbone_files(options)) {
+  for (const auto& [published, file] : given_backbones(options.backbones)) {
     if (!published.with_head) continue;
     const auto& backbone_prefix = bundle.backbone.architecture().published_prefix();
     Source source = {file, {{BundlePart::backbone(), backbone_prefix, {}}}, published.ignored};
@@ -265,7 +247,7 @@ void convert_renamed_backbone(const ConversionOptions& options, const BundleOpti
   const auto shapes = named_tensors(*module);
   std::map<std::string, torch::Tensor> tensors;
   std::string where;
-  for (const auto& [published, path] : backbone_files(options)) {
+  for (const auto& [published, path] : given_backbones(options.backbones)) {
     if (published.with_head) continue;
     where += (where.empty() ? "" : " and ") + path;
     const auto file = WeightFile::open(path);
@@ -337,7 +319,7 @@ BundleOptions described_bundle(const ConversionOptions& options) {
     load_yaml(bundle, options.description);
     return bundle;
   }
-  const auto files = backbone_files(options);
+  const auto files = given_backbones(options.backbones);
   if (std::filesystem::exists(std::filesystem::path(options.out) / "model.yaml")) {
     return ModelBundle::open(options.out).options();
   }
@@ -346,18 +328,13 @@ BundleOptions described_bundle(const ConversionOptions& options) {
 }
 
 void check_backbone_files(const ConversionOptions& options, const BundleOptions& bundle) {
-  for (const auto& [published, path] : backbone_files(options)) {
+  for (const auto& [published, path] : given_backbones(options.backbones)) {
     if (bundle.backbone.architecture().kind() != published.kind) {
       fail({path, "weights of the model's backbone, of kind " + bundle.backbone.architecture().kind(),
             "weights of " + published.name, "choose another --out or --description"});
     }
     if (published.require_whole) published.require_whole(*WeightFile::open(path), bundle);
   }
-}
-
-bool gives_anything(const ConversionOptions& options) {
-  return !backbone_files(options).empty() || !options.dpt_decoder.empty() ||
-         !sources_of(options, BundleOptions()).empty();
 }
 
 // Parts are added to a bundle one after the other, but none is taken away without a word.
@@ -432,45 +409,10 @@ ordered_json convert_files(const ConversionOptions& options, const BundleOptions
 
 }  // namespace
 
-void ConversionOptions::visit(FieldVisitor& visitor) {
-  for (const auto& published : published_backbones()) {
-    visitor.text({published.option, published.help}, backbones[published.option]);
-  }
-  visitor.text({"dpt_decoder", "GLD's dpt_decoder.pt: replaces tensors of the DA3 head"}, dpt_decoder);
-  visitor.text({"rgb_decoder", "GLD's .pt file of the RGB decoder"}, rgb_decoder);
-  visitor.text({"level1", "GLD's .pt file of M1"}, level1);
-  visitor.text({"cascade", "GLD's .pt file of the cascade"}, cascade);
-  visitor.text({"statistics_level0", ".pt file with mean and var of level 0"}, statistics_level0);
-  visitor.text({"statistics_level1", ".pt file with mean and var of level 1"}, statistics_level1);
-  visitor.text({"special_statistics_level0", "the same of special tokens"}, special_statistics_level0);
-  visitor.text({"special_statistics_level1", "the same of special tokens"}, special_statistics_level1);
-  visitor.text(
-      {"description",
-       "model.yaml that describes the weights; empty: that of --out, or the published model of the backbone"},
-      description);
-  visit_choice(visitor, {"weights", "copy in a PyTorch checkpoint; plain: the file is a state_dict itself"},
-               weights, {"ema", "model", "plain"});
-  visit_store(visitor, store);
-  visit_out(visitor, out, overwrite);
-}
-
-void ConversionOptions::check() const {
-  check_out(out, "models/gld");
-  if (!gives_anything(*this)) {
-    fail({"gld convert", "at least one file to convert", "none",
-          "give --da3, --level1, ... (see gld convert --help)"});
-  }
-  const auto files = backbone_files(*this);
-  for (const auto& file : files) {
-    if (file.published.kind == files.front().published.kind) continue;
-    fail({"--" + dashed_name(files.front().published.option) + ", --" + dashed_name(file.published.option),
-          "files of one backbone", "of two", "convert them into two folders"});
-  }
-}
-
-ordered_json convert(const ConversionOptions& options) {
+ordered_json convert(const ConversionOptions& given) {
+  const ConversionOptions options = with_release(given);
   refuse_other_folder(options.out);
-  for (const auto& [published, path] : backbone_files(options)) {
+  for (const auto& [published, path] : given_backbones(options.backbones)) {
     require_published(*WeightFile::open(path), published.option);
   }
   const BundleOptions bundle = described_bundle(options);

@@ -19,6 +19,9 @@ enum class CheckpointWeights { kEma, kModel, kPlain };
 // gld convert: the published files into a model bundle. Parts whose file is not given are left out and can be added
 // later by converting again into the same folder.
 struct ConversionOptions : OptionsGroup {
+  // Folder of the published release, whose files are known by their names (published_release.h); empty: none. Files
+  // that are given besides take the place of the release's.
+  std::string release;
   // Files of backbones by their options in published_backbones.h, which says what each holds: {"vggt", "model.pt"}.
   std::map<std::string, std::string> backbones;
   std::string dpt_decoder;        // GLD .pt of a DA3 head that takes the place of the backbone's own

@@ -230,6 +230,15 @@ const PublishedBackbone& published_backbone(const std::string& option) {
   return *found;
 }
 
+std::vector<GivenBackbone> given_backbones(const std::map<std::string, std::string>& files) {
+  std::vector<GivenBackbone> given;
+  for (const auto& published : published_backbones()) {
+    const auto found = files.find(published.option);
+    if (found != files.end() && !found->second.empty()) given.push_back({published, found->second});
+  }
+  return given;
+}
+
 std::string inner_name(const PublishedBackbone& published, const std::string& name) {
   std::string inner = name;
   for (const auto& prefix : published.outer_prefixes) {

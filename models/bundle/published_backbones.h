@@ -5,6 +5,7 @@
 #include "models/weights/weight_loading.h"
 
 #include <functional>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
@@ -45,6 +46,13 @@ BundleOptions released_vggt_options();
 
 const std::vector<PublishedBackbone>& published_backbones();
 const PublishedBackbone& published_backbone(const std::string& option);
+
+// Of files by their options, those that are given, in the table's order.
+struct GivenBackbone {
+  const PublishedBackbone& published;
+  std::string path;
+};
+std::vector<GivenBackbone> given_backbones(const std::map<std::string, std::string>& files);
 
 // The name of a tensor of such a file without what is taken away in front.
 std::string inner_name(const PublishedBackbone& published, const std::string& name);

@@ -278,9 +278,10 @@ TEST_F(Conversion, IsStrict) {
 TEST_F(Conversion, NeedsAFileAndAFolder) {
   ConversionOptions options;
   options.out = "somewhere";
-  EXPECT_EQ(error_of([&] { options.check(); }),
-            "gld convert: expected at least one file to convert, found none; give --da3, --level1, ... (see "
-            "gld convert --help).");
+  EXPECT_EQ(
+      error_of([&] { options.check(); }),
+      "gld convert: expected at least one file to convert, found none; give --release, --da3, --level1, ... "
+      "(see gld convert --help).");
   options.out.clear();
   EXPECT_EQ(error_of([&] { options.check(); }),
             "--out: expected a folder to write into, found nothing; add for example --out models/gld.");

@@ -1,0 +1,265 @@
+#include "infer/export/output_inspection.h"
+
+#include "datasets/images/png_file.h"
+#include "gld/base/error.h"
+#include "gld/base/json_text.h"
+#include "gld/base/mapped_file.h"
+#include "gld/base/printable_text.h"
+#include "gld/base/run_journal.h"
+#include "gld/files/ply_vertices.h"
+#include "gld/files/weight_file.h"
+
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <fstream>
+#include <map>
+#include <string_view>
+#include <vector>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+using nlohmann::ordered_json;
+
+// Texts of files may be any bytes, JSON is UTF-8: what is not is replaced.
+std::string valid_text(const std::string& text) { return ordered_json::parse(json_text(ordered_json(text))); }
+
+// "train level" of "# gld train level: the options of this run, ..."; empty where it is no configuration of a run.
+std::string kind_of_run(const std::filesystem::path& folder) {
+  std::ifstream stream(folder / kRunConfiguration);
+  std::string line;
+  std::getline(stream, line);
+  const std::string before = "# gld ", behind = ": the options of this run";
+  const size_t end = line.find(behind);
+  if (line.rfind(before, 0) != 0 || end == std::string::npos) return "";
+  return line.substr(before.size(), end - before.size());
+}
+
+std::string state_of_run(const std::filesystem::path& folder) {
+  try {
+    RunJournal::refuse_running(folder);
+  } catch (const Error&) {
+    return "running";
+  }
+  std::error_code none;
+  return std::filesystem::exists(folder / "report.json", none) ? "finished" : "not finished";
+}
+
+ordered_json number_or_null(const nlohmann::json& object, const char* key) {
+  const auto found = object.find(key);
+  return found != object.end() && found->is_number() ? ordered_json(found->get<double>()) : ordered_json();
+}
+
+// Of the header alone: the tensors and their checksum are looked at by --resume.
+ordered_json checkpoint_summary(const std::filesystem::path& file, const std::filesystem::path& folder) {
+  ordered_json summary = {{"file", file.lexically_relative(folder).string()}};
+  try {
+    const auto weights = WeightFile::open(file);
+    const auto& metadata = weights->metadata();
+    const auto step = metadata.find("step"), state = metadata.find("state");
+    if (step == metadata.end() || state == metadata.end())
+      fail({file.string(), "a training checkpoint", "a weight file of another kind", ""});
+    int64_t number = 0;
+    const char* end = step->second.data() + step->second.size();
+    const auto parsed = std::from_chars(step->second.data(), end, number);
+    summary["step"] = parsed.ec == std::errc() && parsed.ptr == end ? ordered_json(number) : ordered_json();
+    const auto values = parse_json(state->second, file.string() + ", state");
+    summary["loss"] = values.is_object() ? number_or_null(values, "loss") : ordered_json();
+    summary["best_validation_loss"] = values.is_object() ? number_or_null(values, "best") : ordered_json();
+  } catch (const Error& error) {
+    summary["problem"] = valid_text(error.what());
+  }
+  return summary;
+}
+
+ordered_json checkpoints_of(const std::filesystem::path& folder) {
+  std::vector<std::filesystem::path> files;
+  std::error_code none;
+  for (const auto& item : std::filesystem::directory_iterator(folder / "checkpoints", none)) {
+    const std::string name = item.path().filename().string();
+    if (name == "best.safetensors" || name.rfind("step_", 0) == 0) files.push_back(item.path());
+  }
+  // best before step_...
+  std::sort(files.begin(), files.end());
+  ordered_json summaries = ordered_json::array();
+  for (const auto& file : files) summaries.push_back(checkpoint_summary(file, folder));
+  return summaries;
+}
+
+// As a shell takes it for one word.
+std::string shell_word(const std::string& text) {
+  const bool plain = !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char letter) {
+    return std::isalnum(letter) != 0 ||
+           std::string_view("/._-+,:=@").find(static_cast<char>(letter)) != std::string_view::npos;
+  });
+  if (plain) return text;
+  std::string word = "'";
+  for (const char letter : text) word += letter == '\'' ? std::string("'\\''") : std::string(1, letter);
+  return word + "'";
+}
+
+// What usually follows a run of a kind that is finished; RUN stands for its folder.
+const std::map<std::string, std::string>& following_commands() {
+  static const std::map<std::string, std::string> commands{
+      {"sample", "gld splat fit --run RUN --out runs/splats"},
+      {"synth", "gld check-data RUN"},
+      {"splat fit", "gld splat render --splats RUN --path orbit --out runs/orbit"},
+      {"train backbone", "gld train decoder --model RUN/model --out runs/decoder"},
+      {"train decoder", "gld stats --model RUN/model --out runs/stats"},
+      {"stats", "gld train level --model RUN/model --out runs/level"},
+      {"train level", "gld train cascade --model RUN/model --out runs/cascade"},
+      {"train cascade", "gld eval --model RUN/model --synthetic 16 --out runs/eval"}};
+  return commands;
+}
+
+ordered_json next_command(const std::string& kind, const std::string& state,
+                          const std::filesystem::path& folder) {
+  if (state == "running") return {};
+  const std::string run = folder.string();
+  if (state == "finished") {
+    const auto found = following_commands().find(kind);
+    if (found == following_commands().end()) return {};
+    std::string command = found->second;
+    // The word that RUN is a part of.
+    const size_t at = command.find("RUN"), end = std::min(command.find(' ', at), command.size());
+    return command.replace(at, end - at, shell_word(run + command.substr(at + 3, end - at - 3)));
+  }
+  // The description of an ablation is another file than its options.
+  if (kind == "ablate") return {};
+  const bool resumes =
+      kind == "sample" || kind == "eval" || kind == "splat fit" || kind.rfind("train ", 0) == 0;
+  return "gld " + kind + " --config " + shell_word((folder / kRunConfiguration).string()) + " --out " +
+         shell_word(run) + (resumes ? " --resume" : " --overwrite");
+}
+
+ordered_json inspect_run(const std::filesystem::path& folder, const std::string& kind) {
+  const std::string state = state_of_run(folder);
+  return {{"run", valid_text(folder.string())},
+          {"kind", valid_text(kind)},
+          {"state", state},
+          {"checkpoints", checkpoints_of(folder)},
+          {"next", next_command(kind, state, folder)}};
+}
+
+// Names that come again, as those of other programs may, are one with all texts.
+ordered_json texts_json(const TextItems& items) {
+  ordered_json texts = ordered_json::object();
+  for (const auto& [name, text] : items) {
+    auto& value = texts[valid_text(name)];
+    value = value.is_null() ? valid_text(text) : value.get<std::string>() + "\n" + valid_text(text);
+  }
+  return texts;
+}
+
+// "NAME TEXT", and "NAME+ TEXT" where a text goes on.
+TextItems texts_of_comments(const std::vector<std::string>& comments) {
+  TextItems items;
+  for (const auto& comment : comments) {
+    const size_t blank = std::min(comment.find(' '), comment.size());
+    const std::string name = comment.substr(0, blank);
+    const std::string text = blank < comment.size() ? comment.substr(blank + 1) : "";
+    if (!name.empty() && name.back() == '+' && !items.empty()) {
+      items.back().second += text;
+    } else {
+      items.emplace_back(name, text);
+    }
+  }
+  return items;
+}
+
+ordered_json inspect_picture(ByteView bytes, const std::string& where) {
+  const auto header =
+      read_png_header(std::string_view(reinterpret_cast<const char*>(bytes.data), bytes.size), where);
+  return {{"picture", valid_text(where)},
+          {"width", header.width},
+          {"height", header.height},
+          {"texts", texts_json(header.texts)}};
+}
+
+ordered_json inspect_cloud(ByteView bytes, const std::string& where) {
+  const auto vertices = parse_ply_vertices(bytes, where);
+  ordered_json properties = ordered_json::array();
+  for (const auto& name : vertices.properties) properties.push_back(valid_text(name));
+  return {{"cloud", valid_text(where)},
+          {"vertices", vertices.count},
+          {"properties", std::move(properties)},
+          {"texts", texts_json(texts_of_comments(vertices.comments))}};
+}
+
+bool begins_with(ByteView bytes, std::string_view beginning) {
+  return std::string_view(reinterpret_cast<const char*>(bytes.data),
+                          std::min(bytes.size, beginning.size())) == beginning;
+}
+
+std::string number_text(const ordered_json& value) {
+  return value.is_number() ? fmt::format("{:.6g}", value.get<double>()) : "unknown";
+}
+
+std::string run_text(const ordered_json& inspection) {
+  std::string text = fmt::format(
+      "{}: a run of gld {}, {}\n", printable_text(inspection["run"].get<std::string>()),
+      printable_text(inspection["kind"].get<std::string>()), inspection["state"].get<std::string>());
+  for (const auto& checkpoint : inspection["checkpoints"]) {
+    text += "  " + printable_text(checkpoint["file"].get<std::string>()) + ": ";
+    if (checkpoint.contains("problem")) {
+      text += printable_text(checkpoint["problem"].get<std::string>()) + "\n";
+      continue;
+    }
+    text += "step " + (checkpoint["step"].is_null() ? "unknown" : checkpoint["step"].dump()) + ", loss " +
+            number_text(checkpoint["loss"]);
+    if (checkpoint["best_validation_loss"].is_number())
+      text += ", least validation loss " + number_text(checkpoint["best_validation_loss"]);
+    text += "\n";
+  }
+  if (inspection["next"].is_string())
+    text += "next: " + printable_text(inspection["next"].get<std::string>()) + "\n";
+  return text;
+}
+
+std::string texts_text(const ordered_json& texts) {
+  if (texts.empty()) return "  no provenance: another program wrote it, or changed it since\n";
+  std::string text;
+  for (const auto& [name, value] : texts.items())
+    text += "  " + printable_text(name) + ": " + printable_text(value.get<std::string>()) + "\n";
+  return text;
+}
+
+}  // namespace
+
+std::optional<ordered_json> inspect_output(const std::filesystem::path& file_or_folder) {
+  std::error_code none;
+  if (std::filesystem::is_directory(file_or_folder, none)) {
+    const std::string kind = kind_of_run(file_or_folder);
+    if (kind.empty() || std::filesystem::exists(file_or_folder / "model.yaml", none)) return std::nullopt;
+    return inspect_run(file_or_folder, kind);
+  }
+  // What is neither is refused by whoever reads weights.
+  if (!std::filesystem::is_regular_file(file_or_folder, none)) return std::nullopt;
+  const auto file = MappedFile::open(file_or_folder);
+  const ByteView bytes = file->bytes();
+  if (begins_with(bytes, "\x89PNG\r\n\x1a\n")) return inspect_picture(bytes, file_or_folder.string());
+  if (begins_with(bytes, "ply\n")) return inspect_cloud(bytes, file_or_folder.string());
+  return std::nullopt;
+}
+
+std::string output_inspection_text(const ordered_json& inspection) {
+  if (inspection.contains("run")) return run_text(inspection);
+  if (inspection.contains("picture")) {
+    return fmt::format("{}: a PNG picture of {}x{} pixels\n",
+                       printable_text(inspection["picture"].get<std::string>()),
+                       inspection["width"].get<int64_t>(), inspection["height"].get<int64_t>()) +
+           texts_text(inspection["texts"]);
+  }
+  std::string properties;
+  for (const auto& name : inspection["properties"])
+    properties += (properties.empty() ? "" : " ") + printable_text(name.get<std::string>());
+  return fmt::format("{}: a PLY file of {} vertices ({})\n",
+                     printable_text(inspection["cloud"].get<std::string>()),
+                     inspection["vertices"].get<int64_t>(), properties) +
+         texts_text(inspection["texts"]);
+}
+
+}  // namespace gld
