@@ -39,7 +39,7 @@ TEST_F(ExportCommand, TakesARunOfGldSample) {
   const auto report = run(sampled);
   const std::string out = (folder_->path() / "exported").string();
   const Ended ended =
-      gld({"export", sampled.out, "--as", "glb,colmap,nerfstudio,webp", "--between", "1", "--out", out});
+      ended_of({"export", sampled.out, "--as", "glb,colmap,nerfstudio,webp", "--between", "1", "--out", out});
   ASSERT_EQ(ended.status, 0) << ended.errors;
   const test::GltfFile gltf = test::read_gltf(std::filesystem::path(out) / "scene.glb");
   test::expect_valid_gltf(gltf);
