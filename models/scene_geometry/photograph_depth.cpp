@@ -59,6 +59,11 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
 std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,
                                            const SourceDepth& depth, const StereoScene& stereo,
                                            const torch::Tensor& predicted) {
+  constexpr double kEnough = 0.1;
+  double confirmed = 0;
+  for (const StereoDepth& view : stereo.views)
+    confirmed += view.confident_share() / static_cast<double>(stereo.views.size());
+  if (confirmed < kEnough) return {};
   // As large as the model sees them: the predicted depth is no larger.
   const SourcePhotographs pictures = photographs_of_images(views, source_images);
   std::vector<ConfirmedDepth> sources;

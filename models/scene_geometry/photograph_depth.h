@@ -40,7 +40,8 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
 // The depth of views in the unit of their cameras: what photographs agree on, as far as they show a view, and what a
 // geometry head sees in the pictures of all views for the rest (gld/photogrammetry/fused_view_depth.h). predicted:
 // (views, height, width) of the head, in its own unit, of the last so many of `views`. A view that no photograph shows
-// keeps the head's depth in the unit that the other views tell. Nothing where none tells it.
+// keeps the head's depth in the unit that the other views tell. Nothing where none tells it, or where photographs
+// confirm less than a tenth of the source views: so few pixels may match by chance.
 std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,
                                            const SourceDepth& depth, const StereoScene& stereo,
                                            const torch::Tensor& predicted);

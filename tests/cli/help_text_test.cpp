@@ -119,7 +119,7 @@ TEST(HelpText, IsCutAtAClause) {
   EXPECT_EQ(first_clause("one; two", 20), "one; two");
   EXPECT_EQ(first_clause("what finds cameras: colmap, features", 20), "what finds cameras");
   EXPECT_EQ(first_clause("pixels (of a side) of pictures", 18), "pixels");
-  EXPECT_EQ(first_clause("as many words as there are", 16), "as many words ...");
+  EXPECT_EQ(first_clause("as many words as there are", 17), "as many words ...");
 }
 
 }  // namespace
