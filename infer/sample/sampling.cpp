@@ -14,6 +14,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/forecast/splat_forecast.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/request/scene_request.h"
 #include "infer/sample/background_hash.h"
@@ -122,6 +123,7 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   } else {
     predict_seconds(planned.plan, known.speed);
   }
+  time_splat_stage(planned.plan, request, bundle.backbone.patch_side(), static_cast<int>(thread_count()));
   return planned;
 }
 
@@ -428,6 +430,7 @@ void sample(const SampleOptions& options) {
     sheet.subtitle = one_line_summary(options, result, bundle.options().name);
     outputs.write_rest(result, sheet);
   });
+  if (requested.splats) stages.run(kSplatStage, [&] { outputs.write_splats(); });
 
   std::vector<std::string> warnings = scene.warnings;
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());

@@ -32,6 +32,10 @@ class SamplingOutputs {
   // sheet: verdict and subtitle.
   void write_rest(const PipelineResult& result, const SheetText& sheet);
 
+  // splats.ply: Gaussians fitted to the run folder as gld splat fit --run reads it, with the same bytes. After
+  // write_rest; left out, with a warning, where cameras.json has no depth.
+  void write_splats();
+
   // What is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
 
@@ -69,6 +73,7 @@ class SamplingOutputs {
   GeometryPlacement placement_;   // empty where no rays were asked for
   double depth_unit_ = 0;
   bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
+  bool cameras_have_depth_ = false;    // in cameras.json
   int64_t first_geometry_view_ = 0;    // 0, or the first target where only rays were asked for
   nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
   std::vector<std::string> warnings_;
