@@ -1,7 +1,7 @@
 #include "cli/splat_command.h"
 
 #include "infer/splats/splat_render.h"
-#include "train/splats/splat_command.h"
+#include "train/splats/splat_features.h"
 
 namespace gld {
 namespace {
@@ -16,7 +16,7 @@ Command make_fit_command() {
       "It starts from measured or predicted depth, else from sparse points; splats.ply opens in public viewers.";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
-    run_splat_fit(*options);
+    run_splat_fit_with_features(*options);
     return 0;
   };
   return command;
