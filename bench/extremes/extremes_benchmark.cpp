@@ -52,6 +52,7 @@ const std::vector<ExtremeArea>& extreme_areas() {
       {"norms", [](const ExtremeSettings&) { return norm_extremes(); }},
       {"flow", [](const ExtremeSettings&) { return flow_extremes(); }},
       {"precisions", [](const ExtremeSettings&) { return precision_extremes(); }},
+      {"splats", [](const ExtremeSettings&) { return splat_extremes(); }},
       {"images", [](const ExtremeSettings& settings) { return image_extremes(settings.folder); }},
       {"depth", [](const ExtremeSettings& settings) { return depth_extremes(settings.folder); }},
       {"whole_model", [](const ExtremeSettings& settings) { return forward_extremes(settings.folder); }}};

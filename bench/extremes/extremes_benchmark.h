@@ -12,7 +12,7 @@
 namespace gld {
 
 // gld bench extremes: one table of what happens at the ends of the range of cameras, logits, norms, flows, precisions,
-// image files, depth and the whole of a small model.
+// splats, image files, depth and the whole of a small model.
 struct ExtremesBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -38,6 +38,7 @@ std::vector<ExtremeRow> attention_extremes();
 std::vector<ExtremeRow> norm_extremes();
 std::vector<ExtremeRow> flow_extremes();
 std::vector<ExtremeRow> precision_extremes();
+std::vector<ExtremeRow> splat_extremes();
 // These three write files into an existing folder.
 std::vector<ExtremeRow> image_extremes(const std::filesystem::path& folder);
 std::vector<ExtremeRow> depth_extremes(const std::filesystem::path& folder);
