@@ -4,6 +4,7 @@
 #include "gld/kernels/element_tiles.h"
 #include "gld/kernels/kernel_table.h"
 #include "gld/kernels/product_tiles.h"
+#include "gld/kernels/sparse_rows.h"
 #include "gld/kernels/splat_strips.h"
 #include "gld/kernels/stereo_rows.h"
 
@@ -40,6 +41,7 @@ KernelTable compiled_kernels(InstructionSet set) {
   table.splat_channels = composite_splat_channels;
   table.splat_slopes = splat_slopes_of_strip;
   table.splat_sums = sum_splat_gradients;
+  table.sparse_rows = sum_sparse_rows;
   table.weighted_rows = sum_weighted_rows;
   table.multiply_add_loop = multiply_add_rounds;
   return table;

@@ -315,6 +315,18 @@ struct SplatSums {
   float* features;  // (count, channels) set: the sum of weight and gradient
 };
 
+// A sparse matrix by rows times a table of channels: rows `begin` to `end`, entries first[row] to first[row + 1].
+constexpr int64_t kSparseStride = 16;  // what the table's stride is a multiple of: the widest vector
+struct SparseRows {
+  const int64_t* first;
+  const int32_t* columns;
+  const float* values;
+  int64_t begin, end;
+  const float* table;  // (columns, stride)
+  int64_t stride;      // channels, those at the end perhaps unused
+  float* sums;         // (rows, stride) set
+};
+
 // The sum of weights[k] rows[k].
 constexpr int64_t kWeightedRows = 11;
 struct WeightedRows {
@@ -356,6 +368,7 @@ struct KernelTable {
   void (*splat_channels)(const SplatChannels& strip) = nullptr;
   void (*splat_slopes)(const SplatSlopes& strip) = nullptr;
   void (*splat_sums)(const SplatSums& tile) = nullptr;
+  void (*sparse_rows)(const SparseRows& rows) = nullptr;
   void (*weighted_rows)(const WeightedRows& rows) = nullptr;
   // Runs `rounds` rounds of independent multiply-adds and returns how many floating-point operations that was.
   double (*multiply_add_loop)(int64_t rounds) = nullptr;

@@ -184,6 +184,51 @@ CompositedView composite(const SplatView& view, const SplatFeatures& features,
   return result;
 }
 
+PixelWeights pixel_weights(const SplatView& view, const KernelSettings& settings) {
+  const int64_t width = view.camera.width, height = view.camera.height;
+  PixelWeights result;
+  result.first.assign(static_cast<size_t>(width * height) + 1, 0);
+  SplatFeatures features;
+  features.by_index = true;  // so that lists name Gaussians of the set
+  const int64_t stride = SplatImage(0, width, 0).stride;
+  // Calls entry(pixel, Gaussian, weight) for all that is not 0, those of a pixel front to back.
+  const auto for_each_weight = [&](const auto& entry) {
+    for_each_tile(view, features, stride, settings,
+                  [&](const Tile& tile, const KernelTable& kernels, TileScratch& scratch) {
+                    float transmittance[kSplatTile];
+                    for (int64_t number = 0; number < tile.strips(); ++number) {
+                      const Strip strip = strip_of_tile(tile, scratch.records, number);
+                      if (!strip.inside) break;
+                      const int64_t used = weigh(tile, strip, kernels, scratch, transmittance);
+                      const int64_t row = strip.pixel / stride, column = strip.pixel % stride;
+                      for (int64_t lane = 0; lane < std::min(tile.strip, width - column); ++lane) {
+                        for (int64_t i = 0; i < used; ++i) {
+                          const float weight = scratch.weight[static_cast<size_t>(i * tile.strip + lane)];
+                          if (weight > 0) {
+                            entry(static_cast<size_t>(row * width + column + lane),
+                                  scratch.records.strip_features[static_cast<size_t>(strip.first + i)],
+                                  weight);
+                          }
+                        }
+                      }
+                    }
+                  });
+  };
+  for_each_weight([&](size_t pixel, int32_t, float) { ++result.first[pixel + 1]; });
+  for (size_t pixel = 0; pixel + 1 < result.first.size(); ++pixel)
+    result.first[pixel + 1] += result.first[pixel];
+  const auto entries = static_cast<size_t>(result.first.back());
+  result.columns.resize(entries);
+  result.values.resize(entries);
+  std::vector<int64_t> next(result.first.begin(), result.first.end() - 1);
+  for_each_weight([&](size_t pixel, int32_t gaussian, float weight) {
+    const auto place = static_cast<size_t>(next[pixel]++);
+    result.columns[place] = gaussian;
+    result.values[place] = weight;
+  });
+  return result;
+}
+
 CompositingGradients composite_backward(const SplatView& view, const SplatFeatures& features,
                                         const SplatImage& of_image, SplatGradients wanted,
                                         const KernelSettings& settings) {

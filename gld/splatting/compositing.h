@@ -55,6 +55,15 @@ CompositingGradients composite_backward(const SplatView& view, const SplatFeatur
 // d loss / d the splat's place, covariance and opacity, from its moments.
 ProjectedGradient projected_gradient(const VisibleSplat& splat, const float* moments);
 
+// The weights of a view's pixels as a sparse matrix by rows, a row a pixel (row by row, without what lies behind a
+// row's end), a column a Gaussian of the set; front to back within a row, those of 0 left out.
+struct PixelWeights {
+  std::vector<int64_t> first;    // (height width + 1) into the others
+  std::vector<int32_t> columns;  // indices in the set
+  std::vector<float> values;
+};
+PixelWeights pixel_weights(const SplatView& view, const KernelSettings& settings);
+
 // A picture of a set in 3DGS's colours.
 CompositedView render_colours(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
 

@@ -1,110 +1,332 @@
 #include "gld/splatting/feature_solve.h"
 
 #include "gld/base/error.h"
+#include "gld/kernels/kernel_table.h"
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
 
 namespace gld {
 namespace {
 
-struct Problem {
-  const std::vector<FeatureView>& views;
-  int64_t gaussians;
-  int64_t channels;
-  const KernelSettings& settings;
+int64_t padded(int64_t channels) { return (channels + kSparseStride - 1) / kSparseStride * kSparseStride; }
 
-  // W^T picture, added to sum (gaussians, channels).
-  void add_transposed(const FeatureView& view, const SplatImage& picture, int64_t picture_channels,
-                      std::vector<float>& sum) const {
-    SplatFeatures features;
-    features.channels = picture_channels;
-    const CompositingGradients gradients =
-        composite_backward(view.view, features, picture, SplatGradients::kFeatures, settings);
-    for (int64_t i = 0; i < view.view.size(); ++i) {
-      const int64_t index = view.view.splats[static_cast<size_t>(i)].index;
-      for (int64_t c = 0; c < picture_channels; ++c)
-        sum[static_cast<size_t>(index * picture_channels + c)] +=
-            gradients.features[static_cast<size_t>(i * picture_channels + c)];
-    }
-  }
+// Rows of channels, each padded with zeros to a multiple of kSparseStride.
+struct ChannelTable {
+  int64_t rows = 0, stride = 0;
+  std::vector<float> values;
 
-  // W^T W f over all views.
-  std::vector<float> normal_product(const std::vector<float>& f, int64_t of_channels) const {
-    std::vector<float> sum(f.size(), 0.0F);
-    SplatFeatures features;
-    features.values = f.data();
-    features.channels = of_channels;
-    features.by_index = true;
-    for (const FeatureView& view : views)
-      add_transposed(view, composite(view.view, features, settings).image, of_channels, sum);
-    return sum;
-  }
+  ChannelTable(int64_t row_count, int64_t channels)
+      : rows(row_count),
+        stride(padded(channels)),
+        values(static_cast<size_t>(row_count * padded(channels)), 0.0F) {}
+  float* row(int64_t number) { return values.data() + number * stride; }
+  const float* row(int64_t number) const { return values.data() + number * stride; }
 };
 
-// sum over Gaussians of a b scale, by channel.
-std::vector<double> products(const std::vector<float>& a, const std::vector<float>& b,
-                             const std::vector<float>* scale, int64_t channels) {
-  std::vector<double> sum(static_cast<size_t>(channels), 0.0);
-  for (size_t i = 0; i < a.size(); ++i) {
-    const size_t c = i % static_cast<size_t>(channels);
-    const double factor = scale == nullptr ? 1 : (*scale)[i / static_cast<size_t>(channels)];
-    sum[c] += static_cast<double>(a[i]) * b[i] * factor;
+struct Sparse {
+  std::vector<int64_t> first;
+  std::vector<int32_t> columns;
+  std::vector<float> values;
+
+  int64_t rows() const { return static_cast<int64_t>(first.size()) - 1; }
+};
+
+// Entries of a column keep the order of the rows.
+Sparse transposed(const Sparse& from, int64_t columns) {
+  Sparse to;
+  to.first.assign(static_cast<size_t>(columns) + 1, 0);
+  for (const int32_t column : from.columns) ++to.first[static_cast<size_t>(column) + 1];
+  for (size_t i = 0; i + 1 < to.first.size(); ++i) to.first[i + 1] += to.first[i];
+  to.columns.resize(from.columns.size());
+  to.values.resize(from.values.size());
+  std::vector<int64_t> next(to.first.begin(), to.first.end() - 1);
+  for (int64_t row = 0; row < from.rows(); ++row) {
+    for (int64_t k = from.first[static_cast<size_t>(row)]; k < from.first[static_cast<size_t>(row) + 1];
+         ++k) {
+      const auto place =
+          static_cast<size_t>(next[static_cast<size_t>(from.columns[static_cast<size_t>(k)])]++);
+      to.columns[place] = static_cast<int32_t>(row);
+      to.values[place] = from.values[static_cast<size_t>(k)];
+    }
   }
-  return sum;
+  return to;
+}
+
+// Calls work(begin, end) for parts of 0 to count, which are the same for any number of threads.
+constexpr int64_t kPart = 256;
+template <class Work>
+void for_parts(int64_t count, int threads, const Work& work) {
+#pragma omp parallel for num_threads(threads) schedule(dynamic)
+  for (int64_t begin = 0; begin < count; begin += kPart) work(begin, std::min(begin + kPart, count));
+}
+
+class Problem {
+ public:
+  Problem(const std::vector<FeatureView>& views, int64_t gaussians, const KernelSettings& settings)
+      : kernels_(kernel_table(settings.instruction_set)), threads_(settings.threads) {
+    by_pixel_.first.assign(1, 0);
+    for (const FeatureView& view : views) {
+      const PixelWeights weights = pixel_weights(view.view, settings);
+      const int64_t before = by_pixel_.first.back();
+      for (size_t pixel = 1; pixel < weights.first.size(); ++pixel)
+        by_pixel_.first.push_back(before + weights.first[pixel]);
+      by_pixel_.columns.insert(by_pixel_.columns.end(), weights.columns.begin(), weights.columns.end());
+      by_pixel_.values.insert(by_pixel_.values.end(), weights.values.begin(), weights.values.end());
+    }
+    if (by_pixel_.rows() > std::numeric_limits<int32_t>::max()) {
+      fail({"features of splats", "less than 2^31 pixels", std::to_string(by_pixel_.rows()),
+            "take fewer or smaller views"});
+    }
+    by_gaussian_ = transposed(by_pixel_, gaussians);
+    sum_weights();
+  }
+
+  int64_t pixels() const { return by_pixel_.rows(); }
+  int64_t gaussians() const { return by_gaussian_.rows(); }
+  int threads() const { return threads_; }
+
+  // W f and W^T p.
+  void forward(const ChannelTable& f, ChannelTable& p) const { multiply(by_pixel_, f, p); }
+  void back(const ChannelTable& p, ChannelTable& f) const { multiply(by_gaussian_, p, f); }
+
+  // Of a Gaussian: the sum of its weights, and W^T W 1.
+  float weight(int64_t i) const { return weights_[static_cast<size_t>(i)]; }
+  float total(int64_t i) const { return totals_[static_cast<size_t>(i)]; }
+
+ private:
+  void sum_weights() {
+    ChannelTable ones(gaussians(), 1), seen(pixels(), 1), sum(gaussians(), 1);
+    for (int64_t i = 0; i < gaussians(); ++i) *ones.row(i) = 1;
+    forward(ones, seen);
+    back(seen, sum);
+    for (int64_t i = 0; i < gaussians(); ++i) totals_.push_back(*sum.row(i));
+    for (int64_t i = 0; i < pixels(); ++i) *seen.row(i) = 1;
+    back(seen, sum);
+    for (int64_t i = 0; i < gaussians(); ++i) weights_.push_back(*sum.row(i));
+  }
+
+  void multiply(const Sparse& matrix, const ChannelTable& table, ChannelTable& sums) const {
+    for_parts(matrix.rows(), threads_, [&](int64_t begin, int64_t end) {
+      kernels_.sparse_rows({matrix.first.data(), matrix.columns.data(), matrix.values.data(), begin, end,
+                            table.values.data(), table.stride, sums.values.data()});
+    });
+  }
+
+  const KernelTable& kernels_;
+  int threads_;
+  Sparse by_pixel_, by_gaussian_;
+  std::vector<float> weights_, totals_;
+};
+
+// Channels `first` to `first + channels` of all views' pixels.
+ChannelTable pixels_of(const std::vector<FeatureView>& views, int64_t pixels, int64_t first,
+                       int64_t channels) {
+  ChannelTable table(pixels, channels);
+  int64_t row = 0;
+  for (const FeatureView& view : views) {
+    const SplatImage& picture = view.picture;
+    for (int64_t y = 0; y < picture.height; ++y) {
+      for (int64_t x = 0; x < picture.width; ++x, ++row) {
+        for (int64_t c = 0; c < channels; ++c) table.row(row)[c] = picture.row(first + c, y)[x];
+      }
+    }
+  }
+  return table;
+}
+
+void check_views(const std::vector<FeatureView>& views) {
+  if (views.empty()) fail({"features of splats", "views to solve them from", "none", "give some"});
+  for (const FeatureView& view : views) {
+    const SplatImage& picture = view.picture;
+    if (picture.channels == views.front().picture.channels && picture.width == view.view.camera.width &&
+        picture.height == view.view.camera.height)
+      continue;
+    fail({"features of splats", "pictures of one number of channels, of their views' size", "others",
+          "give each view its own picture"});
+  }
+}
+
+// Some channels of the problem, each with steps of its own.
+class ChannelSolve {
+ public:
+  ChannelSolve(const Problem& problem, ChannelTable pixels, float ridge)
+      : problem_(problem),
+        ridge_(ridge),
+        stride_(pixels.stride),
+        pixels_(std::move(pixels)),
+        values_(problem.gaussians(), stride_),
+        residual_(problem.gaussians(), stride_),
+        direction_(problem.gaussians(), stride_),
+        image_(problem.gaussians(), stride_) {
+    begin_at_means();
+    right_ = sums([&](int64_t i, double* sum) {
+      const float weight = ridge_ * problem_.total(i), scale = inverse(i);
+      const float *const residual = residual_.row(i), *const mean = values_.row(i);
+      for (int64_t c = 0; c < stride_; ++c) {
+        const double value = residual[c] + weight * mean[c];
+        sum[c] += value * value * scale;
+      }
+    });
+    // What the means leave; the ridge has no part in it.
+    ChannelTable seen(problem_.pixels(), stride_);
+    problem_.forward(values_, seen);
+    for (size_t k = 0; k < pixels_.values.size(); ++k) pixels_.values[k] -= seen.values[k];
+    problem_.back(pixels_, residual_);
+    size_ = size_of_residual();
+    turn_.assign(static_cast<size_t>(stride_), 0.0F);
+    turn_direction();
+  }
+
+  // The residual of the worst channel, relative to the right side.
+  double residual() const {
+    double worst = 0;
+    for (size_t c = 0; c < size_.size(); ++c) {
+      if (right_[c] > 0) worst = std::max(worst, std::sqrt(size_[c] / right_[c]));
+    }
+    return worst;
+  }
+
+  void iterate() {
+    problem_.forward(direction_, pixels_);  // which are not needed any more
+    problem_.back(pixels_, image_);
+    const std::vector<double> curvature = sums([&](int64_t i, double* sum) {
+      const float weight = ridge_ * problem_.total(i);
+      float* const image = image_.row(i);
+      const float* const direction = direction_.row(i);
+      for (int64_t c = 0; c < stride_; ++c) {
+        image[c] += weight * direction[c];
+        sum[c] += static_cast<double>(direction[c]) * image[c];
+      }
+    });
+    std::vector<float> step(static_cast<size_t>(stride_));
+    for (size_t c = 0; c < step.size(); ++c)
+      step[c] = curvature[c] > 0 ? static_cast<float>(size_[c] / curvature[c]) : 0.0F;
+    per_row([&](int64_t i) {
+      float *const value = values_.row(i), *const residual = residual_.row(i);
+      const float *const direction = direction_.row(i), *const image = image_.row(i);
+      for (int64_t c = 0; c < stride_; ++c) {
+        value[c] += step[static_cast<size_t>(c)] * direction[c];
+        residual[c] -= step[static_cast<size_t>(c)] * image[c];
+      }
+    });
+    const std::vector<double> next = size_of_residual();
+    for (size_t c = 0; c < turn_.size(); ++c)
+      turn_[c] = size_[c] > 0 ? static_cast<float>(next[c] / size_[c]) : 0.0F;
+    size_ = next;
+    turn_direction();
+  }
+
+  const float* values(int64_t gaussian) const { return values_.row(gaussian); }
+
+ private:
+  // Of the normal equations' rows, ridge included: what bounds their diagonal.
+  float inverse(int64_t i) const {
+    const float total = problem_.total(i);
+    return total > 0 ? 1 / (total * (1 + ridge_)) : 0.0F;
+  }
+
+  // values = m, residual = W^T pictures.
+  void begin_at_means() {
+    problem_.back(pixels_, residual_);
+    per_row([&](int64_t i) {
+      const float sum = problem_.total(i) > 0 ? problem_.weight(i) : 0;
+      for (int64_t c = 0; c < stride_ && sum > 0; ++c) values_.row(i)[c] = residual_.row(i)[c] / sum;
+    });
+  }
+
+  void turn_direction() {
+    per_row([&](int64_t i) {
+      const float scale = inverse(i);
+      float* const direction = direction_.row(i);
+      const float* const residual = residual_.row(i);
+      for (int64_t c = 0; c < stride_; ++c)
+        direction[c] = residual[c] * scale + turn_[static_cast<size_t>(c)] * direction[c];
+    });
+  }
+
+  std::vector<double> size_of_residual() const {
+    return sums([&](int64_t i, double* sum) {
+      const double scale = inverse(i);
+      const float* const residual = residual_.row(i);
+      for (int64_t c = 0; c < stride_; ++c) sum[c] += static_cast<double>(residual[c]) * residual[c] * scale;
+    });
+  }
+
+  template <class Work>
+  void per_row(const Work& work) const {
+    for_parts(problem_.gaussians(), problem_.threads(), [&](int64_t begin, int64_t end) {
+      for (int64_t i = begin; i < end; ++i) work(i);
+    });
+  }
+
+  // The sum over Gaussians of what row(i, sums) adds for each channel: by parts, in their order.
+  template <class Row>
+  std::vector<double> sums(const Row& row) const {
+    const auto each = static_cast<size_t>(stride_);
+    std::vector<double> parts(static_cast<size_t>((problem_.gaussians() + kPart - 1) / kPart) * each, 0.0);
+    for_parts(problem_.gaussians(), problem_.threads(), [&](int64_t begin, int64_t end) {
+      double* const sum = parts.data() + static_cast<size_t>(begin / kPart) * each;
+      for (int64_t i = begin; i < end; ++i) row(i, sum);
+    });
+    std::vector<double> total(each, 0.0);
+    for (size_t i = 0; i < parts.size(); ++i) total[i % each] += parts[i];
+    return total;
+  }
+
+  const Problem& problem_;
+  float ridge_;
+  int64_t stride_;
+  ChannelTable pixels_;
+  ChannelTable values_, residual_, direction_, image_;
+  std::vector<double> right_, size_;  // squared, by channel
+  std::vector<float> turn_;
+};
+
+// Residuals of one part of the channels among those of the others: at each iteration the worst, the last where a part
+// was done.
+void take_worst(const std::vector<double>& part, std::vector<double>& all) {
+  const double last = all.empty() ? 0 : all.back();
+  for (size_t i = 0; i < std::max(part.size(), all.size()); ++i) {
+    if (i >= all.size()) all.push_back(last);
+    all[i] = std::max(all[i], i < part.size() ? part[i] : part.back());
+  }
 }
 
 }  // namespace
 
 void FeatureSolveOptions::visit(FieldVisitor& visitor) {
-  visitor.real({"tolerance", "of the normal equations' residual, relative to the first"}, tolerance, {0, 1});
+  visitor.real({"tolerance", "of the normal equations' residual, relative to their right side"}, tolerance,
+               {0, 1});
   visitor.integer({"most_iterations", "of conjugate gradients"}, most_iterations, {1, 100000});
-  visitor.real({"ridge", "weight of small features beside each Gaussian's total weight"}, ridge, {0, 1});
+  visitor.real({"ridge", "weight of the distance from each Gaussian's mean, beside its total weight"}, ridge,
+               {0, 1});
 }
 
 SolvedFeatures solve_features(const std::vector<FeatureView>& views, int64_t gaussians,
                               const FeatureSolveOptions& options, const KernelSettings& settings) {
-  if (views.empty()) fail({"features of splats", "views to solve them from", "none", "give some"});
-  const Problem problem{views, gaussians, views.front().picture.channels, settings};
-  const auto channels = static_cast<size_t>(problem.channels);
+  check_views(views);
+  const int64_t channels = views.front().picture.channels;
+  const Problem problem(views, gaussians, settings);
   SolvedFeatures result;
-  result.features.assign(static_cast<size_t>(gaussians) * channels, 0.0F);
-  const std::vector<float> total =
-      problem.normal_product(std::vector<float>(static_cast<size_t>(gaussians), 1.0F), 1);
-  std::vector<float> inverse(total.size());
-  for (size_t i = 0; i < total.size(); ++i)
-    inverse[i] = total[i] > 0 ? static_cast<float>(1 / (total[i] * (1 + options.ridge))) : 0.0F;
-  std::vector<float> residual(result.features.size(), 0.0F);
-  for (const FeatureView& view : views)
-    problem.add_transposed(view, view.picture, problem.channels, residual);
-  std::vector<float> direction(residual.size());
-  for (size_t i = 0; i < residual.size(); ++i) direction[i] = residual[i] * inverse[i / channels];
-  std::vector<double> size = products(residual, residual, &inverse, problem.channels);
-  const std::vector<double> first = size;
-  for (int64_t iteration = 0; iteration < options.most_iterations; ++iteration) {
-    std::vector<float> image = problem.normal_product(direction, problem.channels);
-    for (size_t i = 0; i < image.size(); ++i)
-      image[i] += static_cast<float>(options.ridge) * total[i / channels] * direction[i];
-    const std::vector<double> curvature = products(direction, image, nullptr, problem.channels);
-    std::vector<float> step(channels);
-    for (size_t c = 0; c < channels; ++c)
-      step[c] = curvature[c] > 0 ? static_cast<float>(size[c] / curvature[c]) : 0.0F;
-    for (size_t i = 0; i < residual.size(); ++i) {
-      result.features[i] += step[i % channels] * direction[i];
-      residual[i] -= step[i % channels] * image[i];
+  result.features.resize(static_cast<size_t>(gaussians * channels));
+  constexpr int64_t kTogether = 64;
+  for (int64_t first = 0; first < channels; first += kTogether) {
+    const int64_t count = std::min(kTogether, channels - first);
+    ChannelSolve solve(problem, pixels_of(views, problem.pixels(), first, count),
+                       static_cast<float>(options.ridge));
+    std::vector<double> residuals{solve.residual()};
+    while (static_cast<int64_t>(residuals.size()) <= options.most_iterations &&
+           residuals.back() > options.tolerance) {
+      solve.iterate();
+      residuals.push_back(solve.residual());
     }
-    const std::vector<double> next = products(residual, residual, &inverse, problem.channels);
-    double worst = 0;
-    std::vector<float> turn(channels);
-    for (size_t c = 0; c < channels; ++c) {
-      turn[c] = size[c] > 0 ? static_cast<float>(next[c] / size[c]) : 0.0F;
-      if (first[c] > 0) worst = std::max(worst, std::sqrt(next[c] / first[c]));
-    }
-    for (size_t i = 0; i < direction.size(); ++i)
-      direction[i] = residual[i] * inverse[i / channels] + turn[i % channels] * direction[i];
-    size = next;
-    result.residuals.push_back(worst);
-    if (worst <= options.tolerance) break;
+    take_worst(residuals, result.residuals);
+    for (int64_t i = 0; i < gaussians; ++i)
+      std::copy_n(solve.values(i), count, result.features.data() + i * channels + first);
   }
   return result;
 }

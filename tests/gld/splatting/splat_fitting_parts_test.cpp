@@ -197,6 +197,128 @@ TEST(DensityControl, KeepsToItsCapAndResets) {
   EXPECT_EQ(same.logit_opacities, before.logit_opacities);
 }
 
+TEST(PixelWeights, AreWhatCompositingSums) {
+  RandomGaussians wanted;
+  wanted.count = 50;
+  const GaussianSet set = random_gaussians(wanted);
+  // No whole number of tiles, nor of vectors.
+  const Camera camera = splat_test_camera(37, 21);
+  const SplatView view = view_of_splats(set, splat_camera(camera, set.origin, {}), {});
+  std::vector<float> values(50);
+  for (size_t i = 0; i < values.size(); ++i) values[i] = static_cast<float>(i % 7) - 3;
+  SplatFeatures features;
+  features.values = values.data();
+  features.channels = 1;
+  features.by_index = true;
+  const CompositedView picture = composite(view, features, {});
+  KernelSettings threads;
+  threads.threads = 3;
+  const PixelWeights weights = pixel_weights(view, threads);
+  ASSERT_EQ(weights.first.size(), 37U * 21 + 1);
+  EXPECT_EQ(weights.first.back(), static_cast<int64_t>(weights.values.size()));
+  for (int64_t pixel = 0; pixel < 37 * 21; ++pixel) {
+    double sum = 0, seen = 0;
+    for (int64_t k = weights.first[static_cast<size_t>(pixel)];
+         k < weights.first[static_cast<size_t>(pixel) + 1]; ++k) {
+      const double weight = weights.values[static_cast<size_t>(k)];
+      EXPECT_GT(weight, 0);
+      seen += weight;
+      sum += weight * values[static_cast<size_t>(weights.columns[static_cast<size_t>(k)])];
+    }
+    EXPECT_NEAR(picture.image.row(0, pixel / 37)[pixel % 37], sum, 1e-5);
+    EXPECT_NEAR(1 - picture.transmittance.row(0, pixel / 37)[pixel % 37], seen, 1e-5);
+  }
+}
+
+struct FeatureCase {
+  std::vector<FeatureView> views;
+  int64_t gaussians = 0, channels = 0;
+};
+FeatureCase feature_case(int64_t gaussians, int64_t channels) {
+  RandomGaussians wanted;
+  wanted.count = gaussians;
+  wanted.smallest = 0.02;
+  wanted.largest = 0.1;
+  const GaussianSet set = random_gaussians(wanted);
+  FeatureCase result;
+  result.gaussians = gaussians;
+  result.channels = channels;
+  for (const double angle : {-0.2, 0.0, 0.2}) {
+    Camera camera = splat_test_camera(32, 24);
+    camera.world_from_camera = Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()) * camera.world_from_camera;
+    result.views.push_back({view_of_splats(set, splat_camera(camera, set.origin, {}), {}),
+                            random_image(channels, 32, 24, static_cast<unsigned>(10 * angle + 9))});
+  }
+  return result;
+}
+
+// The gradient of what is minimised, in double, over that of features of 0.
+double relative_gradient(const FeatureCase& problem, const std::vector<float>& f, double ridge) {
+  const auto n = static_cast<size_t>(problem.gaussians);
+  std::vector<double> sums(n, 0.0), totals(n, 0.0);
+  double worst = 0;
+  for (int64_t c = 0; c < problem.channels; ++c) {
+    std::vector<double> gradient(n, 0.0), right(n, 0.0);
+    std::fill(sums.begin(), sums.end(), 0.0);
+    std::fill(totals.begin(), totals.end(), 0.0);
+    for (const FeatureView& view : problem.views) {
+      const PixelWeights weights = pixel_weights(view.view, {});
+      for (int64_t pixel = 0; pixel < 32 * 24; ++pixel) {
+        double shown = 0, seen = 0;
+        const auto each = [&](const auto& visit) {
+          for (int64_t k = weights.first[static_cast<size_t>(pixel)];
+               k < weights.first[static_cast<size_t>(pixel) + 1]; ++k)
+            visit(static_cast<size_t>(weights.columns[static_cast<size_t>(k)]),
+                  static_cast<double>(weights.values[static_cast<size_t>(k)]));
+        };
+        each([&](size_t i, double w) {
+          shown += w * f[i * static_cast<size_t>(problem.channels) + static_cast<size_t>(c)];
+          seen += w;
+        });
+        const double picture = view.picture.row(c, pixel / 32)[pixel % 32];
+        each([&](size_t i, double w) {
+          gradient[i] += w * (picture - shown);
+          right[i] += w * picture;
+          sums[i] += w;
+          totals[i] += w * seen;
+        });
+      }
+    }
+    double left = 0, whole = 0;
+    for (size_t i = 0; i < n; ++i) {
+      if (!(totals[i] > 0)) continue;
+      const double mean = right[i] / sums[i];
+      const double value = f[i * static_cast<size_t>(problem.channels) + static_cast<size_t>(c)];
+      const double of_i = gradient[i] + ridge * totals[i] * (mean - value);
+      const double right_of_i = right[i] + ridge * totals[i] * mean;
+      left += of_i * of_i / totals[i];
+      whole += right_of_i * right_of_i / totals[i];
+    }
+    worst = std::max(worst, std::sqrt(left / whole));
+  }
+  return worst;
+}
+
+// More Gaussians than pixels tell apart; more channels than are taken together.
+TEST(FeatureSolve, LeavesTheResidualThatItSays) {
+  const FeatureCase problem = feature_case(1500, 70);
+  FeatureSolveOptions options;
+  const SolvedFeatures solved = solve_features(problem.views, problem.gaussians, options, {});
+  EXPECT_LE(solved.residuals.back(), options.tolerance);
+  EXPECT_LT(solved.iterations(), options.most_iterations);
+  // What is said comes from the recursion in float; sums of some hundred products round to some 1e-7.
+  EXPECT_LT(relative_gradient(problem, solved.features, options.ridge), 3 * options.tolerance);
+  EXPECT_GT(relative_gradient(problem, solved.features, 2 * options.ridge), 1e-5);
+}
+
+TEST(FeatureSolve, IsTheSameForAnyNumberOfThreads) {
+  const FeatureCase problem = feature_case(700, 5);
+  KernelSettings many;
+  many.threads = 4;
+  EXPECT_EQ(solve_features(problem.views, problem.gaussians, {}, {}).features,
+            solve_features(problem.views, problem.gaussians, {}, many).features);
+}
+
 TEST(FeatureSolve, FindsTheFeaturesThatMadeThePictures) {
   RandomGaussians wanted;
   wanted.count = 60;
