@@ -1,10 +1,10 @@
 #include "bench/splatting/splat_errors.h"
 
+#include "datasets/splats/scene_fit.h"
 #include "gld/base/interrupt.h"
 #include "gld/kernels/adam_kernel.h"
 #include "gld/machine/timing.h"
 #include "gld/splatting/feature_solve.h"
-#include "train/splats/splat_command.h"
 
 #include <algorithm>
 #include <cmath>
@@ -62,7 +62,7 @@ struct FeatureProblem {
 
 FeatureProblem feature_problem(const Scene& scene, const SplatErrorSettings& settings, int64_t gaussians,
                                const KernelSettings& kernels) {
-  const SplatFitViews views = load_fit_views(scene, settings.feature_side, 0, kernels);
+  const SplatFitViews views = load_fit_views(scene, fit_size(scene, settings.feature_side), 0, kernels);
   const SceneReach reach = scene_reach(views.pictures, scene.points_in_world);
   const GaussianSet set =
       start_gaussians(views.pictures, scene.points_in_world, reach, gaussians, {}, scene.name);
@@ -144,7 +144,8 @@ std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, dou
 std::vector<SplatFitRow> splat_fit_rows(const Scene& scene, const SplatErrorSettings& settings) {
   KernelSettings kernels;
   kernels.threads = settings.threads;
-  const SplatFitViews views = load_fit_views(scene, settings.side, settings.held_out, kernels);
+  const SplatFitViews views =
+      load_fit_views(scene, fit_size(scene, settings.side), settings.held_out, kernels);
   std::vector<SplatFitRow> rows;
   for (const int64_t most : settings.gaussians) {
     SplatFitOptions options;
@@ -190,8 +191,8 @@ std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatE
     const double seconds =
         seconds_of([&] { solved = solve_features(problem.views, problem.gaussians, solve, kernels); });
     stop_if_interrupted(fmt::format("{} rows", rows.size()));
-    rows.push_back({"conjugate_gradients", problem.gaussians, static_cast<int64_t>(solved.residuals.size()),
-                    seconds, error_of(problem, solved.features, expected, kernels), solved.residuals.back()});
+    rows.push_back({"conjugate_gradients", problem.gaussians, solved.iterations(), seconds,
+                    error_of(problem, solved.features, expected, kernels), solved.residuals.back()});
     if (solved.residuals.back() <= solve.tolerance) break;
   }
   for (const double rate : settings.adam_rates) {

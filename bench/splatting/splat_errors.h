@@ -16,8 +16,8 @@ struct SplatErrorSettings {
   int64_t held_out = 5;
   int64_t feature_side = 64;  // of pictures of features
   int64_t channels = 32;
-  std::vector<int64_t> iterations{1, 2, 5, 10, 20, 40, 80, 160};  // of conjugate gradients, rising
-  double ridge = 1e-6;                                            // FeatureSolveOptions
+  std::vector<int64_t> iterations{1, 2, 5, 10, 20, 40, 80, 160, 320};  // of conjugate gradients, rising
+  double ridge = 1e-2;                                                 // FeatureSolveOptions
   std::vector<int64_t> adam_steps{50, 200, 800};
   std::vector<double> adam_rates{0.02, 0.1};  // at first; at last a hundredth
   int threads = 1;

@@ -1,10 +1,10 @@
 #include "bench/splatting/splat_speed.h"
 
 #include "bench/splatting/dense_rendering.h"
+#include "datasets/splats/scene_fit.h"
 #include "gld/base/interrupt.h"
 #include "gld/machine/timing.h"
 #include "gld/splatting/naive_splatting.h"
-#include "train/splats/splat_command.h"
 
 #include <algorithm>
 #include <cmath>
@@ -24,7 +24,7 @@ struct Started {
 
 Started start(const Scene& scene, int64_t side, int64_t gaussians, const KernelSettings& settings) {
   Started result;
-  result.views = load_fit_views(scene, side, 0, settings);
+  result.views = load_fit_views(scene, fit_size(scene, side), 0, settings);
   result.options.density.most_gaussians = gaussians;
   result.fit = begin_splat_fit(result.views.pictures, scene.points_in_world, result.options, scene.name);
   return result;
@@ -215,7 +215,7 @@ std::vector<SplatSpeedRow> splat_speed_rows(const Scene& scene, const SplatSpeed
   std::vector<SplatSpeedRow> rows;
   // As many Gaussians as asked for need pictures with more pixels than those that are drawn.
   Started started = start(scene, settings.picture_side, settings.gaussians, kernels);
-  started.views = load_fit_views(scene, settings.side, 0, kernels);
+  started.views = load_fit_views(scene, fit_size(scene, settings.side), 0, kernels);
   for (const int64_t channels : settings.channels)
     add_channel_rows(started, settings, channels, kernels, rows);
   add_step_row(scene, settings, kernels, rows);

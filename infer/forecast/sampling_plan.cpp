@@ -5,8 +5,8 @@
 #include "gld/machine/stage_record.h"
 #include "gld/report/progress.h"
 #include "infer/forecast/dit_speed.h"
+#include "infer/forecast/splat_forecast.h"
 #include "infer/forecast/stage_speed.h"
-#include "infer/pipeline/geometry_of_pictures.h"
 #include "models/cost/branch_choice.h"
 #include "models/dit/encoder_nodes.h"
 
@@ -316,6 +316,7 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
     }
     plan.stages.push_back(std::move(stage));
   }
+  if (request.splats) plan.stages.push_back(splat_stage(request, bundle.backbone.patch_side()));
   return plan;
 }
 
@@ -336,7 +337,7 @@ std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageReq
 
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
   for (auto& stage : plan.stages) {
-    if (!stage.runs) continue;
+    if (!stage.runs || !stage.of_products) continue;
     // A pass is one of both parts of a flow's model.
     const auto passes = static_cast<double>(stage.parts.condition_encoder + stage.parts.velocity_decoder) / 2;
     stage.seconds = model_seconds(stage.cost, std::max(1.0, passes), speed, stage.precision) +
@@ -350,7 +351,7 @@ void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
   // What a stage that runs once may take for it to be run beforehand.
   constexpr double kShort = 0.2;
   for (auto& stage : plan.stages) {
-    if (!stage.runs) continue;
+    if (!stage.runs || !stage.of_products) continue;
     if (stage.kind == StageKind::kFlow) {
       const DitSpeed parts = measure_dit_speed(bundle.generators.at(stage.generator).dit, request, speed);
       stage.seconds = static_cast<double>(stage.parts.condition_encoder) * parts.condition_encoder +
@@ -440,7 +441,7 @@ std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector
   std::vector<TimedStage> timed;
   for (const auto& stage : plan.stages) {
     const StageRecord* record = record_of(records, stage.name);
-    if (record == nullptr || !(stage.seconds > 0)) continue;
+    if (record == nullptr || !stage.of_products || !(stage.seconds > 0)) continue;
     timed.push_back({stage.precision.linear, stage.seconds, record->seconds});
   }
   return timed;

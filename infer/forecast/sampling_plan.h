@@ -1,5 +1,6 @@
 #pragma once
 
+#include "datasets/splats/scene_fit.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/machine/stage_record.h"
@@ -16,6 +17,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -35,7 +37,8 @@ struct PlanRequest {
   // Photographs whose cameras are estimated before all else, by that bundle or the model itself; 0 for a scene with
   // cameras.
   int64_t photographs = 0;
-  int64_t photograph_pixels = 0;  // of the largest, as it was taken
+  int64_t photograph_pixels = 0;          // of the largest, as it was taken
+  std::optional<SceneFitOptions> splats;  // where Gaussians are fitted to the run's pictures
   // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.
   std::map<std::string, int64_t> converted_bytes;
 
@@ -61,9 +64,10 @@ inline constexpr const char* kPhotoCamerasStage = "photo cameras";
 
 // A stage with what it takes.
 struct PlannedStage : SamplingStage {
-  int64_t read_bytes = 0;          // of weights, as float32 numbers
-  bool before_pipeline = false;    // kPhotoCamerasStage, which is none of sampling_stages()
-  int64_t evaluations = 1;         // forward passes of the conditional branch
+  int64_t read_bytes = 0;        // of weights, as float32 numbers
+  bool before_pipeline = false;  // kPhotoCamerasStage, which is none of sampling_stages()
+  bool of_products = true;  // its time is that of a model's products; not so kSplatStage, none of them either
+  int64_t evaluations = 1;  // forward passes of the conditional branch, or steps of a fit
   int64_t with_unconditional = 0;  // of them with the unconditional branch beside it
   PlannedRuns parts;               // how often a flow's parts run
   Cost cost;                       // operations of all passes together

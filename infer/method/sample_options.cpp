@@ -78,6 +78,7 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"guidance.guidance_batch_memory", guided, guidance},
       {"points.", options.requested().points, "points among --outputs"},
       {"page.", options.requested().page, "page among --outputs"},
+      {"splats.", options.requested().splats, "splats among --outputs"},
       {"scale_from", geometry, "depth, rays or points among --outputs"},
       {"geometry_model", geometry || !options.photos.files.empty(), "depth, rays or points among --outputs"},
   };
@@ -128,6 +129,27 @@ void refuse_orbit_options_of(const SampleOptions& options, const std::string& pa
   }
 }
 
+SplatOutputOptions::SplatOutputOptions() {
+  // About a minute for 20 views of 256x256 on two cores.
+  constexpr int64_t kSteps = 1000;
+  fit.steps = kSteps;
+}
+
+void SplatOutputOptions::visit(FieldVisitor& visitor) {
+  visit_side(visitor, side);
+  fit.visit(visitor);
+}
+
+void SplatOutputOptions::check() const { fit.check(); }
+
+SceneFitOptions SplatOutputOptions::scene_fit(int64_t seed) const {
+  SceneFitOptions options;
+  options.side = side;
+  options.seed = seed;
+  options.fit = fit;
+  return options;
+}
+
 SampleOptions::SampleOptions() {
   reading.broken_frames = BrokenFrames::kSkip;  // a frame that nobody chose does not stand in the way
   solver.schedule.shift = 0;                    // the model's
@@ -161,12 +183,14 @@ void SampleOptions::visit(FieldVisitor& visitor) {
       size);
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
-  visitor.texts({"outputs", "what to make: image, depth, rays, points, latents, and page, which shows them"},
+  visitor.texts({"outputs",
+                 "what to make: image, depth, rays, points, latents, splats (3D Gaussians, with image and "
+                 "depth), and page, which shows them"},
                 outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
                geometry_model);
-  visit_seed(visitor, seed, "the noise");
+  visit_seed(visitor, seed, "the noise, and of splats the order of views");
   visit_choice(visitor,
                {"quality",
                 "how to sample: as the solver, guidance and approximate options say, "
@@ -187,6 +211,7 @@ void SampleOptions::visit(FieldVisitor& visitor) {
                 scale_from);
   visitor.group({"points", "how the point cloud is made"}, points);
   visitor.group({"page", "what report.html holds"}, page);
+  visitor.group({"splats", "how 3D Gaussians are fitted to sources and generated views"}, splats);
   visitor.texts({"no_skip", "exact savings to switch off, so that they can be measured: " +
                                 fmt::format("{}", fmt::join(exact_saving_names(), ", "))},
                 no_skip);
@@ -220,6 +245,10 @@ void SampleOptions::check() const {
     const auto near = nearest_name(kind, known);
     fail({"--scale-from", fmt::format("{}", fmt::join(known, ", ")), "'" + kind + "'",
           near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
+  }
+  if (requested().splats && size == kPhotographSize) {
+    fail({"--outputs splats", "pictures of the model's size, which have depth", "--size photographs",
+          "leave out one of the two"});
   }
   refuse_two_methods(*this);
   refuse_without_effect(*this);
@@ -255,7 +284,8 @@ RequestedOutputs SampleOptions::requested() const {
   const std::vector<Output> known{
       {"image", &RequestedOutputs::image},     {"depth", &RequestedOutputs::depth},
       {"rays", &RequestedOutputs::rays},       {"points", &RequestedOutputs::points},
-      {"latents", &RequestedOutputs::latents}, {"page", &RequestedOutputs::page}};
+      {"latents", &RequestedOutputs::latents}, {"splats", &RequestedOutputs::splats},
+      {"page", &RequestedOutputs::page}};
   std::vector<std::string> names;
   names.reserve(std::size(known));
   for (const auto& output : known) names.emplace_back(output.name);
@@ -271,7 +301,7 @@ RequestedOutputs SampleOptions::requested() const {
     }
     if (!found) {
       const auto near = nearest_name(name, names);
-      fail({"--outputs", "image, depth, rays, points, latents or page", "'" + name + "'",
+      fail({"--outputs", "image, depth, rays, points, latents, splats or page", "'" + name + "'",
             near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
     }
   }
@@ -280,6 +310,7 @@ RequestedOutputs SampleOptions::requested() const {
     fail({"--outputs", "beside page an output that it can show", "none",
           "add for example --outputs image,page"});
   }
+  if (requested.splats) requested.image = requested.depth = true;
   requested.geometry_of_images = !geometry_model.empty();
   return requested;
 }

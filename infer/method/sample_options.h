@@ -1,6 +1,7 @@
 #pragma once
 
 #include "datasets/formats/scene_reader.h"
+#include "datasets/splats/scene_fit.h"
 #include "gld/base/options.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
@@ -21,6 +22,17 @@
 #include <vector>
 
 namespace gld {
+
+// How Gaussians are fitted to a run's sources and generated views.
+struct SplatOutputOptions : OptionsGroup {
+  int64_t side = 512;  // SceneFitOptions
+  SplatFitOptions fit;
+
+  SplatOutputOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+  SceneFitOptions scene_fit(int64_t seed) const;
+};
 
 struct SampleOptions : OptionsGroup {
   std::string model = "configs/tiny";
@@ -44,6 +56,7 @@ struct SampleOptions : OptionsGroup {
   std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (scale_evidence.h)
   PointCloudOptions points;
   PageOptions page;
+  SplatOutputOptions splats;
   std::vector<std::string> no_skip;  // exact savings to switch off (models/dit/exact_savings.h)
   PrecisionChoice precision = PrecisionChoice::kFloat32;
   std::string device = "cpu";

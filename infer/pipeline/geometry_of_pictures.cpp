@@ -1,10 +1,10 @@
 #include "infer/pipeline/geometry_of_pictures.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/latent_grid.h"
 #include "models/conditioning/decoder_inputs.h"
 #include "models/latent_spaces/latent_space.h"
 
-#include <algorithm>
 #include <utility>
 #include <vector>
 
@@ -13,10 +13,6 @@
 #include <fmt/format.h>
 
 namespace gld {
-
-int64_t nearest_whole_patches(int64_t pixels, int64_t patch_side) {
-  return std::max<int64_t>(1, (pixels + patch_side / 2) / patch_side);
-}
 
 GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
                                     GeometryMaps wanted, const torch::Device& device) {

@@ -10,10 +10,6 @@
 
 namespace gld {
 
-// How many patches of that side pictures have along a side of so many pixels, at least one: they are resized to the
-// nearest whole number.
-int64_t nearest_whole_patches(int64_t pixels, int64_t patch_side);
-
 // What the geometry model sees in finished pictures, (views, 3, height, width) in [0, 1]: the model that
 // models.geometry_model_backbone belongs to, or else the models' own backbone and head. Pictures whose sides are no
 // whole patches of it are resized for it; maps of pixels come back in the pictures' size, on the pictures' device.

@@ -12,6 +12,7 @@ struct RequestedOutputs {
   bool rays = false;
   bool points = false;
   bool latents = false;
+  bool splats = false;              // with images and depth, which Gaussians are fitted to
   bool page = false;                // report.html, of what else there is
   bool geometry_of_images = false;  // geometry is what another model sees in the generated images
 

@@ -15,6 +15,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/sampling_plan.h"
+#include "infer/forecast/splat_forecast.h"
 #include "infer/page/report_command.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/request/scene_request.h"
@@ -124,6 +125,7 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   } else {
     predict_seconds(planned.plan, known.speed);
   }
+  time_splat_stage(planned.plan, request, bundle.backbone.patch_side(), static_cast<int>(thread_count()));
   return planned;
 }
 
@@ -460,6 +462,7 @@ void sample(const SampleOptions& options) {
     outputs.write_contact_sheet(
         sheet_text(verdict, doubts, one_line_summary(options, result, bundle.options().name)));
   });
+  if (requested.splats) stages.run(kSplatStage, [&] { outputs.write_splats(); });
   print_warnings({warnings.begin() + printed, warnings.end()});
   const auto report =
       sampling_report(options, {prepared, planned, result, stages, provenance.model_hash, verdict, evidence},

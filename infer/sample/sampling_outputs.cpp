@@ -1,11 +1,16 @@
 #include "infer/sample/sampling_outputs.h"
 
+#include "datasets/formats/scene_reader.h"
 #include "datasets/images/pfm_file.h"
 #include "datasets/loading/batching.h"
 #include "datasets/pictures/depth_preview.h"
+#include "datasets/splats/scene_fit.h"
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/metrics/image_metrics.h"
+#include "gld/report/progress.h"
+#include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/depth_export.h"
 #include "infer/export/image_export.h"
@@ -284,6 +289,7 @@ void SamplingOutputs::write_cameras() {
   CameraList list;
   list.metric = scene_.metric && model_cameras.empty();
   const bool with_depth = requested_.depth && (!of_model || !model_cameras.empty());
+  cameras_have_depth_ = with_depth && magnification() == 1;
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
     const bool target = view >= scene_.views.num_sources;
     CameraRecord record;
@@ -316,6 +322,34 @@ void SamplingOutputs::write_cameras() {
   }
   write_cameras_json(run_.path() / "cameras.json", of_pictures(std::move(list)));
   run_.note("cameras", "cameras.json");
+}
+
+void SamplingOutputs::write_splats() {
+  if (!cameras_have_depth_) {
+    warnings_.push_back(
+        "splats.ply is left out: without a camera that fits the predicted rays, depth has no place.");
+    return;
+  }
+  const SceneFitOptions options = options_.splats.scene_fit(options_.seed);
+  KernelSettings settings;
+  settings.threads = static_cast<int>(thread_count());
+  const Scene scene = open_scene(run_.path());
+  Progress progress("splats", options.fit.steps);
+  const SceneFit fitted =
+      fit_scene(scene, options, run_.path().string(), settings, [&](const SplatFitStep& step) {
+        stop_if_interrupted(fmt::format("{} of {} steps of the splats are done; --resume begins them anew",
+                                        step.step, options.fit.steps));
+        progress.update(step.step, fmt::format("loss {:.4f}, {} Gaussians", step.loss, step.gaussians));
+      });
+  progress.finish();
+  write_fitted_splats(run_.path() / kSplatFile, fitted.fit.set, scene.name, options);
+  findings_["splats"] = {
+      {"gaussians", {{"at_first", fitted.started_with}, {"at_last", fitted.fit.set.size()}}},
+      {"steps", fitted.fit.step},
+      {"views", fitted.views},
+      {"near", fitted.near},
+      {"fitted_psnr", fitted.fitted_psnr}};
+  run_.note("3D Gaussians", kSplatFile);
 }
 
 void SamplingOutputs::write_contact_sheet(SheetText text) {

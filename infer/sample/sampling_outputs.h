@@ -33,6 +33,10 @@ class SamplingOutputs {
   // contact_sheet.png, last; text: verdict, doubts and subtitle.
   void write_contact_sheet(SheetText text);
 
+  // splats.ply: Gaussians fitted to the run folder as gld splat fit --run reads it, with the same bytes. After
+  // write_rest; left out, with a warning, where cameras.json has no depth.
+  void write_splats();
+
   // What is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
 
@@ -70,6 +74,7 @@ class SamplingOutputs {
   GeometryPlacement placement_;   // empty where no rays were asked for
   double depth_unit_ = 0;
   bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
+  bool cameras_have_depth_ = false;    // in cameras.json
   int64_t first_geometry_view_ = 0;    // 0, or the first target where only rays were asked for
   nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
   std::vector<std::string> warnings_;

@@ -4,21 +4,23 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/sha256.h"
+#include "gld/files/safetensors.h"
 
+#include <algorithm>
 #include <cstring>
+#include <stdexcept>
+#include <type_traits>
+#include <utility>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace gld {
 namespace {
 
-constexpr size_t kDigits = 64;  // of SHA-256
-
-std::string digest_of(const std::string& text) {
-  Sha256 hash;
-  hash.update(text);
-  return hash.hex_digest();
-}
+// Under which its state and the digest of all it holds stand among the file's metadata.
+constexpr const char* kState = "gld:state";
+constexpr const char* kDigest = "gld:sha256";
 
 // Doubles as their bits: a number in JSON need not come back as it was.
 uint64_t bits_of(double value) {
@@ -43,15 +45,40 @@ TableCell cell_of(const nlohmann::json& json) {
   return json.get<int64_t>();
 }
 
-// Calls visit(values) for every array of a fit, in one order.
+// Calls visit(name, values) for every array of a fit, in one order.
 template <class Fit, class Visit>
 void visit_arrays(Fit& fit, const Visit& visit) {
-  for (auto* set : {&fit.set, &fit.moments.first, &fit.moments.second}) {
-    for (const GaussianArray& array : gaussian_arrays(*set)) visit(set->*array.values);
-  }
-  visit(fit.statistics.gradient_sums);
-  visit(fit.statistics.seen);
+  const auto visit_set = [&](const char* of, auto& set) {
+    for (const GaussianArray& array : gaussian_arrays(set))
+      visit(fmt::format("{}.{}", of, array.name), set.*array.values);
+  };
+  visit_set("set", fit.set);
+  visit_set("first_moments", fit.moments.first);
+  visit_set("second_moments", fit.moments.second);
+  visit("statistics.gradient_sums", fit.statistics.gradient_sums);
+  visit("statistics.seen", fit.statistics.seen);
 }
+
+template <class Number>
+constexpr DType dtype_of() {
+  return std::is_same_v<Number, float> ? DType::kFloat32 : DType::kInt32;
+}
+
+// Of the state and of the arrays' names, lengths and bytes.
+class Digest {
+ public:
+  explicit Digest(const std::string& state) { hash_.update(state); }
+  template <class Values>
+  void add(const std::string& name, const Values& values) {
+    hash_.update(fmt::format("\n{} {}\n", name, values.size()));
+    hash_.update(
+        ByteView{reinterpret_cast<const uint8_t*>(values.data()), values.size() * sizeof(values[0])});
+  }
+  std::string hex() { return hash_.hex_digest(); }
+
+ private:
+  Sha256 hash_;
+};
 
 [[noreturn]] void refuse(const std::filesystem::path& file) {
   fail({file.string(), "a checkpoint as gld splat fit wrote it", "other bytes",
@@ -95,27 +122,47 @@ void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckp
     for (const TableCell& cell : row) cells.push_back(json_of(cell));
     state["rows"].push_back(cells);
   }
-  std::string arrays;
-  visit_arrays(fit, [&](const auto& values) {
-    state["lengths"].push_back(values.size());
-    arrays.append(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(values[0]));
+  const std::string text = json_text(state);
+  Digest digest(text);
+  std::vector<TensorEntry> entries;
+  std::string bytes;
+  visit_arrays(fit, [&](const std::string& name, const auto& values) {
+    using Number = typename std::decay_t<decltype(values)>::value_type;
+    TensorEntry entry;
+    entry.name = name;
+    entry.dtype = dtype_of<Number>();
+    entry.shape = {static_cast<int64_t>(values.size())};
+    entries.push_back(std::move(entry));
+    digest.add(name, values);
+    bytes.append(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(Number));
   });
-  const std::string rest = json_text(state) + "\n" + arrays;
-  write_file_atomically(file, digest_of(rest) + "\n" + rest);
+  write_file_atomically(file, safetensors_header(entries, {{kState, text}, {kDigest, digest.hex()}}) + bytes);
 }
 
 SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file) {
   const std::string bytes = read_file(file);
-  if (bytes.size() < kDigits + 1 || bytes[kDigits] != '\n') refuse(file);
-  const std::string rest = bytes.substr(kDigits + 1);
-  if (digest_of(rest) != bytes.substr(0, kDigits)) refuse(file);
-  const size_t line = rest.find('\n');
-  if (line == std::string::npos) refuse(file);
-  const nlohmann::json state = parse_json(rest.substr(0, line), file.string());
   SplatCheckpoint checkpoint;
   SplatFit& fit = checkpoint.fit;
-  // Its bytes are those that were written, but by a program of another version perhaps.
   try {
+    const ParsedWeights parsed =
+        parse_safetensors({reinterpret_cast<const uint8_t*>(bytes.data()), bytes.size()}, file.string());
+    const std::string& text = parsed.metadata.at(kState);
+    Digest digest(text);
+    size_t arrays = 0;
+    visit_arrays(fit, [&](const std::string& name, auto& values) {
+      using Number = typename std::decay_t<decltype(values)>::value_type;
+      const auto entry = std::find_if(parsed.entries.begin(), parsed.entries.end(),
+                                      [&](const TensorEntry& one) { return one.name == name; });
+      if (entry == parsed.entries.end() || entry->dtype != dtype_of<Number>() || entry->shape.size() != 1)
+        refuse(file);
+      values.resize(static_cast<size_t>(entry->shape[0]));
+      if (!values.empty()) std::memcpy(values.data(), entry->data, values.size() * sizeof(Number));
+      digest.add(name, values);
+      ++arrays;
+    });
+    if (arrays != parsed.entries.size() || digest.hex() != parsed.metadata.at(kDigest)) refuse(file);
+    // Its bytes are those that were written, but by a program of another version perhaps.
+    const nlohmann::json state = parse_json(text, file.string());
     fit.step = state.at("step").get<int64_t>();
     fit.extent = double_of(state.at("extent").get<uint64_t>());
     for (int k = 0; k < 3; ++k)
@@ -131,16 +178,10 @@ SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file) {
       checkpoint.rows.emplace_back();
       for (const auto& cell : row) checkpoint.rows.back().push_back(cell_of(cell));
     }
-    size_t at = line + 1, number = 0;
-    visit_arrays(fit, [&](auto& values) {
-      const auto length = state.at("lengths").at(number++).get<size_t>();
-      const size_t each = sizeof(values[0]);
-      if (length > (rest.size() - at) / each) refuse(file);
-      values.resize(length);
-      if (length > 0) std::memcpy(values.data(), rest.data() + at, length * each);
-      at += length * each;
-    });
-    if (at != rest.size()) refuse(file);
+  } catch (const Error&) {
+    refuse(file);
+  } catch (const std::out_of_range&) {
+    refuse(file);
   } catch (const nlohmann::json::exception&) {
     refuse(file);
   }

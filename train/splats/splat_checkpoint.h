@@ -1,7 +1,7 @@
 #pragma once
 
+#include "datasets/splats/splat_fit.h"
 #include "gld/report/table.h"
-#include "train/splats/splat_fit.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -25,8 +25,8 @@ constexpr const char* kSplatCheckpointFile = "fit.checkpoint";
 // Of cameras and pixels of what is fitted and held out.
 std::string fit_views_hash(const std::vector<const FittedView*>& views);
 
-// The file appears whole or not at all. Its first line is the SHA-256 of the rest: a line of JSON, and the arrays as
-// they are in memory.
+// A safetensors file of the fit's arrays, whole or not at all; its metadata hold the rest as JSON and the SHA-256 of
+// both.
 void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckpoint& checkpoint);
 // Throws Error that names the file where a byte of it is another than was written.
 SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file);

@@ -259,7 +259,7 @@ TEST_F(SamplingRequests, WrongRequestsGetOneSentence) {
       "--size: expected WIDTHxHEIGHT in pixels, sides from 1 to 65536, found 'big'; write for example 504x280.");
   EXPECT_EQ(
       sentence([](SampleOptions& asked) { asked.outputs = {"imagse"}; }),
-      "--outputs: expected image, depth, rays, points, latents or page, found 'imagse'; did you mean 'image'?");
+      "--outputs: expected image, depth, rays, points, latents, splats or page, found 'imagse'; did you mean 'image'?");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.device = "tpu"; }),
             "--device: expected cpu, cuda or cuda:N, found 'tpu'; write for example --device cpu.");
   EXPECT_EQ(

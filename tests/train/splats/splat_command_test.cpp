@@ -79,7 +79,8 @@ TEST_F(FittedSplats, OfADrawnRoomImproves) {
   EXPECT_EQ(set.size(), fit["gaussians"]["at_last"].get<int64_t>());
   EXPECT_EQ(read_cameras_json(out("fit") / "cameras.json").records.size(), 10U);
   KernelSettings settings;
-  const SplatFitViews views = load_fit_views(open_scene(scene()), options.side, 2, settings);
+  const Scene of_folder = open_scene(scene());
+  const SplatFitViews views = load_fit_views(of_folder, fit_size(of_folder, options.side), 2, settings);
   ProjectionOptions projection;
   projection.near = fit["near"].get<double>();
   const auto decibels = view_decibels(views.held_out, set, projection, settings);
@@ -222,7 +223,7 @@ TEST_F(FittedSplats, ResumesNothingElse) {
 
 TEST_F(FittedSplats, StartsFromSparsePointsWithoutDepth) {
   Scene scene = open_scene(this->scene());
-  const SplatFitViews views = load_fit_views(scene, 64, 0, {});
+  const SplatFitViews views = load_fit_views(scene, fit_size(scene, 64), 0, {});
   std::vector<Eigen::Vector3d> points;
   for (const SplatPicture& picture : views.pictures) {
     for (int64_t i = 3; i < 64; i += 7) {

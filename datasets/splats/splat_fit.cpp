@@ -1,4 +1,4 @@
-#include "train/splats/splat_fit.h"
+#include "datasets/splats/splat_fit.h"
 
 #include "gld/base/error.h"
 #include "gld/base/philox.h"

@@ -1,0 +1,68 @@
+#pragma once
+
+#include "datasets/scenes/scene.h"
+#include "datasets/splats/splat_fit.h"
+#include "gld/cameras/image_size.h"
+#include "gld/report/provenance.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Where the Gaussians of a run folder are.
+constexpr const char* kSplatFile = "splats.ply";
+
+// All that the Gaussians of a scene depend on beside its pictures, depth and cameras.
+struct SceneFitOptions : OptionsGroup {
+  int64_t side = 512;    // pixels of a picture's longer side at most
+  int64_t held_out = 0;  // views that are kept apart
+  int64_t seed = 0;      // of the order of views and of density control
+  SplatFitOptions fit;
+
+  void visit(FieldVisitor& visitor) override;
+};
+// Two of its fields, which commands have in groups of their own.
+void visit_side(FieldVisitor& visitor, int64_t& side);
+
+// The views of a scene as a fit takes them.
+struct SplatFitViews {
+  std::vector<SplatPicture> pictures;  // of those that are fitted, for the start
+  std::vector<FittedView> fitted, held_out;
+};
+// Frames with pictures, resized and cropped to that size; held_out of them, evenly spread between the first and the
+// last, are kept apart. Error where fewer than one is left to be fitted.
+SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t held_out,
+                             const KernelSettings& settings);
+// That of the first one's aspect with at most `side` pixels. Error where no frame has a picture.
+ImageSize fit_size(const Scene& scene, int64_t side);
+
+// Mean squared errors of the views' pictures as dB, one a view.
+std::vector<double> view_decibels(const std::vector<FittedView>& views, const GaussianSet& set,
+                                  const ProjectionOptions& projection, const KernelSettings& settings);
+
+// What a PLY file of the fit says of its origin: the scene's name and the options, and nothing of the command that
+// asked for it, so that the same fit gives the same bytes.
+Provenance splat_provenance(const std::string& scene_name, const SceneFitOptions& options);
+
+struct SceneFit {
+  SplatFit fit;
+  int64_t started_with = 0;  // Gaussians
+  int64_t views = 0;
+  double near = 0;         // that was drawn with
+  double fitted_psnr = 0;  // dB, mean over the views
+};
+// All steps of a fit in one go: what gld splat fit does in parts, with the same result. after_step is called after each
+// of them. where: the scene's name in errors.
+SceneFit fit_scene(const Scene& scene, const SceneFitOptions& options, const std::string& where,
+                   const KernelSettings& settings,
+                   const std::function<void(const SplatFitStep&)>& after_step);
+
+// Writes splats.ply of such a fit.
+void write_fitted_splats(const std::filesystem::path& file, const GaussianSet& set,
+                         const std::string& scene_name, const SceneFitOptions& options);
+
+}  // namespace gld
