@@ -50,6 +50,8 @@ const std::vector<OptionUse>& option_uses() {
        {"bs32", "dp54", "rodas3"},
        "a --solver of fixed steps (an adaptive one has --solver.tolerance)"},
       {"eval", "schedule_file", "schedule", Condition::kOneOf, {"file"}, "--schedule file"},
+      {"splat fit", "model", "features", Condition::kNoneOf, {"[none]", "[]"}, "--features"},
+      {"splat fit", "solve.", "features", Condition::kNoneOf, {"[none]", "[]"}, "--features"},
       {"", "lpips.net", "lpips_backbone", Condition::kNoneOf, {""}, "--lpips-backbone and --lpips-heads"},
       {"", "lpips.version", "lpips_backbone", Condition::kNoneOf, {""}, "--lpips-backbone and --lpips-heads"},
       {"", "optimiser.momentum", "algorithm", Condition::kOneOf, {"muon"}, "--algorithm muon"},

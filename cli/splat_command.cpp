@@ -1,7 +1,7 @@
 #include "cli/splat_command.h"
 
 #include "infer/splats/splat_render.h"
-#include "train/splats/splat_command.h"
+#include "train/splats/splat_features.h"
 
 namespace gld {
 namespace {
@@ -20,7 +20,7 @@ Command make_fit_command() {
       {"Fit",
        {"fit.steps", "fit.degree", "fit.density.most_gaussians", "checkpoint_every", "validate_every"}}};
   command.run = [options](const std::vector<std::string>&) {
-    run_splat_fit(*options);
+    run_splat_fit_with_features(*options);
     return 0;
   };
   return command;

@@ -231,6 +231,16 @@ void SplatCommandOptions::visit(FieldVisitor& visitor) {
   visit_threads(visitor, threads);
   visitor.group({"reading", "how the scene is read"}, reading);
   SceneFitOptions::visit(visitor);
+  visitor.texts(
+      {"features",
+       "levels of a latent space whose latents are fitted to the finished Gaussians: numbers, or all; none: no"},
+      features);
+  visitor.text({"model", "the model bundle whose backbone encodes them"}, model);
+  visitor.group({"solve", "how features are solved for"}, solve);
+}
+
+bool SplatCommandOptions::has_features() const {
+  return !features.empty() && features != std::vector<std::string>{"none"};
 }
 
 void SplatCommandOptions::check() const {
@@ -245,7 +255,7 @@ void SplatCommandOptions::check() const {
   fit.check();
 }
 
-void run_splat_fit(const SplatCommandOptions& options) {
+void run_splat_fit(const SplatCommandOptions& options, const AfterSplatFit& after_fit) {
   options.check();
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   const bool resumes = goes_on(options, earlier);
@@ -258,7 +268,9 @@ void run_splat_fit(const SplatCommandOptions& options) {
   write_cameras(run, fit.views(), scene.metric);
   write_held_out(run, fit);
   write_file_atomically(run.path() / "steps.csv", fit.table().csv());
-  const auto report = fit_report(fit, scene.name);
+  nlohmann::ordered_json report = fit_report(fit, scene.name);
+  if (after_fit && fit.finished())
+    after_fit({fit.set(), fit.projection(), scene, fit.settings(), run, report});
   run.write_report(report);
   stop_if_interrupted(fmt::format("{} of {} steps are done; the Gaussians so far are in {}, --resume goes on",
                                   fit.state().fit.step, options.fit.steps,

@@ -2,9 +2,15 @@
 
 #include "datasets/formats/scene_reader.h"
 #include "datasets/splats/scene_fit.h"
+#include "gld/report/run_folder.h"
+#include "gld/splatting/feature_solve.h"
 
 #include <cstdint>
+#include <functional>
 #include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
 
 namespace gld {
 
@@ -19,16 +25,33 @@ struct SplatCommandOptions : SceneFitOptions {
   int64_t checkpoint_every = 250;
   int64_t threads = 0;
   SceneReading reading;
+  std::vector<std::string> features{"none"};
+  std::string model = "configs/tiny";
+  FeatureSolveOptions solve;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
   const std::string& where() const { return run.empty() ? scene : run; }
+  bool has_features() const;
 };
+
+// A fit whose steps are all done, with splats.ply written.
+struct FinishedSplatFit {
+  const GaussianSet& set;
+  const ProjectionOptions& projection;
+  const Scene& scene;
+  const KernelSettings& settings;
+  RunFolder& run;
+  nlohmann::ordered_json& report;  // which is written afterwards
+};
+using AfterSplatFit = std::function<void(const FinishedSplatFit&)>;
 
 // Writes splats.ply, cameras.json with the fitted views, pictures of held-out views, steps.csv and report.json into
 // options.out. On Ctrl-C the Gaussians as far as they are fitted are written before it ends as interrupted. A run that
 // was stopped or killed goes on with --resume, from its last checkpoint, and ends with the same bytes in splats.ply as
 // one that was not.
-void run_splat_fit(const SplatCommandOptions& options);
+//
+// after_fit adds to it what this part of the program, which has no LibTorch, does not know (splat_features.h).
+void run_splat_fit(const SplatCommandOptions& options, const AfterSplatFit& after_fit = {});
 
 }  // namespace gld

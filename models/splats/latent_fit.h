@@ -1,0 +1,56 @@
+#pragma once
+
+#include "gld/splatting/feature_solve.h"
+#include "models/splats/latent_pictures.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// Gaussians that stand still, and the views that see them.
+struct StillGaussians {
+  const GaussianSet& set;
+  ProjectionOptions projection;
+  std::vector<Camera> cameras;  // of the images, those that are fitted first
+  int64_t fitted = 0;           // of these
+};
+
+// Features of a level that make the pictures of the fitted views, normalised, (gaussians, channels).
+struct LatentFit {
+  LatentTag tag;
+  LatentStatistics statistics;
+  torch::Tensor features;
+  int64_t iterations = 0;
+  double residual = 0;  // SolvedFeatures, at last
+  double seconds = 0;
+};
+LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& latents,
+                      const FeatureSolveOptions& options, const KernelSettings& settings);
+
+// What a camera sees of features, (gaussians, channels), over latent pixels; where nothing is seen it is 0, the mean of
+// normalised latents.
+SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tensor& features,
+                             const Camera& over_latents, const KernelSettings& settings);
+
+// |rendered - encoded| over |encoded - its mean|, both normalised, over views `first` to `end`: 0 where the features
+// show what the backbone sees, 1 where they show no more than each channel's mean.
+double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
+                    int64_t first, int64_t end, const KernelSettings& settings);
+
+// Beside a PLY file, for its Gaussians in its order: tensors levelN.features (gaussians, channels), normalised,
+// levelN.mean and levelN.deviation (channels), raw = features deviation + mean; metadata "gld:latent_space" (tags as
+// JSON), "gld:splats" (SHA-256 of the PLY file) and those of `notes`. Whole or not at all.
+void save_latent_fits(const std::filesystem::path& file, const std::vector<LatentFit>& fits,
+                      const std::filesystem::path& splats,
+                      const std::vector<std::pair<std::string, std::string>>& notes);
+
+// A table of numbers as a tensor: (rows, channels).
+torch::Tensor feature_tensor(const std::vector<float>& values, int64_t channels);
+
+}  // namespace gld

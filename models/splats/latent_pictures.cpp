@@ -1,0 +1,199 @@
+#include "models/splats/latent_pictures.h"
+
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
+#include "gld/base/sha256.h"
+#include "gld/cameras/latent_grid.h"
+#include "gld/cameras/resized_camera.h"
+#include "gld/machine/stage_record.h"
+
+#include <algorithm>
+#include <cstring>
+#include <memory>
+#include <utility>
+
+#include <ATen/core/grad_mode.h>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+bool is_number(const std::string& text) {
+  return !text.empty() && text.size() < 4 &&
+         std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
+}
+
+// Latent pixels of a token along each side: what the description of an autoencoder says, and 1 of other backbones.
+int64_t token_pixels_of(const BackboneArchitecture& architecture) {
+  return to_json(architecture).value("latent_patch", int64_t{1});
+}
+
+// Patch tokens, (views, tokens, C), as maps, (views, C / p^2, height p, width p): a token's channels are ordered
+// (channel, row, column).
+torch::Tensor maps_of(const torch::Tensor& tokens, const LatentGrid& grid, int64_t token_pixels) {
+  return torch::pixel_shuffle(tokens.reshape({grid.views, grid.height, grid.width, -1}).permute({0, 3, 1, 2}),
+                              token_pixels);
+}
+
+// Of a latent's channels where a token holds a block of its pixels: those of the block's places together.
+LatentStatistics of_pixels(const LatentStatistics& of_tokens, int64_t token_pixels) {
+  if (token_pixels == 1) return of_tokens;
+  LatentStatistics result = of_tokens;
+  const auto means = of_tokens.mean.reshape({-1, token_pixels * token_pixels});
+  result.mean = means.mean(1);
+  result.variance = of_tokens.variance.reshape({-1, token_pixels * token_pixels}).mean(1) +
+                    (means - result.mean.unsqueeze(1)).square().mean(1);
+  return result;
+}
+
+// latents: (views, channels, height, width).
+LatentStatistics of_views(const torch::Tensor& latents) {
+  LatentStatistics result;
+  const auto wide = latents.to(torch::kFloat64);
+  result.mean = wide.mean({0, 2, 3}).to(torch::kFloat32);
+  result.variance = (wide - wide.mean({0, 2, 3}, true)).square().mean({0, 2, 3}).to(torch::kFloat32);
+  return result;
+}
+
+void require_memory(const BackboneArchitecture& architecture, const LatentGrid& grid, int64_t last_level) {
+  const int64_t needed = architecture.encoding_cost(grid, last_level).working_bytes;
+  const int64_t available = available_memory_bytes();
+  if (available <= 0 || needed <= available) return;
+  fail({"encoding views", fmt::format("at most {} of memory", bytes_text(available)),
+        fmt::format("{} for {} views of {}x{} tokens by the forecast", bytes_text(needed), grid.views,
+                    grid.width, grid.height),
+        "take fewer or smaller views"});
+}
+
+LatentPictures normalised_pictures(const torch::Tensor& latents, LatentStatistics statistics, LatentTag tag) {
+  LatentPictures result;
+  result.statistics = std::move(statistics);
+  result.tag = std::move(tag);
+  result.tag.channels = latents.size(1);
+  result.tag.height = latents.size(2);
+  result.tag.width = latents.size(3);
+  const auto normal =
+      result.statistics.normalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+  for (int64_t view = 0; view < normal.size(0); ++view)
+    result.pictures.push_back(splat_image_of(normal[view]));
+  return result;
+}
+
+const LevelGenerator* generator_of(const BundleOptions& bundle, int64_t level) {
+  for (const auto& part : bundle.generators) {
+    if (part.generator.level == level) return &part.generator;
+  }
+  return nullptr;
+}
+
+}  // namespace
+
+nlohmann::ordered_json tag_json(const LatentTag& tag) {
+  return {{"model", tag.model},   {"backbone", tag.backbone},    {"backbone_hash", tag.backbone_hash},
+          {"level", tag.level},   {"channels", tag.channels},    {"width", tag.width},
+          {"height", tag.height}, {"statistics", tag.statistics}};
+}
+
+Camera LatentPictures::camera_of(const Camera& of_image) const {
+  return resized_camera(of_image, tag.width, tag.height);
+}
+
+torch::Tensor LatentPictures::raw(const SplatImage& picture) const {
+  return statistics.denormalise(tensor_of(picture).permute({1, 2, 0})).permute({2, 0, 1}).contiguous();
+}
+
+std::vector<int64_t> latent_levels(const std::vector<std::string>& names, const BundleOptions& bundle,
+                                   const std::string& option) {
+  const int64_t levels = bundle.backbone.levels();
+  std::vector<int64_t> chosen;
+  for (const std::string& name : names) {
+    if (name == "all") {
+      for (int64_t level = 0; level < levels; ++level) chosen.push_back(level);
+    } else if (is_number(name) && std::stoll(name) < levels) {
+      chosen.push_back(std::stoll(name));
+    } else {
+      fail({option, fmt::format("levels 0 to {} of {}, or all", levels - 1, bundle.name), "'" + name + "'",
+            "choose among them"});
+    }
+  }
+  std::sort(chosen.begin(), chosen.end());
+  chosen.erase(std::unique(chosen.begin(), chosen.end()), chosen.end());
+  return chosen;
+}
+
+ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about) {
+  const int64_t side = bundle.backbone.patch_side();
+  return {nearest_whole_patches(about.width, side) * side, nearest_whole_patches(about.height, side) * side};
+}
+
+ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side) {
+  const int64_t pixels = token_pixels_of(bundle.backbone.architecture());
+  if (side % pixels != 0) {
+    fail({"latents of " + bundle.name, fmt::format("a side in whole tokens of {} latent pixels", pixels),
+          std::to_string(side), "choose another"});
+  }
+  const int64_t image = side / pixels * bundle.backbone.patch_side();
+  return {image, image};
+}
+
+LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag) {
+  tag.statistics = "of the views";
+  return normalised_pictures(latents, of_views(latents), std::move(tag));
+}
+
+std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
+                                                   const std::vector<int64_t>& levels) {
+  const at::NoGradGuard no_gradients;
+  std::vector<LatentPictures> result;
+  if (levels.empty()) return result;
+  const BundleOptions& options = bundle.options();
+  const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
+  const auto& architecture = backbone->architecture();
+  const LatentGrid grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
+  const int64_t token_pixels = token_pixels_of(architecture);
+  require_memory(architecture, grid, levels.back());
+  const auto encoded = backbone->encode(images, levels.back());
+  const std::string hash = sha256_of_file(bundle.file(BundlePart::backbone()));
+  for (const int64_t level : levels) {
+    const auto tokens =
+        backbone->patches_of(encoded.at(static_cast<size_t>(level))).to(torch::kFloat32).contiguous();
+    const auto latents = maps_of(tokens, grid, token_pixels);
+    const LevelGenerator* generator = generator_of(options, level);
+    const bool of_model = generator != nullptr && bundle.has(BundlePart::statistics(level));
+    LatentTag tag;
+    tag.model = options.name;
+    tag.backbone = architecture.kind();
+    tag.backbone_hash = hash;
+    tag.level = level;
+    tag.statistics = of_model ? "of the model" : "of the views";
+    result.push_back(normalised_pictures(
+        latents,
+        of_model ? of_pixels(bundle.load_statistics(*generator).patches, token_pixels) : of_views(latents),
+        std::move(tag)));
+  }
+  return result;
+}
+
+SplatImage splat_image_of(const torch::Tensor& picture) {
+  const auto values = picture.to(torch::kCPU, torch::kFloat32).contiguous();
+  SplatImage image(values.size(0), values.size(2), values.size(1));
+  const float* from = values.data_ptr<float>();
+  for (int64_t c = 0; c < image.channels; ++c) {
+    for (int64_t y = 0; y < image.height; ++y, from += image.width)
+      std::memcpy(image.row(c, y), from, static_cast<size_t>(image.width) * sizeof(float));
+  }
+  return image;
+}
+
+torch::Tensor tensor_of(const SplatImage& picture) {
+  auto values = torch::empty({picture.channels, picture.height, picture.width}, torch::kFloat32);
+  float* to = values.data_ptr<float>();
+  for (int64_t c = 0; c < picture.channels; ++c) {
+    for (int64_t y = 0; y < picture.height; ++y, to += picture.width)
+      std::memcpy(to, picture.row(c, y), static_cast<size_t>(picture.width) * sizeof(float));
+  }
+  return values;
+}
+
+}  // namespace gld

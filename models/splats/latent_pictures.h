@@ -1,0 +1,67 @@
+#pragma once
+
+#include "gld/cameras/image_size.h"
+#include "gld/latents/latent_statistics.h"
+#include "gld/splatting/compositing.h"
+#include "models/bundle/bundle.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+#include <nlohmann/json.hpp>
+
+namespace gld {
+
+// Which latent space features are of: features fitted in one mean nothing in another.
+struct LatentTag {
+  std::string model;          // the bundle's name
+  std::string backbone;       // its kind, "da3"
+  std::string backbone_hash;  // SHA-256 of its weights
+  int64_t level = 0;
+  int64_t channels = 0;
+  int64_t width = 0, height = 0;  // of a view in latent pixels, where the features were fitted
+  std::string statistics;         // what they are normalised by: "of the model" or "of the views"
+};
+nlohmann::ordered_json tag_json(const LatentTag& tag);
+
+// A level of a latent space as pictures that Gaussians can be fitted to: an autoencoder's on the grid of its pixels,
+// others on the grid of their patch tokens.
+struct LatentPictures {
+  LatentTag tag;
+  LatentStatistics statistics;       // of a channel of the pictures
+  std::vector<SplatImage> pictures;  // a view, normalised
+
+  // The camera of an image over the latent's pixels.
+  Camera camera_of(const Camera& of_image) const;
+  // (channels, height, width), raw: before normalisation.
+  torch::Tensor raw(const SplatImage& picture) const;
+};
+
+// The levels that `names` says: numbers from 0, or "all". Error for other words and for levels that the backbone does
+// not have; option names what was asked ("--features").
+std::vector<int64_t> latent_levels(const std::vector<std::string>& names, const BundleOptions& bundle,
+                                   const std::string& option);
+
+// Pictures of about this size as the bundle's backbone takes them: sides whole patches of it.
+ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about);
+// Of a view whose latent has so many pixels a side. Error where an autoencoder's tokens do not divide them.
+ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side);
+
+// Latents of whatever kind, (views, channels, height, width), raw, normalised by their own mean and variance; of tag
+// the model is taken.
+LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag);
+
+// images: (views, 3, height, width), RGB in [0, 1], sides whole patches, on the CPU; encoded together, the first one as
+// the reference view of backbones that have one. Levels with statistics in the bundle are normalised by those, others
+// by the mean and variance of what is encoded here. Bundle: only the backbone and the statistics are read.
+std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
+                                                   const std::vector<int64_t>& levels);
+
+// (channels, height, width) and back.
+SplatImage splat_image_of(const torch::Tensor& picture);
+torch::Tensor tensor_of(const SplatImage& picture);
+
+}  // namespace gld

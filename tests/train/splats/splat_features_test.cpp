@@ -1,0 +1,65 @@
+#include "train/splats/splat_features.h"
+
+#include "datasets/formats/scene_writer.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/sha256.h"
+#include "gld/splatting/splat_ply.h"
+#include "gld/tensors/weight_tensors.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+
+#include <filesystem>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+
+TEST(SplatFeatures, AreSolvedForAndSavedBesideTheGaussians) {
+  const test::TemporaryFolder folder;
+  SyntheticOptions rooms;
+  rooms.frames = 8;
+  rooms.width = rooms.height = 112;
+  write_scene(make_synthetic_scene(rooms, 0), "cameras-json", folder.path() / "scene");
+  SplatCommandOptions options;
+  options.scene = (folder.path() / "scene").string();
+  options.out = (folder.path() / "run").string();
+  options.held_out = 2;
+  options.fit.steps = 10;
+  options.fit.density.most_gaussians = 4000;
+  options.threads = 1;
+  options.model = (test::source_root() / "configs" / "tiny").string();
+  options.features = {"1", "7"};
+  EXPECT_EQ(error_of([&] { run_splat_fit_with_features(options); }),
+            "--features: expected levels 0 to 3 of GLD tiny, or all, found '7'; choose among them.");
+  EXPECT_FALSE(std::filesystem::exists(options.out));
+  options.features = {"1"};
+  run_splat_fit_with_features(options);
+  const std::filesystem::path out = options.out;
+  const auto report = nlohmann::json::parse(read_file(out / "report.json")).at("features").at(0);
+  EXPECT_EQ(report.at("level"), 1);
+  EXPECT_LE(report.at("residual").get<double>(), options.solve.tolerance);
+  // 6 x 64 pixels of 4,000 Gaussians can be shown nearly as they are; what no feature was fitted to, better than by
+  // the channels' means.
+  EXPECT_LT(report.at("fitted_error").get<double>(), 0.3);
+  EXPECT_LT(report.at("held_out_error").get<double>(), 1);
+  EXPECT_GT(report.at("held_out_error").get<double>(), report.at("fitted_error").get<double>());
+  const auto file = WeightFile::open(out / kSplatFeaturesFile);
+  const auto features = read_tensor(*file, "level1.features");
+  EXPECT_EQ(features.size(0), read_splat_ply(out / kSplatFile).size());
+  EXPECT_EQ(features.size(1), 256);
+  EXPECT_EQ(file->metadata().at("gld:splats"), sha256_of_file(out / kSplatFile));
+  // The same once more.
+  options.out = (folder.path() / "again").string();
+  run_splat_fit_with_features(options);
+  EXPECT_EQ(read_file(out / kSplatFeaturesFile),
+            read_file(std::filesystem::path(options.out) / kSplatFeaturesFile));
+}
+
+}  // namespace
+}  // namespace gld
