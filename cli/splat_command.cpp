@@ -1,6 +1,7 @@
 #include "cli/splat_command.h"
 
 #include "infer/splats/splat_render.h"
+#include "infer/splats/splat_spectrum.h"
 #include "train/splats/splat_features.h"
 
 namespace gld {
@@ -41,13 +42,29 @@ Command make_render_command() {
   return command;
 }
 
+Command make_spectrum_command() {
+  auto options = std::make_shared<SplatSpectrumOptions>();
+  Command command;
+  command.name = "splat spectrum";
+  command.summary = "Measure what splatting leaves of the frequencies of latent spaces";
+  command.description =
+      "Example: gld splat spectrum --scenes rooms/scenes --models configs/tiny models/taef2 --out runs/spectrum\n"
+      "Latents that are the same from everywhere keep theirs, as a texture fixed in the world does (the control).";
+  command.options = options;
+  command.run = [options](const std::vector<std::string>&) {
+    run_splat_spectrum(*options);
+    return 0;
+  };
+  return command;
+}
+
 }  // namespace
 
 Command make_splat_command() {
   Command command;
   command.name = "splat";
-  command.summary = "3D Gaussians of a scene: fit them, draw them";
-  command.subcommands = {make_fit_command(), make_render_command()};
+  command.summary = "3D Gaussians of a scene: fit them, draw them, see latents by them";
+  command.subcommands = {make_fit_command(), make_render_command(), make_spectrum_command()};
   return command;
 }
 
