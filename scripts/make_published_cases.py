@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Makes the reference cases rgb_decoder_vggt and dpt_head_da3_replaced, tests/data/dpt_decoder, and the cases splat_* with the
-published modules.
+"""Makes the reference cases rgb_decoder_vggt, dpt_head_da3_replaced, known_cameras_da3 and camera_decoder_da3,
+tests/data/dpt_decoder, and the cases splat_* with the published modules.
 
-Needs PyTorch, safetensors, and for the first two transformers (of RAE's decoder). Each case is made where the checkouts that
+Needs PyTorch, safetensors, for the first two transformers (of RAE's decoder) and for DA3's einops. Each case is made where the checkouts that
 it needs are given:
   --gld     cvlab-kaist/Geometric-Latent-Diffusion, of rgb_decoder_vggt and, together with
-  --da3     ByteDance-Seed/Depth-Anything-3, of dpt_head_da3_replaced
+  --da3     ByteDance-Seed/Depth-Anything-3, of dpt_head_da3_replaced, known_cameras_da3 and camera_decoder_da3
   --gsplat  nerfstudio-project/gsplat at v1.5.3, of splat_*
 Weights and inputs are random and exact in float16; outputs are float32, and the note of each case says how far they lie from
 the same modules in float64. Those of splat_* are float64, from inputs exact in float32.
@@ -116,12 +116,15 @@ def rgb_decoder_case(gld, out):
                half(decoder.state_dict(), "decoder."))
 
 
-def replaced_head_case(gld, da3, out):
+def da3_packages(da3):
     source = da3 / "src/depth_anything_3"
-    package("depth_anything_3", source)
-    package("depth_anything_3.model", source / "model")
-    package("depth_anything_3.model.utils", source / "model/utils")
+    for name in ("", "model", "model/utils", "utils"):
+        package(".".join(["depth_anything_3", *name.split("/")]).rstrip("."), source / name)
     sys.path.insert(0, str(da3 / "src"))
+
+
+def replaced_head_case(gld, da3, out):
+    da3_packages(da3)
     from depth_anything_3.model.dualdpt import DualDPT
 
     torch.manual_seed(7)
@@ -182,6 +185,110 @@ def replaced_head_case(gld, da3, out):
     write_case(out / "reference_cases/dpt_head_da3_replaced", case,
                half({f"level{i}": level[0] for i, level in enumerate(levels)}), single,
                half(replaced.state_dict(), "model.head."))
+
+
+def turned_cameras(views, width, height):
+    """Camera-from-world of cameras around a place far from the world's origin, in float32, and their intrinsics."""
+    torch.manual_seed(10)
+    poses, intrinsics = torch.eye(4).repeat(views, 1, 1), torch.zeros(views, 3, 3)
+    for view in range(views):
+        # The last camera looks back: its quaternion has a negative w before it is made to have none.
+        turn = torch.tensor(2.9 * view / (views - 1))
+        axis = torch.nn.functional.normalize(torch.randn(3), dim=0)
+        x, y, z = axis
+        cross = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        poses[view, :3, :3] = torch.eye(3) + turn.sin() * cross + (1 - turn.cos()) * cross @ cross
+        poses[view, :3, 3] = torch.randn(3) * 0.7 + torch.tensor([3.0, -2.0, 5.0])
+        intrinsics[view] = torch.tensor([[(0.8 + 0.1 * view) * width, 0, 0.45 * width],
+                                         [0, (1.1 - 0.1 * view) * height, 0.55 * height], [0, 0, 1]])
+    return poses, intrinsics
+
+
+def da3_camera_cases(da3, out):
+    da3_packages(da3)
+    from depth_anything_3.model import cam_enc
+    from depth_anything_3.model.cam_dec import CameraDec
+    from depth_anything_3.model.dinov2.vision_transformer import DinoVisionTransformer
+    from depth_anything_3.model.utils.transform import pose_encoding_to_extri_intri
+    from depth_anything_3.utils.geometry import affine_inverse
+
+    # The method alone, which stands in the class of the whole program.
+    tree = ast.parse((da3 / "src/depth_anything_3/api.py").read_text())
+    method = next(node for item in tree.body if isinstance(item, ast.ClassDef) for node in item.body
+                  if isinstance(node, ast.FunctionDef) and node.name == "_normalize_extrinsics")
+    names = {"torch": torch, "affine_inverse": affine_inverse}
+    exec(compile(ast.Module(body=[method], type_ignores=[]), "api", "exec"), names)
+    # The published function rounds to float32, which modules in float64 do not take.
+    encode_poses = cam_enc.extri_intri_to_pose_encoding
+
+    torch.manual_seed(9)
+    sizes = {"patch_size": 14, "embed_dim": 32, "depth": 8, "num_heads": 2, "mlp_ratio": 4}
+    starts = {"alternating_start": 4, "qk_norm_start": 4, "rope_start": 4}
+    out_layers = [5, 7]
+    backbone = DinoVisionTransformer(
+        img_size=4 * 14, **sizes, ffn_layer="mlp", alt_start=starts["alternating_start"],
+        qknorm_start=starts["qk_norm_start"], rope_start=starts["rope_start"], cat_token=True).eval()
+    encoder = cam_enc.CameraEnc(dim_out=32).eval()
+    make_random(backbone)
+    make_random(encoder)
+    with torch.no_grad():
+        backbone.pos_embed.copy_((0.3 * torch.randn_like(backbone.pos_embed)).half().float())
+    height, width, views = 42, 56, 3
+    images = torch.rand(views, 3, height, width).half().float()
+    poses, intrinsics = turned_cameras(views, width, height)
+
+    def run(backbone, encoder, dtype):
+        cam_enc.extri_intri_to_pose_encoding = lambda *values: encode_poses(*values).to(dtype)
+        normalised = names["_normalize_extrinsics"](None, poses[None].to(dtype).clone())
+        pixels = (images.to(dtype) - IMAGENET_MEAN.to(dtype)) / IMAGENET_DEVIATION.to(dtype)
+        with torch.no_grad():
+            tokens = encoder(normalised, intrinsics[None].to(dtype), (height, width))
+            # As they are before the final norm.
+            levels, _ = backbone._get_intermediate_layers_not_chunked(pixels[None], out_layers, cam_token=tokens)
+        return {f"known_cameras.level{i}": level[0] for i, (_, level) in enumerate(levels)}
+
+    single = run(backbone, encoder, torch.float32)
+    double = run(copy.deepcopy(backbone).double(), copy.deepcopy(encoder).double(), torch.float64)
+    case = {"kind": "backbone",
+            "config": {"type": "da3", **sizes, "pos_embed_grid": 4, "out_layers": out_layers, **starts,
+                       "rope_frequency": 100, "camera_encoder_depth": 4, "camera_encoder_heads": 16},
+            "relative_tolerance": 1e-5,
+            "note": "levels are raw; the cameras, normalised by DepthAnything3._normalize_extrinsics, give the camera tokens "
+                    "through CameraEnc | seed 9; weights and images exact in float16, cameras in float32; "
+                    + observed(largest_error(single, double))}
+    write_case(out / "reference_cases/known_cameras_da3", case,
+               {**half({"images": images}), "camera_from_world": poses, "intrinsics": intrinsics}, single,
+               {**half(backbone.state_dict(), "model.backbone.pretrained."),
+                **half(encoder.state_dict(), "model.cam_enc.")})
+
+    decoder = CameraDec(dim_in=64).eval()
+    make_random(decoder)
+    with torch.no_grad():
+        # Fields of view near a radian: those that the ReLU cuts to 0 have no focal length.
+        decoder.fc_fov[0].weight.mul_(0.25)
+        decoder.fc_fov[0].bias.copy_(torch.tensor([0.75, 1.25]))
+    tokens = torch.randn(4, 64).half().float()
+
+    def decode(decoder, dtype):
+        # The published forward rounds its features to float32; what follows them is run in the type of the module.
+        class Kept(torch.Tensor):
+            def float(self):
+                return self
+
+        with torch.no_grad():
+            encoding = decoder(tokens[None].to(dtype).as_subclass(Kept)).as_subclass(torch.Tensor)
+            pose, intrinsics = pose_encoding_to_extri_intri(encoding, (height, width))
+            inverse = affine_inverse(pose)
+        assert encoding[..., 7:].min() > 0.2 and encoding[..., 7:].max() < 2.8
+        return {"pose_encoding": encoding[0], "camera_from_world": inverse[0], "intrinsics": intrinsics[0]}
+
+    single, double = decode(decoder, torch.float32), decode(copy.deepcopy(decoder).double(), torch.float64)
+    case = {"kind": "camera_decoder", "config": {"dim_in": 64, "height": height, "width": width},
+            "relative_tolerance": 3e-6,
+            "note": "DA3's CameraDec, pose_encoding_to_extri_intri and affine_inverse; the encoding's pose is world from camera | "
+                    "seed 9; weights and tokens exact in float16; " + observed(largest_error(single, double))}
+    write_case(out / "reference_cases/camera_decoder_da3", case, half({"camera_tokens": tokens}), single,
+               half(decoder.state_dict(), "model.cam_dec."))
 
 
 def random_splats(seed, count, degree, smallest, largest):
@@ -379,6 +486,8 @@ def main():
         rgb_decoder_case(options.gld, options.out)
     if options.gld and options.da3:
         replaced_head_case(options.gld, options.da3, options.out)
+    if options.da3:
+        da3_camera_cases(options.da3, options.out)
     if options.gsplat:
         splat_cases(options.gsplat, options.out)
 

@@ -47,6 +47,37 @@ void encode_tokens(const ReferenceCase& reference, const Backbone& backbone, con
   outputs["patch_tokens"] = tokens.slice(1, leading);
 }
 
+// Of the case's cameras, which are those of its images.
+std::vector<Camera> known_cameras(const ReferenceCase& reference, const torch::Tensor& images) {
+  const int64_t views = images.size(0);
+  const auto poses = reference.input("camera_from_world", {views, 4, 4}).to(torch::kFloat64).contiguous();
+  const auto intrinsics = reference.input("intrinsics", {views, 3, 3}).to(torch::kFloat64).contiguous();
+  std::vector<Camera> cameras;
+  for (int64_t view = 0; view < views; ++view) {
+    using Pose = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+    using Pixels = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+    Camera camera;
+    camera.height = images.size(2);
+    camera.width = images.size(3);
+    camera.intrinsics = Eigen::Map<const Pixels>(intrinsics[view].data_ptr<double>());
+    Eigen::Isometry3d camera_from_world;
+    camera_from_world.matrix() = Eigen::Map<const Pose>(poses[view].data_ptr<double>());
+    camera.world_from_camera = camera_from_world.inverse();
+    cameras.push_back(camera);
+  }
+  return cameras;
+}
+
+void encode_known_cameras(const ReferenceCase& reference, const Backbone& backbone,
+                          const torch::Tensor& images, NamedTensors& outputs) {
+  const int64_t deepest = deepest_level(reference, "known_cameras", backbone.architecture().levels());
+  if (deepest < 0) return;
+  const auto levels = backbone.encode_with_cameras(images, deepest, known_cameras(reference, images));
+  for (size_t level = 0; level < levels.size(); ++level) {
+    outputs[level_name("known_cameras", static_cast<int64_t>(level))] = levels[level];
+  }
+}
+
 // Leading tokens and patches are one input, or one each.
 torch::Tensor propagation_input(const ReferenceCase& reference, int64_t level, int64_t channels) {
   const auto number = std::to_string(level);
@@ -66,6 +97,7 @@ NamedTensors run_backbone_case(const ReferenceCase& reference) {
   const auto backbone = options.make({});
   WeightSelection selection;
   selection.prefix = options.architecture().published_prefix();
+  selection.elsewhere = options.architecture().published_elsewhere();
   load_strict(*backbone, reference.weight_file(), selection);
   reference.apply_precision(*backbone, ModelKind::kRunOnce);
 
@@ -82,6 +114,7 @@ NamedTensors run_backbone_case(const ReferenceCase& reference) {
   }
   encode_group(reference, *backbone, "first_view", images.slice(0, 0, 1), outputs);
   encode_tokens(reference, *backbone, images, outputs);
+  encode_known_cameras(reference, *backbone, images, outputs);
 
   for (int64_t level = 0; level < options.levels(); ++level) {
     PropagationStart start;

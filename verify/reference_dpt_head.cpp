@@ -1,3 +1,4 @@
+#include "models/decoders/camera_decoder.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/vggt_heads.h"
 #include "models/weights/weight_loading.h"
@@ -82,7 +83,41 @@ struct CameraHeadCaseOptions : OptionsGroup {
   }
 };
 
+struct CameraDecoderCaseOptions : OptionsGroup {
+  int64_t dim_in = 1536;
+  int64_t height = 504;
+  int64_t width = 504;
+
+  void visit(FieldVisitor& visitor) override {
+    visitor.integer({"dim_in", "channels of the last level"}, dim_in, {1, 1 << 16});
+    visitor.integer({"height", "image height in pixels"}, height, {1, 1 << 16});
+    visitor.integer({"width", "image width in pixels"}, width, {1, 1 << 16});
+  }
+};
+
 }  // namespace
+
+NamedTensors run_camera_decoder_case(const ReferenceCase& reference) {
+  CameraDecoderCaseOptions options;
+  reference.read_config(options);
+  CameraDecoder decoder(options.dim_in, {});
+  WeightSelection selection;
+  selection.prefix = "model.cam_dec.";
+  load_strict(decoder, reference.weight_file(), selection);
+  const auto encodings = decoder.forward(reference.input("camera_tokens", {-1, options.dim_in}));
+  std::vector<torch::Tensor> poses, intrinsics;
+  for (const Camera& camera : decoded_cameras(encodings, {options.width, options.height})) {
+    const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> pose =
+        camera.camera_from_world().matrix().topRows<3>();
+    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> pixels = camera.intrinsics;
+    poses.push_back(torch::tensor(std::vector<double>(pose.data(), pose.data() + pose.size())).view({3, 4}));
+    intrinsics.push_back(
+        torch::tensor(std::vector<double>(pixels.data(), pixels.data() + pixels.size())).view({3, 3}));
+  }
+  return {{"pose_encoding", encodings},
+          {"camera_from_world", torch::stack(poses)},
+          {"intrinsics", torch::stack(intrinsics)}};
+}
 
 NamedTensors run_camera_head_case(const ReferenceCase& reference) {
   CameraHeadCaseOptions options;

@@ -7,6 +7,7 @@ ReferenceRunners reference_runners() {
       {"backbone", run_backbone_case},
       {"dpt_head", run_dpt_head_case},
       {"camera_head", run_camera_head_case},
+      {"camera_decoder", run_camera_decoder_case},
       {"autoencoder", run_autoencoder_case},
       {"rgb_decoder", run_rgb_decoder_case},
       {"lpips", run_lpips_case},

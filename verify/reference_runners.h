@@ -4,11 +4,12 @@
 
 namespace gld {
 
-// One runner a kind; each stands in a file of its own (verify/reference_<kind>.cpp; the DPT heads of both
+// One runner a kind; each stands in a file of its own (verify/reference_<kind>.cpp; the geometry heads of both
 // families in one).
 NamedTensors run_backbone_case(const ReferenceCase& reference);           // kind "backbone"
 NamedTensors run_dpt_head_case(const ReferenceCase& reference);           // kind "dpt_head"
 NamedTensors run_camera_head_case(const ReferenceCase& reference);        // kind "camera_head"
+NamedTensors run_camera_decoder_case(const ReferenceCase& reference);     // kind "camera_decoder"
 NamedTensors run_autoencoder_case(const ReferenceCase& reference);        // kind "autoencoder"
 NamedTensors run_rgb_decoder_case(const ReferenceCase& reference);        // kind "rgb_decoder"
 NamedTensors run_lpips_case(const ReferenceCase& reference);              // kind "lpips"

@@ -46,6 +46,14 @@ Autoencoding Backbone::autoencode(const torch::Tensor& /*images*/,
         "train its RGB decoder with gld train decoder"});
 }
 
+std::vector<torch::Tensor> Backbone::encode_with_cameras(const torch::Tensor& /*images*/,
+                                                         int64_t /*last_level*/,
+                                                         const std::vector<Camera>& /*cameras*/) const {
+  fail({"known cameras", "a backbone with an encoder for cameras",
+        "one of kind " + architecture().kind() + " without one",
+        "use a model that has one, or let it find the cameras itself"});
+}
+
 torch::Tensor Backbone::leading_for_propagation(const torch::Tensor& first_source, int64_t level) const {
   const auto levels = encode(first_source, level);
   return levels.at(static_cast<size_t>(level)).narrow(1, 0, architecture().leading_tokens()).contiguous();

@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -30,6 +31,8 @@ class BackboneArchitecture : public OptionsGroup {
   virtual std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const = 0;
   // Of the tensors' names in the published file.
   virtual std::string published_prefix() const = 0;
+  // Parts of the module that have another beginning in the published file: {there, in the module}.
+  virtual std::vector<std::pair<std::string, std::string>> published_elsewhere() const { return {}; }
 
   virtual int64_t patch_side() const = 0;      // pixels
   virtual int64_t levels() const = 0;          // how many the decoders take
@@ -50,6 +53,9 @@ class BackboneArchitecture : public OptionsGroup {
   virtual int64_t blocks() const = 0;
   // Whether that block's attention is over the tokens of all views and not of one alone.
   virtual bool attends_over_views(int64_t block) const = 0;
+
+  // Whether Backbone::encode_with_cameras can be told the views' cameras.
+  virtual bool takes_cameras() const { return false; }
 
   // Of Backbone::encode up to that level, and of Backbone::propagate from it, for all views of the grid.
   virtual Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const = 0;
@@ -97,6 +103,11 @@ class Backbone : public torch::nn::Module {
   // taps: what training wants of the attention of blocks that attend over all views; null for nothing.
   virtual std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                             std::vector<AttentionTap>* taps) const = 0;
+
+  // The same of views whose cameras are known, one for each image, in any world and unit (DESIGN.md section 4, "Known
+  // cameras"); their sizes are those that their intrinsics are for. Error unless architecture().takes_cameras().
+  virtual std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
+                                                         const std::vector<Camera>& cameras) const;
 
   // The leading tokens that propagation from that level gives to the views, (leading_rows, leading tokens, C) raw, the
   // last row for all views that have none of their own: new views have no image to take them from, so they get those of

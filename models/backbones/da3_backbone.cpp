@@ -31,6 +31,10 @@ void Da3BackboneOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"rope_start", "first block with rotary positions; -1: none"}, rope_start, {-1, 1024});
   visitor.real({"rope_frequency", "base of the rotary frequencies; 0: no rotary positions"}, rope_frequency,
                {0, 1e9});
+  visitor.integer({"camera_encoder_depth", "blocks of the encoder of known cameras; 0: the model has none"},
+                  camera_encoder_depth, {0, 1024});
+  visitor.integer({"camera_encoder_heads", "attention heads of that encoder"}, camera_encoder_heads,
+                  {1, 1024});
 }
 
 void Da3BackboneOptions::check() const {
@@ -41,6 +45,14 @@ void Da3BackboneOptions::check() const {
   if (rope_start >= 0 && rope_frequency > 0 && (embed_dim / num_heads) % 4 != 0) {
     fail({"num_heads", "a head size divisible by 4 for rotary positions",
           std::to_string(embed_dim / num_heads), "change num_heads, or set rope_start: -1"});
+  }
+  if (takes_cameras() && embed_dim % camera_encoder_heads != 0) {
+    fail({"camera_encoder_heads", "a divisor of embed_dim " + std::to_string(embed_dim),
+          std::to_string(camera_encoder_heads), "change camera_encoder_heads"});
+  }
+  if (takes_cameras() && alternating_start < 0) {
+    fail({"camera_encoder_depth", "0 where no block attends over all views (alternating_start: -1)",
+          std::to_string(camera_encoder_depth), "set it to 0: such a model has no camera token"});
   }
   const bool ascending =
       std::adjacent_find(out_layers.begin(), out_layers.end(), std::greater_equal<>()) == out_layers.end();
@@ -118,6 +130,10 @@ Da3Backbone::Da3Backbone(const Da3BackboneOptions& options, const ParameterPlace
     blocks_.push_back(
         blocks->register_module(std::to_string(i), std::make_shared<VitBlock>(sizes, placement)));
   }
+  if (options_.takes_cameras()) {
+    const CameraEncoderSizes sizes{channels, options_.camera_encoder_depth, options_.camera_encoder_heads};
+    camera_encoder_ = register_module("cam_enc", std::make_shared<CameraEncoder>(sizes, placement));
+  }
   norm_ = register_module("norm", std::make_shared<LayerNorm>(channels, 1e-5, placement));
 }
 
@@ -125,7 +141,9 @@ torch::Tensor Da3Backbone::position_embedding(const LatentGrid& grid) const {
   return resized_positions(position_table_, grid, PositionResizing());
 }
 
-torch::Tensor Da3Backbone::with_camera_tokens(const torch::Tensor& tokens) const {
+torch::Tensor Da3Backbone::with_camera_tokens(const TokenState& state) const {
+  const auto& tokens = state.current;
+  if (state.camera_tokens.defined()) return torch::cat({state.camera_tokens, tokens.slice(1, 1)}, 1);
   const int64_t views = tokens.size(0);
   const auto first = camera_token_.slice(1, 0, 1);
   const auto others = camera_token_.slice(1, 1, 2).expand({views - 1, 1, options_.embed_dim});
@@ -148,7 +166,7 @@ std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t fir
   std::vector<torch::Tensor> levels;
   const int64_t last_block = options_.out_layers[static_cast<size_t>(last_level)];
   for (int64_t i = first_block; i <= last_block; ++i) {
-    if (i == options_.alternating_start) state.current = with_camera_tokens(state.current);
+    if (i == options_.alternating_start) state.current = with_camera_tokens(state);
     const bool global = options_.attends_over_views(i);
     const bool turned = options_.rope_start >= 0 && i >= options_.rope_start;
     const RotaryTables none;
@@ -170,6 +188,30 @@ std::vector<torch::Tensor> Da3Backbone::run_blocks(TokenState state, int64_t fir
 
 std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int64_t last_level,
                                                std::vector<AttentionTap>* taps) const {
+  return encode_with_tokens(images, last_level, {}, taps);
+}
+
+torch::Tensor Da3Backbone::camera_tokens(const std::vector<Camera>& cameras) const {
+  if (!camera_encoder_) {
+    fail({"known cameras", "a model with a camera encoder", "one without",
+          "convert a file that has the tensors model.cam_enc.*, or let the model find the cameras itself"});
+  }
+  return camera_encoder_->forward(cameras);
+}
+
+std::vector<torch::Tensor> Da3Backbone::encode_with_cameras(const torch::Tensor& images, int64_t last_level,
+                                                            const std::vector<Camera>& cameras) const {
+  require_images(images);
+  if (static_cast<int64_t>(cameras.size()) != images.size(0)) {
+    fail({"known cameras", "one for each of " + std::to_string(images.size(0)) + " images",
+          std::to_string(cameras.size()), "give the cameras of these views"});
+  }
+  return encode_with_tokens(images, last_level, camera_tokens(cameras), nullptr);
+}
+
+std::vector<torch::Tensor> Da3Backbone::encode_with_tokens(const torch::Tensor& images, int64_t last_level,
+                                                           const torch::Tensor& camera_tokens,
+                                                           std::vector<AttentionTap>* taps) const {
   require_level(last_level);
   require_images(images);
   const auto grid = options_.grid_of(images.size(0), images.size(2), images.size(3));
@@ -177,6 +219,7 @@ std::vector<torch::Tensor> Da3Backbone::encode(const torch::Tensor& images, int6
   const auto tokens = torch::cat({class_tokens, patch_embed_->forward_image(imagenet_normalise(images))}, 1);
   TokenState state;
   state.current = tokens + position_embedding(grid);
+  state.camera_tokens = camera_tokens;
   return run_blocks(state, 0, last_level, grid, taps);
 }
 

@@ -1,10 +1,13 @@
 #pragma once
 
 #include "models/backbones/backbone.h"
+#include "models/backbones/camera_encoder.h"
 #include "models/layers/vit_block.h"
 
 #include <cstdint>
 #include <memory>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -28,6 +31,8 @@ struct Da3BackboneOptions : BackboneArchitecture {
   int64_t qk_norm_start = 4;                        // -1: never
   int64_t rope_start = 4;                           // -1: never
   double rope_frequency = 100;
+  int64_t camera_encoder_depth = 0;   // blocks of the encoder of known cameras; 0: none. Published: 4
+  int64_t camera_encoder_heads = 16;  // its attention heads
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
@@ -36,6 +41,10 @@ struct Da3BackboneOptions : BackboneArchitecture {
   std::unique_ptr<BackboneArchitecture> copy() const override;
   std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const override;
   std::string published_prefix() const override { return "model.backbone.pretrained."; }
+  std::vector<std::pair<std::string, std::string>> published_elsewhere() const override {
+    if (!takes_cameras()) return {};
+    return {{"model.cam_enc.", "cam_enc."}};
+  }
   int64_t patch_side() const override { return patch_size; }
   int64_t levels() const override { return static_cast<int64_t>(out_layers.size()); }
   int64_t level_channels() const override { return 2 * embed_dim; }
@@ -44,6 +53,7 @@ struct Da3BackboneOptions : BackboneArchitecture {
   bool attends_over_views(int64_t block) const override {
     return alternating_start >= 0 && block >= alternating_start && block % 2 == 1;
   }
+  bool takes_cameras() const override { return camera_encoder_depth > 0; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost propagation_cost(const LatentGrid& grid, int64_t level) const override;
   // Blocks first_block up to, not including, last_block.
@@ -63,6 +73,11 @@ class Da3Backbone : public Backbone {
   using Backbone::encode;
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                     std::vector<AttentionTap>* taps) const override;
+  std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
+                                                 const std::vector<Camera>& cameras) const override;
+  // The encoder's token of each camera, which takes the place of the learned camera token: (views, 1, embed_dim).
+  // Error without an encoder.
+  torch::Tensor camera_tokens(const std::vector<Camera>& cameras) const;
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   // The second half of the channels goes through the final LayerNorm.
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
@@ -77,17 +92,23 @@ class Da3Backbone : public Backbone {
   struct TokenState {
     torch::Tensor current;  // (views, 1 + tokens, embed_dim)
     torch::Tensor local;    // the same after the last local block
+    // (views, 1, embed_dim): what known cameras put in the place of the learned camera token; undefined for that one
+    torch::Tensor camera_tokens;
   };
   // Runs blocks first_block..; calls with every level that is reached, up to last_level.
   std::vector<torch::Tensor> run_blocks(TokenState state, int64_t first_block, int64_t last_level,
                                         const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
-  torch::Tensor with_camera_tokens(const torch::Tensor& tokens) const;
+  std::vector<torch::Tensor> encode_with_tokens(const torch::Tensor& images, int64_t last_level,
+                                                const torch::Tensor& camera_tokens,
+                                                std::vector<AttentionTap>* taps) const;
+  torch::Tensor with_camera_tokens(const TokenState& state) const;
 
   Da3BackboneOptions options_;
   std::shared_ptr<PatchEmbed> patch_embed_;
   std::vector<std::shared_ptr<VitBlock>> blocks_;
   std::shared_ptr<LayerNorm> norm_;
-  torch::Tensor class_token_;     // (1, 1, embed_dim)
+  std::shared_ptr<CameraEncoder> camera_encoder_;  // null without one
+  torch::Tensor class_token_;                      // (1, 1, embed_dim)
   torch::Tensor camera_token_;    // (1, 2, embed_dim): first view, other views; undefined without alternation
   torch::Tensor position_table_;  // (1, 1 + pos_embed_grid^2, embed_dim)
 };

@@ -29,8 +29,17 @@ const std::string kReportFile = "conversion.json";
 // A part that a source file gives.
 struct SourcePart {
   BundlePart part;
-  std::string prefix;                // of its tensors in the file
-  std::vector<IgnoredName> ignored;  // of this part alone, without the prefix
+  std::string prefix;                                               // of its tensors in the file
+  std::vector<IgnoredName> ignored;                                 // of this part alone, without the prefix
+  std::vector<std::pair<std::string, std::string>> elsewhere = {};  // as in WeightSelection
+
+  bool takes(const std::string& name) const {
+    const auto starts = [&](const std::string& beginning) {
+      return name.compare(0, beginning.size(), beginning) == 0;
+    };
+    return starts(prefix) || std::any_of(elsewhere.begin(), elsewhere.end(),
+                                         [&](const auto& beginning) { return starts(beginning.first); });
+  }
 };
 
 // A published file: what it gives, and which of its tensors no part takes, with the reason.
@@ -74,12 +83,17 @@ std::vector<Source> sources_of(const ConversionOptions& options, const BundleOpt
   for (const auto& [published, file] : given_backbones(options.backbones)) {
     if (!published.with_head) continue;
     const auto& backbone_prefix = bundle.backbone.architecture().published_prefix();
-    Source source = {file, {{BundlePart::backbone(), backbone_prefix, {}}}, published.ignored};
+    Source source = {
+        file,
+        {{BundlePart::backbone(), backbone_prefix, {}, bundle.backbone.architecture().published_elsewhere()}},
+        published.ignored};
     if (published.left_out) {
       for (auto& name : published.left_out(bundle)) source.ignored.push_back(std::move(name));
     }
-    SourcePart head = {
-        BundlePart::geometry_head(), bundle.geometry_head.architecture().published_prefix(), {}};
+    SourcePart head = {BundlePart::geometry_head(),
+                       bundle.geometry_head.architecture().published_prefix(),
+                       {},
+                       bundle.geometry_head.architecture().published_elsewhere()};
     if (head.prefix.empty()) head.ignored = {{backbone_prefix + "*", "the backbone, a part of its own"}};
     if (bundle.geometry_head.exists()) source.parts.push_back(head);
     sources.push_back(std::move(source));
@@ -132,9 +146,8 @@ void account_for_all(const WeightFile& file, const Source& source, ordered_json&
       ++counts[reason->name];
       continue;
     }
-    const bool used = std::any_of(source.parts.begin(), source.parts.end(), [&](const SourcePart& part) {
-      return entry.name.compare(0, part.prefix.size(), part.prefix) == 0;
-    });
+    const bool used = std::any_of(source.parts.begin(), source.parts.end(),
+                                  [&](const SourcePart& part) { return part.takes(entry.name); });
     if (!used) {
       fail({file.path().string(), "only tensors of the model",
             "the unexpected tensor " + printable_name(entry.name),
@@ -185,6 +198,7 @@ ordered_json convert_part(const WeightFile& file, const Source& source, const So
   WeightSelection selection;
   selection.prefix = part.prefix;
   selection.ignored = source.ignored;
+  selection.elsewhere = part.elsewhere;
   selection.ignored.insert(selection.ignored.end(), part.ignored.begin(), part.ignored.end());
   const auto module = make_bundle_module(part.part, bundle, on_meta());
   if (module == nullptr) return convert_statistics(file, source, part.part, options, bundle);
@@ -323,7 +337,14 @@ BundleOptions described_bundle(const ConversionOptions& options) {
   if (std::filesystem::exists(std::filesystem::path(options.out) / "model.yaml")) {
     return ModelBundle::open(options.out).options();
   }
-  if (!files.empty()) return files.front().published.options();
+  if (!files.empty()) {
+    const auto& published = files.front().published;
+    BundleOptions bundle = published.options();
+    if (published.take_optional_parts) {
+      published.take_optional_parts(*WeightFile::open(files.front().path), bundle);
+    }
+    return bundle;
+  }
   return released_da3_options();
 }
 

@@ -3,6 +3,7 @@
 #include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
 #include "models/backbones/autoencoder_kl.h"
+#include "models/backbones/da3_backbone.h"
 #include "models/backbones/dinov2_backbone.h"
 #include "models/backbones/tiny_autoencoder.h"
 #include "models/backbones/vggt_backbone.h"
@@ -48,6 +49,45 @@ const PublishedBackbone* held_backbone(const WeightFile& file) {
 std::string flag_of(const PublishedBackbone& published) { return "--" + dashed_name(published.option); }
 
 constexpr const char* kNotInTheDescription = "a head that the model's description leaves out";
+
+// DA3's parts for cameras, which every published file has and bundles may do without.
+const std::string kDa3CameraEncoder = "model.cam_enc.";
+const std::string kDa3CameraDecoder = "model.cam_dec.";
+
+bool da3_decodes_cameras(const BundleOptions& bundle) {
+  return bundle.geometry_head.exists() && bundle.geometry_head.architecture().decodes_cameras();
+}
+
+void take_da3_cameras(const WeightFile& file, BundleOptions& bundle) {
+  bundle.backbone.as<Da3BackboneOptions>().camera_encoder_depth =
+      has_signature(file, kDa3CameraEncoder) ? CameraEncoderSizes().depth : 0;
+  bundle.geometry_head.as<DptHeadOptions>().camera_decoder = has_signature(file, kDa3CameraDecoder);
+}
+
+std::vector<IgnoredName> da3_cameras_left_out(const BundleOptions& bundle) {
+  std::vector<IgnoredName> left_out;
+  if (!da3_decodes_cameras(bundle)) {
+    left_out.push_back(
+        {kDa3CameraDecoder + "*", "DA3's camera decoder, which the model's description leaves out"});
+  }
+  if (!bundle.backbone.architecture().takes_cameras()) {
+    left_out.push_back(
+        {kDa3CameraEncoder + "*", "DA3's camera encoder, which the model's description leaves out"});
+  }
+  return left_out;
+}
+
+void require_da3_cameras(const WeightFile& file, const BundleOptions& bundle) {
+  const auto require = [&](bool wanted, const std::string& part, const std::string& beginning,
+                           const std::string& without) {
+    if (!wanted || has_signature(file, beginning)) return;
+    fail({file.path().string(), fmt::format("DA3's camera {}, tensors {}*", part, beginning), "none",
+          fmt::format("get the whole file, or say in --description what the model has ({})", without)});
+  };
+  require(bundle.backbone.architecture().takes_cameras(), "encoder", kDa3CameraEncoder,
+          "backbone.camera_encoder_depth: 0");
+  require(da3_decodes_cameras(bundle), "decoder", kDa3CameraDecoder, "dpt_head.camera_decoder: false");
+}
 
 std::vector<IgnoredName> vggt_heads_left_out(const BundleOptions& bundle) {
   VggtHeadsOptions none;
@@ -111,9 +151,10 @@ std::vector<PublishedBackbone> make_table() {
   da3.kind = "da3";
   da3.signature = "model.backbone.pretrained.";
   da3.with_head = true;
-  da3.ignored = {{"model.cam_dec.*", "DA3's pose decoder, which GLD does not use"},
-                 {"model.cam_enc.*", "DA3's pose encoder, which GLD does not use"}};
   da3.options = released_da3_options;
+  da3.take_optional_parts = take_da3_cameras;
+  da3.left_out = da3_cameras_left_out;
+  da3.require_whole = require_da3_cameras;
   table.push_back(std::move(da3));
 
   PublishedBackbone vggt;

@@ -31,7 +31,9 @@ struct PublishedBackbone {
   // The module's name of a tensor of the file, after the prefixes; empty for the same.
   std::function<std::string(const std::string& name, const BundleOptions& bundle)> renamed;
   std::function<BundleOptions()> options;  // the model it is of, where no description is given
-  // Heads of the file that the model does without.
+  // What of that model files may have or not: sets it in the model's options by what the file holds. Empty for nothing.
+  std::function<void(const WeightFile& file, BundleOptions& bundle)> take_optional_parts;
+  // Parts of the file that the model does without.
   std::function<std::vector<IgnoredName>(const BundleOptions& bundle)> left_out;
   // What else the file must hold for that model: Error naming the first that is missing. Empty for nothing.
   std::function<void(const WeightFile& file, const BundleOptions& bundle)> require_whole;

@@ -25,6 +25,7 @@ void DptHeadOptions::visit(FieldVisitor& visitor) {
                   aux_pyramid_levels, {1, 4});
   visitor.integer({"aux_out1_conv_num", "convolutions of each pre-head for rays: 1, 3 or 5"},
                   aux_out1_conv_num, {1, 5});
+  visitor.boolean({"camera_decoder", "the model has a decoder for cameras beside its rays"}, camera_decoder);
 }
 
 void DptHeadOptions::check() const {
@@ -53,6 +54,10 @@ Cost DptHeadOptions::cost(const LatentGrid& grid, GeometryMaps maps) const {
   if (maps != GeometryMaps::kDepth) {
     add_convolution(cost, tokens * 64, channels, channels * static_cast<double>(aux_out1_conv_num) / 2, 3);
     add_convolution(cost, tokens * 64, channels / 2, DptTrunk::kHiddenChannels, 3);
+  }
+  if (maps != GeometryMaps::kDepth && camera_decoder) {
+    const auto width = static_cast<double>(dim_in);
+    cost.linear_flop += product_flop(static_cast<double>(grid.views), width, 2 * width + 9);
   }
   DptMapChannels outputs;
   outputs.full_size = maps != GeometryMaps::kRays ? kDepthChannels : 0;
@@ -94,6 +99,9 @@ DptHead::DptHead(const DptHeadOptions& options, const ParameterPlacement& placem
         output->register_module("2", std::make_shared<LayerNorm>(DptTrunk::kHiddenChannels, 1e-5, placement));
     ray_output_ = child_convolution(
         *output, "5", same_size_convolution(DptTrunk::kHiddenChannels, kRayChannels, 1), placement);
+  }
+  if (options_.camera_decoder) {
+    camera_decoder_ = register_module("cam_dec", std::make_shared<CameraDecoder>(options_.dim_in, placement));
   }
 }
 
@@ -138,8 +146,23 @@ GeometryOutput DptHead::forward(const std::vector<torch::Tensor>& levels, const 
   return output;
 }
 
+GeometryOutput DptHead::forward(const GeometryInputs& inputs, const LatentGrid& grid,
+                                GeometryMaps maps) const {
+  GeometryOutput output = forward(inputs.levels, grid, maps);
+  if (!camera_decoder_ || maps == GeometryMaps::kDepth) return output;
+  if (!inputs.leading.defined() || inputs.leading.size(0) < grid.views) {
+    fail({"camera decoder", "the last level's leading tokens of all views", "none of some views",
+          "propagate the levels with their leading tokens"});
+  }
+  // Each view's camera comes from its own token, so that the tokens of views without maps are not needed.
+  const auto tokens = inputs.leading.select(1, 0).slice(0, inputs.leading.size(0) - grid.views);
+  output.camera_encodings = camera_decoder_->forward(tokens);
+  return output;
+}
+
 void DptHead::initialise(const torch::Generator& generator) {
   initialise_parameters(*this, MatrixInitialisation::kFanInUniform, generator);
+  if (camera_decoder_) camera_decoder_->initialise_output();
 }
 
 }  // namespace gld

@@ -2,6 +2,7 @@
 
 #include "gld/base/options.h"
 #include "gld/cameras/camera.h"
+#include "models/decoders/camera_decoder.h"
 #include "models/decoders/dpt_trunk.h"
 #include "models/decoders/geometry_head.h"
 #include "models/layers/convolution.h"
@@ -10,6 +11,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -21,6 +23,7 @@ namespace gld {
 struct DptHeadOptions : GeometryHeadArchitecture, DptSizes {
   int64_t aux_pyramid_levels = 4;  // pre-heads stored for rays; only the last is used
   int64_t aux_out1_conv_num = 5;   // convolutions of each pre-head: 1, 3 or 5
+  bool camera_decoder = false;     // whether the bundle has it
 
   DptHeadOptions();
   void visit(FieldVisitor& visitor) override;
@@ -30,8 +33,13 @@ struct DptHeadOptions : GeometryHeadArchitecture, DptSizes {
   std::unique_ptr<GeometryHeadArchitecture> copy() const override;
   std::shared_ptr<GeometryHead> make(const ParameterPlacement& placement) const override;
   std::string published_prefix() const override;
+  std::vector<std::pair<std::string, std::string>> published_elsewhere() const override {
+    if (!camera_decoder) return {};
+    return {{"model.cam_dec.", "cam_dec."}};
+  }
   int64_t level_channels() const override { return dim_in; }
   int64_t patch_side() const override { return patch_size; }
+  bool decodes_cameras() const override { return camera_decoder; }
   Cost cost(const LatentGrid& grid, GeometryMaps maps) const override;
 };
 
@@ -51,10 +59,9 @@ class DptHead : public GeometryHead {
   // in chunks of about one 504x504 image, so that only the maps it returns grow with them.
   GeometryOutput forward(const std::vector<torch::Tensor>& levels, const LatentGrid& grid,
                          GeometryMaps maps) const;
+  // The same and, with rays, the cameras that a camera decoder finds in the leading tokens, of which each view has one.
   GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid,
-                         GeometryMaps maps) const override {
-    return forward(inputs.levels, grid, maps);
-  }
+                         GeometryMaps maps) const override;
 
   void initialise(const torch::Generator& generator) override;
 
@@ -70,6 +77,7 @@ class DptHead : public GeometryHead {
   std::vector<std::shared_ptr<Convolution>> ray_neck_;  // of the last pyramid level
   std::shared_ptr<Convolution> ray_hidden_, ray_output_;
   std::shared_ptr<LayerNorm> ray_norm_;
+  std::shared_ptr<CameraDecoder> camera_decoder_;  // null without one
 };
 
 }  // namespace gld

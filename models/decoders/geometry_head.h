@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -29,6 +30,10 @@ struct GeometryOutput {
   // rays.
   torch::Tensor points;            // (views, height, width, 3)
   torch::Tensor point_confidence;  // (views, height, width), >= 1
+  // Of heads with a decoder for cameras, with rays; undefined of others. (views, 9), each a PoseEncoding
+  // (gld/cameras/pose_encoding.h) in the frame and unit of the rays, which it does not come from: decoded_cameras() in
+  // camera_decoder.h.
+  torch::Tensor camera_encodings;
 };
 
 struct GeometryInputs {
@@ -58,6 +63,8 @@ class GeometryHeadArchitecture : public OptionsGroup {
   virtual std::shared_ptr<GeometryHead> make(const ParameterPlacement& placement) const = 0;
   // Of the tensors' names in the published file.
   virtual std::string published_prefix() const = 0;
+  // Parts of the module that have another beginning in the published file: {there, in the module}.
+  virtual std::vector<std::pair<std::string, std::string>> published_elsewhere() const { return {}; }
   virtual int64_t level_channels() const = 0;  // C
   virtual int64_t patch_side() const = 0;      // pixels
   // Leading tokens of the backbone that it was made for; -1 for any.
@@ -66,6 +73,8 @@ class GeometryHeadArchitecture : public OptionsGroup {
   virtual bool predicts_rays() const { return true; }
   // Whether depth comes with GeometryOutput::points.
   virtual bool predicts_points() const { return false; }
+  // Whether GeometryOutput::camera_encodings come with rays.
+  virtual bool decodes_cameras() const { return false; }
   virtual Cost cost(const LatentGrid& grid, GeometryMaps maps) const = 0;
 };
 

@@ -5,6 +5,8 @@
 #include "gld/tensors/device.h"
 #include "gld/tensors/weight_tensors.h"
 
+#include <optional>
+
 #include <torch/autograd.h>
 
 #include <fmt/format.h>
@@ -21,6 +23,27 @@ struct Offered {
 using Offers = std::map<std::string, Offered>;  // by name, without the prefix
 
 const std::string kCheckConfiguration = "check that the configuration belongs to these weights";
+
+bool starts_with(const std::string& name, const std::string& beginning) {
+  return name.compare(0, beginning.size(), beginning) == 0;
+}
+
+// What the module calls a tensor of the file; nothing where the selection leaves it out.
+std::optional<std::string> module_name(const std::string& name, const WeightSelection& selection) {
+  for (const auto& [there, here] : selection.elsewhere) {
+    if (starts_with(name, there)) return here + name.substr(there.size());
+  }
+  if (!starts_with(name, selection.prefix)) return std::nullopt;
+  return name.substr(selection.prefix.size());
+}
+
+// And back.
+std::string file_name(const std::string& name, const WeightSelection& selection) {
+  for (const auto& [there, here] : selection.elsewhere) {
+    if (starts_with(name, here)) return there + name.substr(here.size());
+  }
+  return selection.prefix + name;
+}
 
 void check_offer(const torch::Tensor& target, const Offered& offered, const std::string& where) {
   const auto shape = target.sizes().vec();
@@ -57,15 +80,10 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
   }
   for (const auto& [name, target] : targets) {
     const auto offer = offers.find(name);
-    const std::string full = selection.prefix + name;
+    const std::string full = file_name(name, selection);
     if (offer == offers.end()) fail({where, "a tensor named " + full, "none", kCheckConfiguration});
     check_offer(target, offer->second, fmt::format("{}: tensor {}", where, full));
   }
-}
-
-// The name without the prefix, or null when it does not start with it.
-const char* stripped(const std::string& name, const std::string& prefix) {
-  return name.compare(0, prefix.size(), prefix) == 0 ? name.c_str() + prefix.size() : nullptr;
 }
 
 void set_tensor(const torch::Tensor& target, const torch::Tensor& value, const std::string& where,
@@ -97,15 +115,15 @@ std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const W
                                         const WeightSelection& selection, LoadReport& report) {
   Offers offers;
   for (const auto& entry : file.entries()) {
-    const char* name = stripped(entry.name, selection.prefix);
-    if (name != nullptr) offers.emplace(name, Offered{entry.dtype, entry.shape});
+    const auto name = module_name(entry.name, selection);
+    if (name) offers.emplace(*name, Offered{entry.dtype, entry.shape});
   }
   const auto targets = named_tensors(module);
   check_offers(targets, offers, file.path().string(), selection, report);
   std::vector<MatchedTensor> matched;
   matched.reserve(targets.size());
   for (const auto& [name, target] : targets) {
-    matched.push_back({name, target, &file.entry(selection.prefix + name)});
+    matched.push_back({name, target, &file.entry(file_name(name, selection))});
   }
   return matched;
 }
@@ -127,16 +145,16 @@ LoadReport load_strict(torch::nn::Module& module, const std::map<std::string, to
   const torch::NoGradGuard no_grad;
   Offers offers;
   for (const auto& [full, tensor] : tensors) {
-    const char* name = stripped(full, selection.prefix);
-    if (name == nullptr) continue;
-    offers.emplace(name, Offered{file_dtype(tensor.scalar_type(), fmt::format("{}: tensor {}", where, full)),
-                                 tensor.sizes().vec()});
+    const auto name = module_name(full, selection);
+    if (!name) continue;
+    offers.emplace(*name, Offered{file_dtype(tensor.scalar_type(), fmt::format("{}: tensor {}", where, full)),
+                                  tensor.sizes().vec()});
   }
   const auto targets = named_tensors(module);
   LoadReport report;
   check_offers(targets, offers, where, selection, report);
   for (const auto& [name, target] : targets) {
-    const std::string full = selection.prefix + name;
+    const std::string full = file_name(name, selection);
     set_tensor(target, tensors.at(full), fmt::format("{}: tensor {}", where, full), report);
   }
   return report;

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -25,6 +26,9 @@ struct WeightSelection {
   // "model.backbone.pretrained.".
   std::string prefix;
   std::vector<IgnoredName> ignored;
+  // Parts of the module that stand elsewhere in the file, {beginning there, beginning in the module}: names with such a
+  // beginning are considered as well.
+  std::vector<std::pair<std::string, std::string>> elsewhere = {};
 };
 
 struct LoadReport {

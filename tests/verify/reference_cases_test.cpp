@@ -26,6 +26,8 @@ INSTANTIATE_TEST_SUITE_P(OtherLatents, ReferenceCases,
                                          "camera_head_vggt", "rgb_decoder_vggt", "dpt_head_da3_replaced",
                                          "backbone_dinov2", "vae_sd", "vae_sdxl", "vae_taef2"));
 
+INSTANTIATE_TEST_SUITE_P(Cameras, ReferenceCases, testing::Values("known_cameras_da3", "camera_decoder_da3"));
+
 INSTANTIATE_TEST_SUITE_P(Diffusion, ReferenceCases,
                          testing::Values("camera", "dit_level1", "dit_cascade", "dit_cascade_split",
                                          "dit_options", "dit_true_inverse", "dit_special_level1",

@@ -3,6 +3,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "models/backbones/da3_backbone.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/published_backbones.h"
 #include "models/weights/weight_loading.h"
@@ -11,6 +12,7 @@
 #include <algorithm>
 #include <map>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -57,23 +59,54 @@ void expect_equal(const Shapes& module, const Shapes& published) {
   EXPECT_GT(published.size(), 150U);
 }
 
-TEST(CheckpointManifest, Da3BackboneAndHead) {
-  auto published = manifest("da3_base.safetensors");
-  size_t pose_tensors = 0;
-  for (auto entry = published.begin(); entry != published.end();) {
-    // The pose encoder and decoder of DA3 have no part in GLD.
-    const bool unused =
-        entry->first.rfind("model.cam_dec.", 0) == 0 || entry->first.rfind("model.cam_enc.", 0) == 0;
-    pose_tensors += unused ? 1 : 0;
-    entry = unused ? published.erase(entry) : std::next(entry);
+// Names as in the file, of which a few parts stand elsewhere than the rest.
+void add_published(Shapes& shapes, const torch::nn::Module& module, const std::string& prefix,
+                   const std::vector<std::pair<std::string, std::string>>& elsewhere) {
+  Shapes own;
+  add(own, module, "");
+  for (auto& [name, shape] : own) {
+    std::string full = prefix + name;
+    for (const auto& [there, here] : elsewhere) {
+      if (name.rfind(here, 0) == 0) full = there + name.substr(here.size());
+    }
+    EXPECT_TRUE(shapes.emplace(full, shape).second) << full;
   }
-  EXPECT_EQ(pose_tensors, 74U);
-  const auto options = released_da3_options();
+}
+
+bool is_of_cameras(const std::string& name) {
+  return name.rfind("model.cam_dec.", 0) == 0 || name.rfind("model.cam_enc.", 0) == 0;
+}
+
+Shapes da3_module(const BundleOptions& options) {
+  const auto& backbone = options.backbone.architecture();
+  const auto& head = options.geometry_head.architecture();
   Shapes module;
-  add(module, *at_full_size(BundlePart::backbone(), options),
-      options.backbone.architecture().published_prefix());
-  add(module, *at_full_size(BundlePart::geometry_head(), options), DptHead::kPrefix);
-  expect_equal(module, published);
+  add_published(module, *at_full_size(BundlePart::backbone(), options), backbone.published_prefix(),
+                backbone.published_elsewhere());
+  add_published(module, *at_full_size(BundlePart::geometry_head(), options), DptHead::kPrefix,
+                head.published_elsewhere());
+  return module;
+}
+
+TEST(CheckpointManifest, Da3BackboneHeadAndCameras) {
+  const auto published = manifest("da3_base.safetensors");
+  auto options = released_da3_options();
+  options.backbone.as<Da3BackboneOptions>().camera_encoder_depth = 4;
+  options.geometry_head.as<DptHeadOptions>().camera_decoder = true;
+  check_options(options, "DA3");
+  expect_equal(da3_module(options), published);
+}
+
+// Bundles of before, and descriptions that leave the cameras out.
+TEST(CheckpointManifest, Da3WithoutItsPartsForCameras) {
+  auto published = manifest("da3_base.safetensors");
+  size_t of_cameras = 0;
+  for (auto entry = published.begin(); entry != published.end();) {
+    of_cameras += is_of_cameras(entry->first) ? 1 : 0;
+    entry = is_of_cameras(entry->first) ? published.erase(entry) : std::next(entry);
+  }
+  EXPECT_EQ(of_cameras, 74U);
+  expect_equal(da3_module(released_da3_options()), published);
 }
 
 TEST(CheckpointManifest, RgbDecoder) {

@@ -4,6 +4,8 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/backbones/da3_backbone.h"
+#include "models/bundle/published_backbones.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/models/bundle/renamed_tensors.h"
 #include "tests/support/data_folders.h"
@@ -14,6 +16,7 @@
 #include <filesystem>
 #include <map>
 #include <string>
+#include <tuple>
 
 #include <torch/types.h>
 
@@ -190,6 +193,68 @@ TEST_F(Conversion, AReplacedHeadTakesThePlaceOfTheBackbones) {
             options_.dpt_decoder +
                 ": expected tensors model.decoder.* or model.pred.*, found none; give the release's "
                 "dpt_decoder.pt.");
+}
+
+// DA3's published file has parts for cameras at other places than the rest: in the bundle they are parts of its
+// backbone and of its head, where the description has them.
+TEST_F(Conversion, TakesTheCamerasOfADa3FileWhereTheModelHasThem) {
+  BundleOptions bundle = small_bundle_options();
+  bundle.backbone.as<Da3BackboneOptions>().camera_encoder_depth = 2;
+  bundle.backbone.as<Da3BackboneOptions>().camera_encoder_heads = 4;
+  bundle.geometry_head.as<DptHeadOptions>().camera_decoder = true;
+  write_random_bundle(path("seeing"), bundle, 5);
+  Tensors file;
+  for (const auto& [part, prefix, here] :
+       {std::tuple(BundlePart::backbone(), std::string("model.backbone.pretrained."),
+                   std::string("cam_enc.")),
+        std::tuple(BundlePart::geometry_head(), std::string(DptHead::kPrefix), std::string("cam_dec."))}) {
+    for (const auto& [name, tensor] : read_all(ModelBundle::open(path("seeing")).file(part))) {
+      file[(name.rfind(here, 0) == 0 ? "model." : prefix) + name] = tensor;
+    }
+  }
+  save_safetensors(path("cameras.safetensors"), file);
+  ConversionOptions options;
+  options.backbones["da3"] = path("cameras.safetensors");
+  options.description = path("seeing") / "model.yaml";
+  options.out = path("converted");
+  EXPECT_TRUE(convert(options)["ignored"].empty());
+  for (const BundlePart& part : {BundlePart::backbone(), BundlePart::geometry_head()}) {
+    const auto written = read_all(ModelBundle::open(options.out).file(part));
+    const auto expected = read_all(ModelBundle::open(path("seeing")).file(part));
+    ASSERT_EQ(written.size(), expected.size());
+    for (const auto& [name, tensor] : expected) EXPECT_TRUE(written.at(name).equal(tensor)) << name;
+  }
+
+  // A description without them leaves them out, and says so.
+  options.description = original() / "model.yaml";
+  options.out = path("blind");
+  const auto report = convert(options);
+  ASSERT_EQ(report["ignored"].size(), 2U);
+  EXPECT_EQ(report["ignored"][0]["names"], "model.cam_dec.*");
+  EXPECT_EQ(report["ignored"][1]["reason"], "DA3's camera encoder, which the model's description leaves out");
+  EXPECT_EQ(
+      read_all(ModelBundle::open(options.out).file(BundlePart::backbone())).count("cam_enc.token_norm.bias"),
+      0U);
+
+  // A file without them cannot make a model that has them.
+  options.backbones["da3"] = path("da3.safetensors");
+  options.description = path("seeing") / "model.yaml";
+  options.out = path("neither");
+  EXPECT_EQ(
+      error_of([&] { convert(options); }),
+      path("da3.safetensors").string() +
+          ": expected DA3's camera encoder, tensors model.cam_enc.*, found none; get the whole file, or say in "
+          "--description what the model has (backbone.camera_encoder_depth: 0).");
+
+  // Without a description the file decides.
+  auto released = released_da3_options();
+  const auto& da3 = published_backbone("da3");
+  da3.take_optional_parts(*WeightFile::open(path("cameras.safetensors")), released);
+  EXPECT_EQ(released.backbone.as<Da3BackboneOptions>().camera_encoder_depth, 4);
+  EXPECT_TRUE(released.geometry_head.architecture().decodes_cameras());
+  da3.take_optional_parts(*WeightFile::open(original() / "backbone.safetensors"), released);
+  EXPECT_FALSE(released.backbone.architecture().takes_cameras());
+  EXPECT_FALSE(released.geometry_head.architecture().decodes_cameras());
 }
 
 // What RAE_DA3 of the published program made of a head and a dpt_decoder.pt that PyTorch wrote; the reference case is

@@ -230,6 +230,32 @@ TEST_F(WeightLoading, SavedTensorsComeBackInAnyDtypeShapeAndStride) {
                 "list the file with gld inspect.");
 }
 
+// A part of the module under another beginning than the rest.
+TEST_F(WeightLoading, PartsMayStandElsewhereInTheFile) {
+  std::map<std::string, torch::Tensor> tensors;
+  for (const auto& [name, tensor] : good_tensors()) {
+    tensors[(name.rfind("norm.", 0) == 0 ? "other." + name.substr(5) : "own." + name)] = tensor;
+  }
+  WeightSelection selection;
+  selection.prefix = "own.";
+  selection.elsewhere = {{"other.", "norm."}};
+  SmallModule from_file{ParameterPlacement{}}, from_memory{ParameterPlacement{}};
+  EXPECT_EQ(load_strict(from_file, *saved(tensors), selection).tensors, 4);
+  EXPECT_EQ(load_strict(from_memory, tensors, "tensors", selection).tensors, 4);
+  for (const SmallModule* module : {&from_file, &from_memory}) {
+    EXPECT_TRUE(module->norm->bias.equal(torch::tensor({3.0F, 4.0F})));
+    EXPECT_EQ(module->steps.item<int64_t>(), 7);
+  }
+  tensors.erase("other.bias");
+  EXPECT_EQ(refusal(tensors, selection),
+            file_.string() +
+                ": expected a tensor named other.bias, found none; check that the configuration belongs "
+                "to these weights.");
+  tensors["other.bias"] = torch::zeros({2});
+  tensors["other.scale"] = torch::zeros({2});
+  EXPECT_NE(refusal(tensors, selection).find("the unexpected tensor norm.scale"), std::string::npos);
+}
+
 TEST_F(WeightLoading, MisalignedDataIsCopied) {
   // The data starts at byte 8 + 57, so no float is aligned.
   const std::string header = R"({"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}   )";
