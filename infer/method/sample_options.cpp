@@ -80,6 +80,7 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"page.", options.requested().page, "page among --outputs"},
       {"splats.", options.requested().splats, "splats among --outputs"},
       {"scale_from", geometry, "depth, rays or points among --outputs"},
+      {"geometry_cameras", !options.geometry_model.empty(), "--geometry-model, which is told the cameras"},
       {"geometry_model", geometry || !options.photos.files.empty(), "depth, rays or points among --outputs"},
   };
 }
@@ -190,6 +191,12 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
                geometry_model);
+  visit_choice(
+      visitor,
+      {"geometry_cameras",
+       "cameras of the views for --geometry-model: found, it finds them itself, or given, where it has "
+       "an encoder for them"},
+      geometry_cameras, {"found", "given"});
   visit_seed(visitor, seed, "the noise, and of splats the order of views");
   visit_choice(visitor,
                {"quality",

@@ -45,6 +45,8 @@ struct SampleOptions : OptionsGroup {
   std::vector<std::string> outputs{"image", "depth", "points", "page"};
   // Bundle whose backbone and geometry head look at the generated images; empty for the model's own levels.
   std::string geometry_model;
+  GeometryCameras geometry_cameras =
+      GeometryCameras::kFound;  // what that bundle is told of the views' cameras
   int64_t seed = 0;
   // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays
   // below a tolerance (infer/method/plan_errors.h; 0 for none). Neither goes together with those options.

@@ -15,7 +15,8 @@
 namespace gld {
 
 GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::Tensor& pictures,
-                                    GeometryMaps wanted, const torch::Device& device) {
+                                    GeometryMaps wanted, const torch::Device& device,
+                                    const std::vector<Camera>& known_cameras) {
   const torch::NoGradGuard no_gradients;
   const int64_t height = pictures.size(2), width = pictures.size(3);
   auto images = pictures.clamp(0, 1).to(device);
@@ -34,7 +35,9 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
     grid = architecture.grid_of(images.size(0), size[0], size[1]);
     const int64_t last = architecture.levels() - 1;
     const LatentSpace space(backbone, last);  // nothing is propagated
-    inputs = geometry_inputs(space, space.encode(images, last));
+    inputs = geometry_inputs(space, known_cameras.empty()
+                                        ? space.encode(images, last)
+                                        : backbone->encode_with_cameras(images, last, known_cameras));
   }
   const auto head = models.geometry_model_head ? models.geometry_model_head() : models.geometry_head();
   auto maps = head->forward(inputs, grid, wanted);
@@ -47,7 +50,7 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
                            : resized(map->permute({0, 3, 1, 2})).permute({0, 2, 3, 1}).contiguous();
   }
   for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence,
-                             &maps.points, &maps.point_confidence}) {
+                             &maps.points, &maps.point_confidence, &maps.camera_encodings}) {
     if (map->defined()) *map = map->to(pictures.device());
   }
   return maps;
@@ -55,9 +58,13 @@ GeometryOutput geometry_of_pictures(const PipelineModels& models, const torch::T
 
 void require_finite_geometry(const GeometryOutput& geometry, const std::string& stage) {
   const std::pair<const char*, const torch::Tensor&> maps[] = {
-      {"depth", geometry.depth},   {"confidence of depth", geometry.depth_confidence},
-      {"rays", geometry.rays},     {"confidence of rays", geometry.ray_confidence},
-      {"points", geometry.points}, {"confidence of points", geometry.point_confidence}};
+      {"depth", geometry.depth},
+      {"confidence of depth", geometry.depth_confidence},
+      {"rays", geometry.rays},
+      {"confidence of rays", geometry.ray_confidence},
+      {"points", geometry.points},
+      {"confidence of points", geometry.point_confidence},
+      {"cameras", geometry.camera_encodings}};
   for (const auto& [name, map] : maps) {
     if (!map.defined() || map.isfinite().all().item<bool>()) continue;
     const auto wrong = map.numel() - map.isfinite().sum().item<int64_t>();

@@ -290,11 +290,13 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
     fail({stage, "generated images, which the geometry model looks at", "none",
           "ask for images beside depth, rays or points"});
   }
-  auto maps = geometry_of_pictures(models, torch::cat({request.source_images, result.images}),
-                                   request.geometry_maps, request.device);
+  const bool given = request.geometry_cameras == GeometryCameras::kGiven;
+  auto maps =
+      geometry_of_pictures(models, torch::cat({request.source_images, result.images}), request.geometry_maps,
+                           request.device, given ? request.views.cameras : std::vector<Camera>());
   if (request.geometry_views != DecodedViews::kTargets) return maps;
   for (torch::Tensor* map : {&maps.depth, &maps.depth_confidence, &maps.rays, &maps.ray_confidence,
-                             &maps.points, &maps.point_confidence}) {
+                             &maps.points, &maps.point_confidence, &maps.camera_encodings}) {
     if (map->defined()) *map = map->slice(0, request.views.num_sources);
   }
   return maps;

@@ -69,6 +69,7 @@ struct PipelineRequest {
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
   GeometryMaps geometry_maps = GeometryMaps::kDepthAndRays;
+  GeometryCameras geometry_cameras = GeometryCameras::kFound;  // for models.geometry_model_backbone
   torch::Device device = torch::kCPU;
   // Called when a flow-matching stage starts (step 0) and after each accepted step.
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;

@@ -16,6 +16,10 @@ namespace gld {
 // Which views are decoded.
 enum class DecodedViews { kNone, kTargets, kAll };
 
+// What a geometry model that looks at finished pictures is told of their cameras: nothing, so that it finds them,
+// or those that are given.
+enum class GeometryCameras { kFound, kGiven };
+
 // What decides which stages a sampling run has.
 struct StageRequest {
   int64_t views = 2;

@@ -58,6 +58,17 @@ void check_rays(const SampleOptions& options, const ModelBundle& geometry_model,
         "add --outputs image, or --geometry-model DIR with a model that sees cameras"});
 }
 
+// Known cameras can be told to a backbone that has an encoder for them.
+void check_known_cameras(const SampleOptions& options, const ModelBundle& geometry_model) {
+  if (options.geometry_cameras == GeometryCameras::kFound ||
+      geometry_model.options().backbone.architecture().takes_cameras())
+    return;
+  fail({"--geometry-cameras given", "a --geometry-model whose backbone has an encoder for cameras",
+        geometry_model.folder().string() + ", whose backbone of kind " +
+            geometry_model.options().backbone.architecture().kind() + " has none",
+        "leave the option out, or convert DA3's published file again, which holds one"});
+}
+
 // Where depth, rays and points come from.
 std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
   if (!options.geometry_model.empty()) {
@@ -65,6 +76,7 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
     require_geometry_head(geometry_model);
     check_lifting(options, geometry_model);
     check_rays(options, geometry_model, "--geometry-model");
+    check_known_cameras(options, geometry_model);
     return geometry_model;
   }
   check_lifting(options, bundle);

@@ -50,6 +50,7 @@ PipelineRequest make_request(const SampleOptions& options, const FlowSettings& s
   request.image_views = requested.image_views();
   request.geometry_views = requested.geometry_views();
   request.geometry_maps = requested.geometry_maps();
+  request.geometry_cameras = options.geometry_cameras;
   return request;
 }
 
@@ -310,6 +311,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
                           {"folder", options.geometry_model},
                           {"name", prepared.geometry_model->options().name},
                           {"hash", prepared.geometry_model->content_hash()}};
+    if (options.geometry_cameras == GeometryCameras::kGiven) report["geometry"]["cameras"] = "given";
   }
   report["command_line"] = command_line_text("sample", options, SampleOptions());
   report["seed"] = options.seed;

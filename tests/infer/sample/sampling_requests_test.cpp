@@ -29,6 +29,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <limits>
+#include <utility>
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
@@ -149,6 +150,39 @@ TEST_F(SamplingRequests, WhatNeedsAMissingCameraHeadIsRefusedFirst) {
   asked.photos.cameras = PhotoCameraWay::kRays;
   EXPECT_EQ(refusal(), "--photos: expected a model that sees cameras, found " + found +
                            "add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
+}
+
+// The geometry model may be told the cameras of the pictures that it looks at, where it has an encoder for them.
+TEST_F(SamplingRequests, TheGeometryModelIsToldTheGivenCameras) {
+  BundleOptions seeing = small_bundle_options();
+  auto asked = options("told");
+  asked.geometry_model = (folder_->path() / "seeing_model").string();
+  asked.geometry_cameras = GeometryCameras::kGiven;
+  asked.outputs = {"image", "depth"};
+  write_random_bundle(asked.geometry_model, seeing, 9);
+  EXPECT_EQ(
+      test::error_of([&] { sample(asked); }),
+      "--geometry-cameras given: expected a --geometry-model whose backbone has an encoder for cameras, found " +
+          asked.geometry_model +
+          ", whose backbone of kind da3 has none; leave the option out, or convert DA3's published file again, "
+          "which holds one.");
+  std::filesystem::remove_all(asked.geometry_model);
+  apply_setting(seeing, "backbone.camera_encoder_depth=2");
+  apply_setting(seeing, "backbone.camera_encoder_heads=4");
+  write_random_bundle(asked.geometry_model, seeing, 9);
+  const auto files = [&](const std::string& out, GeometryCameras cameras) {
+    asked.out = (folder_->path() / out).string();
+    asked.geometry_cameras = cameras;
+    EXPECT_EQ(run(asked).at("geometry").contains("cameras"), cameras == GeometryCameras::kGiven);
+    return std::pair(test::read_pfm(std::filesystem::path(asked.out) / "depth" / "view_02.pfm").metres,
+                     read_file(std::filesystem::path(asked.out) / "rays" / "view_02.npz"));
+  };
+  asked.outputs = {"image", "depth", "rays"};
+  const auto told = files("told", GeometryCameras::kGiven), again = files("again", GeometryCameras::kGiven),
+             found = files("found", GeometryCameras::kFound);
+  EXPECT_EQ(told.first, again.first);
+  EXPECT_NE(told.first, found.first);
+  EXPECT_NE(told.second, found.second);
 }
 
 // A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
@@ -349,7 +383,7 @@ TEST_F(SamplingRequests, WhatWouldHaveNoEffectIsRefused) {
   for (const char* key :
        {"solver.schedule_file", "solver.shift", "solver.last_time", "solver.tolerance",
         "solver.max_evaluations", "solver.diffusion", "solver.diffusion_strength", "solver.noise_seed",
-        "points.max_points", "points.lifting", "scale_from", "geometry_model"}) {
+        "points.max_points", "points.lifting", "scale_from", "geometry_model", "geometry_cameras"}) {
     EXPECT_THAT(sentence([&](SampleOptions& asked) {
                   asked.outputs = {"image"};
                   asked.named = {key};
