@@ -211,7 +211,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
              "the first scene's noise, each next scene has the next one, each next sample the next million");
   visit_choice(
       visitor,
-      {"poses", "what finds the cameras of samples: our fit to rays, DA3's or GLD's, VGGT's camera head"},
+      {"poses",
+       "what finds the cameras of samples: our fit to rays, DA3's or GLD's, VGGT's camera head, DA3's decoder"},
       poses, pose_estimator_names());
   visitor.text(
       {"pose_model",
@@ -274,10 +275,7 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   models.device = device;
   models.photographs = photograph_use_of(options.photograph_use, models.bundle);
   models.poses = options.poses;
-  const auto seeing_head = [](const BundleOptions& model) {
-    return model.geometry_head.predicts_rays() ? model.geometry_head.architecture().kind() : "";
-  };
-  std::string head = seeing_head(bundle.options());
+  GeometryHeadOptions seeing = models.bundle.geometry_head;
   if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {
     const auto pose_model = ModelBundle::open(options.pose_model);
     if (!pose_model.options().geometry_head.predicts_rays() || !pose_model.has(BundlePart::geometry_head())) {
@@ -285,7 +283,14 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
             pose_model.folder().string() + ", which has none", "choose a DA3 or VGGT model"});
     }
     models.pose_model = kept_bundle_models(pose_model, device);
-    head = seeing_head(pose_model.options());
+    seeing = pose_model.options().geometry_head;
+  }
+  const std::string head = seeing.predicts_rays() ? seeing.architecture().kind() : "";
+  if (options.poses == PoseEstimator::kDa3Decoder &&
+      (head.empty() || !seeing.architecture().decodes_cameras())) {
+    fail({"--poses da3_decoder", "a model with DA3's camera decoder",
+          head.empty() ? "none" : "the head of kind " + head + " without one",
+          "name a bundle with dpt_head.camera_decoder: true with --pose-model, or choose another estimator"});
   }
   if (options.poses == PoseEstimator::kVggt && head != "vggt") {
     fail({"--poses vggt", "a model with VGGT's camera head",

@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/photogrammetry/published_pose_from_rays.h"
+#include "models/decoders/camera_decoder.h"
 #include "models/scene_geometry/predicted_cameras.h"
 
 #include <algorithm>
@@ -22,7 +23,7 @@ std::vector<RayGrid> ray_grids(const GeometryOutput& geometry) {
 }  // namespace
 
 const std::vector<std::string>& pose_estimator_names() {
-  static const std::vector<std::string> names{"none", "ours", "da3", "gld", "vggt"};
+  static const std::vector<std::string> names{"none", "ours", "da3", "gld", "vggt", "da3_decoder"};
   return names;
 }
 
@@ -36,6 +37,11 @@ std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOut
       return cameras_from_rays_da3(ray_grids(geometry), {given.front().width, given.front().height});
     case PoseEstimator::kGld:
       return cameras_from_rays_gld(ray_grids(geometry), {given.front().width, given.front().height});
+    case PoseEstimator::kDa3Decoder:
+      if (!geometry.camera_encodings.defined()) {
+        fail({"pose estimation", "cameras of a camera decoder", "none", "choose another one for --poses"});
+      }
+      return decoded_cameras(geometry.camera_encodings, {given.front().width, given.front().height});
     case PoseEstimator::kNone:
       break;
   }

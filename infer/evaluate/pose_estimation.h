@@ -17,9 +17,11 @@ enum class PoseEstimator {
   kOurs,  // gld/photogrammetry/pose_from_rays.h, with the given principal points
   kDa3,   // gld/photogrammetry/published_pose_from_rays.h
   kGld,
-  kVggt,  // VGGT's camera head, whose cameras are the heads' rays
+  kVggt,        // VGGT's camera head, whose cameras are the heads' rays
+  kDa3Decoder,  // DA3's camera decoder, which reads the views' camera tokens and no rays
 };
-const std::vector<std::string>& pose_estimator_names();  // "none", "ours", "da3", "gld", "vggt"
+const std::vector<std::string>&
+pose_estimator_names();  // "none", "ours", "da3", "gld", "vggt", "da3_decoder"
 
 // One camera a view of geometry.rays, in their frame and unit. given: the scene's, for sizes and (ours) principal
 // points. Throws Error where no camera fits a view, and for kNone.
