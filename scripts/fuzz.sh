@@ -2,11 +2,17 @@
 # Builds the fuzzers of the readers with clang, AddressSanitizer and UBSan, and runs each for some seconds from its corpus:
 #   scripts/fuzz.sh                    # all, 10 seconds each, as CI does
 #   scripts/fuzz.sh 600 hdf5 image     # these two, 10 minutes each
+#   scripts/fuzz.sh --seed 7 60        # with libFuzzer's random numbers from a seed of one's own
 # A run that takes more than 1 GiB, or 10 seconds for one file, fails like a crash. What was found lies in build/fuzz/found;
 # put the smallest such file into tests/fuzz/corpus, which every build replays.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+seed=0 # of its own choice
+if [ "${1:-}" = --seed ]; then
+  seed=$2
+  shift 2
+fi
 seconds=${1:-10}
 [ $# -gt 0 ] && shift
 kinds=("$@")
@@ -16,7 +22,7 @@ for compiler in "${CLANGXX:-}" clang++ clang++-14 clang++-15 clang++-16; do
   if [ -n "$compiler" ] && command -v "$compiler" >/dev/null; then break; fi
 done
 cmake -S . -B build/fuzz -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_COMPILER="$compiler" \
-  -DGLD_FUZZ=ON -DGLD_SANITIZE=ON -DGLD_UNITY=OFF >/dev/null
+  -DGLD_FUZZ=ON -DGLD_SANITIZE=ON >/dev/null
 cmake --build build/fuzz --target "${kinds[@]/#/fuzz_}"
 
 export LSAN_OPTIONS=suppressions=$PWD/tests/leak_suppressions.txt:print_suppressions=0
@@ -28,7 +34,7 @@ for kind in "${kinds[@]}"; do
   mkdir -p "$found/$kind"
   new=$(mktemp -d)
   log=$found/$kind.log
-  if build/fuzz/tests/fuzz/fuzz_"$kind" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
+  if build/fuzz/tests/fuzz/fuzz_"$kind" -seed="$seed" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
     -artifact_prefix="$found/$kind/" "$new" "tests/fuzz/corpus/$kind" >"$log" 2>&1; then
     echo "fuzz: $kind: $(grep -o 'number_of_executed_units: .*' "$log"), peak $(grep -o 'peak_rss_mb: .*' "$log")"
   else

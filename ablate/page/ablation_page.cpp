@@ -54,8 +54,8 @@ ResultTable variants_table(const Json& report) {
       if (std::find(metrics.begin(), metrics.end(), metric) != metrics.end()) continue;
       metrics.push_back(metric);
       const std::string unit = report_text_at(value, "/unit");
-      table.columns.push_back(metric + (unit.empty() ? "" : ", " + unit) + " (" +
-                              report_text_at(value, "/better") + ")");
+      table.columns.push_back(fmt::format("{}{}{} ({})", metric, unit.empty() ? "" : ", ", unit,
+                                          report_text_at(value, "/better")));
     }
   }
   for (const Json& variant : variants) {

@@ -2,6 +2,7 @@
 
 #include "models/backbones/da3_backbone.h"
 #include "models/backbones/vggt_backbone.h"
+#include "tests/models/backbones/small_da3.h"
 #include "tests/support/error_of.h"
 #include "tests/support/largest_difference.h"
 #include "tests/support/random_cameras.h"
@@ -17,6 +18,7 @@ namespace gld {
 namespace {
 
 using test::largest_difference;
+using test::random_da3;
 
 std::vector<Camera> cameras_at(const std::vector<double>& distances) {
   test::RandomCameras random(4);
@@ -42,27 +44,14 @@ std::vector<Camera> moved(std::vector<Camera> cameras, double scale) {
   return cameras;
 }
 
-Da3BackboneOptions small_da3() {
-  Da3BackboneOptions options;
-  options.embed_dim = 48;
-  options.num_heads = 3;
-  options.pos_embed_grid = 5;
+Da3BackboneOptions da3_with_encoder() {
+  Da3BackboneOptions options = test::small_da3();
   options.camera_encoder_depth = 2;
   options.camera_encoder_heads = 4;
   return options;
 }
 
-std::shared_ptr<Da3Backbone> random_da3(const Da3BackboneOptions& options) {
-  auto backbone = std::make_shared<Da3Backbone>(options, ParameterPlacement());
-  const torch::NoGradGuard no_grad;
-  backbone->initialise(at::detail::createCPUGenerator(1));
-  for (auto& parameter : backbone->parameters()) {
-    if (parameter.dim() > 1) parameter.mul_(8);
-  }
-  return backbone;
-}
-
-torch::Tensor random_images(int64_t views) {
+torch::Tensor images_in_range(int64_t views) {
   return torch::rand({views, 3, 42, 28}, at::detail::createCPUGenerator(2));
 }
 
@@ -88,8 +77,8 @@ TEST(NormalisedCameras, OfTwoTheUnitIsATenthAndOfFourTheLowerMiddle) {
 
 TEST(KnownCameras, AreToldWhateverTheirWorldAndUnit) {
   const torch::NoGradGuard no_grad;
-  const auto backbone = random_da3(small_da3());
-  const auto images = random_images(3);
+  const auto backbone = random_da3(da3_with_encoder());
+  const auto images = images_in_range(3);
   const auto cameras = cameras_at({0, 2, 5});
   const auto levels = backbone->encode_with_cameras(images, 3, cameras);
   ASSERT_EQ(levels.size(), 4U);
@@ -117,8 +106,8 @@ TEST(KnownCameras, AreToldWhateverTheirWorldAndUnit) {
 // What the encoder says takes the place of the learned tokens and of nothing else.
 TEST(KnownCameras, TokensLikeTheLearnedOnesGiveTheLevelsWithoutCameras) {
   const torch::NoGradGuard no_grad;
-  const auto backbone = random_da3(small_da3());
-  const auto images = random_images(1);
+  const auto backbone = random_da3(da3_with_encoder());
+  const auto images = images_in_range(1);
   const auto cameras = cameras_at({0});
   backbone->named_parameters()["camera_token"].slice(1, 0, 1).copy_(backbone->camera_tokens(cameras));
   EXPECT_TRUE(
@@ -127,21 +116,21 @@ TEST(KnownCameras, TokensLikeTheLearnedOnesGiveTheLevelsWithoutCameras) {
 
 TEST(KnownCameras, AnEncoderLeavesEverythingElseAsItWas) {
   const torch::NoGradGuard no_grad;
-  auto without = small_da3();
+  auto without = da3_with_encoder();
   without.camera_encoder_depth = 0;
   const auto plain = std::make_shared<Da3Backbone>(without, ParameterPlacement());
-  const auto backbone = random_da3(small_da3());
+  const auto backbone = random_da3(da3_with_encoder());
   auto tensors = backbone->named_parameters();
   for (auto& item : plain->named_parameters()) item.value().set_data(tensors[item.key()]);
-  const auto images = random_images(2);
+  const auto images = images_in_range(2);
   EXPECT_TRUE(torch::equal(plain->encode(images, 3)[3], backbone->encode(images, 3)[3]));
   EXPECT_TRUE(without.published_elsewhere().empty());
-  EXPECT_EQ(small_da3().published_elsewhere().size(), 1U);
+  EXPECT_EQ(da3_with_encoder().published_elsewhere().size(), 1U);
 }
 
 TEST(KnownCameras, WhatCannotBeToldIsNamed) {
-  const auto images = random_images(2);
-  auto without = small_da3();
+  const auto images = images_in_range(2);
+  auto without = da3_with_encoder();
   without.camera_encoder_depth = 0;
   EXPECT_EQ(
       test::error_of([&] {
@@ -149,14 +138,15 @@ TEST(KnownCameras, WhatCannotBeToldIsNamed) {
       }),
       "known cameras: expected a model with a camera encoder, found one without; convert a file that has the "
       "tensors model.cam_enc.*, or let the model find the cameras itself.");
-  EXPECT_EQ(test::error_of([&] { random_da3(small_da3())->encode_with_cameras(images, 0, cameras_at({0})); }),
+  EXPECT_EQ(test::error_of(
+                [&] { random_da3(da3_with_encoder())->encode_with_cameras(images, 0, cameras_at({0})); }),
             "known cameras: expected one for each of 2 images, found 1; give the cameras of these views.");
-  auto options = small_da3();
+  auto options = da3_with_encoder();
   options.camera_encoder_heads = 5;
   EXPECT_EQ(
       test::error_of([&] { options.check(); }),
       "camera_encoder_heads: expected a divisor of embed_dim 48, found 5; change camera_encoder_heads.");
-  options = small_da3();
+  options = da3_with_encoder();
   options.alternating_start = -1;
   EXPECT_NE(test::error_of([&] { options.check(); }).find("such a model has no camera token"),
             std::string::npos);

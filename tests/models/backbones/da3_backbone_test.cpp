@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "models/weights/weight_loading.h"
+#include "tests/models/backbones/small_da3.h"
 #include "tests/support/error_of.h"
 #include "tests/support/largest_difference.h"
 
@@ -16,25 +17,8 @@ namespace gld {
 namespace {
 
 using test::largest_difference;
-
-Da3BackboneOptions small_da3() {
-  Da3BackboneOptions options;
-  options.embed_dim = 48;
-  options.num_heads = 3;
-  options.pos_embed_grid = 5;
-  return options;
-}
-
-std::shared_ptr<Da3Backbone> random_da3(const Da3BackboneOptions& options, uint64_t seed = 1) {
-  auto backbone = std::make_shared<Da3Backbone>(options, ParameterPlacement());
-  torch::NoGradGuard no_grad;
-  backbone->initialise(at::detail::createCPUGenerator(seed));
-  // Weights of the scale of a trained model, so that every part matters.
-  for (auto& parameter : backbone->parameters()) {
-    if (parameter.dim() > 1) parameter.mul_(8);
-  }
-  return backbone;
-}
+using test::random_da3;
+using test::small_da3;
 
 torch::Tensor random_images(int64_t views, int64_t height, int64_t width, uint64_t seed = 2) {
   return torch::randn({views, 3, height, width}, at::detail::createCPUGenerator(seed));

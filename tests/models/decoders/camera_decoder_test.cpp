@@ -1,6 +1,7 @@
 #include "models/decoders/camera_decoder.h"
 
 #include "models/decoders/dpt_head.h"
+#include "tests/models/decoders/small_dpt_head.h"
 #include "tests/support/error_of.h"
 #include "tests/support/largest_difference.h"
 
@@ -16,20 +17,12 @@ namespace gld {
 namespace {
 
 using test::largest_difference;
+using test::random_head;
 
 DptHeadOptions small_head() {
-  DptHeadOptions options;
-  options.dim_in = 24;
-  options.features = 16;
-  options.out_channels = {8, 12, 16, 20};
+  DptHeadOptions options = test::small_dpt_head();
   options.camera_decoder = true;
   return options;
-}
-
-std::shared_ptr<DptHead> random_head(const DptHeadOptions& options) {
-  auto head = std::make_shared<DptHead>(options, ParameterPlacement());
-  head->initialise(at::detail::createCPUGenerator(3));
-  return head;
 }
 
 // The maps of the last two of three views.
@@ -95,7 +88,7 @@ TEST(CameraDecoder, IsAPartOfTheHeadThatChangesNoMap) {
   for (const Camera& camera : decoded_cameras(maps.camera_encodings, {42, 28})) {
     EXPECT_LT(camera.intrinsics(0, 0), 1000);
   }
-  alone.leading = {};
+  alone.leading = torch::Tensor();
   EXPECT_EQ(
       test::error_of([&] { head->forward(alone, grid, GeometryMaps::kRays); }),
       "camera decoder: expected the last level's leading tokens of all views, found none of some views; "

@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "models/weights/weight_loading.h"
+#include "tests/models/decoders/small_dpt_head.h"
 #include "tests/support/error_of.h"
 
 #include <cmath>
@@ -14,19 +15,8 @@
 namespace gld {
 namespace {
 
-DptHeadOptions small_dpt_head() {
-  DptHeadOptions options;
-  options.dim_in = 24;
-  options.features = 16;
-  options.out_channels = {8, 12, 16, 20};
-  return options;
-}
-
-std::shared_ptr<DptHead> random_head(const DptHeadOptions& options) {
-  auto head = std::make_shared<DptHead>(options, ParameterPlacement());
-  head->initialise(at::detail::createCPUGenerator(3));
-  return head;
-}
+using test::random_head;
+using test::small_dpt_head;
 
 std::vector<torch::Tensor> random_levels(const LatentGrid& grid, int64_t channels) {
   std::vector<torch::Tensor> levels;
