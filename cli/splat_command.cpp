@@ -1,5 +1,6 @@
 #include "cli/splat_command.h"
 
+#include "infer/splats/splat_evaluation.h"
 #include "infer/splats/splat_render.h"
 #include "infer/splats/splat_spectrum.h"
 #include "train/splats/splat_features.h"
@@ -58,13 +59,32 @@ Command make_spectrum_command() {
   return command;
 }
 
+Command make_evaluation_command() {
+  auto options = std::make_shared<SplatEvaluationOptions>();
+  Command command;
+  command.name = "splat eval";
+  command.summary = "Measure what Gaussians show of views that they were not fitted to";
+  command.description =
+      "Example: gld splat eval --synthetic 8 --input-views 5 --model models/taef2 --out runs/splat_eval\n"
+      "In colours, and in a model's latents that its decoder turns into pictures, beside what decoding alone loses.";
+  command.options = options;
+  command.usual = {{"Scenes", {"scenes", "synthetic", "synthetic_seed", "held_out", "input_views"}},
+                   {"Fit", {"model", "fit.steps", "fit.geometry_from", "fit.density.most_gaussians"}}};
+  command.run = [options](const std::vector<std::string>&) {
+    run_splat_evaluation(*options);
+    return 0;
+  };
+  return command;
+}
+
 }  // namespace
 
 Command make_splat_command() {
   Command command;
   command.name = "splat";
   command.summary = "3D Gaussians of a scene: fit them, draw them, see latents by them";
-  command.subcommands = {make_fit_command(), make_render_command(), make_spectrum_command()};
+  command.subcommands = {make_fit_command(), make_render_command(), make_evaluation_command(),
+                         make_spectrum_command()};
   return command;
 }
 

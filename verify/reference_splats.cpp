@@ -235,7 +235,8 @@ NamedTensors run_splat_compositing_case(const ReferenceCase& reference) {
     const SplatImage of_image = image_of_tensor(of_pictures[number]);
     if (!of_features) {
       ColourGradients found;
-      render_colours_backward(set, view, view_colours(set, view, settings), of_image, settings, found);
+      render_colours_backward(set, view, view_colours(set, view, settings), of_image,
+                              SplatGradients::kFeaturesAndShapes, settings, found);
       for (int64_t i = 0; i < count; ++i) gradients.add(i, gaussian_shape(found.of_set, i));
       of_harmonics += all_harmonics(found.of_set);
       continue;

@@ -171,7 +171,8 @@ double gradients_not_finite(const GaussianSet& set, const SplatView& view, const
     for (int64_t y = 0; y < ones.height; ++y) std::fill_n(ones.row(c, y), ones.width, 1.0F);
   }
   ColourGradients gradients;
-  render_colours_backward(set, view, view_colours(set, view, {}), ones, {}, gradients);
+  render_colours_backward(set, view, view_colours(set, view, {}), ones, SplatGradients::kFeaturesAndShapes,
+                          {}, gradients);
   double count = 0;
   for (const GaussianArray& array : gaussian_arrays(gradients.of_set)) {
     for (const float value : gradients.of_set.*array.values) count += std::isfinite(value) ? 0 : 1;

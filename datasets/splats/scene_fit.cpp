@@ -64,8 +64,10 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
   for (int64_t i = 0; i < count; ++i) {
     const Frame& frame = *frames[static_cast<size_t>(i)];
     const SizedFrame sized = load_sized(frame, size, FrameParts::kImageAndDepth);
-    FittedView view{frame.name, sized.camera,
-                    loss_target(splat_image_of(sized.image), sized.validity.valid, settings)};
+    FittedView view{frame.name,
+                    sized.camera,
+                    loss_target(splat_image_of(sized.image), sized.validity.valid, settings),
+                    {}};
     // The k-th of n stands in the middle of the k-th of n equal parts.
     if (next_held_out < held_out && i == (2 * next_held_out + 1) * count / (2 * held_out)) {
       ++next_held_out;
@@ -76,6 +78,13 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
     views.fitted.push_back(std::move(view));
   }
   return views;
+}
+
+void give_latents(std::vector<LatentView> latents, SplatFitViews& views) {
+  auto next = latents.begin();
+  for (auto* some : {&views.fitted, &views.held_out}) {
+    for (FittedView& view : *some) view.latent = std::move(*next++);
+  }
 }
 
 std::vector<double> view_decibels(const std::vector<FittedView>& views, const GaussianSet& set,
@@ -109,6 +118,7 @@ SceneFit fit_scene(const Scene& scene, const SceneFitOptions& options, const std
                    const KernelSettings& settings,
                    const std::function<void(const SplatFitStep&)>& after_step) {
   SplatFitOptions fit_options = options.fit;
+  check_without_latents(fit_options);
   SplatFitViews views = load_fit_views(scene, fit_size(scene, options.side), options.held_out, settings);
   SceneFit result;
   result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, where);

@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/base/philox.h"
+#include "gld/splatting/feature_solve.h"
 
 #include <algorithm>
 #include <cmath>
@@ -49,6 +50,12 @@ void SplatFitOptions::visit(FieldVisitor& visitor) {
                   {1, 1'000'000'000});
   visitor.real({"dissimilarity", "weight of 1 - SSIM; that of the absolute difference is the rest"},
                dissimilarity, {0, 1});
+  visit_choice(
+      visitor,
+      {"geometry_from",
+       "what moves Gaussians and their shapes: rgb, the colours; latent, the latents of --features; both; "
+       "fixed, nothing: they stay where depth puts them"},
+      geometry_from, {"rgb", "latent", "both", "fixed"});
   visitor.group({"projection", "how Gaussians are drawn"}, projection);
   visitor.group({"start", "where the fit begins"}, start);
   visitor.group({"rates", "Adam's learning rates"}, rates);
@@ -59,6 +66,17 @@ void SplatFitOptions::check() const {
   if (rates.last_mean > rates.mean) {
     fail({"--rates.last-mean", "at most --rates.mean", std::to_string(rates.last_mean), "make it smaller"});
   }
+  if (!moved_by_colours(geometry_from) && density.densify != Densification::kNone) {
+    fail({"--densify", "none where colours do not move the geometry, by whose gradient Gaussians are added",
+          "published", "leave it out, or add --geometry-from both"});
+  }
+}
+
+void check_without_latents(const SplatFitOptions& options) {
+  if (!moved_by_latents(options.geometry_from)) return;
+  fail({"--geometry-from", "rgb or fixed where no latents are fitted",
+        options.geometry_from == SplatGeometryFrom::kBoth ? "both" : "latent",
+        "name levels of a latent space (gld splat fit --features), or leave it out"});
 }
 
 SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
@@ -73,6 +91,49 @@ SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
   fit.moments = splat_moments(fit.set);
   return fit;
 }
+
+void begin_features(const std::vector<FittedView>& views, const SplatFitOptions& options,
+                    const KernelSettings& settings, SplatFit& fit) {
+  if (!moved_by_latents(options.geometry_from)) return;
+  std::vector<FeatureView> seen;
+  for (const FittedView& view : views) {
+    seen.push_back(
+        {view_of_splats(fit.set, splat_camera(view.latent.camera, fit.set.origin, options.projection),
+                        settings),
+         view.latent.picture});
+  }
+  fit.set.channels = views.front().latent.picture.channels;
+  fit.set.features = solve_features(seen, fit.set.size(), {}, settings).features;
+  fit.moments = splat_moments(fit.set);
+}
+
+namespace {
+
+// The mean absolute difference of a view's latent, whose gradients are added to of_set.
+double add_latent_gradients(const GaussianSet& set, const LatentView& latent, const SplatFitOptions& options,
+                            const KernelSettings& settings, GaussianSet& of_set) {
+  const SplatView view =
+      view_of_splats(set, splat_camera(latent.camera, set.origin, options.projection), settings);
+  const SplatImage shown = render_features(set, view, settings).image;
+  SplatImage gradient(shown.channels, shown.width, shown.height);
+  const auto numbers = static_cast<double>(shown.channels * shown.width * shown.height);
+  const auto share = static_cast<float>(1 / numbers);
+  double sum = 0;
+  for (int64_t c = 0; c < shown.channels; ++c) {
+    for (int64_t y = 0; y < shown.height; ++y) {
+      const float *a = shown.row(c, y), *b = latent.picture.row(c, y);
+      float* const to = gradient.row(c, y);
+      for (int64_t x = 0; x < shown.width; ++x) {
+        sum += std::abs(a[x] - b[x]);
+        to[x] = share * (static_cast<float>(a[x] > b[x]) - static_cast<float>(a[x] < b[x]));
+      }
+    }
+  }
+  render_features_backward(set, view, gradient, settings, of_set);
+  return sum / numbers;
+}
+
+}  // namespace
 
 SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFitOptions& options,
                             uint64_t seed, const KernelSettings& settings, SplatFit& fit) {
@@ -91,15 +152,22 @@ SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFit
   const ImageLoss loss =
       image_loss(composite(view, features, settings).image, shown.target, options.dissimilarity, settings);
   ColourGradients gradients;
-  render_colours_backward(fit.set, view, colours, loss.gradient, settings, gradients);
+  render_colours_backward(fit.set, view, colours, loss.gradient,
+                          moved_by_colours(options.geometry_from) ? SplatGradients::kFeaturesAndShapes
+                                                                  : SplatGradients::kFeatures,
+                          settings, gradients);
+  SplatFitStep result;
+  result.loss = loss.loss;
+  if (moved_by_latents(options.geometry_from)) {
+    result.latent = add_latent_gradients(fit.set, shown.latent, options, settings, gradients.of_set);
+    result.loss += result.latent;
+  }
   if (options.density.densify != Densification::kNone)
     gather(view, gradients, fit.set.size(), fit.statistics);
   const double progress =
       static_cast<double>(fit.step) / static_cast<double>(std::max<int64_t>(1, options.steps));
   adam_step(options.rates, {progress, fit.extent}, gradients.of_set, fit.moments, fit.set, settings);
-  SplatFitStep result;
   result.step = fit.step;
-  result.loss = loss.loss;
   result.absolute = loss.absolute;
   result.similarity = loss.similarity;
   result.seen = view.size();

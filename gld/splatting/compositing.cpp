@@ -312,19 +312,47 @@ CompositedView render_colours(const GaussianSet& set, const SplatView& view, con
   return composite(view, features, settings);
 }
 
+namespace {
+
+// Adds what a splat's place, covariance and opacity say to the gradients of its Gaussian's geometry.
+void add_geometry_gradient(const GaussianShape& shape, const SplatView& view, int64_t index,
+                           const ProjectedGaussian& projected, const ProjectedGradient& of_projected,
+                           GaussianSet& of_set) {
+  GaussianShape gradient;
+  project_gaussian_backward(shape, view.camera, projected, of_projected, gradient);
+  for (int k = 0; k < 3; ++k) {
+    of_set.means[static_cast<size_t>(3 * index + k)] += static_cast<float>(gradient.mean[k]);
+    of_set.log_scales[static_cast<size_t>(3 * index + k)] += static_cast<float>(gradient.log_scale[k]);
+  }
+  for (int k = 0; k < 4; ++k)
+    of_set.rotations[static_cast<size_t>(4 * index + k)] += static_cast<float>(gradient.rotation[k]);
+  of_set.logit_opacities[static_cast<size_t>(index)] += static_cast<float>(gradient.logit_opacity);
+}
+
+SplatFeatures features_of(const GaussianSet& set) {
+  SplatFeatures features;
+  features.values = set.features.data();
+  features.channels = set.channels;
+  features.by_index = true;
+  return features;
+}
+
+}  // namespace
+
 void render_colours_backward(const GaussianSet& set, const SplatView& view, const std::vector<float>& colours,
-                             const SplatImage& of_image, const KernelSettings& settings,
-                             ColourGradients& gradients) {
+                             const SplatImage& of_image, SplatGradients wanted,
+                             const KernelSettings& settings, ColourGradients& gradients) {
+  const bool shapes = wanted == SplatGradients::kFeaturesAndShapes;
   SplatFeatures features;
   features.values = colours.data();
   features.channels = 3;
-  const CompositingGradients composited =
-      composite_backward(view, features, of_image, SplatGradients::kFeaturesAndShapes, settings);
+  const CompositingGradients composited = composite_backward(view, features, of_image, wanted, settings);
   GaussianSet& of_set = gradients.of_set;
   of_set.degree = set.degree;
+  of_set.channels = set.channels;
   for (const GaussianArray& array : gaussian_arrays(set))
     (of_set.*array.values).assign((set.*array.values).size(), 0.0F);
-  gradients.of_means_in_picture.resize(view.splats.size() * 2);
+  gradients.of_means_in_picture.resize(shapes ? view.splats.size() * 2 : 0);
 #pragma omp parallel for num_threads(settings.threads) schedule(static)
   for (int64_t i = 0; i < view.size(); ++i) {
     const auto number = static_cast<size_t>(i);
@@ -333,24 +361,43 @@ void render_colours_backward(const GaussianSet& set, const SplatView& view, cons
     const GaussianShape shape = gaussian_shape(set, index);
     ProjectedGaussian projected;
     project_gaussian(shape, view.camera, projected);
-    ProjectedGradient of_projected = projected_gradient(splat, composited.moments.data() + kSplatMoments * i);
-    for (int axis = 0; axis < 2; ++axis)
-      gradients.of_means_in_picture[2 * number + static_cast<size_t>(axis)] =
-          static_cast<float>(of_projected.mean[axis]);
     SeenColour colour;
     seen_colour(set, index, projected.from_camera, colour);
     double of_rgb[3];
     for (int c = 0; c < 3; ++c) of_rgb[c] = composited.features[3 * number + static_cast<size_t>(c)];
-    of_projected.direction_mean = seen_colour_backward(set, index, colour, of_rgb, of_set);
-    GaussianShape gradient;
-    project_gaussian_backward(shape, view.camera, projected, of_projected, gradient);
-    for (int k = 0; k < 3; ++k) {
-      of_set.means[static_cast<size_t>(3 * index + k)] = static_cast<float>(gradient.mean[k]);
-      of_set.log_scales[static_cast<size_t>(3 * index + k)] = static_cast<float>(gradient.log_scale[k]);
-    }
-    for (int k = 0; k < 4; ++k)
-      of_set.rotations[static_cast<size_t>(4 * index + k)] = static_cast<float>(gradient.rotation[k]);
-    of_set.logit_opacities[static_cast<size_t>(index)] = static_cast<float>(gradient.logit_opacity);
+    const Eigen::Vector3d direction_mean = seen_colour_backward(set, index, colour, of_rgb, of_set);
+    if (!shapes) continue;
+    ProjectedGradient of_projected = projected_gradient(splat, composited.moments.data() + kSplatMoments * i);
+    for (int axis = 0; axis < 2; ++axis)
+      gradients.of_means_in_picture[2 * number + static_cast<size_t>(axis)] =
+          static_cast<float>(of_projected.mean[axis]);
+    of_projected.direction_mean = direction_mean;
+    add_geometry_gradient(shape, view, index, projected, of_projected, of_set);
+  }
+}
+
+CompositedView render_features(const GaussianSet& set, const SplatView& view,
+                               const KernelSettings& settings) {
+  return composite(view, features_of(set), settings);
+}
+
+void render_features_backward(const GaussianSet& set, const SplatView& view, const SplatImage& of_image,
+                              const KernelSettings& settings, GaussianSet& of_set) {
+  const CompositingGradients composited =
+      composite_backward(view, features_of(set), of_image, SplatGradients::kFeaturesAndShapes, settings);
+  const auto channels = static_cast<size_t>(set.channels);
+#pragma omp parallel for num_threads(settings.threads) schedule(static)
+  for (int64_t i = 0; i < view.size(); ++i) {
+    const VisibleSplat& splat = view.splats[static_cast<size_t>(i)];
+    const int64_t index = splat.index;
+    const float* from = composited.features.data() + static_cast<size_t>(i) * channels;
+    float* to = of_set.features.data() + static_cast<size_t>(index) * channels;
+    for (size_t c = 0; c < channels; ++c) to[c] += from[c];
+    const GaussianShape shape = gaussian_shape(set, index);
+    ProjectedGaussian projected;
+    project_gaussian(shape, view.camera, projected);
+    add_geometry_gradient(shape, view, index, projected,
+                          projected_gradient(splat, composited.moments.data() + kSplatMoments * i), of_set);
   }
 }
 

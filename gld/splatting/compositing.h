@@ -68,14 +68,22 @@ PixelWeights pixel_weights(const SplatView& view, const KernelSettings& settings
 CompositedView render_colours(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
 
 // What a step of fitting needs: the gradients of all parameters (zero for Gaussians that are not seen), and for
-// density control how the loss changes with the place in the picture, d loss / d mean in pixels, (splats, 2).
+// density control how the loss changes with the place in the picture, d loss / d mean in pixels, (splats, 2), empty
+// where only features were asked for.
 struct ColourGradients {
   GaussianSet of_set;
   std::vector<float> of_means_in_picture;
 };
-// colours: view_colours of the same set. gradients.of_set is reused where it has the set's size.
+// colours: view_colours of the same set. kFeatures: of colours and harmonics alone, with geometry's left 0.
+// gradients.of_set is reused where it has the set's size; what it held is gone.
 void render_colours_backward(const GaussianSet& set, const SplatView& view, const std::vector<float>& colours,
-                             const SplatImage& of_image, const KernelSettings& settings,
-                             ColourGradients& gradients);
+                             const SplatImage& of_image, SplatGradients wanted,
+                             const KernelSettings& settings, ColourGradients& gradients);
+
+// A picture of a set's features.
+CompositedView render_features(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
+// Its gradients, of features and geometry, are added to of_set, which has the set's shape.
+void render_features_backward(const GaussianSet& set, const SplatView& view, const SplatImage& of_image,
+                              const KernelSettings& settings, GaussianSet& of_set);
 
 }  // namespace gld

@@ -24,14 +24,14 @@ double largest_scale(const GaussianSet& set, int64_t i) {
 
 void append_new(GaussianSet& set, SplatMoments& moments, const GaussianSet& from, int64_t i) {
   append_gaussian(set, from, i);
-  const GaussianSet zero = zero_gaussians(1, set.degree);
+  const GaussianSet zero = zero_gaussians_like(set, 1);
   append_gaussian(moments.first, zero, 0);
   append_gaussian(moments.second, zero, 0);
 }
 
 // Gaussian i is replaced by two, at places drawn from it; it is removed by the caller.
 void split(GaussianSet& set, SplatMoments& moments, int64_t i, const PhiloxKey& key, uint64_t index) {
-  GaussianSet one = zero_gaussians(0, set.degree);
+  GaussianSet one = zero_gaussians_like(set, 0);
   append_gaussian(one, set, i);
   const Eigen::Quaterniond rotation =
       Eigen::Quaterniond(one.rotations[0], one.rotations[1], one.rotations[2], one.rotations[3]).normalized();
@@ -119,7 +119,7 @@ DensityChange control_density(const DensityOptions& options, const DensityStep& 
         keep[static_cast<size_t>(i)] = 0;
         ++change.split;
       } else {
-        GaussianSet one = zero_gaussians(0, set.degree);
+        GaussianSet one = zero_gaussians_like(set, 0);
         append_gaussian(one, set, i);
         append_new(set, moments, one, 0);
         ++change.copied;

@@ -14,15 +14,24 @@ std::array<GaussianArray, kGaussianArrays> gaussian_arrays(const GaussianSet& se
            {"rotation", &GaussianSet::rotations, 4},
            {"opacity", &GaussianSet::logit_opacities, 1},
            {"colour", &GaussianSet::colours, 3},
-           {"spherical harmonic", &GaussianSet::harmonics, set.harmonics_each()}}};
+           {"spherical harmonic", &GaussianSet::harmonics, set.harmonics_each()},
+           {"feature", &GaussianSet::features, set.channels}}};
 }
 
 GaussianSet zero_gaussians(int64_t count, int64_t degree) {
-  GaussianSet set;
-  set.degree = degree;
-  for (const GaussianArray& array : gaussian_arrays(set))
-    (set.*array.values).assign(static_cast<size_t>(count * array.each), 0.0F);
-  return set;
+  GaussianSet shape;
+  shape.degree = degree;
+  return zero_gaussians_like(shape, count);
+}
+
+GaussianSet zero_gaussians_like(const GaussianSet& set, int64_t count) {
+  GaussianSet zero;
+  zero.origin = set.origin;
+  zero.degree = set.degree;
+  zero.channels = set.channels;
+  for (const GaussianArray& array : gaussian_arrays(zero))
+    (zero.*array.values).assign(static_cast<size_t>(count * array.each), 0.0F);
+  return zero;
 }
 
 void check_gaussians(const GaussianSet& set, const std::string& where) {
@@ -61,9 +70,7 @@ void append_gaussian(GaussianSet& set, const GaussianSet& from, int64_t i) {
 }
 
 GaussianSet kept_gaussians(const GaussianSet& set, const std::vector<uint8_t>& keep) {
-  GaussianSet kept;
-  kept.origin = set.origin;
-  kept.degree = set.degree;
+  GaussianSet kept = zero_gaussians_like(set, 0);
   for (int64_t i = 0; i < set.size(); ++i) {
     if (keep[static_cast<size_t>(i)] != 0) append_gaussian(kept, set, i);
   }

@@ -28,6 +28,8 @@ struct GaussianSet {
   std::vector<float> logit_opacities;  // (n)
   std::vector<float> colours;          // (n, 3) coefficient 0 of red, green, blue
   std::vector<float> harmonics;        // (n, harmonic_coefficients(degree) - 1, 3) the others
+  int64_t channels = 0;                // of features
+  std::vector<float> features;  // (n, channels) what is seen beside colour, from all sides alike: latents
 
   int64_t size() const { return static_cast<int64_t>(logit_opacities.size()); }
   int64_t harmonics_each() const { return 3 * (harmonic_coefficients(degree) - 1); }
@@ -39,12 +41,14 @@ struct GaussianArray {
   std::vector<float> GaussianSet::*values;
   int64_t each;
 };
-constexpr size_t kGaussianArrays = 6;
+constexpr size_t kGaussianArrays = 7;
 // In the order of GaussianSet's declaration.
 std::array<GaussianArray, kGaussianArrays> gaussian_arrays(const GaussianSet& set);
 
 // n Gaussians whose numbers are all 0, as sums of gradients begin.
 GaussianSet zero_gaussians(int64_t count, int64_t degree);
+// The same with the degree, the channels and the origin of another set.
+GaussianSet zero_gaussians_like(const GaussianSet& set, int64_t count);
 
 // Throws Error that names the Gaussian and the parameter: a number that is not finite, a quaternion of length 0, arrays
 // of the wrong length. where names the set ("splats.ply").
@@ -52,7 +56,7 @@ void check_gaussians(const GaussianSet& set, const std::string& where);
 
 // Of the Gaussians for which keep is not 0, in their order.
 GaussianSet kept_gaussians(const GaussianSet& set, const std::vector<uint8_t>& keep);
-// Gaussian i of from behind the last of set; both have one degree.
+// Gaussian i of from behind the last of set; both have one degree and as many channels.
 void append_gaussian(GaussianSet& set, const GaussianSet& from, int64_t i);
 
 }  // namespace gld

@@ -16,10 +16,11 @@ void SplatRates::visit(FieldVisitor& visitor) {
   visitor.real({"opacity", "Adam's rate for logits of opacities"}, opacity, range);
   visitor.real({"colour", "Adam's rate for the colours' coefficient 0"}, colour, range);
   visitor.real({"harmonic", "Adam's rate for their other coefficients"}, harmonic, range);
+  visitor.real({"feature", "Adam's rate for latents that move geometry"}, feature, range);
 }
 
 SplatMoments splat_moments(const GaussianSet& set) {
-  return {zero_gaussians(set.size(), set.degree), zero_gaussians(set.size(), set.degree), 0};
+  return {zero_gaussians_like(set, set.size()), zero_gaussians_like(set, set.size()), 0};
 }
 
 void adam_step(const SplatRates& rates, const SplatStep& step, const GaussianSet& gradients,
@@ -32,7 +33,8 @@ void adam_step(const SplatRates& rates, const SplatStep& step, const GaussianSet
           : rates.mean;
   // In the order of gaussian_arrays.
   const double rate_of[kGaussianArrays] = {of_mean * step.extent, rates.log_scale, rates.rotation,
-                                           rates.opacity,         rates.colour,    rates.harmonic};
+                                           rates.opacity,         rates.colour,    rates.harmonic,
+                                           rates.feature};
   const auto steps = static_cast<double>(moments.steps);
   size_t kind = 0;
   for (const GaussianArray& array : gaussian_arrays(set)) {

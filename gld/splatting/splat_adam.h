@@ -17,6 +17,7 @@ struct SplatRates : OptionsGroup {
   double opacity = 0.05;
   double colour = 0.0025;
   double harmonic = 0.0025 / 20;
+  double feature = 0.0025;
 
   void visit(FieldVisitor& visitor) override;
 };

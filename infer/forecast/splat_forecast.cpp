@@ -78,7 +78,7 @@ double splat_fit_seconds(const SplatWork& work, const SplatFitOptions& options, 
   for (int64_t view = 0; view < views; ++view) {
     pictures.push_back(wall_picture(work, view));
     fitted.push_back(
-        {"", pictures.back().camera, loss_target(splat_image_of(pictures.back().image), {}, settings)});
+        {"", pictures.back().camera, loss_target(splat_image_of(pictures.back().image), {}, settings), {}});
   }
   SplatFitOptions probe = options;
   probe.density.most_gaussians = std::max<int64_t>(1, work.gaussians);

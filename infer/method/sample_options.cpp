@@ -141,7 +141,10 @@ void SplatOutputOptions::visit(FieldVisitor& visitor) {
   fit.visit(visitor);
 }
 
-void SplatOutputOptions::check() const { fit.check(); }
+void SplatOutputOptions::check() const {
+  fit.check();
+  check_without_latents(fit);
+}
 
 SceneFitOptions SplatOutputOptions::scene_fit(int64_t seed) const {
   SceneFitOptions options;

@@ -234,6 +234,7 @@ void SplatSpectrumOptions::check() const {
           "add for example --scenes rooms/scenes"});
   }
   fit.check();
+  check_without_latents(fit);
 }
 
 void run_splat_spectrum(const SplatSpectrumOptions& options) {

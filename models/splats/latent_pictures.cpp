@@ -36,6 +36,12 @@ torch::Tensor maps_of(const torch::Tensor& tokens, const LatentGrid& grid, int64
                               token_pixels);
 }
 
+// And back.
+torch::Tensor tokens_of(const torch::Tensor& maps, int64_t token_pixels) {
+  const auto tokens = torch::pixel_unshuffle(maps, token_pixels).permute({0, 2, 3, 1});
+  return tokens.reshape({tokens.size(0), tokens.size(1) * tokens.size(2), tokens.size(3)}).contiguous();
+}
+
 // Of a latent's channels where a token holds a block of its pixels: those of the block's places together.
 LatentStatistics of_pixels(const LatentStatistics& of_tokens, int64_t token_pixels) {
   if (token_pixels == 1) return of_tokens;
@@ -173,6 +179,33 @@ std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, co
         std::move(tag)));
   }
   return result;
+}
+
+std::vector<LatentView> latent_views(const std::vector<LatentPictures>& levels,
+                                     const std::vector<Camera>& cameras) {
+  std::vector<LatentView> views;
+  for (size_t view = 0; view < cameras.size(); ++view) {
+    std::vector<torch::Tensor> channels;
+    for (const LatentPictures& level : levels) channels.push_back(tensor_of(level.pictures[view]));
+    views.push_back({levels.front().camera_of(cameras[view]), splat_image_of(torch::cat(channels))});
+  }
+  return views;
+}
+
+std::vector<int64_t> decoded_levels(const BundleOptions& bundle) {
+  return bundle.level_set().decoded_levels();
+}
+
+torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<torch::Tensor>& maps) {
+  const at::NoGradGuard no_gradients;
+  const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
+  const int64_t token_pixels = token_pixels_of(backbone->architecture());
+  std::vector<torch::Tensor> levels;
+  for (const auto& level : maps)
+    levels.push_back(backbone->normalise_for_decoding(tokens_of(level, token_pixels)));
+  const auto& first = maps.front();
+  const LatentGrid grid{first.size(0), first.size(2) / token_pixels, first.size(3) / token_pixels};
+  return bundle.load_image_decoder()->decode(torch::cat(levels, 2), grid);
 }
 
 SplatImage splat_image_of(const torch::Tensor& picture) {

@@ -2,7 +2,7 @@
 
 #include "gld/cameras/image_size.h"
 #include "gld/latents/latent_statistics.h"
-#include "gld/splatting/compositing.h"
+#include "gld/splatting/latent_view.h"
 #include "models/bundle/bundle.h"
 
 #include <cstdint>
@@ -59,6 +59,16 @@ LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag);
 // by the mean and variance of what is encoded here. Bundle: only the backbone and the statistics are read.
 std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
                                                    const std::vector<int64_t>& levels);
+
+// Of images with these cameras, the channels of all levels behind each other. Levels of one grid, at least one.
+std::vector<LatentView> latent_views(const std::vector<LatentPictures>& levels,
+                                     const std::vector<Camera>& cameras);
+
+// Levels that the bundle's image decoder takes, rising.
+std::vector<int64_t> decoded_levels(const BundleOptions& bundle);
+// Images of maps of those levels, in their order, raw, (views, channels, height, width), as LatentPictures::raw gives
+// them: (views, 3, height, width), RGB in about [0, 1]. Bundle: only the backbone and the image decoder are read.
+torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<torch::Tensor>& maps);
 
 // (channels, height, width) and back.
 SplatImage splat_image_of(const torch::Tensor& picture);

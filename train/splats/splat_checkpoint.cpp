@@ -100,6 +100,7 @@ std::string fit_views_hash(const std::vector<const FittedView*>& views) {
     add(view->camera.world_from_camera.matrix().data(), 16 * sizeof(double));
     add(view->target.image.values.data(), view->target.image.values.size() * sizeof(float));
     add(view->target.valid.data(), view->target.valid.size());
+    add(view->latent.picture.values.data(), view->latent.picture.values.size() * sizeof(float));
   }
   return hash.hex_digest();
 }
@@ -111,6 +112,7 @@ void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckp
   state["extent"] = bits_of(fit.extent);
   for (int k = 0; k < 3; ++k) state["origin"].push_back(bits_of(fit.set.origin[k]));
   state["degree"] = fit.set.degree;
+  state["channels"] = fit.set.channels;
   state["moment_steps"] = fit.moments.steps;
   state["started_with"] = checkpoint.started_with;
   state["seconds"] = bits_of(checkpoint.seconds);
@@ -167,8 +169,10 @@ SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file) {
     fit.extent = double_of(state.at("extent").get<uint64_t>());
     for (int k = 0; k < 3; ++k)
       fit.set.origin[k] = double_of(state.at("origin").at(static_cast<size_t>(k)).get<uint64_t>());
-    for (GaussianSet* set : {&fit.set, &fit.moments.first, &fit.moments.second})
+    for (GaussianSet* set : {&fit.set, &fit.moments.first, &fit.moments.second}) {
       set->degree = state.at("degree").get<int64_t>();
+      set->channels = state.at("channels").get<int64_t>();
+    }
     fit.moments.steps = state.at("moment_steps").get<int64_t>();
     checkpoint.started_with = state.at("started_with").get<int64_t>();
     checkpoint.seconds = double_of(state.at("seconds").get<uint64_t>());

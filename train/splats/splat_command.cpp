@@ -64,14 +64,16 @@ bool goes_on(const SplatCommandOptions& options, EarlierRun earlier) {
 // A fit on its way: what is fitted, how, and where it stands.
 class FitInSteps {
  public:
-  FitInSteps(const SplatCommandOptions& options, const Scene& scene, bool resumes)
+  FitInSteps(const SplatCommandOptions& options, const Scene& scene, const SplatFitLatents& latents,
+             bool resumes)
       : options_(options),
         fit_options_(options.fit),
         checkpoint_file_(std::filesystem::path(options.out) / kSplatCheckpointFile),
-        table_({"step", "loss", "absolute", "ssim", "gaussians", "seen", "seconds", "processor_seconds",
-                "held_out_psnr"}) {
+        table_({"step", "loss", "absolute", "ssim", "latent", "gaussians", "seen", "seconds",
+                "processor_seconds", "held_out_psnr"}) {
     settings_.threads = static_cast<int>(threads_to_use(options.threads));
     views_ = load_fit_views(scene, fit_size(scene, options.side), options.held_out, settings_);
+    if (moved_by_latents(options.fit.geometry_from)) latents.before(scene, views_);
     processor_at_first_ = processor_seconds();
     if (resumes) {
       resume();
@@ -121,6 +123,7 @@ class FitInSteps {
     state_.views = fit_views_hash(all_views(views_));
     state_.seconds = seconds_of([&] {
       state_.fit = begin_splat_fit(views_.pictures, scene.points_in_world, fit_options_, options_.where());
+      begin_features(views_.fitted, fit_options_, settings_, state_.fit);
     });
     state_.started_with = set().size();
   }
@@ -141,8 +144,8 @@ class FitInSteps {
     TableCell held_out = std::string();
     const double processor_so_far = processor();
     if (validates && !views_.held_out.empty()) held_out = mean_of(decibels_of(views_.held_out));
-    table_.add_row({step.step, step.loss, step.absolute, step.similarity, step.gaussians, step.seen,
-                    state_.seconds, processor_so_far, held_out});
+    table_.add_row({step.step, step.loss, step.absolute, step.similarity, step.latent, step.gaussians,
+                    step.seen, state_.seconds, processor_so_far, held_out});
   }
 
   void write_checkpoint() {
@@ -253,14 +256,15 @@ void SplatCommandOptions::check() const {
           "--resume goes on with the run, --overwrite removes it"});
   }
   fit.check();
+  if (!has_features()) check_without_latents(fit);
 }
 
-void run_splat_fit(const SplatCommandOptions& options, const AfterSplatFit& after_fit) {
+void run_splat_fit(const SplatCommandOptions& options, const SplatFitLatents& latents) {
   options.check();
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   const bool resumes = goes_on(options, earlier);
   const Scene scene = open_scene(options.where(), options.reading);
-  FitInSteps fit(options, scene, resumes);
+  FitInSteps fit(options, scene, latents, resumes);
   RunFolder run(options.out, "splat fit", options, earlier);
   print_warnings(scene.warnings);
   fit.run();
@@ -269,8 +273,8 @@ void run_splat_fit(const SplatCommandOptions& options, const AfterSplatFit& afte
   write_held_out(run, fit);
   write_file_atomically(run.path() / "steps.csv", fit.table().csv());
   nlohmann::ordered_json report = fit_report(fit, scene.name);
-  if (after_fit && fit.finished())
-    after_fit({fit.set(), fit.projection(), scene, fit.settings(), run, report});
+  if (latents.after && fit.finished())
+    latents.after({fit.set(), fit.projection(), scene, fit.settings(), run, report});
   run.write_report(report);
   stop_if_interrupted(fmt::format("{} of {} steps are done; the Gaussians so far are in {}, --resume goes on",
                                   fit.state().fit.step, options.fit.steps,

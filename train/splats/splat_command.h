@@ -44,14 +44,18 @@ struct FinishedSplatFit {
   RunFolder& run;
   nlohmann::ordered_json& report;  // which is written afterwards
 };
-using AfterSplatFit = std::function<void(const FinishedSplatFit&)>;
+// What this part of the program, which has no LibTorch, does not know (splat_features.h).
+struct SplatFitLatents {
+  // Gives every view its latent before the fit, where latents move its geometry.
+  std::function<void(const Scene& scene, SplatFitViews& views)> before;
+  // Adds to the run and its report after it.
+  std::function<void(const FinishedSplatFit&)> after;
+};
 
 // Writes splats.ply, cameras.json with the fitted views, pictures of held-out views, steps.csv and report.json into
 // options.out. On Ctrl-C the Gaussians as far as they are fitted are written before it ends as interrupted. A run that
 // was stopped or killed goes on with --resume, from its last checkpoint, and ends with the same bytes in splats.ply as
 // one that was not.
-//
-// after_fit adds to it what this part of the program, which has no LibTorch, does not know (splat_features.h).
-void run_splat_fit(const SplatCommandOptions& options, const AfterSplatFit& after_fit = {});
+void run_splat_fit(const SplatCommandOptions& options, const SplatFitLatents& latents = {});
 
 }  // namespace gld

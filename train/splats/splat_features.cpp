@@ -6,6 +6,7 @@
 #include "models/splats/latent_fit.h"
 
 #include <iostream>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -14,22 +15,37 @@
 namespace gld {
 namespace {
 
-void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFit& fit,
-                       const ModelBundle& bundle) {
-  const ImageSize size = latent_image_size(bundle.options(), fit_size(fit.scene, options.side));
-  const SplatFitViews views = load_fit_views(fit.scene, size, options.held_out, fit.settings);
-  StillGaussians gaussians{fit.set, fit.projection, {}, static_cast<int64_t>(views.fitted.size())};
+// Views of a scene as a model takes them, fitted ones first, and their latents.
+struct EncodedViews {
+  std::vector<Camera> cameras;
+  int64_t fitted = 0;
+  std::vector<LatentPictures> levels;
+};
+EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scene, const ModelBundle& bundle,
+                           const KernelSettings& settings) {
+  const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
+  const SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
+  EncodedViews result;
+  result.fitted = static_cast<int64_t>(views.fitted.size());
   std::vector<torch::Tensor> images;
   for (const auto* some : {&views.fitted, &views.held_out}) {
     for (const FittedView& view : *some) {
-      gaussians.cameras.push_back(view.camera);
+      result.cameras.push_back(view.camera);
       images.push_back(tensor_of(view.target.image));
     }
   }
-  const auto levels = latent_levels(options.features, bundle.options(), "--features");
+  result.levels = encode_latent_pictures(bundle, torch::stack(images),
+                                         latent_levels(options.features, bundle.options(), "--features"));
+  return result;
+}
+
+void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFit& fit,
+                       const EncodedViews& views) {
+  const StillGaussians gaussians{fit.set, fit.projection, views.cameras, views.fitted};
+  const auto all = static_cast<int64_t>(views.cameras.size());
   std::vector<LatentFit> fits;
   nlohmann::ordered_json& report = fit.report["features"] = nlohmann::ordered_json::array();
-  for (const LatentPictures& latents : encode_latent_pictures(bundle, torch::stack(images), levels)) {
+  for (const LatentPictures& latents : views.levels) {
     fits.push_back(fit_latents(gaussians, latents, options.solve, fit.settings));
     const LatentFit& solved = fits.back();
     nlohmann::ordered_json row = tag_json(solved.tag);
@@ -41,9 +57,8 @@ void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFi
         fmt::format("level {}: {} channels at {}x{} in {} iterations, error {:.3f} of the spread",
                     solved.tag.level, solved.tag.channels, solved.tag.width, solved.tag.height,
                     solved.iterations, row["fitted_error"].get<double>());
-    if (!views.held_out.empty()) {
-      row["held_out_error"] = latent_error(gaussians, solved, latents, gaussians.fitted,
-                                           static_cast<int64_t>(images.size()), fit.settings);
+    if (all > views.fitted) {
+      row["held_out_error"] = latent_error(gaussians, solved, latents, gaussians.fitted, all, fit.settings);
       line += fmt::format(", held-out views {:.3f}", row["held_out_error"].get<double>());
     }
     std::cout << line << "\n";
@@ -69,7 +84,20 @@ void run_splat_fit_with_features(const SplatCommandOptions& options) {
   if (!bundle.has(BundlePart::backbone())) {
     fail({options.model, "a backbone with weights", "none", "add it with gld convert or gld train"});
   }
-  run_splat_fit(options, [&](const FinishedSplatFit& fit) { solve_features_of(options, fit, bundle); });
+  // Encoded once, before the fit where latents move the geometry, else after it.
+  std::optional<EncodedViews> encoded;
+  SplatFitLatents latents;
+  latents.before = [&](const Scene& scene, SplatFitViews& views) {
+    KernelSettings settings;
+    settings.threads = static_cast<int>(threads_to_use(options.threads));
+    encoded = encoded_views(options, scene, bundle, settings);
+    give_latents(latent_views(encoded->levels, encoded->cameras), views);
+  };
+  latents.after = [&](const FinishedSplatFit& fit) {
+    if (!encoded) encoded = encoded_views(options, fit.scene, bundle, fit.settings);
+    solve_features_of(options, fit, *encoded);
+  };
+  run_splat_fit(options, latents);
 }
 
 }  // namespace gld

@@ -239,8 +239,10 @@ TEST_P(Compositing, GradientsAreTheNaiveOnes) {
     const KernelSettings settings = settings_of(GetParam());
     const SplatView view = view_of_splats(set, camera, settings);
     ColourGradients gradients;
-    render_colours_backward(set, view, view_colours(set, view, settings), of_image, settings, gradients);
+    render_colours_backward(set, view, view_colours(set, view, settings), of_image,
+                            SplatGradients::kFeaturesAndShapes, settings, gradients);
     for (const GaussianArray& array : gaussian_arrays(set)) {
+      if (array.each == 0) continue;
       const std::vector<float>&fast = gradients.of_set.*array.values, &slow = of_expected.*array.values;
       ASSERT_EQ(fast.size(), slow.size());
       double largest = 0, worst = 0;
@@ -290,6 +292,47 @@ TEST_P(Compositing, FeatureGradientsWithoutShapesAreTheSame) {
   EXPECT_NEAR(of_picture, of_features, 1e-4 * std::abs(of_picture) + 1e-4);
 }
 
+// Features that are the colours move geometry as those do, and geometry that colours do not move has no gradient.
+TEST_P(Compositing, FeaturesMoveGeometryAsColoursDo) {
+  RandomGaussians wanted;
+  wanted.degree = 0;
+  GaussianSet set = random_gaussians(wanted);
+  const SplatCamera camera = splat_camera(splat_test_camera(45, 33), set.origin, {});
+  const KernelSettings settings = settings_of(GetParam());
+  const SplatView view = view_of_splats(set, camera, settings);
+  const std::vector<float> colours = view_colours(set, view, settings);
+  set.channels = 3;
+  set.features.assign(static_cast<size_t>(set.size()) * 3, 0.0F);
+  for (size_t i = 0; i < view.splats.size(); ++i)
+    std::copy_n(colours.data() + 3 * i, 3,
+                set.features.data() + 3 * static_cast<size_t>(view.splats[i].index));
+  EXPECT_EQ(render_features(set, view, settings).image.values,
+            render_colours(set, view, settings).image.values);
+  SplatImage of_image(3, 45, 33);
+  for (int64_t row = 0; row < 3 * 33; ++row) {
+    const auto random = random_values(45, static_cast<unsigned>(row));
+    std::copy(random.begin(), random.end(), of_image.row(row / 33, row % 33));
+  }
+  ColourGradients by_colours, without_shapes;
+  render_colours_backward(set, view, colours, of_image, SplatGradients::kFeaturesAndShapes, settings,
+                          by_colours);
+  render_colours_backward(set, view, colours, of_image, SplatGradients::kFeatures, settings, without_shapes);
+  EXPECT_EQ(without_shapes.of_set.colours, by_colours.of_set.colours);
+  EXPECT_TRUE(without_shapes.of_means_in_picture.empty());
+  GaussianSet by_features = zero_gaussians_like(set, set.size());
+  render_features_backward(set, view, of_image, settings, by_features);
+  for (const auto values : {&GaussianSet::means, &GaussianSet::log_scales, &GaussianSet::rotations,
+                            &GaussianSet::logit_opacities}) {
+    EXPECT_EQ(by_features.*values, by_colours.of_set.*values);
+    EXPECT_EQ(without_shapes.of_set.*values, std::vector<float>((set.*values).size(), 0.0F));
+  }
+  // Twice: gradients are added.
+  const float once = by_features.features[3 * static_cast<size_t>(view.splats.front().index)];
+  EXPECT_NE(once, 0);
+  render_features_backward(set, view, of_image, settings, by_features);
+  EXPECT_EQ(by_features.features[3 * static_cast<size_t>(view.splats.front().index)], 2 * once);
+}
+
 TEST_P(Compositing, BitsDoNotDependOnThreads) {
   RandomGaussians wanted;
   wanted.count = 3000;
@@ -312,7 +355,8 @@ TEST_P(Compositing, BitsDoNotDependOnThreads) {
     const SplatView view = view_of_splats(set, camera, settings);
     const CompositedView picture = render_colours(set, view, settings);
     ColourGradients gradients;
-    render_colours_backward(set, view, view_colours(set, view, settings), of_image, settings, gradients);
+    render_colours_backward(set, view, view_colours(set, view, settings), of_image,
+                            SplatGradients::kFeaturesAndShapes, settings, gradients);
     if (threads == 1) {
       first = picture;
       first_gradients = gradients;

@@ -167,6 +167,8 @@ TEST_F(FittedSplats, NoByteOfACheckpointCanChange) {
   SplatCheckpoint checkpoint;
   checkpoint.fit.set = zero_gaussians(3, 1);
   for (size_t i = 0; i < 3; ++i) checkpoint.fit.set.rotations[4 * i] = 1;
+  checkpoint.fit.set.channels = 2;
+  checkpoint.fit.set.features = {1, 2, 3, 4, 5, 6};
   checkpoint.fit.set.origin = {0.1, -1e6, 1.0 / 3};
   checkpoint.fit.moments = splat_moments(checkpoint.fit.set);
   checkpoint.fit.moments.second.means[4] = 1e-30F;
@@ -179,6 +181,8 @@ TEST_F(FittedSplats, NoByteOfACheckpointCanChange) {
   const SplatCheckpoint read = read_splat_checkpoint(file);
   EXPECT_EQ(read.fit.step, 12);
   EXPECT_EQ(read.fit.set.origin, checkpoint.fit.set.origin);
+  EXPECT_EQ(read.fit.set.features, checkpoint.fit.set.features);
+  EXPECT_EQ(read.fit.moments.first.channels, 2);
   EXPECT_EQ(read.fit.moments.second.means, checkpoint.fit.moments.second.means);
   EXPECT_EQ(read.fit.statistics.seen, checkpoint.fit.statistics.seen);
   EXPECT_EQ(read.rows, checkpoint.rows);

@@ -61,5 +61,66 @@ TEST(SplatFeatures, AreSolvedForAndSavedBesideTheGaussians) {
             read_file(std::filesystem::path(options.out) / kSplatFeaturesFile));
 }
 
+// Means of the Gaussians that a fit of so many steps leaves.
+std::vector<float> fitted_means(SplatCommandOptions options, SplatGeometryFrom from, int64_t steps,
+                                const std::filesystem::path& out) {
+  options.fit.geometry_from = from;
+  options.fit.steps = steps;
+  options.out = out.string();
+  run_splat_fit_with_features(options);
+  return read_splat_ply(out / kSplatFile).means;
+}
+
+TEST(SplatFeatures, MoveGeometryWhereTheyAreToldTo) {
+  const test::TemporaryFolder folder;
+  SyntheticOptions rooms;
+  rooms.frames = 5;
+  rooms.width = rooms.height = 112;
+  write_scene(make_synthetic_scene(rooms, 0), "cameras-json", folder.path() / "scene");
+  SplatCommandOptions options;
+  options.scene = (folder.path() / "scene").string();
+  options.held_out = 1;
+  options.fit.density.most_gaussians = 2000;
+  options.threads = 1;
+  options.model = (test::source_root() / "configs" / "tiny").string();
+  options.features = {"1"};
+  const auto out = [&](const char* name) { return folder.path() / name; };
+  const auto start = fitted_means(options, SplatGeometryFrom::kRgb, 0, out("start"));
+  EXPECT_EQ(fitted_means(options, SplatGeometryFrom::kFixed, 40, out("fixed")), start);
+  const auto by_rgb = fitted_means(options, SplatGeometryFrom::kRgb, 40, out("rgb")),
+             by_latents = fitted_means(options, SplatGeometryFrom::kLatent, 40, out("latent")),
+             by_both = fitted_means(options, SplatGeometryFrom::kBoth, 40, out("both"));
+  EXPECT_NE(by_rgb, start);
+  EXPECT_NE(by_latents, start);
+  EXPECT_NE(by_latents, by_rgb);
+  EXPECT_NE(by_both, by_rgb);
+  EXPECT_NE(by_both, by_latents);
+  const auto error = [&](const char* name) {
+    return nlohmann::json::parse(read_file(out(name) / "report.json"))
+        .at("features")
+        .at(0)
+        .at("fitted_error")
+        .get<double>();
+  };
+  // Geometry that latents move shows them better than one that stands still.
+  EXPECT_LT(error("latent"), error("fixed"));
+  EXPECT_LT(error("both"), error("fixed"));
+
+  options.features = {"none"};
+  options.fit.geometry_from = SplatGeometryFrom::kBoth;
+  options.out = out("never").string();
+  EXPECT_EQ(
+      error_of([&] { run_splat_fit_with_features(options); }),
+      "--geometry-from: expected rgb or fixed where no latents are fitted, found both; name levels of a latent "
+      "space (gld splat fit --features), or leave it out.");
+  options.features = {"1"};
+  options.fit.geometry_from = SplatGeometryFrom::kLatent;
+  options.fit.density.densify = Densification::kPublished;
+  EXPECT_EQ(
+      error_of([&] { run_splat_fit_with_features(options); }),
+      "--densify: expected none where colours do not move the geometry, by whose gradient Gaussians are added, "
+      "found published; leave it out, or add --geometry-from both.");
+}
+
 }  // namespace
 }  // namespace gld
