@@ -20,7 +20,8 @@ Command make_fit_command() {
   command.usual = {
       {"Scene", {"scene", "run", "side", "held_out"}},
       {"Fit",
-       {"fit.steps", "fit.degree", "fit.density.most_gaussians", "checkpoint_every", "validate_every"}}};
+       {"fit.steps", "fit.degree", "fit.density.most_gaussians", "checkpoint_every", "validate_every"}},
+      {"Latents", {"features", "model", "fit.geometry_from"}}};
   command.run = [options](const std::vector<std::string>&) {
     run_splat_fit_with_features(*options);
     return 0;

@@ -1,11 +1,16 @@
-# Sourced by scripts that take --libtorch DIR, from the repository's root: sets build_folder, configuration (for cmake),
-# libtorch and version where it was given, and rest, the other arguments.
+# Sourced by scripts that take --libtorch DIR and --quick, from the repository's root: sets build_folder, configuration (for
+# cmake), libtorch and version where it was given, and rest, the other arguments.
 
 build_folder=build/release
 libtorch=
 configuration=()
 rest=()
 while [ $# -gt 0 ]; do
+  if [ "$1" = --quick ]; then
+    configuration+=("-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG")
+    shift
+    continue
+  fi
   if [ "$1" != --libtorch ]; then
     rest+=("$1")
     shift
@@ -19,6 +24,6 @@ while [ $# -gt 0 ]; do
   version=$(sed -n 's/^set(PACKAGE_VERSION "\(.*\)").*/\1/p' "$version_file")
   libtorch=$2
   build_folder=build/libtorch-$version
-  configuration=(-DCMAKE_PREFIX_PATH="$(realpath "$2")")
+  configuration+=(-DCMAKE_PREFIX_PATH="$(realpath "$2")")
   shift 2
 done

@@ -25,7 +25,7 @@ struct SceneFitOptions : OptionsGroup {
 
   void visit(FieldVisitor& visitor) override;
 };
-// Two of its fields, which commands have in groups of their own.
+// One of its fields, which commands have in groups of their own.
 void visit_side(FieldVisitor& visitor, int64_t& side);
 
 // The views of a scene as a fit takes them.

@@ -2,10 +2,8 @@
 
 #include "gld/base/error.h"
 
-#include <algorithm>
 #include <cmath>
 #include <string>
-#include <tuple>
 
 #include <fmt/format.h>
 
@@ -25,12 +23,9 @@ std::vector<int64_t> rings_of(int64_t side) {
 
 }  // namespace
 
-int64_t last_whole_ring(int64_t side) {
-  constexpr int64_t kLast = 15;
-  return std::min(kLast, side / 2 - 1);
-}
+int64_t last_whole_ring(int64_t side) { return side / 2 - 1; }
 
-torch::Tensor ring_amplitudes(const torch::Tensor& latents, int64_t last_ring) {
+torch::Tensor ring_amplitudes(const torch::Tensor& latents, int64_t last_ring, SpectrumWindow window) {
   if (latents.dim() != 4 || latents.size(2) != latents.size(3) || latents.size(0) < 1 ||
       latents.size(1) < 1) {
     std::string found;
@@ -42,10 +37,15 @@ torch::Tensor ring_amplitudes(const torch::Tensor& latents, int64_t last_ring) {
     fail({"spectrum of latents", fmt::format("rings up to {} of a grid of {}", side / 2, side),
           std::to_string(last_ring), "ask for fewer, or take larger latents"});
   }
-  const auto amplitude = torch::fft_fft2(latents.to(torch::kCPU, torch::kFloat64))
-                             .abs()
-                             .mean(std::vector<int64_t>{0, 1})
-                             .reshape({-1});
+  auto values = latents.to(torch::kCPU, torch::kFloat64);
+  const auto mean = values.mean(std::vector<int64_t>{2, 3}, true);
+  if (window == SpectrumWindow::kHann) {
+    auto hann = torch::hann_window(side, /*periodic=*/true, torch::kFloat64);
+    hann = hann / hann.square().mean().sqrt();
+    values = (values - mean) * hann * hann.unsqueeze(1);
+  }
+  auto amplitude = torch::fft_fft2(values).abs().mean(std::vector<int64_t>{0, 1}).reshape({-1});
+  amplitude[0] = mean.abs().mean() * static_cast<double>(side * side);
   const auto rings = torch::tensor(rings_of(side), torch::kInt64);
   const auto sums = torch::zeros({side * 2}, torch::kFloat64).index_add(0, rings, amplitude);
   const auto counts =

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstdint>
-#include <vector>
 
 #include <torch/types.h>
 
@@ -11,11 +10,16 @@ namespace gld {
 // over channels, over the frequencies of each ring round(sqrt(kx^2 + ky^2)), and over views. Ring r of a grid of n
 // pixels a side has r periods over the grid. Not normalised: compare what has one size.
 //
+// Under Hann's window each channel's mean is taken away and what is left multiplied by a window of mean square 1: the
+// picture's edges, which FFT2 takes to meet, then do not leak into the high rings. |DC| is that of the picture without it.
+enum class SpectrumWindow { kNone, kHann };
+
 // latents: (views, channels, n, n), any floating type. Returns rings 0 (|DC|) to last_ring, float64 on the CPU. Error
 // for other shapes, and for a last ring beyond n / 2.
-torch::Tensor ring_amplitudes(const torch::Tensor& latents, int64_t last_ring);
+torch::Tensor ring_amplitudes(const torch::Tensor& latents, int64_t last_ring,
+                              SpectrumWindow window = SpectrumWindow::kNone);
 
-// The last ring that a grid of n pixels a side has whole, n / 2 - 1, and at most 15.
+// The last ring that a grid of n pixels a side has whole, n / 2 - 1.
 int64_t last_whole_ring(int64_t side);
 
 // The mean over rings `first` to `last` of rendered over encoded.

@@ -185,6 +185,7 @@ class ChannelSolve {
   double residual() const {
     double worst = 0;
     for (size_t c = 0; c < size_.size(); ++c) {
+      if (!(size_[c] >= 0)) return std::numeric_limits<double>::infinity();
       if (right_[c] > 0) worst = std::max(worst, std::sqrt(size_[c] / right_[c]));
     }
     return worst;

@@ -300,7 +300,9 @@ class SceneMetrics {
       inputs.estimated_cameras = estimated_cameras(models_.poses, geometry, truth_.views.cameras);
       inputs.view_depth = geometry.depth;
     } catch (const Error&) {
-      missing("no camera fits the rays of a view of the sample");
+      missing(models_.poses == PoseEstimator::kDa3Decoder
+                  ? "the camera decoder gave no camera for a view of the sample"
+                  : "no camera fits the rays of a view of the sample");
     }
   }
 

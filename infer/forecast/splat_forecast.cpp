@@ -87,10 +87,10 @@ double splat_fit_seconds(const SplatWork& work, const SplatFitOptions& options, 
   std::vector<double> seconds;
   for (int64_t step = 0; step < std::min(kSteps, options.steps); ++step)
     seconds.push_back(seconds_of([&] { splat_fit_step(fitted, probe, 0, settings, fit); }));
-  if (seconds.empty()) return start;
+  const double all_start = start * static_cast<double>(work.views) / static_cast<double>(views);
+  if (seconds.empty()) return all_start;
   std::sort(seconds.begin(), seconds.end());
-  return start * static_cast<double>(work.views) / static_cast<double>(views) +
-         static_cast<double>(options.steps) * seconds[seconds.size() / 2];
+  return all_start + static_cast<double>(options.steps) * seconds[seconds.size() / 2];
 }
 
 PlannedStage splat_stage(const PlanRequest& request, int64_t patch_side) {

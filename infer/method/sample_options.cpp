@@ -134,6 +134,8 @@ SplatOutputOptions::SplatOutputOptions() {
   // About a minute for 20 views of 256x256 on two cores.
   constexpr int64_t kSteps = 1000;
   fit.steps = kSteps;
+  // So that all degrees have their turn.
+  fit.degree_every = kSteps / 4;
 }
 
 void SplatOutputOptions::visit(FieldVisitor& visitor) {

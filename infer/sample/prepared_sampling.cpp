@@ -66,7 +66,7 @@ void check_known_cameras(const SampleOptions& options, const ModelBundle& geomet
   fail({"--geometry-cameras given", "a --geometry-model whose backbone has an encoder for cameras",
         geometry_model.folder().string() + ", whose backbone of kind " +
             geometry_model.options().backbone.architecture().kind() + " has none",
-        "leave the option out, or convert DA3's published file again, which holds one"});
+        "leave the option out, or convert DA3's published file, which holds one, into a new folder"});
 }
 
 // Where depth, rays and points come from.

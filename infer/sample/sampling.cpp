@@ -454,17 +454,18 @@ void sample(const SampleOptions& options) {
   std::vector<std::string> warnings = scene.warnings;
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   const auto printed = static_cast<std::ptrdiff_t>(warnings.size());
-  std::vector<std::string> doubts;
   stages.run("writing", [&] {
     if (prepared.photos) write_photo_scene(run, *prepared.photos, provenance);
     outputs.write_rest(result);
-    add_new(warnings, result.warnings);
-    add_new(warnings, outputs.warnings());
-    doubts = doubts_of(verdict, evidence, warnings);
+  });
+  if (requested.splats) stages.run(kSplatStage, [&] { outputs.write_splats(); });
+  add_new(warnings, result.warnings);
+  add_new(warnings, outputs.warnings());
+  const std::vector<std::string> doubts = doubts_of(verdict, evidence, warnings);
+  stages.run("contact sheet", [&] {
     outputs.write_contact_sheet(
         sheet_text(verdict, doubts, one_line_summary(options, result, bundle.options().name)));
   });
-  if (requested.splats) stages.run(kSplatStage, [&] { outputs.write_splats(); });
   print_warnings({warnings.begin() + printed, warnings.end()});
   const auto report =
       sampling_report(options, {prepared, planned, result, stages, provenance.model_hash, verdict, evidence},

@@ -52,7 +52,9 @@ ViewSpectrum view_spectrum(const StillGaussians& gaussians, const LatentFit& fit
     pictures->encoded_picture = principal_pictures(of_encoder, of_encoder)[0];
     pictures->rendered_picture = principal_pictures(of_splats, of_encoder)[0];
   }
-  return {ring_amplitudes(of_encoder, last), ring_amplitudes(of_splats, last)};
+  return {ring_amplitudes(of_encoder, last, SpectrumWindow::kHann),
+          ring_amplitudes(of_splats, last, SpectrumWindow::kHann), ring_amplitudes(of_encoder, last),
+          ring_amplitudes(of_splats, last)};
 }
 
 SpaceSpectrum space_spectrum(const std::string& name, const StillGaussians& gaussians,

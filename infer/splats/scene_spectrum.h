@@ -5,7 +5,6 @@
 #include "models/splats/latent_fit.h"
 
 #include <cstdint>
-#include <functional>
 #include <string>
 #include <vector>
 
@@ -24,9 +23,11 @@ struct SpectrumSettings {
   KernelSettings kernels;
 };
 
-// Rings of the views of one kind of a scene, mean over views (gld/metrics/latent_spectrum.h), float64.
+// Rings of the views of one kind of a scene, mean over views (gld/metrics/latent_spectrum.h), float64: under Hann's
+// window, and without one, as Splatent has it, where the pictures' edges leak into all rings.
 struct ViewSpectrum {
   torch::Tensor encoded, rendered;
+  torch::Tensor plain_encoded, plain_rendered;
 };
 
 // A latent space in a scene.

@@ -3,13 +3,13 @@
 #include "datasets/loading/batching.h"
 #include "datasets/splats/splat_picture.h"
 #include "gld/base/atomic_file.h"
-#include "gld/base/bootstrap.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/cameras/relative_cameras.h"
 #include "gld/machine/timing.h"
 #include "gld/metrics/image_metrics.h"
+#include "gld/metrics/metric.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/report/table.h"
@@ -18,7 +18,6 @@
 #include "infer/request/held_out_scenes.h"
 #include "models/splats/latent_fit.h"
 
-#include <functional>
 #include <iostream>
 #include <utility>
 
@@ -272,20 +271,17 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   Table means({"what", "mean", "low", "high"});
   for (const ScoreColumn& column : score_columns()) {
     std::vector<double> values;
-    double sum = 0;
-    for (const SplatScores& scene : scenes) {
-      values.push_back(scene.*column.value);
-      sum += values.back();
-    }
-    const double mean = sum / static_cast<double>(values.size());
-    const Interval interval = bootstrap_interval({values});
-    report["means"][column.name] = {{"mean", mean}, {"interval_95", {interval.low, interval.high}}};
-    means.add_row({std::string(column.says), mean, interval.low, interval.high});
+    for (const SplatScores& scene : scenes) values.push_back(scene.*column.value);
+    const SceneStatistics statistics = statistics_over_scenes(values);
+    const Interval& interval = statistics.interval;
+    report["means"][column.name] = {{"mean", statistics.mean},
+                                    {"interval_95", {interval.low, interval.high}}};
+    means.add_row({std::string(column.says), statistics.mean, interval.low, interval.high});
   }
   const std::string text = fmt::format(
-      "# Splats against views that they were not fitted to\n\n{} scenes, {} held-out views of each; means over scenes, "
+      "# Splats against views that they were not fitted to\n\n{} scene{}, {} held-out views of each; means over scenes, "
       "low and high: 95 % by bootstrap over scenes.\n\n{}",
-      scenes.size(), options.held_out, means.markdown());
+      scenes.size(), scenes.size() == 1 ? "" : "s", options.held_out, means.markdown());
   write_file_atomically(run.path() / "eval.csv", scene_table(scenes).csv());
   write_file_atomically(run.path() / "splat_eval.md", text);
   run.write_report(report);

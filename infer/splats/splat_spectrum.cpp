@@ -2,12 +2,12 @@
 
 #include "datasets/loading/batching.h"
 #include "gld/base/atomic_file.h"
-#include "gld/base/bootstrap.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/machine/timing.h"
 #include "gld/metrics/latent_spectrum.h"
+#include "gld/metrics/metric.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/provenance.h"
@@ -18,7 +18,10 @@
 #include "infer/splats/scene_spectrum.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
+#include <map>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -49,12 +52,26 @@ SpectrumSettings settings_of(const SplatSpectrumOptions& options) {
   return settings;
 }
 
+// Every scene once: one that counts twice would make the intervals too narrow.
 std::vector<SceneLocation> locations_of(const SplatSpectrumOptions& options) {
   std::vector<SceneLocation> locations;
+  std::set<std::string> known;
   for (const std::string& root : options.scenes) {
-    for (auto& location : list_scenes(root, options.reading)) locations.push_back(std::move(location));
+    for (auto& location : list_scenes(root, options.reading)) {
+      const std::string where = std::filesystem::canonical(location.path).string();
+      if (!known.insert(where + " " + location.part).second) {
+        fail({"--scenes", "every scene once", where + " twice", "leave out one of the two"});
+      }
+      locations.push_back(std::move(location));
+    }
   }
   return locations;
+}
+
+// A scene's name in tables and files; one that another scene has too gets a number.
+std::string name_of(const std::string& scene, std::map<std::string, int64_t>& times) {
+  const int64_t number = ++times[scene];
+  return number == 1 ? scene : fmt::format("{}_{}", scene, number);
 }
 
 // The band of which the headline is: rings 8 to 15 of 32 pixels, and the same share of others.
@@ -72,23 +89,17 @@ struct SpaceSummary {
   LatentTag tag;
   std::vector<double> encoded, rendered;  // rings of held-out views over the encoded DC, mean over scenes
   std::vector<double> ring_ratios;        // rendered over encoded, mean over scenes
-  double ratio = 0;                       // in the band
-  Interval interval;
-  double fitted_ratio = 0;  // the same of the views that features were fitted to
-  double error = 0;         // of held-out views
+  SceneStatistics ratio;                  // in the band
+  double plain_ratio = 0;                 // without a window
+  double fitted_ratio = 0;                // of the views that features were fitted to
+  double error = 0;                       // of held-out views
 };
-
-double mean_of(const std::vector<double>& values) {
-  double sum = 0;
-  for (const double value : values) sum += value;
-  return sum / static_cast<double>(values.size());
-}
 
 SpaceSummary summary_of(const std::vector<SceneSpectrum>& scenes, size_t space, const Band& band) {
   SpaceSummary summary;
   summary.space = scenes.front().spaces[space].space;
   summary.tag = scenes.front().spaces[space].tag;
-  std::vector<double> ratios, fitted, errors;
+  std::vector<double> ratios, plain, fitted, errors;
   std::vector<torch::Tensor> encoded, rendered, ring_ratios;
   for (const SceneSpectrum& scene : scenes) {
     const SpaceSpectrum& of_scene = scene.spaces[space];
@@ -98,6 +109,7 @@ SpaceSummary summary_of(const std::vector<SceneSpectrum>& scenes, size_t space, 
     rendered.push_back(views.rendered / constant);
     ring_ratios.push_back(views.rendered / views.encoded);
     ratios.push_back(band_ratio(views.rendered, views.encoded, band.first, band.last));
+    plain.push_back(band_ratio(views.plain_rendered, views.plain_encoded, band.first, band.last));
     fitted.push_back(band_ratio(of_scene.fitted.rendered, of_scene.fitted.encoded, band.first, band.last));
     errors.push_back(of_scene.held_out_error);
   }
@@ -108,22 +120,24 @@ SpaceSummary summary_of(const std::vector<SceneSpectrum>& scenes, size_t space, 
   summary.encoded = numbers(encoded);
   summary.rendered = numbers(rendered);
   summary.ring_ratios = numbers(ring_ratios);
-  summary.ratio = mean_of(ratios);
-  summary.interval = bootstrap_interval({ratios});
-  summary.fitted_ratio = mean_of(fitted);
-  summary.error = mean_of(errors);
+  summary.ratio = statistics_over_scenes(ratios);
+  summary.plain_ratio = statistics_over_scenes(plain).mean;
+  summary.fitted_ratio = statistics_over_scenes(fitted).mean;
+  summary.error = statistics_over_scenes(errors).mean;
   return summary;
 }
 
 Table ring_table(const std::vector<SceneSpectrum>& scenes) {
-  Table table({"scene", "space", "views", "ring", "encoded", "rendered"});
+  Table table({"scene", "space", "views", "ring", "encoded", "rendered", "plain_encoded", "plain_rendered"});
   for (const SceneSpectrum& scene : scenes) {
     for (const SpaceSpectrum& space : scene.spaces) {
       for (const bool held_out : {true, false}) {
         const ViewSpectrum& views = held_out ? space.held_out : space.fitted;
         for (int64_t ring = 0; ring < views.encoded.size(0); ++ring) {
           table.add_row({scene.scene, space.space, std::string(held_out ? "held out" : "fitted"), ring,
-                         views.encoded[ring].item<double>(), views.rendered[ring].item<double>()});
+                         views.encoded[ring].item<double>(), views.rendered[ring].item<double>(),
+                         views.plain_encoded[ring].item<double>(),
+                         views.plain_rendered[ring].item<double>()});
         }
       }
     }
@@ -132,10 +146,10 @@ Table ring_table(const std::vector<SceneSpectrum>& scenes) {
 }
 
 Table space_table(const std::vector<SpaceSummary>& spaces) {
-  Table table({"space", "channels", "ratio", "low", "high", "fitted_ratio", "held_out_error"});
+  Table table({"space", "channels", "ratio", "low", "high", "plain_ratio", "fitted_ratio", "held_out_error"});
   for (const SpaceSummary& space : spaces) {
-    table.add_row({space.space, space.tag.channels, space.ratio, space.interval.low, space.interval.high,
-                   space.fitted_ratio, space.error});
+    table.add_row({space.space, space.tag.channels, space.ratio.mean, space.ratio.interval.low,
+                   space.ratio.interval.high, space.plain_ratio, space.fitted_ratio, space.error});
   }
   return table;
 }
@@ -167,16 +181,17 @@ Figure figure_of(const std::vector<SpaceSummary>& spaces) {
   return figure;
 }
 
-// The picture, what is encoded of it and what the features show, side by side, each pixel a square.
+// The picture, what is encoded of it and what the features show, side by side; each latent pixel is a square.
 void write_pictures(const RunFolder& run, const SceneSpectrum& scene, const Provenance& provenance) {
   const std::vector<int64_t> size{kPictureSide, kPictureSide};
   const auto enlarged = [&](const torch::Tensor& picture) {
     return torch::upsample_nearest2d(picture.unsqueeze(0).to(torch::kFloat32), size)[0];
   };
+  const auto photograph = torch::adaptive_avg_pool2d(scene.picture.to(torch::kFloat32), size);
   for (size_t i = 0; i < scene.spaces.size(); ++i) {
     const SpaceSpectrum& space = scene.spaces[i];
-    const auto sheet = torch::cat(
-        {enlarged(scene.picture), enlarged(space.encoded_picture), enlarged(space.rendered_picture)}, 2);
+    const auto sheet =
+        torch::cat({photograph, enlarged(space.encoded_picture), enlarged(space.rendered_picture)}, 2);
     export_image(run.subfolder("pictures") / fmt::format("{}_space{}.png", scene.scene, i), to_image(sheet),
                  provenance);
   }
@@ -193,8 +208,9 @@ nlohmann::ordered_json report_of(const std::vector<SceneSpectrum>& scenes,
   for (const SpaceSummary& space : spaces) {
     report["spaces"].push_back({{"space", space.space},
                                 {"latents", tag_json(space.tag)},
-                                {"ratio", space.ratio},
-                                {"interval", {space.interval.low, space.interval.high}},
+                                {"ratio", space.ratio.mean},
+                                {"interval", {space.ratio.interval.low, space.ratio.interval.high}},
+                                {"plain_ratio", space.plain_ratio},
                                 {"fitted_ratio", space.fitted_ratio},
                                 {"held_out_error", space.error},
                                 {"ring_ratios", space.ring_ratios}});
@@ -217,7 +233,9 @@ void SplatSpectrumOptions::visit(FieldVisitor& visitor) {
   visitor.integer(
       {"latent_side", "latent pixels a side; 32 are 256 pixels of an autoencoder that takes 8 x 8"},
       latent_side, {4, 512});
-  visit_side(visitor, side);
+  visitor.integer(
+      {"side", "pixels a side of the squares that geometry is fitted to; smaller pictures are enlarged"},
+      side, {16, 8192});
   visitor.integer({"held_out", "views that no feature is fitted to, of which the figure is"}, held_out,
                   {1, 100000});
   visit_seed(visitor, seed, "the order of views and the control's texture");
@@ -245,6 +263,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
   RunFolder run(options.out, "splat spectrum", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat spectrum", options);
   std::vector<SceneSpectrum> scenes;
+  std::map<std::string, int64_t> names;
   Progress progress("scenes", static_cast<int64_t>(locations.size()));
   const double seconds = seconds_of([&] {
     for (const SceneLocation& location : locations) {
@@ -252,7 +271,10 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
       SceneReading reading = options.reading;
       reading.part = location.part;
       scenes.push_back(scene_spectrum(open_scene(location.path, reading), settings));
+      scenes.back().scene = name_of(scenes.back().scene, names);
       write_pictures(run, scenes.back(), provenance);
+      // What there is of it if the run ends here.
+      write_file_atomically(run.path() / "rings.csv", ring_table(scenes).csv());
       progress.update(static_cast<int64_t>(scenes.size()));
     }
   });
@@ -264,18 +286,18 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
   const Table table = space_table(spaces);
   const std::string text = fmt::format(
       "# Splatted latents by frequency\n\n"
-      "{} scenes, {} views held out of each, latents of {} x {} pixels. ratio: |FFT2| of held-out views as features show "
-      "them over what is encoded of them, mean over rings {} to {}; low and high: 95 % by bootstrap over scenes. "
-      "fitted_ratio: of views that features were fitted to. held_out_error: distance over the latents' spread.\n\n{}",
-      scenes.size(), options.held_out, options.latent_side, options.latent_side, band.first, band.last,
-      table.markdown());
-  write_file_atomically(run.path() / "rings.csv", ring_table(scenes).csv());
+      "{} scene{}, {} views held out of each, latents of {} x {} pixels, features solved for with ridge {}. ratio: |FFT2| "
+      "of held-out views under Hann's window as features show them over what is encoded of them, mean over rings {} to "
+      "{}; low and high: 95 % by bootstrap over scenes. plain_ratio: without a window, as Splatent has it. fitted_ratio: of views that features were fitted to. held_out_error: distance over the latents' spread.\n\n{}",
+      scenes.size(), scenes.size() == 1 ? "" : "s", options.held_out, options.latent_side,
+      options.latent_side, options.solve.ridge, band.first, band.last, table.markdown());
   write_file_atomically(run.path() / "spaces.csv", table.csv());
   write_file_atomically(run.path() / "spectrum.md", text);
   const Figure figure = figure_of(spaces);
   write_svg(figure, run.path() / "spectrum.svg");
   write_png(figure, run.path() / "spectrum.png");
   nlohmann::ordered_json report = report_of(scenes, spaces, band);
+  report["ridge"] = options.solve.ridge;
   report["seconds"] = seconds;
   report["threads"] = settings.kernels.threads;
   run.write_report(report);

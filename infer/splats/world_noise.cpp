@@ -12,7 +12,7 @@ namespace {
 constexpr int64_t kChannels = 6, kWaves = 24;
 // Periods a latent pixel. Higher ones, on surfaces farther than usual or seen aslant, would be aliased, and then differ
 // between views.
-constexpr double kLowest = 0.04, kHighest = 0.3;
+constexpr double kLowest = 0.04, kHighest = 0.45;
 constexpr int64_t kPlacesAside = 4;
 constexpr double kPi = 3.14159265358979323846;
 constexpr float kSeen = 0.5F;

@@ -1,6 +1,6 @@
 #include "models/backbones/autoencoder.h"
 
-#include "models/backbones/latent_tokens.h"
+#include "gld/latents/latent_tokens.h"
 
 #include <vector>
 

@@ -3,8 +3,8 @@
 #include "gld/attention/attention.h"
 #include "gld/base/error.h"
 #include "gld/base/sha256.h"
+#include "gld/latents/latent_tokens.h"
 #include "gld/latents/noise.h"
-#include "models/backbones/latent_tokens.h"
 #include "models/layers/initialisation.h"
 
 #include <algorithm>

@@ -1,7 +1,7 @@
 #include "models/backbones/tiny_autoencoder.h"
 
 #include "gld/base/error.h"
-#include "models/backbones/latent_tokens.h"
+#include "gld/latents/latent_tokens.h"
 #include "models/layers/initialisation.h"
 
 #include <string>

@@ -5,6 +5,7 @@
 #include "gld/base/sha256.h"
 #include "gld/cameras/latent_grid.h"
 #include "gld/cameras/resized_camera.h"
+#include "gld/latents/latent_tokens.h"
 #include "gld/machine/stage_record.h"
 
 #include <algorithm>
@@ -27,19 +28,6 @@ bool is_number(const std::string& text) {
 // Latent pixels of a token along each side: what the description of an autoencoder says, and 1 of other backbones.
 int64_t token_pixels_of(const BackboneArchitecture& architecture) {
   return to_json(architecture).value("latent_patch", int64_t{1});
-}
-
-// Patch tokens, (views, tokens, C), as maps, (views, C / p^2, height p, width p): a token's channels are ordered
-// (channel, row, column).
-torch::Tensor maps_of(const torch::Tensor& tokens, const LatentGrid& grid, int64_t token_pixels) {
-  return torch::pixel_shuffle(tokens.reshape({grid.views, grid.height, grid.width, -1}).permute({0, 3, 1, 2}),
-                              token_pixels);
-}
-
-// And back.
-torch::Tensor tokens_of(const torch::Tensor& maps, int64_t token_pixels) {
-  const auto tokens = torch::pixel_unshuffle(maps, token_pixels).permute({0, 2, 3, 1});
-  return tokens.reshape({tokens.size(0), tokens.size(1) * tokens.size(2), tokens.size(3)}).contiguous();
 }
 
 // Of a latent's channels where a token holds a block of its pixels: those of the block's places together.
@@ -164,7 +152,11 @@ std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, co
   for (const int64_t level : levels) {
     const auto tokens =
         backbone->patches_of(encoded.at(static_cast<size_t>(level))).to(torch::kFloat32).contiguous();
-    const auto latents = maps_of(tokens, grid, token_pixels);
+    const auto latents = latents_of_tokens(tokens, grid, token_pixels);
+    if (!latents.isfinite().all().item<bool>()) {
+      fail({"encoding views with " + options.name, "finite latents",
+            fmt::format("NaN or infinity at level {}", level), "check the backbone with gld inspect"});
+    }
     const LevelGenerator* generator = generator_of(options, level);
     const bool of_model = generator != nullptr && bundle.has(BundlePart::statistics(level));
     LatentTag tag;
@@ -202,7 +194,7 @@ torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<to
   const int64_t token_pixels = token_pixels_of(backbone->architecture());
   std::vector<torch::Tensor> levels;
   for (const auto& level : maps)
-    levels.push_back(backbone->normalise_for_decoding(tokens_of(level, token_pixels)));
+    levels.push_back(backbone->normalise_for_decoding(tokens_of_latents(level, token_pixels)));
   const auto& first = maps.front();
   const LatentGrid grid{first.size(0), first.size(2) / token_pixels, first.size(3) / token_pixels};
   return bundle.load_image_decoder()->decode(torch::cat(levels, 2), grid);

@@ -73,7 +73,7 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
     known.reserve(targets.size());
     for (const auto& target : targets) known.push_back(target.first);
     const auto similar = nearest_name(offer.first, known);
-    fail({where, "no tensor beside the model's own", "the unexpected tensor " + printable_name(offer.first),
+    fail({where, "no tensor beside the model's own", "the unexpected tensor " + printable_name(file_name(offer.first, selection)),
           similar.empty()
               ? kCheckConfiguration
               : fmt::format("{} (the model's nearest tensor is {})", kCheckConfiguration, similar)});
@@ -84,6 +84,14 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
     if (offer == offers.end()) fail({where, "a tensor named " + full, "none", kCheckConfiguration});
     check_offer(target, offer->second, fmt::format("{}: tensor {}", where, full));
   }
+}
+
+// full: its name in the file. Two names of a file may stand for one of the module (WeightSelection::elsewhere).
+void add_offer(const std::string& name, const Offered& offered, const std::string& full,
+               const std::string& where, Offers& offers) {
+  if (offers.emplace(name, offered).second) return;
+  fail({where, "one tensor for " + printable_name(name), "a second one, " + printable_name(full),
+        kCheckConfiguration});
 }
 
 void set_tensor(const torch::Tensor& target, const torch::Tensor& value, const std::string& where,
@@ -116,7 +124,7 @@ std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const W
   Offers offers;
   for (const auto& entry : file.entries()) {
     const auto name = module_name(entry.name, selection);
-    if (name) offers.emplace(*name, Offered{entry.dtype, entry.shape});
+    if (name) add_offer(*name, {entry.dtype, entry.shape}, entry.name, file.path().string(), offers);
   }
   const auto targets = named_tensors(module);
   check_offers(targets, offers, file.path().string(), selection, report);
@@ -147,8 +155,10 @@ LoadReport load_strict(torch::nn::Module& module, const std::map<std::string, to
   for (const auto& [full, tensor] : tensors) {
     const auto name = module_name(full, selection);
     if (!name) continue;
-    offers.emplace(*name, Offered{file_dtype(tensor.scalar_type(), fmt::format("{}: tensor {}", where, full)),
-                                  tensor.sizes().vec()});
+    add_offer(
+        *name,
+        {file_dtype(tensor.scalar_type(), fmt::format("{}: tensor {}", where, full)), tensor.sizes().vec()},
+        full, where, offers);
   }
   const auto targets = named_tensors(module);
   LoadReport report;

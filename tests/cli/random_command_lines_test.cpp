@@ -256,6 +256,8 @@ Ended run(const Words& words, std::chrono::milliseconds patience, const Sandbox&
     ::dup2(nothing, STDOUT_FILENO);
     ::dup2(said, STDERR_FILENO);
     ::setenv("XDG_CACHE_HOME", sandbox.cache().c_str(), 1);
+    // What a shell starts in the background ignores it.
+    ::signal(SIGINT, SIG_DFL);
     if (::chdir(sandbox.folder().c_str()) != 0) ::_exit(99);
     ::_exit(run_command_line(all_commands(), words));
   }

@@ -19,6 +19,16 @@
 #include <fmt/format.h>
 
 namespace gld {
+namespace {
+
+// Parameters whose names begin so are no part of what is trained, and are saved as they were.
+void keep_still(torch::nn::Module& module, const std::string& beginning) {
+  for (auto& item : module.named_parameters()) {
+    if (item.key().rfind(beginning, 0) == 0) item.value().set_requires_grad(false);
+  }
+}
+
+}  // namespace
 
 void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor,
@@ -96,6 +106,9 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     backbone_ = trained.backbone;
     head_ = trained.head;
   }
+  // No loss reaches what DA3 encodes and decodes cameras with: weight decay alone would shrink it.
+  keep_still(*backbone_, "cam_enc.");
+  if (head_) keep_still(*head_, "cam_dec.");
   if (head_only()) return;
   const int64_t patch = model_.backbone.patch_side();
   for (size_t level = 0; level < options_.pixel_weights.size(); ++level) {

@@ -189,6 +189,14 @@ SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file) {
   } catch (const nlohmann::json::exception&) {
     refuse(file);
   }
+  for (const GaussianSet* set : {&fit.set, &fit.moments.first, &fit.moments.second}) {
+    for (const GaussianArray& array : gaussian_arrays(*set)) {
+      if (static_cast<int64_t>((set->*array.values).size()) != fit.set.size() * array.each) refuse(file);
+    }
+  }
+  for (const size_t length : {fit.statistics.gradient_sums.size(), fit.statistics.seen.size()}) {
+    if (length != 0 && static_cast<int64_t>(length) != fit.set.size()) refuse(file);
+  }
   check_gaussians(fit.set, file.string());
   return checkpoint;
 }

@@ -68,6 +68,7 @@ class FitInSteps {
              bool resumes)
       : options_(options),
         fit_options_(options.fit),
+        more_follows_(latents.after != nullptr),
         checkpoint_file_(std::filesystem::path(options.out) / kSplatCheckpointFile),
         table_({"step", "loss", "absolute", "ssim", "latent", "gaussians", "seen", "seconds",
                 "processor_seconds", "held_out_psnr"}) {
@@ -99,7 +100,8 @@ class FitInSteps {
       progress.update(step.step, fmt::format("loss {:.4f}, {} Gaussians", step.loss, step.gaussians));
     }
     progress.finish();
-    if (!finished()) write_checkpoint();
+    // Where latents are solved for afterwards, stopping that does not cost the fit.
+    if (!finished() || more_follows_) write_checkpoint();
   }
 
   bool finished() const { return state_.fit.step >= fit_options_.steps; }
@@ -156,6 +158,7 @@ class FitInSteps {
 
   const SplatCommandOptions& options_;
   SplatFitOptions fit_options_;  // with the near plane
+  bool more_follows_;
   std::filesystem::path checkpoint_file_;
   KernelSettings settings_;
   SplatFitViews views_;
@@ -276,9 +279,11 @@ void run_splat_fit(const SplatCommandOptions& options, const SplatFitLatents& la
   if (latents.after && fit.finished())
     latents.after({fit.set(), fit.projection(), scene, fit.settings(), run, report});
   run.write_report(report);
-  stop_if_interrupted(fmt::format("{} of {} steps are done; the Gaussians so far are in {}, --resume goes on",
-                                  fit.state().fit.step, options.fit.steps,
-                                  (run.path() / kSplatFile).string()));
+  if (!fit.finished()) {
+    stop_if_interrupted(
+        fmt::format("{} of {} steps are done; the Gaussians so far are in {}, --resume goes on",
+                    fit.state().fit.step, options.fit.steps, (run.path() / kSplatFile).string()));
+  }
   fit.remove_checkpoint();
   std::cout << closing_line(report);
   run.note("Gaussians", kSplatFile);

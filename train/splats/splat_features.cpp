@@ -2,6 +2,7 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
 #include "gld/tensors/compute_threads.h"
 #include "models/splats/latent_fit.h"
 
@@ -46,6 +47,7 @@ void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFi
   std::vector<LatentFit> fits;
   nlohmann::ordered_json& report = fit.report["features"] = nlohmann::ordered_json::array();
   for (const LatentPictures& latents : views.levels) {
+    stop_if_interrupted("features were being solved for; --resume goes on behind the fit");
     fits.push_back(fit_latents(gaussians, latents, options.solve, fit.settings));
     const LatentFit& solved = fits.back();
     nlohmann::ordered_json row = tag_json(solved.tag);

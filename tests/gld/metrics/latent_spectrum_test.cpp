@@ -27,20 +27,21 @@ TEST(RingAmplitudes, OfNoiseAreFlat) {
     EXPECT_NEAR(rings[ring].item<double>() / expected, 1, 0.02) << ring;
 }
 
-// Circular convolution multiplies every frequency by the kernel's transform.
+// A Gaussian blur multiplies every frequency by the Gaussian's transform. (A kernel sampled on pixels has another one, with
+// what lies beyond the grid's frequencies folded back.)
 TEST(RingAmplitudes, OfABlurAreItsTransferFunction) {
   constexpr int64_t kSide = 32;
   constexpr double kDeviation = 0.8;
-  auto kernel = torch::zeros({kSide, kSide}, torch::kFloat64);
+  const double unit = 2 * std::acos(-1.0) / kSide * kDeviation;
+  auto transfer = torch::zeros({kSide, kSide}, torch::kFloat64);
   for (int64_t y = 0; y < kSide; ++y) {
     for (int64_t x = 0; x < kSide; ++x) {
-      const double dx = std::min<double>(x, kSide - x), dy = std::min<double>(y, kSide - y);
-      kernel[y][x] = std::exp(-(dx * dx + dy * dy) / (2 * kDeviation * kDeviation));
+      const double ky = std::min<double>(y, kSide - y), kx = std::min<double>(x, kSide - x);
+      transfer[y][x] = std::exp(-(kx * kx + ky * ky) * unit * unit / 2);
     }
   }
-  kernel /= kernel.sum();
   const auto sharp = noise(60, 16, kSide);
-  const auto blurred = torch::real(torch::fft_ifft2(torch::fft_fft2(sharp) * torch::fft_fft2(kernel)));
+  const auto blurred = torch::real(torch::fft_ifft2(torch::fft_fft2(sharp) * transfer));
   const auto ratio = ring_amplitudes(blurred, 15) / ring_amplitudes(sharp, 15);
   for (int64_t ring = 0; ring <= 15; ++ring) {
     // The mean of the Gaussian's transform over the ring's frequencies.
@@ -48,8 +49,7 @@ TEST(RingAmplitudes, OfABlurAreItsTransferFunction) {
     for (int64_t ky = -kSide / 2; ky < kSide / 2; ++ky) {
       for (int64_t kx = -kSide / 2; kx < kSide / 2; ++kx) {
         if (std::lround(std::hypot(kx, ky)) != ring) continue;
-        const double frequency = 2 * std::acos(-1.0) / kSide * kDeviation;
-        sum += std::exp(-(kx * kx + ky * ky) * frequency * frequency / 2);
+        sum += std::exp(-(kx * kx + ky * ky) * unit * unit / 2);
         count += 1;
       }
     }
@@ -58,12 +58,33 @@ TEST(RingAmplitudes, OfABlurAreItsTransferFunction) {
   EXPECT_LT(band_ratio(ring_amplitudes(blurred, 15), ring_amplitudes(sharp, 15), 8, 15), 0.4);
 }
 
+// What is not periodic leaks over its edges into all rings; the window keeps a slope and a slow wave in the lowest ones.
+TEST(RingAmplitudes, UnderAWindowEdgesDoNotLeak) {
+  constexpr int64_t kSide = 32;
+  auto picture = torch::zeros({1, 1, kSide, kSide}, torch::kFloat64);
+  for (int64_t x = 0; x < kSide; ++x)
+    picture.select(3, x).fill_(3 + 0.05 * static_cast<double>(x) + std::sin(0.3 * static_cast<double>(x)));
+  const auto plain = ring_amplitudes(picture, 15),
+             windowed = ring_amplitudes(picture, 15, SpectrumWindow::kHann);
+  for (int64_t ring = 8; ring <= 15; ++ring) {
+    EXPECT_GT((plain[ring] / plain[1]).item<double>(), 0.005) << ring;
+    EXPECT_LT((windowed[ring] / windowed[1]).item<double>(), 5e-4) << ring;
+  }
+  EXPECT_EQ(plain[0].item<double>(), windowed[0].item<double>());
+  // Noise is as flat as without it, above the lowest rings, into which the mean that was taken away leaks no more.
+  const auto rings = ring_amplitudes(noise(60, 16, kSide), 15, SpectrumWindow::kHann);
+  const double expected = std::sqrt(std::acos(-1.0) / 4) * kSide;
+  for (int64_t ring = 3; ring <= 15; ++ring)
+    EXPECT_NEAR(rings[ring].item<double>() / expected, 1, 0.02) << ring;
+}
+
 TEST(RingAmplitudes, OfAWaveAreInItsRing) {
   auto picture = torch::zeros({1, 1, 16, 16}, torch::kFloat32);
   for (int64_t x = 0; x < 16; ++x)
     picture.select(3, x).fill_(3 + std::cos(2 * std::acos(-1.0) * 5 * static_cast<double>(x) / 16));
   const auto rings = ring_amplitudes(picture, last_whole_ring(16));
   EXPECT_EQ(rings.size(0), 8);
+  EXPECT_EQ(last_whole_ring(64), 31);
   EXPECT_NEAR(rings[0].item<double>(), 3 * 256, 1e-3);
   for (int64_t ring = 1; ring < 8; ++ring) {
     if (ring == 5) {

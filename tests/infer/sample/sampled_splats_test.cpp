@@ -59,6 +59,7 @@ TEST_F(SampledSplats, AreLeftOutWhereDepthHasNoPlace) {
   // A random model's rays fit no camera.
   const bool has_depth =
       !read_cameras_json(std::filesystem::path(asked.out) / "cameras.json").records[0].depth.empty();
+  EXPECT_FALSE(has_depth);
   EXPECT_EQ(std::filesystem::exists(std::filesystem::path(asked.out) / kSplatFile), has_depth);
   EXPECT_EQ(report.at("warnings").dump().find("splats.ply is left out") == std::string::npos, has_depth);
 }

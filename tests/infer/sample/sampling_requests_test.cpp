@@ -164,8 +164,8 @@ TEST_F(SamplingRequests, TheGeometryModelIsToldTheGivenCameras) {
       test::error_of([&] { sample(asked); }),
       "--geometry-cameras given: expected a --geometry-model whose backbone has an encoder for cameras, found " +
           asked.geometry_model +
-          ", whose backbone of kind da3 has none; leave the option out, or convert DA3's published file again, "
-          "which holds one.");
+          ", whose backbone of kind da3 has none; leave the option out, or convert DA3's published file, "
+          "which holds one, into a new folder.");
   std::filesystem::remove_all(asked.geometry_model);
   apply_setting(seeing, "backbone.camera_encoder_depth=2");
   apply_setting(seeing, "backbone.camera_encoder_heads=4");

@@ -276,7 +276,7 @@ TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
   const auto report = run(asked);
   EXPECT_THAT(stage_names(report),
               testing::ElementsAre("source encoding", "M1", "cascade", "propagation", "RGB decoding",
-                                   "hashing the model", "leave one out", "writing"));
+                                   "hashing the model", "leave one out", "writing", "contact sheet"));
   for (const auto& flow : report.at("flows")) {
     EXPECT_EQ(flow.at("with_unconditional_branch"), 0);
     EXPECT_EQ(flow.at("velocity_decoder_runs"), 3);
@@ -287,7 +287,7 @@ TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
   asked.outputs = {"latents"};
   const auto without_pictures = run(asked);
   EXPECT_THAT(stage_names(without_pictures),
-              testing::ElementsAre("source encoding", "M1", "cascade", "hashing the model", "writing"));
+              testing::ElementsAre("source encoding", "M1", "cascade", "hashing the model", "writing", "contact sheet"));
   EXPECT_FALSE(without_pictures.contains("verdict"));
 }
 

@@ -253,7 +253,14 @@ TEST_F(WeightLoading, PartsMayStandElsewhereInTheFile) {
                 "to these weights.");
   tensors["other.bias"] = torch::zeros({2});
   tensors["other.scale"] = torch::zeros({2});
-  EXPECT_NE(refusal(tensors, selection).find("the unexpected tensor norm.scale"), std::string::npos);
+  EXPECT_NE(refusal(tensors, selection).find("the unexpected tensor other.scale"), std::string::npos);
+  tensors.erase("other.scale");
+  tensors["own.norm.bias"] = torch::zeros({2});
+  EXPECT_EQ(
+      refusal(tensors, selection),
+      file_.string() +
+          ": expected one tensor for norm.bias, found a second one, own.norm.bias; check that the configuration "
+          "belongs to these weights.");
 }
 
 TEST_F(WeightLoading, MisalignedDataIsCopied) {

@@ -1,4 +1,4 @@
-#include "models/backbones/latent_tokens.h"
+#include "gld/latents/latent_tokens.h"
 
 namespace gld {
 
