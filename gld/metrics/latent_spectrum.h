@@ -11,7 +11,8 @@ namespace gld {
 // pixels a side has r periods over the grid. Not normalised: compare what has one size.
 //
 // Under Hann's window each channel's mean is taken away and what is left multiplied by a window of mean square 1: the
-// picture's edges, which FFT2 takes to meet, then do not leak into the high rings. |DC| is that of the picture without it.
+// picture's edges, which FFT2 takes to meet, then do not leak into the high rings. |DC| is that of the picture
+// without it.
 enum class SpectrumWindow { kNone, kHann };
 
 // latents: (views, channels, n, n), any floating type. Returns rings 0 (|DC|) to last_ring, float64 on the CPU. Error

@@ -73,7 +73,8 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
     known.reserve(targets.size());
     for (const auto& target : targets) known.push_back(target.first);
     const auto similar = nearest_name(offer.first, known);
-    fail({where, "no tensor beside the model's own", "the unexpected tensor " + printable_name(file_name(offer.first, selection)),
+    fail({where, "no tensor beside the model's own",
+          "the unexpected tensor " + printable_name(file_name(offer.first, selection)),
           similar.empty()
               ? kCheckConfiguration
               : fmt::format("{} (the model's nearest tensor is {})", kCheckConfiguration, similar)});

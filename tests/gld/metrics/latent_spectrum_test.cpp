@@ -27,8 +27,8 @@ TEST(RingAmplitudes, OfNoiseAreFlat) {
     EXPECT_NEAR(rings[ring].item<double>() / expected, 1, 0.02) << ring;
 }
 
-// A Gaussian blur multiplies every frequency by the Gaussian's transform. (A kernel sampled on pixels has another one, with
-// what lies beyond the grid's frequencies folded back.)
+// A Gaussian blur multiplies every frequency by the Gaussian's transform. (A kernel sampled on pixels has another
+// one, with what lies beyond the grid's frequencies folded back.)
 TEST(RingAmplitudes, OfABlurAreItsTransferFunction) {
   constexpr int64_t kSide = 32;
   constexpr double kDeviation = 0.8;
@@ -58,7 +58,8 @@ TEST(RingAmplitudes, OfABlurAreItsTransferFunction) {
   EXPECT_LT(band_ratio(ring_amplitudes(blurred, 15), ring_amplitudes(sharp, 15), 8, 15), 0.4);
 }
 
-// What is not periodic leaks over its edges into all rings; the window keeps a slope and a slow wave in the lowest ones.
+// What is not periodic leaks over its edges into all rings; the window keeps a slope and a slow wave in the lowest
+// ones.
 TEST(RingAmplitudes, UnderAWindowEdgesDoNotLeak) {
   constexpr int64_t kSide = 32;
   auto picture = torch::zeros({1, 1, kSide, kSide}, torch::kFloat64);

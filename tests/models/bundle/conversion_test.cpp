@@ -309,7 +309,7 @@ TEST_F(Conversion, IsStrict) {
   EXPECT_EQ(
       refusal(unexpected),
       where +
-          ": expected no tensor beside the model's own, found the unexpected tensor s_projector.scale; check "
+          ": expected no tensor beside the model's own, found the unexpected tensor ema.s_projector.scale; check "
           "that the configuration belongs to these weights (the model's nearest tensor is "
           "s_projector.bias).");
   auto misshapen = part(BundlePart::of(level_model(1)));

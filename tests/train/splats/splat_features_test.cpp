@@ -44,8 +44,8 @@ TEST(SplatFeatures, AreSolvedForAndSavedBesideTheGaussians) {
   const auto report = nlohmann::json::parse(read_file(out / "report.json")).at("features").at(0);
   EXPECT_EQ(report.at("level"), 1);
   EXPECT_LE(report.at("residual").get<double>(), options.solve.tolerance);
-  // 6 x 64 pixels of 4,000 Gaussians could be shown nearly as they are, but for the ridge; what no feature was fitted to,
-  // better than by the channels' means.
+  // 6 x 64 pixels of 4,000 Gaussians could be shown nearly as they are, but for the ridge; what no feature was fitted
+  // to, better than by the channels' means.
   EXPECT_LT(report.at("fitted_error").get<double>(), 0.5);
   EXPECT_LT(report.at("held_out_error").get<double>(), 1);
   EXPECT_GT(report.at("held_out_error").get<double>(), report.at("fitted_error").get<double>());
