@@ -302,7 +302,9 @@ void take_worst(const std::vector<double>& part, std::vector<double>& all) {
 void FeatureSolveOptions::visit(FieldVisitor& visitor) {
   visitor.real({"tolerance", "of the normal equations' residual, relative to their right side"}, tolerance,
                {0, 1});
-  visitor.integer({"most_iterations", "of conjugate gradients"}, most_iterations, {1, 100000});
+  visitor.integer(
+      {"most_iterations", "of conjugate gradients; 0: what pictures show of each Gaussian, by weight"},
+      most_iterations, {0, 100000});
   visitor.real({"ridge", "weight of the distance from each Gaussian's mean, beside its total weight"}, ridge,
                {0, 1});
 }

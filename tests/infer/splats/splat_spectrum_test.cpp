@@ -50,7 +50,10 @@ TEST(SplatSpectrum, AWorldsTextureKeepsItsFrequencies) {
   EXPECT_EQ(space(0).at("space"), kColourSpace);
   EXPECT_EQ(space(1).at("space"), kNoiseSpace);
   EXPECT_EQ(space(1).at("ring_ratios").size(), 8U);
-  EXPECT_NEAR(space(1).at("ratio").get<double>(), 1, 0.05);
+  // The ridge takes some of the texture's finest waves away, the backbone's tokens differ between views as well.
+  EXPECT_GT(space(1).at("ratio").get<double>(), 0.75);
+  EXPECT_LT(space(1).at("ratio").get<double>(), 1);
+  EXPECT_LT(space(3).at("ratio").get<double>(), space(1).at("ratio").get<double>() - 0.05);
   for (const auto& one : report.at("spaces")) {
     EXPECT_LE(one.at("interval").at(0).get<double>(), one.at("ratio").get<double>());
     EXPECT_GE(one.at("interval").at(1).get<double>(), one.at("ratio").get<double>());
