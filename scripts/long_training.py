@@ -81,7 +81,7 @@ class Training:
             options.gld, "train", "level", "--model", str(model), "--steps", str(options.steps), "--threads", "1",
             "--loop.seed", str(options.seed), "--views", "3", "--most-sources", "2",
             "--distinct-batches", "16", "--kept-latents-gib", "1", "--loop.micro-batches", "1", "--loop.workers", "1",
-            "--batch-size", "1", "--loop.checkpoint-every", "200", "--loop.validate-every", "5000", "--validation-scenes", "2",
+            "--batch-size", "1", "--loop.checkpoint-every", "200", "--loop.validate-every", "500", "--validation-scenes", "2",
             "--log-every", "50",
         ]
 
