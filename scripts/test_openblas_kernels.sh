@@ -17,8 +17,7 @@ has() {
 
 kernels=()
 has sse4_2 && kernels+=(Nehalem)
-has avx && kernels+=(Sandybridge)
-has avx2 fma && kernels+=(Haswell Zen)
+has avx2 fma && kernels+=(Zen)
 has avx512f avx512dq avx512bw avx512vl avx512cd && kernels+=(SkylakeX)
 has avx512_bf16 avx512f avx512dq avx512bw avx512vl && kernels+=(Cooperlake)
 if [ ${#kernels[@]} -eq 0 ]; then
