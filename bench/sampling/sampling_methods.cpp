@@ -74,7 +74,8 @@ std::vector<ComparedMethod> compared_methods(const std::vector<int64_t>& counts,
     for (const int64_t count : counts) {
       SamplingMethod method = solver_method(solver, schedule, count);
       method.name = fmt::format("{}, {} evaluations", family_of(method), count);
-      add(family_of(method), std::move(method));
+      const std::string family = family_of(method);
+      add(family, std::move(method));
     }
   }
   if (can_have_encoder_nodes(bundle)) {

@@ -11,6 +11,7 @@ namespace {
 // Which Gaussians reach which strips of a tile. Records are those of one Gaussian after another; lists by strip are
 // front to back, since the Gaussians are.
 struct TileRecords {
+  size_t count = 0;  // of records; the first four arrays are as long as any tile before needed
   std::vector<SplatRow> rows;
   std::vector<int16_t> strip_of;
   std::vector<int64_t> pixel;          // offset of the strip in a plane
@@ -19,6 +20,15 @@ struct TileRecords {
   std::vector<int32_t> strip_first;    // (strips + 1)
   std::vector<int32_t> strip_records;  // numbers of rows
   std::vector<int32_t> strip_features;
+
+  void make_room(size_t most) {
+    count = 0;
+    if (rows.size() >= most) return;
+    rows.resize(most);
+    strip_of.resize(most);
+    pixel.resize(most);
+    feature_row.resize(most);
+  }
 };
 
 // What a thread needs for a tile.
@@ -46,11 +56,25 @@ struct Tile {
   int64_t strips() const { return kSplatTile * strips_a_row(); }
 };
 
+// Columns of a tile and one to either side; -1 of what is no number.
+double held_in_tile(double value) {
+  return value > -1 ? std::min(value, static_cast<double>(kSplatTile)) : -1;
+}
+
+// std::ceil and std::floor of it, without a call.
+int ceiling_in_tile(double value) {
+  const double held = held_in_tile(value);
+  const int whole = static_cast<int>(held);
+  return whole + static_cast<int>(static_cast<double>(whole) < held);
+}
+int floor_in_tile(double value) {
+  const double held = held_in_tile(value);
+  const int whole = static_cast<int>(held);
+  return whole - static_cast<int>(static_cast<double>(whole) > held);
+}
+
 void list_records(const Tile& tile, TileRecords& records) {
-  records.rows.clear();
-  records.strip_of.clear();
-  records.pixel.clear();
-  records.feature_row.clear();
+  records.make_room(static_cast<size_t>(tile.count() * tile.strips()));
   records.first_record.assign(1, 0);
   records.strip_first.assign(static_cast<size_t>(tile.strips()) + 1, 0);
   const int64_t left = tile.left(), top = tile.top();
@@ -59,9 +83,9 @@ void list_records(const Tile& tile, TileRecords& records) {
     const VisibleSplat& splat = tile.view->splats[static_cast<size_t>(number)];
     const int64_t first_row = std::max<int64_t>(splat.first_row, top),
                   end_row = std::min<int64_t>(splat.end_row, top + kSplatTile);
-    const auto first_column = static_cast<double>(std::max<int64_t>(splat.first_column, left) - left),
+    const auto first_column = static_cast<int>(std::max<int64_t>(splat.first_column, left) - left),
                last_column =
-                   static_cast<double>(std::min<int64_t>(splat.end_column, left + kSplatTile) - 1 - left);
+                   static_cast<int>(std::min<int64_t>(splat.end_column, left + kSplatTile) - 1 - left);
     const int32_t feature_row = tile.features->by_index ? splat.index : number;
     const double begin_x = static_cast<double>(left) + 0.5 - splat.mean[0], inverse = 1 / splat.along_x;
     for (int64_t y = first_row; y < end_row; ++y) {
@@ -73,32 +97,31 @@ void list_records(const Tile& tile, TileRecords& records) {
       const double shift = splat.along_x * begin_x + splat.along_y * dy;
       // A pixel that the kernel's rounding lets in is listed: it decides.
       const double reach = std::sqrt(room) * (1 + 1e-5) + 1e-5;
-      const double first = std::max(first_column, std::ceil((-reach - shift) * inverse)),
-                   last = std::min(last_column, std::floor((reach - shift) * inverse));
-      if (!(first <= last)) continue;
-      const int64_t first_strip = static_cast<int64_t>(first) / tile.strip,
-                    last_strip = static_cast<int64_t>(last) / tile.strip;
-      for (int64_t strip = first_strip; strip <= last_strip; ++strip) {
-        const double at = static_cast<double>(strip * tile.strip);
-        records.rows.push_back({static_cast<float>(splat.along_x),
-                                static_cast<float>(shift + splat.along_x * at), static_cast<float>(height),
-                                static_cast<float>(across)});
+      const int first = std::max(first_column, ceiling_in_tile((-reach - shift) * inverse)),
+                last = std::min(last_column, floor_in_tile((reach - shift) * inverse));
+      if (first > last) continue;
+      const int side = static_cast<int>(tile.strip);
+      for (int strip = first / side; strip <= last / side; ++strip) {
+        const size_t record = records.count++;
+        records.rows[record] = {static_cast<float>(splat.along_x),
+                                static_cast<float>(shift + splat.along_x * static_cast<double>(strip * side)),
+                                static_cast<float>(height), static_cast<float>(across)};
         const int64_t which = (y - top) * tile.strips_a_row() + strip;
-        records.strip_of.push_back(static_cast<int16_t>(which));
+        records.strip_of[record] = static_cast<int16_t>(which);
         ++records.strip_first[static_cast<size_t>(which) + 1];
-        records.pixel.push_back(y * tile.stride + left + strip * tile.strip);
-        records.feature_row.push_back(feature_row);
+        records.pixel[record] = y * tile.stride + left + strip * side;
+        records.feature_row[record] = feature_row;
       }
     }
-    records.first_record.push_back(static_cast<int32_t>(records.rows.size()));
+    records.first_record.push_back(static_cast<int32_t>(records.count));
   }
   for (size_t strip = 0; strip + 1 < records.strip_first.size(); ++strip)
     records.strip_first[strip + 1] += records.strip_first[strip];
-  records.strip_records.resize(records.rows.size());
-  records.strip_features.resize(records.rows.size());
+  records.strip_records.resize(records.count);
+  records.strip_features.resize(records.count);
   int32_t next[kSplatTile * kSplatTile];
   std::copy(records.strip_first.begin(), records.strip_first.end() - 1, next);
-  for (size_t r = 0; r < records.rows.size(); ++r) {
+  for (size_t r = 0; r < records.count; ++r) {
     const auto place = static_cast<size_t>(next[records.strip_of[r]]++);
     records.strip_records[place] = static_cast<int32_t>(r);
     records.strip_features[place] = records.feature_row[r];
@@ -241,7 +264,7 @@ CompositingGradients composite_backward(const SplatView& view, const SplatFeatur
   for_each_tile(view, features, of_image.stride, settings,
                 [&](const Tile& tile, const KernelTable& kernels, TileScratch& scratch) {
                   const TileRecords& records = scratch.records;
-                  const auto numbers = records.rows.size() * static_cast<size_t>(tile.strip);
+                  const auto numbers = records.count * static_cast<size_t>(tile.strip);
                   if (scratch.record_weight.size() < numbers) {
                     scratch.record_weight.resize(numbers);
                     scratch.slope.resize(numbers);
