@@ -226,6 +226,7 @@ std::vector<NamedOption> named_options(const Collected& collected) {
 
 std::vector<std::string> keys_of(const std::vector<NamedOption>& named) {
   std::vector<std::string> keys;
+  keys.reserve(named.size());
   for (const auto& option : named) keys.push_back(option.key);
   return keys;
 }

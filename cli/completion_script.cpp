@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -33,6 +35,7 @@ std::vector<std::string> words_of_usage(const std::string& usage) {
 
 std::vector<const Command*> pointers(const std::vector<Command>& commands) {
   std::vector<const Command*> all;
+  all.reserve(commands.size());
   for (const auto& command : commands) all.push_back(&command);
   return all;
 }
@@ -157,6 +160,7 @@ std::string cases_of_values(const std::vector<Level>& levels, const Endings& end
 
 std::string names_of(const std::vector<NotedName>& noted) {
   std::vector<std::string> names;
+  names.reserve(noted.size());
   for (const auto& one : noted) names.push_back(one.name);
   return joined(names);
 }
@@ -307,8 +311,8 @@ std::string fish_completion(const std::vector<Command>& commands, const Outermos
       } else if (offered.name == "--set") {
         takes = " -x";
       }
-      text += begin + " -l " + fish_quoted(offered.name.substr(2)) + takes + " -d " +
-              fish_quoted(offered.note) + "\n";
+      text += fmt::format("{} -l {}{} -d {}\n", begin, fish_quoted(offered.name.substr(2)), takes,
+                          fish_quoted(offered.note));
     }
   }
   return text;

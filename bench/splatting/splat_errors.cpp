@@ -102,8 +102,8 @@ double error_of(const FeatureProblem& problem, const std::vector<float>& values,
   return std::sqrt(difference / size);
 }
 
-// Adam on features alone from where conjugate gradients begin, one view a step, the rate falling to a hundredth. It knows
-// of no ridge: with many steps it ends elsewhere.
+// Adam on features alone from where conjugate gradients begin, one view a step, the rate falling to a hundredth. It
+// knows of no ridge: with many steps it ends elsewhere.
 std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, double rate,
                                const KernelSettings& kernels) {
   constexpr double kFirst = 0.9, kSecond = 0.999;

@@ -406,7 +406,8 @@ def rows_csv(rows):
 def config_text(options):
     lines = ["# scripts/bench/beside_opensplat.py: the options of this run, defaults included"]
     for name, value in sorted(vars(options).items()):
-        lines.append(f"{name}: {json.dumps(str(value) if isinstance(value, pathlib.Path) else value)}")
+        # Where a folder lay on one machine says nothing on another.
+        lines.append(f"{name}: {json.dumps(value.name if isinstance(value, pathlib.Path) else value)}")
     return "\n".join(lines) + "\n"
 
 
