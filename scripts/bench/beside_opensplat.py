@@ -17,7 +17,7 @@ Seconds a step are the wall clock of a run of --steps without that of one of --f
 fall out. Medians of --repeats. So that a fast step that learns nothing would be seen, held-out views are drawn from both results
 by gld and compared with the pictures; OpenSplat also draws one of them itself, in a run that is not timed. What the environment
 says to OpenMP and BLAS is left out, and OMP_NUM_THREADS set for both. Writes beside_opensplat.md, beside_opensplat.csv,
-config.yaml and report.json into RUN, which must not be there yet, all at once at the end.
+options.yaml and report.json into RUN, which must not be there yet, all at once at the end.
 """
 import argparse
 import csv
@@ -521,7 +521,7 @@ def main():
         "problems": [f"other programs used up to {others:.2f} processors"] if others > BUSY else [],
         "rows": rows}
     text = report_text(report, options)
-    write_together(options.out, {"beside_opensplat.md": text, "beside_opensplat.csv": rows_csv(rows), "config.yaml": config,
+    write_together(options.out, {"beside_opensplat.md": text, "beside_opensplat.csv": rows_csv(rows), "options.yaml": config,
                                  "report.json": json.dumps(report, indent=1) + "\n"})
     if not options.keep:
         shutil.rmtree(work)
