@@ -96,6 +96,7 @@ void begin_features(const std::vector<FittedView>& views, const SplatFitOptions&
                     const KernelSettings& settings, SplatFit& fit) {
   if (!moved_by_latents(options.geometry_from)) return;
   std::vector<FeatureView> seen;
+  seen.reserve(views.size());
   for (const FittedView& view : views) {
     seen.push_back(
         {view_of_splats(fit.set, splat_camera(view.latent.camera, fit.set.origin, options.projection),

@@ -271,6 +271,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   Table means({"what", "mean", "low", "high"});
   for (const ScoreColumn& column : score_columns()) {
     std::vector<double> values;
+    values.reserve(scenes.size());
     for (const SplatScores& scene : scenes) values.push_back(scene.*column.value);
     const SceneStatistics statistics = statistics_over_scenes(values);
     const Interval& interval = statistics.interval;

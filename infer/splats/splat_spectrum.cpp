@@ -165,8 +165,9 @@ Figure figure_of(const std::vector<SpaceSummary>& spaces) {
   amplitude.x = ratio.x;
   amplitude.y = {"over the encoded DC", AxisScale::kLog};
   for (const SpaceSummary& space : spaces) {
-    PlotSeries ratios{space.space, SeriesStyle::kLine, {}}, encoded = ratios,
-                                                            rendered{space.space, SeriesStyle::kLevel, {}};
+    PlotSeries ratios{space.space, SeriesStyle::kLine, {}};
+    PlotSeries encoded{space.space, SeriesStyle::kLine, {}};
+    PlotSeries rendered{space.space, SeriesStyle::kLevel, {}};
     for (size_t ring = 1; ring < space.ring_ratios.size(); ++ring) {
       const auto at = static_cast<double>(ring);
       ratios.points.emplace_back(at, space.ring_ratios[ring]);

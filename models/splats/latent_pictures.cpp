@@ -178,6 +178,7 @@ std::vector<LatentView> latent_views(const std::vector<LatentPictures>& levels,
   std::vector<LatentView> views;
   for (size_t view = 0; view < cameras.size(); ++view) {
     std::vector<torch::Tensor> channels;
+    channels.reserve(levels.size());
     for (const LatentPictures& level : levels) channels.push_back(tensor_of(level.pictures[view]));
     views.push_back({levels.front().camera_of(cameras[view]), splat_image_of(torch::cat(channels))});
   }
@@ -193,6 +194,7 @@ torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<to
   const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
   const int64_t token_pixels = token_pixels_of(backbone->architecture());
   std::vector<torch::Tensor> levels;
+  levels.reserve(maps.size());
   for (const auto& level : maps)
     levels.push_back(backbone->normalise_for_decoding(tokens_of_latents(level, token_pixels)));
   const auto& first = maps.front();
