@@ -16,6 +16,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "infer/export/image_export.h"
 #include "infer/request/held_out_scenes.h"
+#include "models/bundle/bundle.h"
 #include "models/splats/latent_fit.h"
 
 #include <iostream>
@@ -233,11 +234,6 @@ void SplatEvaluationOptions::check() const {
     fail({"gld splat eval", "scenes", "none", "give --scenes DIR or --synthetic N"});
   }
   fit.check();
-}
-
-SplatScores evaluate_splats(const Scene& scene, const ModelBundle& bundle,
-                            const SplatEvaluationOptions& options, const KernelSettings& settings) {
-  return evaluated(scene, bundle, options, settings).scores;
 }
 
 void run_splat_evaluation(const SplatEvaluationOptions& options) {

@@ -1,10 +1,8 @@
 #pragma once
 
-#include "datasets/scenes/scene.h"
 #include "datasets/splats/scene_fit.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/splatting/feature_solve.h"
-#include "models/bundle/bundle.h"
 
 #include <cstdint>
 #include <string>
@@ -47,10 +45,6 @@ struct SplatScores {
   double latent_error = 0;                    // models/splats/latent_fit.h, mean over levels
   double seconds = 0;                         // of fit and solve
 };
-
-// settings: bundle of options.model.
-SplatScores evaluate_splats(const Scene& scene, const ModelBundle& bundle,
-                            const SplatEvaluationOptions& options, const KernelSettings& settings);
 
 // Writes eval.csv (a row a scene), splat_eval.md, pictures/ and report.json into options.out.
 void run_splat_evaluation(const SplatEvaluationOptions& options);

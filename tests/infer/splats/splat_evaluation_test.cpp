@@ -1,0 +1,67 @@
+#include "infer/splats/splat_evaluation.h"
+
+#include "gld/base/atomic_file.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+
+#include <algorithm>
+#include <filesystem>
+
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+
+TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
+  const test::TemporaryFolder folder;
+  SplatEvaluationOptions options;
+  options.model = (test::source_root() / "configs" / "tiny").string();
+  options.synthetic = 2;
+  options.generator.frames = 10;
+  options.generator.width = options.generator.height = 112;
+  options.side = 112;
+  options.held_out = 2;
+  options.fit.steps = 30;
+  options.fit.density.most_gaussians = 6000;
+  options.threads = 1;
+  const auto means_of = [&](const char* name, int64_t input_views) {
+    options.out = (folder.path() / name).string();
+    options.input_views = input_views;
+    testing::internal::CaptureStdout();
+    run_splat_evaluation(options);
+    testing::internal::GetCapturedStdout();
+    const auto report = nlohmann::json::parse(read_file(std::filesystem::path(options.out) / "report.json"));
+    EXPECT_EQ(report.at("scenes"), 2);
+    return report.at("means");
+  };
+  const auto mean = [](const nlohmann::json& means, const char* column) {
+    return means.at(column).at("mean").get<double>();
+  };
+  const auto all = means_of("all", 0), two = means_of("two", 2);
+  // The colours of eight views show the others better than a view beside them does, and than those of two.
+  EXPECT_GT(mean(all, "rgb_psnr"), mean(all, "nearest_psnr"));
+  EXPECT_GT(mean(all, "rgb_psnr"), mean(two, "rgb_psnr"));
+  EXPECT_GT(mean(all, "nearest_psnr"), mean(two, "nearest_psnr"));
+  // What splatting leaves of latents is decoded to less than the latents themselves.
+  EXPECT_LT(mean(all, "decoded_psnr"), mean(all, "autoencoded_psnr"));
+  EXPECT_LT(mean(all, "decoded_ssim"), mean(all, "autoencoded_ssim"));
+  EXPECT_GT(mean(all, "latent_error"), 0);
+  const std::string rows = read_file(folder.path() / "all" / "eval.csv");
+  EXPECT_EQ(std::count(rows.begin(), rows.end(), '\n'), 3);
+  EXPECT_EQ(rows.rfind("scene,gaussians,rgb_psnr,decoded_psnr,autoencoded_psnr,nearest_psnr,", 0), 0U);
+  int pictures = 0;
+  for (const auto& item : std::filesystem::directory_iterator(folder.path() / "all" / "pictures"))
+    pictures += item.path().extension() == ".png" ? 1 : 0;
+  EXPECT_EQ(pictures, 2);
+
+  options.synthetic = 0;
+  EXPECT_EQ(error_of([&] { run_splat_evaluation(options); }),
+            "gld splat eval: expected scenes, found none; give --scenes DIR or --synthetic N.");
+}
+
+}  // namespace
+}  // namespace gld
