@@ -169,12 +169,27 @@ void take(png_structp png, png_bytep data, size_t count) {
   source->at += count;
 }
 
+// Says whether each chunk up to the first of type `last` ends within the file. libpng only warns of a longer one, and
+// makes room for what the chunk says before it reads.
+bool holds_chunks_until(std::string_view last, std::string_view bytes) {
+  constexpr size_t kSignature = 8;
+  constexpr size_t kAroundData = 12;  // length and type before the data, checksum behind them
+  for (size_t at = kSignature; at + kAroundData <= bytes.size();) {
+    if (bytes.substr(at + 4, 4) == last) break;
+    const size_t length =
+        png_get_uint_32(const_cast<png_bytep>(reinterpret_cast<const png_byte*>(bytes.data() + at)));
+    if (length > bytes.size() - at - kAroundData) return false;
+    at += kAroundData + length;
+  }
+  return true;
+}
+
 // Says whether all that stands before the pixels was read; otherwise the reader's complaint says why not.
 bool read_info(Reader& reader, Source& source) {
   if (reader.info == nullptr) return false;
   if (setjmp(png_jmpbuf(reader.png)) != 0) return false;
   png_set_read_fn(reader.png, &source, take);
-  // A chunk longer than the file is an error before room for it is made.
+  // What is compressed may not grow beyond the file either.
   png_set_chunk_malloc_max(reader.png, source.bytes.size());
   // A transparency that is left out for its checksum gives other pixels: no chunk may be damaged.
   png_set_crc_action(reader.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
@@ -215,6 +230,7 @@ bool read_pixels(Reader& reader, png_bytepp rows) {
 }  // namespace
 
 PngHeader read_png_header(std::string_view bytes, const std::string& where) {
+  if (!holds_chunks_until("IDAT", bytes)) fail_short_image(where);
   Source source{bytes};
   Reader reader;
   if (!read_info(reader, source)) fail_damaged_png(where, source, reader);
@@ -237,6 +253,7 @@ PngHeader read_png_header(std::string_view bytes, const std::string& where) {
 }
 
 DecodedPixels decode_png(const std::string& bytes, const std::string& where) {
+  if (!holds_chunks_until("IEND", bytes)) fail_short_image(where);
   Source source{bytes};
   Reader reader;
   if (!start_pixels(reader, source)) fail_damaged_png(where, source, reader);

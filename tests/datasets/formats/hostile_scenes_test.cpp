@@ -9,6 +9,7 @@
 #include "gld/files/npy.h"
 #include "gld/files/zip_archive.h"
 #include "tests/support/error_of.h"
+#include "tests/support/resident_memory.h"
 #include "tests/support/temporary_folder.h"
 
 #include <ctime>
@@ -20,29 +21,14 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <sys/resource.h>
 
 namespace gld {
 namespace {
 
 using test::error_of;
+using test::expect_little_memory;
 using test::TemporaryFolder;
 using testing::HasSubstr;
-
-int64_t peak_bytes() {
-  rusage usage{};
-  getrusage(RUSAGE_SELF, &usage);
-  return int64_t{1024} * usage.ru_maxrss;
-}
-
-// Runs action and expects it to take less memory than this beyond the highest so far.
-template <class Action>
-void expect_little_memory(const Action& action) {
-  constexpr int64_t kLittle = int64_t{300} << 20;
-  const int64_t before = peak_bytes();
-  action();
-  EXPECT_LT(peak_bytes() - before, kLittle);
-}
 
 std::string camera_record(const std::string& name, const std::string& more) {
   return fmt::format(R"({{"name":"{}","image":"a.png","width":20,"height":10,"fx":16,"fy":16,"cx":10,"cy":5,)"

@@ -7,6 +7,7 @@
 #include "tests/support/depth_png.h"
 #include "tests/support/error_of.h"
 #include "tests/support/exif_jpeg.h"
+#include "tests/support/resident_memory.h"
 #include "tests/support/temporary_folder.h"
 
 #include <cmath>
@@ -241,6 +242,28 @@ TEST(ImageFile, RefusesFilesThatEndEarlyAtAnyByte) {
                 file.string() +
                     ": expected a whole image file, found one that ends early; copy or download it again.")
           << size;
+    }
+  }
+}
+
+// libpng makes room for what a chunk says, and takes one beyond its limit for a warning.
+TEST(ImageFile, APngChunkThatTheFileCannotHoldTakesNoMemory) {
+  const TemporaryFolder folder;
+  const auto file = folder.path() / "a.png";
+  write_png(file, gradient(40, 30));
+  const std::string whole = read_file(file);
+  const std::string gigabyte("\x40\0\0\x19", 4);
+  const size_t behind_header = 8 + 25;
+  const size_t before_end = whole.size() - 12;
+  for (const char* type : {"tEXt", "zTXt", "iTXt", "eXIf", "iCCP", "sPLT", "prVt"}) {
+    for (const size_t at : {behind_header, before_end}) {
+      SCOPED_TRACE(type + std::to_string(at));
+      write_file_atomically(file, whole.substr(0, at) + gigabyte + type + "name" + whole.substr(at));
+      test::expect_little_memory([&] {
+        EXPECT_EQ(error_of([&] { read_image(file); }),
+                  file.string() +
+                      ": expected a whole image file, found one that ends early; copy or download it again.");
+      });
     }
   }
 }
