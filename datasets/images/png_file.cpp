@@ -172,14 +172,14 @@ void take(png_structp png, png_bytep data, size_t count) {
 // Says whether each chunk up to the first of type `last` ends within the file. libpng only warns of a longer one, and
 // makes room for what the chunk says before it reads.
 bool holds_chunks_until(std::string_view last, std::string_view bytes) {
-  constexpr size_t kSignature = 8;
-  constexpr size_t kAroundData = 12;  // length and type before the data, checksum behind them
-  for (size_t at = kSignature; at + kAroundData <= bytes.size();) {
+  constexpr size_t kSignature = 8, kLengthAndType = 8, kChecksum = 4;
+  for (size_t at = kSignature; at + kLengthAndType <= bytes.size();) {
     if (bytes.substr(at + 4, 4) == last) break;
     const size_t length =
         png_get_uint_32(const_cast<png_bytep>(reinterpret_cast<const png_byte*>(bytes.data() + at)));
-    if (length > bytes.size() - at - kAroundData) return false;
-    at += kAroundData + length;
+    at += kLengthAndType;
+    if (length + kChecksum > bytes.size() - at) return false;
+    at += length + kChecksum;
   }
   return true;
 }

@@ -255,10 +255,13 @@ TEST(ImageFile, APngChunkThatTheFileCannotHoldTakesNoMemory) {
   const std::string gigabyte("\x40\0\0\x19", 4);
   const size_t behind_header = 8 + 25;
   const size_t before_end = whole.size() - 12;
-  for (const char* type : {"tEXt", "zTXt", "iTXt", "eXIf", "iCCP", "sPLT", "prVt"}) {
-    for (const size_t at : {behind_header, before_end}) {
-      SCOPED_TRACE(type + std::to_string(at));
-      write_file_atomically(file, whole.substr(0, at) + gigabyte + type + "name" + whole.substr(at));
+  for (const std::string type : {"tEXt", "zTXt", "iTXt", "eXIf", "iCCP", "sPLT", "prVt"}) {
+    for (const std::string& bytes :
+         {whole.substr(0, behind_header) + gigabyte + type + "name" + whole.substr(behind_header),
+          whole.substr(0, before_end) + gigabyte + type + "name" + whole.substr(before_end),
+          whole.substr(0, behind_header) + gigabyte + type}) {
+      SCOPED_TRACE(type + " in " + std::to_string(bytes.size()) + " bytes");
+      write_file_atomically(file, bytes);
       test::expect_little_memory([&] {
         EXPECT_EQ(error_of([&] { read_image(file); }),
                   file.string() +
