@@ -1,10 +1,11 @@
 #pragma once
 
+#include "gld/machine/stage_record.h"
+
 #include <cstdint>
 #include <fstream>
 
 #include <gtest/gtest.h>
-#include <sys/resource.h>
 #include <unistd.h>
 
 namespace gld::test {
@@ -17,20 +18,14 @@ inline int64_t resident_bytes() {
   return resident * sysconf(_SC_PAGESIZE);
 }
 
-// The most resident memory that this process has had so far, in bytes.
-inline int64_t highest_resident_bytes() {
-  rusage usage{};
-  getrusage(RUSAGE_SELF, &usage);
-  return int64_t{1024} * usage.ru_maxrss;
-}
-
 // Runs action and expects it to take less memory than this beyond the highest so far.
 template <class Action>
 void expect_little_memory(const Action& action) {
   constexpr int64_t kLittle = int64_t{300} << 20;
-  const int64_t before = highest_resident_bytes();
+  const int64_t before = peak_resident_bytes();
+  ASSERT_GT(before, 0) << "the system does not tell it";
   action();
-  EXPECT_LT(highest_resident_bytes() - before, kLittle);
+  EXPECT_LT(peak_resident_bytes() - before, kLittle);
 }
 
 }  // namespace gld::test
