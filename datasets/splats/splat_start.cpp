@@ -248,7 +248,8 @@ GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
   if (surface.empty() && points_in_world.empty()) {
     fail(
         {where, "measured or predicted depth, or sparse points, to start from", "neither",
-         "give the scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth without --size photographs"});
+         "give the scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth "
+         "without --size photographs"});
   }
   GaussianSet set = surface.empty()
                         ? start_from_points(pictures, points_in_world, reach, most_gaussians, options)

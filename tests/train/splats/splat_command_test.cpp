@@ -247,7 +247,8 @@ TEST_F(FittedSplats, StartsFromSparsePointsWithoutDepth) {
   EXPECT_EQ(
       error_of([&] { start_gaussians(without, {}, reach, 1000, {}, "rooms/a"); }),
       "rooms/a: expected measured or predicted depth, or sparse points, to start from, found neither; give the "
-      "scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth without --size photographs.");
+      "scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth "
+      "without --size photographs.");
 }
 
 TEST_F(FittedSplats, RefusesWhatItCannotFit) {
