@@ -255,12 +255,12 @@ TEST(ImageFile, APngChunkThatTheFileCannotHoldTakesNoMemory) {
   const std::string gigabyte("\x40\0\0\x19", 4);
   const size_t behind_header = 8 + 25;
   const size_t before_end = whole.size() - 12;
-  for (const std::string type : {"tEXt", "zTXt", "iTXt", "eXIf", "iCCP", "sPLT", "prVt"}) {
+  for (const char* type : {"tEXt", "zTXt", "iTXt", "eXIf", "iCCP", "sPLT", "prVt"}) {
     for (const std::string& bytes :
          {whole.substr(0, behind_header) + gigabyte + type + "name" + whole.substr(behind_header),
           whole.substr(0, before_end) + gigabyte + type + "name" + whole.substr(before_end),
           whole.substr(0, behind_header) + gigabyte + type}) {
-      SCOPED_TRACE(type + " in " + std::to_string(bytes.size()) + " bytes");
+      SCOPED_TRACE(type + std::to_string(bytes.size()));
       write_file_atomically(file, bytes);
       test::expect_little_memory([&] {
         EXPECT_EQ(error_of([&] { read_image(file); }),
