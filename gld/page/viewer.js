@@ -42,6 +42,8 @@ class Viewer {
     };
     requestAnimationFrame(tick);
     new ResizeObserver(() => this.resize()).observe(holder);
+    // A browser may take the graphics memory away (sleep, a driver that starts again); three.js fills it again, and nobody has moved.
+    this.canvas.addEventListener("webglcontextrestored", () => this.changed());
   }
 
   // How far things are: of each view, and from the page's 0.
@@ -179,8 +181,16 @@ class Viewer {
     this.orbit.lookAt(this.controls.target);
   }
 
+  // What the reader set turning stops: an orbit that still swings would carry the eye away from where it arrives.
+  stopSwing() {
+    this.controls.enableDamping = false;
+    this.controls.update();
+    this.controls.enableDamping = true;
+  }
+
   flyTo(pose, seconds, then) {
     this.stop();
+    this.stopSwing();
     this.release = null;
     this.at = -1;
     this.showOverlay();
@@ -326,8 +336,8 @@ class Viewer {
       // A camera's own picture would hide the cloud from it, as those of its neighbours do.
       frustum.group.visible = this.shown[kind] && this.at < 0 && away > 0.03 * this.depth && !(this.playing && !source);
     });
-    this.renderer.render(this.scene, this.eye);
     this.pivot.visible = this.pivot.visible && !this.held;
+    this.renderer.render(this.scene, this.eye);
   }
 
   placeOverlay() {

@@ -63,15 +63,16 @@ std::vector<double> footprints_of(const PointCloud& cloud, const std::vector<See
   return lengths;
 }
 
+// The share of all points that are not surer, of 255: to hide those below a share never hides more than it, and nothing
+// where all are equally sure.
 std::vector<uint8_t> ranks_of(const std::vector<float>& confidences) {
   std::vector<float> sorted = confidences;
   std::sort(sorted.begin(), sorted.end());
   std::vector<uint8_t> ranks;
   ranks.reserve(confidences.size());
   for (const float confidence : confidences) {
-    const auto below = std::lower_bound(sorted.begin(), sorted.end(), confidence) - sorted.begin();
-    ranks.push_back(
-        static_cast<uint8_t>(255 * below / std::max<std::ptrdiff_t>(1, std::ptrdiff_t(sorted.size()) - 1)));
+    const auto not_surer = std::upper_bound(sorted.begin(), sorted.end(), confidence) - sorted.begin();
+    ranks.push_back(static_cast<uint8_t>(255 * not_surer / std::ptrdiff_t(sorted.size())));
   }
   return ranks;
 }

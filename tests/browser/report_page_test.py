@@ -114,8 +114,25 @@ class Browser:
         check(self.file in asked, "expected the log to show the page's own request")
 
     def settle(self):
+        """Until nothing flies or swings any more."""
         self.wait("return gldPage.viewer.settled")
+        end = time.monotonic() + 30
+        before = None
+        while (picture := self.drawn_picture()) != before:
+            check(time.monotonic() < end, "expected a scene that comes to rest within 30 s")
+            before = picture
+
+    def drawn_picture(self):
         self.run("gldPage.viewer.draw(gldPage.viewer.currentPose(performance.now()))")
+        return self.picture()
+
+    def covered(self):
+        """The share of the scene's picture where something is."""
+        return self.run_async("""
+            const {canvas} = gldPage.viewer, colours = await pixels(canvas.toDataURL(), canvas.width, canvas.height);
+            let count = 0;
+            for (let i = 3; i < colours.length; i += 4) count += colours[i] >= 128;
+            return 4 * count / colours.length;""")
 
     def set_slider(self, name, value):
         self.run("const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('input'));", name, value)
@@ -123,10 +140,18 @@ class Browser:
     def picture(self):
         return self.run("return gldPage.viewer.canvas.toDataURL()")
 
-    def wait_for_other_picture(self, picture):
+    def wait_for_other_picture(self, picture, after="a key"):
         end = time.monotonic() + 20
         while self.picture() == picture:
-            check(time.monotonic() < end, "expected another picture of the scene within 20 s")
+            if time.monotonic() > end:
+                lost = self.run("return gldPage.viewer.renderer.getContext().isContextLost()")
+                raise AssertionError(f"expected another picture of the scene within 20 s of {after}; context lost: {lost}, log: {self.logs()[0]}")
+            time.sleep(0.05)
+
+    def wait_for_picture(self, picture, after):
+        end = time.monotonic() + 20
+        while self.picture() != picture:
+            check(time.monotonic() < end, f"expected the picture of before within 20 s of {after}")
             time.sleep(0.05)
 
 
@@ -230,7 +255,7 @@ def test_moving(browser, run):
     before = browser.picture()
     ActionChains(browser.driver).move_to_element(canvas).click_and_hold().move_by_offset(90, 25).release().perform()
     browser.wait("return gldPage.viewer.at < 0 && gldPage.viewer.settled")
-    check(browser.picture() != before, "expected a drag to change the picture")
+    browser.wait_for_other_picture(before, "a drag")
     check(browser.run("return gldPage.viewer.overlay.style.opacity") == "0", "expected the photograph to go")
     # So do keys; n goes to a camera.
     before = browser.picture()
@@ -247,11 +272,15 @@ def test_moving(browser, run):
                  .replace("arguments[0]", json.dumps(target)))
     # Sliders: fewer and larger points.
     browser.settle()
-    for name, value in [("confidence", 0.5), ("point-size", 1.5)]:
-        before = browser.picture()
-        browser.set_slider(name, value)
-        browser.settle()
-        check(browser.picture() != before, f"expected the slider {name} to change the picture")
+    all_points = browser.covered()
+    browser.set_slider("confidence", 0.5)
+    browser.settle()
+    half = browser.covered()
+    check(0.2 * all_points < half < 0.9 * all_points, f"expected about half of {all_points:.1%} to stay covered, found {half:.1%}")
+    browser.set_slider("point-size", 1.5)
+    browser.settle()
+    larger = browser.covered()
+    check(larger > 1.05 * half, f"expected larger points to cover more than {half:.1%}, found {larger:.1%}")
     # The path plays until it is stopped.
     browser.run("document.getElementById('play').click()")
     browser.wait("return gldPage.viewer.playing !== null")
@@ -260,6 +289,14 @@ def test_moving(browser, run):
     browser.run("document.getElementById('play').click()")
     browser.wait("return gldPage.viewer.playing === null")
     browser.check_silence()
+    # A browser that takes the graphics memory away and gives it back shows the same again, though nobody moved.
+    browser.settle()
+    before = browser.picture()
+    check(browser.covered() > 0.05, "expected a scene that is seen")
+    browser.run("window.taken = gldPage.viewer.renderer.getContext().getExtension('WEBGL_lose_context'); taken.loseContext()")
+    browser.wait_for_other_picture(before, "the loss of the context")
+    browser.run("taken.restoreContext()")
+    browser.wait_for_picture(before, "the context's return")
 
 
 def test_pictures(browser, run):

@@ -57,6 +57,14 @@ DrawnView with_high_pixels(const DrawnView& view) {
   return result;
 }
 
+ConfidenceMap surer_to_the_right(const DepthMap& depth) {
+  ConfidenceMap confidence(depth.width, depth.height);
+  for (int64_t y = 0; y < depth.height; ++y) {
+    for (int64_t x = 0; x < depth.width; ++x) confidence.at(x, y) = 1 + static_cast<float>(x);
+  }
+  return confidence;
+}
+
 Image brighter(Image image) {
   for (uint8_t& value : image.rgb) value = static_cast<uint8_t>(std::min(255, value + 4));
   return image;
@@ -104,7 +112,7 @@ void write_drawn_run(const std::filesystem::path& folder, const DrawnRun& drawn)
       against.push_back({{"view", frame.name}, {"psnr", 36.1}, {"ssim", 0.99}});
     }
     depths.push_back(view.depth);
-    lifted.push_back({view.camera, view.image, view.depth, {}, {}, {}, {}});
+    lifted.push_back({view.camera, view.image, view.depth, surer_to_the_right(view.depth), {}, {}, {}});
   }
   const double unit = choose_depth_unit(depths);
   for (size_t i = 0; i < lifted.size(); ++i) {

@@ -1,5 +1,6 @@
 #include "infer/page/page_cloud.h"
 
+#include <algorithm>
 #include <cmath>
 #include <string>
 #include <vector>
@@ -143,7 +144,18 @@ TEST(PageCloud, OnePointHasABoxWithoutSize) {
   cloud.confidences = {1};
   const Unpacked unpacked(page_cloud(cloud, {}, Eigen::Vector3d::Zero(), 10));
   EXPECT_EQ(unpacked.points[0], cloud.x_in_world[0]);
-  EXPECT_EQ(unpacked.ranks[0], 0);
+  EXPECT_EQ(unpacked.ranks[0], 255);
+}
+
+TEST(PageCloud, PointsThatAreEquallySureAreAllAmongTheSurest) {
+  PointCloud cloud = plane_cloud();
+  std::fill(cloud.confidences.begin(), cloud.confidences.end(), 2.0F);
+  cloud.confidences[7] = 1;
+  const Unpacked unpacked(page_cloud(cloud, {}, Eigen::Vector3d::Zero(), 1000));
+  // To hide the less sure half hides the one point that is less sure.
+  EXPECT_EQ(
+      std::count_if(unpacked.ranks.begin(), unpacked.ranks.end(), [](int rank) { return rank < 127.5; }), 1);
+  EXPECT_EQ(unpacked.ranks[7], 0);
 }
 
 }  // namespace
