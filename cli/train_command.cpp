@@ -40,12 +40,12 @@ Command stage_command(const std::string& name, const std::string& summary,
 Command make_train_command() {
   Command command;
   command.name = "train";
-  command.summary = "Train a part of a model: backbone, decoder, level or cascade";
+  command.summary = "Train a part of a model: backbone, decoder, blending, level or cascade";
   command.description =
       "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
       "runs/backbone\n"
       "Each kind reads a bundle (--model) and writes one with the trained part (model/ in the run folder), "
-      "which the next kind takes. Order: backbone, decoder, then gld stats, level, cascade. "
+      "which the next kind takes. Order: backbone, decoder, blending, then gld stats, level, cascade. "
       "--resume continues a run.";
   command.subcommands = {
       stage_command("backbone",
@@ -53,6 +53,8 @@ Command make_train_command() {
                     train_backbone, {"objective.training"}),
       stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder,
                     {"objective.start"}),
+      stage_command("blending", "How photographs are laid together in target views, by which depth",
+                    train_blending, {"objective.start"}),
       stage_command("level", "M_L, which generates a level from noise", train_level,
                     {"level", "objective.start"}),
       stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,

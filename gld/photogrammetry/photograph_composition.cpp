@@ -312,15 +312,13 @@ bool PhotographView::complete() const {
          sum <= static_cast<double>(kVarianceOfOne) * count;
 }
 
-PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
-                                     const std::vector<ColourGains>& gains, const Camera& target,
-                                     const PhotographViewOptions& options) {
-  const auto pixels = static_cast<size_t>(target.width * target.height);
-  PhotographView view{target.width, target.height, std::vector<float>(3 * pixels, 0.0F),
-                      std::vector<float>(pixels, std::numeric_limits<float>::infinity())};
-  if (sources.empty()) return view;
+PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
+                                    const std::vector<ColourGains>& gains, const Camera& target,
+                                    const PhotographViewOptions& options) {
+  PlacedPhotographs placed{sources, target, {}, options.carry};
+  if (sources.empty()) return placed;
   // Photographs of one brightness, that of the target: its neighbours' in time and space are the best guess of it.
-  std::vector<PicturedView> even = sources;
+  std::vector<PicturedView>& even = placed.photographs;
   ColourGains aim{0, 0, 0};
   double nearness = 0;
   for (size_t i = 0; i < sources.size(); ++i) {
@@ -342,10 +340,31 @@ PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
   const auto [width, height] = size_within(target.width, target.height, options.matched_side);
   std::vector<PicturedView> small;
   for (const PicturedView& source : even) small.push_back(reduced_view(source, options.matched_side));
-  const TargetDepth depth =
+  placed.depth =
       resized_depth(matched_target_depth(small, resized_camera(target, width, height), options.carry),
                     target.width, target.height);
-  const auto carried = carry_pictures_to(even, target, depth, options.carry);
+  return placed;
+}
+
+PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side) {
+  const auto [width, height] = size_within(placed.target.width, placed.target.height, side);
+  PlacedPhotographs small{{}, resized_camera(placed.target, width, height), {}, placed.carry};
+  if (placed.photographs.empty()) return small;
+  for (const PicturedView& photograph : placed.photographs)
+    small.photographs.push_back(reduced_view(photograph, side));
+  small.depth = resized_depth(placed.depth, width, height);
+  return small;
+}
+
+PhotographView view_from_photographs(const PlacedPhotographs& placed) {
+  const std::vector<PicturedView>& even = placed.photographs;
+  const Camera& target = placed.target;
+  const TargetDepth& depth = placed.depth;
+  const auto pixels = static_cast<size_t>(target.width * target.height);
+  PhotographView view{target.width, target.height, std::vector<float>(3 * pixels, 0.0F),
+                      std::vector<float>(pixels, std::numeric_limits<float>::infinity())};
+  if (even.empty()) return view;
+  const auto carried = carry_pictures_to(even, target, depth, placed.carry);
 
   // A line of sight that is off by this counts half as much.
   constexpr double kHalfAngle = 0.05;
@@ -410,6 +429,12 @@ PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
   known_window_means(target.width, target.height, kNeighbourhood, known, view.variance);
   for (float& value : view.rgb) value = std::clamp(value, 0.0F, 1.0F);
   return view;
+}
+
+PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
+                                     const std::vector<ColourGains>& gains, const Camera& target,
+                                     const PhotographViewOptions& options) {
+  return view_from_photographs(place_photographs(sources, gains, target, options));
 }
 
 double generated_variance(const PhotographView& view, const std::vector<float>& generated) {

@@ -46,10 +46,29 @@ struct PhotographView {
   static constexpr float kNotShown = 1e30F;
 };
 
-// sources: depth in the unit of the cameras, as for matched_target_depth(); gains: one a source. Where several
-// photographs show a place, those count most whose camera looks at it from the target's side (by the angle between
-// both lines of sight), and less towards a photograph's border, so that no seam is left there; where they contradict
-// each other the one that counts most is taken alone.
+// Photographs as they are laid into a target view: all of one brightness, that of the target, with the depth that they
+// are carried by, of the target camera's size.
+struct PlacedPhotographs {
+  std::vector<PicturedView> photographs;
+  Camera target;
+  TargetDepth depth;  // empty without photographs
+  CarryOptions carry;
+};
+
+// sources: depth in the unit of the cameras, as for matched_target_depth(); gains: one a source.
+PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
+                                    const std::vector<ColourGains>& gains, const Camera& target,
+                                    const PhotographViewOptions& options = {});
+
+// The same with target and photographs of at most `side` pixels on the longer side.
+PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side);
+
+// Where several photographs show a place, those count most whose camera looks at it from the target's side (by the
+// angle between both lines of sight), and less towards a photograph's border, so that no seam is left there; where they
+// contradict each other the one that counts most is taken alone.
+PhotographView view_from_photographs(const PlacedPhotographs& placed);
+
+// Both at once.
 PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
                                      const std::vector<ColourGains>& gains, const Camera& target,
                                      const PhotographViewOptions& options = {});

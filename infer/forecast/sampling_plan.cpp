@@ -7,6 +7,7 @@
 #include "infer/forecast/dit_speed.h"
 #include "infer/forecast/splat_forecast.h"
 #include "infer/forecast/stage_speed.h"
+#include "models/blending/photograph_blending.h"
 #include "models/cost/branch_choice.h"
 #include "models/dit/encoder_nodes.h"
 
@@ -107,8 +108,11 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
         needs.parts.push_back(BundlePart::geometry_head());
       return needs;
     }
-    case StageKind::kComposition:
-      return {{}, 2 + 2 * levels};
+    case StageKind::kComposition: {
+      StageNeeds needs{{}, 2 + 2 * levels};
+      if (request.photographs.blends()) needs.parts = {BundlePart::blending()};
+      return needs;
+    }
     case StageKind::kFlow:
       return {{BundlePart::of(bundle.generators.at(stage.generator).generator)}, 0};
     case StageKind::kPropagation:
@@ -223,8 +227,14 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       cost.add_operations_of(backbone.encoding_cost(request.grid, levels.deepest_generated()));
       return cost;
     }
-    case StageKind::kComposition:
-      return Cost();
+    case StageKind::kComposition: {
+      if (!stages.photographs.blends()) return Cost();
+      const int64_t side = bundle.backbone.patch_side();
+      Cost cost = blending_cost(bundle.blending, side * request.grid.height, side * request.grid.width);
+      const auto targets = static_cast<double>(stages.views - stages.num_sources);
+      cost.convolution_flop *= targets;
+      return cost;
+    }
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:

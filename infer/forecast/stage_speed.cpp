@@ -3,6 +3,7 @@
 #include "gld/cameras/latent_grid.h"
 #include "gld/machine/timing.h"
 #include "models/backbones/backbone.h"
+#include "models/blending/photograph_blending.h"
 #include "models/decoders/rgb_decoder.h"
 
 #include <algorithm>
@@ -86,6 +87,18 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
   return seconds_of([&] { decoder.decode(features, grid); });
 }
 
+// Of the network alone; what photographs are carried by is found when it runs.
+double blending_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+  PhotographBlending blending(bundle.blending, ParameterPlacement{});
+  fill(blending);
+  const int64_t side = bundle.backbone.patch_side();
+  const auto inputs = torch::randn({1, PhotographBlending::kInputs,
+                                    std::min(bundle.blending.side, side * request.grid.height),
+                                    std::min(bundle.blending.side, side * request.grid.width)});
+  const auto targets = static_cast<double>(request.grid.views - request.num_sources);
+  return targets * seconds_of([&] { blending.forward(inputs); });
+}
+
 double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, GeometryMaps maps) {
   const auto head = bundle.geometry_head.make(ParameterPlacement{});
   fill(*head);
@@ -130,7 +143,7 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
                                                                  : source_geometry_seconds(bundle, request)) +
              warp_encoding_seconds(bundle, request);
     case StageKind::kComposition:
-      return 0;  // no network: it is found when it runs
+      return stages.photographs.blends() ? blending_seconds(bundle, request) : 0;
     case StageKind::kFlow:
       break;
     case StageKind::kPropagation:

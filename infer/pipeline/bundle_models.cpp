@@ -32,6 +32,8 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   };
   // Stays in float32 (ModelKind::kLeanedOn).
   models.geometry_head = [=] { return shared->load_geometry_head(placement); };
+  // On the CPU, where photographs are.
+  if (bundle.options().blending.exists()) models.blending = [=] { return shared->load_blending(); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
   }
@@ -39,7 +41,11 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
 }
 
 PhotographUse photograph_use_of(const PhotographOptions& options, const BundleOptions& bundle) {
-  return options.use(bundle.level_set().warped_sources, bundle.geometry_head.predicts_rays());
+  PhotographModel model;
+  model.warped_sources = bundle.level_set().warped_sources;
+  model.has_geometry_head = bundle.geometry_head.predicts_rays();
+  model.has_blending = bundle.blending.exists();
+  return options.use(model);
 }
 
 void require_geometry_head(const ModelBundle& bundle) {
@@ -77,6 +83,7 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
   };
   models.rgb_decoder = keep(models.rgb_decoder);
   models.geometry_head = keep(models.geometry_head);
+  if (models.blending) models.blending = keep(models.blending);
   return models;
 }
 

@@ -1,5 +1,7 @@
 #include "infer/pipeline/photograph_use.h"
 
+#include "gld/base/error.h"
+
 namespace gld {
 
 void PhotographOptions::visit(FieldVisitor& visitor) {
@@ -9,11 +11,13 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
        "who says how deep the source views are: the model, the photographs where they agree (stereo), or "
        "both (fused); automatic: fused for models that are shown photographs in target views"},
       source_depth, {"automatic", "model", "stereo", "fused"});
-  visit_choice(visitor,
-               {"compose",
-                "photographs: what they show of a target view is kept and the rest generated; none: all is "
-                "generated; automatic: photographs for models that are shown them"},
-               compose, {"automatic", "photographs", "none"});
+  visit_choice(
+      visitor,
+      {"compose",
+       "photographs: what they show of a target view is kept and the rest generated; blended: the same, "
+       "laid together by the model's own network; none: all is generated; automatic: blended where the "
+       "model has such a network, photographs for other models that are shown them"},
+      compose, {"automatic", "photographs", "blended", "none"});
   visitor.boolean(
       {"generate_complete",
        "generate also target views that photographs show whole and agree on, of which nothing generated "
@@ -22,8 +26,8 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
   visitor.group({"stereo", "how photographs are matched for their depth"}, stereo);
 }
 
-PhotographUse PhotographOptions::use(int64_t warped_sources, bool has_geometry_head) const {
-  const bool trained_with_photographs = warped_sources > 0;
+PhotographUse PhotographOptions::use(const PhotographModel& model) const {
+  const bool trained_with_photographs = model.warped_sources > 0;
   PhotographUse use;
   use.stereo = stereo;
   switch (source_depth) {
@@ -39,13 +43,32 @@ PhotographUse PhotographOptions::use(int64_t warped_sources, bool has_geometry_h
       use.depth = SourceDepthOrigin::kFused;
       break;
   }
-  if (!has_geometry_head && use.depth != SourceDepthOrigin::kHead) use.depth = SourceDepthOrigin::kStereo;
-  const bool composes = compose == ComposeChoice::kAutomatic ? trained_with_photographs
-                                                             : compose == ComposeChoice::kPhotographs;
-  use.composition = composes ? Composition::kPhotographs : Composition::kNone;
-  use.leaves_out_complete = composes && !generate_complete;
+  if (!model.has_geometry_head && use.depth != SourceDepthOrigin::kHead)
+    use.depth = SourceDepthOrigin::kStereo;
+  switch (compose) {
+    case ComposeChoice::kAutomatic:
+      if (model.has_blending) {
+        use.composition = Composition::kBlended;
+      } else if (trained_with_photographs) {
+        use.composition = Composition::kPhotographs;
+      }
+      break;
+    case ComposeChoice::kPhotographs:
+      use.composition = Composition::kPhotographs;
+      break;
+    case ComposeChoice::kBlended:
+      if (!model.has_blending) {
+        fail({"--compose", "photographs or none for a model without a blending part", "blended",
+              "choose one of them, or train the part with gld train blending"});
+      }
+      use.composition = Composition::kBlended;
+      break;
+    case ComposeChoice::kNone:
+      break;
+  }
+  use.leaves_out_complete = use.composes() && !generate_complete;
   // Without a head only photographs can say how deep they are.
-  if (use.composes() && !has_geometry_head) use.depth = SourceDepthOrigin::kStereo;
+  if (use.composes() && !model.has_geometry_head) use.depth = SourceDepthOrigin::kStereo;
   return use;
 }
 

@@ -12,7 +12,11 @@ namespace gld {
 enum class SourceDepthOrigin { kHead, kStereo, kFused };
 
 // Whether what photographs show of a target view is kept in its picture.
-enum class Composition { kNone, kPhotographs };
+enum class Composition {
+  kNone,
+  kPhotographs,  // laid together by rule
+  kBlended       // laid together by the model's network
+};
 
 // What a run makes of the photographs beside showing them to the model. The defaults are the published sampler's.
 struct PhotographUse {
@@ -23,13 +27,23 @@ struct PhotographUse {
   StereoOptions stereo;  // of kStereo and kFused
 
   bool matches() const { return depth != SourceDepthOrigin::kHead; }
-  bool composes() const { return composition == Composition::kPhotographs; }
+  bool composes() const { return composition != Composition::kNone; }
+  bool blends() const { return composition == Composition::kBlended; }
+};
+
+// What of a model decides on that.
+struct PhotographModel {
+  // Photographs that it takes in each target view; 0: it was trained without, and its sampling stays as it was published
+  // unless the options say otherwise.
+  int64_t warped_sources = 0;
+  bool has_geometry_head = false;
+  bool has_blending = false;
 };
 
 // The same as options; what is automatic, the model decides.
 struct PhotographOptions : OptionsGroup {
   enum class DepthChoice { kAutomatic, kModel, kStereo, kFused };
-  enum class ComposeChoice { kAutomatic, kPhotographs, kNone };
+  enum class ComposeChoice { kAutomatic, kPhotographs, kBlended, kNone };
 
   DepthChoice source_depth = DepthChoice::kAutomatic;
   ComposeChoice compose = ComposeChoice::kAutomatic;
@@ -38,9 +52,8 @@ struct PhotographOptions : OptionsGroup {
 
   void visit(FieldVisitor& visitor) override;
 
-  // Of a model that takes so many photographs in each target view (0: it was trained without, and its sampling stays as
-  // it was published unless the options say otherwise), with a geometry head or without.
-  PhotographUse use(int64_t warped_sources, bool has_geometry_head) const;
+  // Throws Error where the model has not what is asked of it.
+  PhotographUse use(const PhotographModel& model) const;
 };
 
 }  // namespace gld

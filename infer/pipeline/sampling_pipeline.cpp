@@ -121,7 +121,14 @@ void run_source_warp(const PipelineModels& models, const PipelineRequest& reques
   }
 }
 
-void run_composition(const PipelineRequest& request, PipelineState& state, PipelineResult& result) {
+// Null where photographs are laid together by rule.
+std::shared_ptr<PhotographBlending> blending_of(const PipelineModels& models,
+                                                const PipelineRequest& request) {
+  return request.photographs.blends() ? models.blending() : nullptr;
+}
+
+void run_composition(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                     PipelineResult& result) {
   if (!state.depth || !state.depth->known()) {
     result.warnings.push_back("Nothing of the source photographs is kept in the target views: " +
                               (state.depth ? state.depth->doubt : std::string("their depth is not known")) +
@@ -130,7 +137,8 @@ void run_composition(const PipelineRequest& request, PipelineState& state, Pipel
   }
   const int64_t sources = result.images.size(0) - request.views.num_targets();  // where those are decoded too
   const auto targets = result.images.slice(0, sources);
-  result.composed = compose_views(request.views, photographs_of(request, state), *state.depth, targets);
+  result.composed = compose_views(request.views, photographs_of(request, state), *state.depth, targets,
+                                  blending_of(models, request).get());
   result.generated_images = result.images;
   result.images = torch::cat({result.images.slice(0, 0, sources), result.composed->images});
 }
@@ -352,7 +360,8 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
     if (!std::binary_search(complete.begin(), complete.end(), target)) others.push_back(target);
   }
   const Views carried = without_targets(request, others, *state.depth).views;
-  ComposedViews composed = carried_views(carried, photographs_of(request, state), *state.depth);
+  ComposedViews composed = carried_views(carried, photographs_of(request, state), *state.depth,
+                                         blending_of(models, request).get());
   if (!others.empty()) {
     PipelineResult rest = run_pipeline(models, without_targets(request, complete, *state.depth), stages);
     composed.images = merged(composed.images, complete, rest.composed->images);
@@ -432,7 +441,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         return;
       }
       case StageKind::kComposition:
-        run_composition(request, state, result);
+        run_composition(models, request, state, result);
         return;
       case StageKind::kGeometry: {
         if (models.geometry_model_backbone) {

@@ -153,7 +153,11 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
   if (request.photographs.composes() && request.image_views != DecodedViews::kNone) {
     stages.push_back(
         needs_source_depth(levels, request)
-            ? stage(StageKind::kComposition, "what photographs show of the target views is kept")
+            ? stage(StageKind::kComposition,
+                    request.photographs.blends()
+                        ? "what photographs show of the target views is kept, blended by "
+                          "the model"
+                        : "what photographs show of the target views is kept")
             : left_out(StageKind::kComposition, "the depth of a single source view has no scale"));
   }
   stages.push_back(request.geometry_views != DecodedViews::kNone

@@ -66,6 +66,7 @@ std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
   std::vector<BundlePart> parts = {BundlePart::backbone()};
   if (options.geometry_head.exists()) parts.push_back(BundlePart::geometry_head());
   if (options.has_rgb_decoder()) parts.push_back(BundlePart::rgb_decoder());
+  if (options.blending.exists()) parts.push_back(BundlePart::blending());
   std::vector<int64_t> levels, special;
   for (const auto& part : options.generators) {
     parts.push_back(BundlePart::of(part.generator));
@@ -87,6 +88,8 @@ std::string bundle_part_name(const BundlePart& part) {
       return "dpt_head";
     case BundlePart::Kind::kRgbDecoder:
       return "rgb_decoder";
+    case BundlePart::Kind::kBlending:
+      return "blending";
     case BundlePart::Kind::kGenerator:
       return generator_name(part.generator);
     case BundlePart::Kind::kStatistics:
@@ -106,6 +109,8 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, co
       return options.geometry_head.make(placement);
     case BundlePart::Kind::kRgbDecoder:
       return std::make_shared<RgbDecoder>(options.rgb_decoder, placement);
+    case BundlePart::Kind::kBlending:
+      return std::make_shared<PhotographBlending>(options.blending, placement);
     case BundlePart::Kind::kGenerator:
       return std::make_shared<DitDh>(options.generator(part.generator).dit, placement);
     case BundlePart::Kind::kStatistics:
@@ -186,6 +191,10 @@ std::shared_ptr<ImageDecoder> ModelBundle::load_image_decoder(const ParameterPla
 
 std::shared_ptr<RgbDecoder> ModelBundle::load_rgb_decoder(const ParameterPlacement& placement) const {
   return loaded(std::make_shared<RgbDecoder>(options_.rgb_decoder, placement), BundlePart::rgb_decoder());
+}
+
+std::shared_ptr<PhotographBlending> ModelBundle::load_blending(const ParameterPlacement& placement) const {
+  return loaded(std::make_shared<PhotographBlending>(options_.blending, placement), BundlePart::blending());
 }
 
 std::shared_ptr<DitDh> ModelBundle::load_generator(const LevelGenerator& generator,

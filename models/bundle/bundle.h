@@ -2,6 +2,7 @@
 
 #include "gld/files/dtype.h"
 #include "gld/latents/level_statistics.h"
+#include "models/blending/photograph_blending.h"
 #include "models/bundle/bundle_options.h"
 #include "models/dit/dit_dh.h"
 #include "models/weights/weight_loading.h"
@@ -20,7 +21,15 @@ namespace gld {
 // A file of a model bundle beside model.yaml. Each holds one module's tensors, under the module's own names, or a
 // level's statistics.
 struct BundlePart {
-  enum class Kind { kBackbone, kGeometryHead, kRgbDecoder, kGenerator, kStatistics, kSpecialStatistics };
+  enum class Kind {
+    kBackbone,
+    kGeometryHead,
+    kRgbDecoder,
+    kBlending,
+    kGenerator,
+    kStatistics,
+    kSpecialStatistics
+  };
   Kind kind = Kind::kBackbone;
   LevelGenerator generator;  // of kGenerator
   int64_t level = 0;         // of kStatistics and kSpecialStatistics
@@ -28,6 +37,7 @@ struct BundlePart {
   static BundlePart backbone() { return {}; }
   static BundlePart geometry_head() { return {Kind::kGeometryHead, {}, 0}; }
   static BundlePart rgb_decoder() { return {Kind::kRgbDecoder, {}, 0}; }
+  static BundlePart blending() { return {Kind::kBlending, {}, 0}; }
   static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
   static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
   // Of the special tokens that are generated in front of a level's patch tokens.
@@ -70,6 +80,7 @@ class ModelBundle {
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<PhotographBlending> load_blending(const ParameterPlacement& placement = {}) const;
   // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
   std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;
   BundlePart image_decoder_part() const;

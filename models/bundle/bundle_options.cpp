@@ -88,6 +88,7 @@ void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"backbone", "frozen backbone"}, backbone);
   visitor.group({"dpt_head", "frozen geometry head"}, geometry_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
+  visitor.group({"blending", "network that lays photographs together in target views"}, blending);
   std::vector<std::string> texts;
   for (const auto& part : generators) texts.push_back(generator_text(part.generator));
   const auto before = texts;
@@ -172,6 +173,12 @@ void BundleOptions::check() const {
   if (set.warped_sources > 0 && !geometry_head.exists()) {
     fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
           std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
+  }
+  if (blending.exists() && !geometry_head.exists()) {
+    fail({"blending.channels",
+          "none for a model without a geometry head, whose depth carries the photographs",
+          std::to_string(blending.channels.size()) + " numbers",
+          "leave them out, or give the model a dpt_head"});
   }
   if (!backbone.architecture().propagates()) {
     require_equal(

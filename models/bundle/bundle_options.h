@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/cameras/image_size.h"
 #include "models/backbones/backbone_registry.h"
+#include "models/blending/blending_options.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/geometry_head_registry.h"
 #include "models/decoders/rgb_decoder.h"
@@ -43,6 +44,7 @@ struct BundleOptions : OptionsGroup {
   BackboneOptions backbone;
   GeometryHeadOptions geometry_head;
   RgbDecoderOptions rgb_decoder;
+  BlendingOptions blending;
   std::vector<GeneratorOptions> generators;  // in the order of sampling
   int64_t boundary_level = 1;                // level that propagation starts from
   std::vector<int64_t> decoded_levels;       // that the RGB decoder takes; all when empty

@@ -2,6 +2,7 @@
 
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/photograph_composition.h"
+#include "models/blending/blended_view.h"
 #include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
@@ -24,18 +25,11 @@ int64_t magnification(const Views& views, const SourcePhotographs& photographs) 
 
 // The target views as photographs show them, each `times` as large as its camera says.
 std::vector<PhotographView> photograph_views(const Views& views, const SourcePhotographs& photographs,
-                                             const SourceDepth& depth, int64_t times) {
-  std::vector<PicturedView> sources = photographs.views;
-  for (size_t i = 0; i < sources.size() && depth.known(); ++i) sources[i].depth = depth.views[i];
-  if (!depth.known()) sources.clear();
-  const std::vector<ColourGains> gains = exposure_gains(sources);
-  PhotographViewOptions options;
-  options.carry.depth_reach = depth.reach;
+                                             const SourceDepth& depth, int64_t times, Blending blending) {
   std::vector<PhotographView> shown;
-  for (int64_t view = views.num_sources; view < views.size(); ++view) {
-    const Camera& camera = views.cameras[static_cast<size_t>(view)];
-    shown.push_back(view_from_photographs(
-        sources, gains, resized_camera(camera, times * camera.width, times * camera.height), options));
+  for (const PlacedPhotographs& placed : placed_photographs(views, photographs, depth, times)) {
+    shown.push_back(view_from_photographs(placed));
+    if (blending != nullptr) blend_photographs(*blending, placed, shown.back());
   }
   return shown;
 }
@@ -56,6 +50,23 @@ ComposedViews composed_of(const std::vector<torch::Tensor>& images, const std::v
 
 }  // namespace
 
+std::vector<PlacedPhotographs> placed_photographs(const Views& views, const SourcePhotographs& photographs,
+                                                  const SourceDepth& depth, int64_t times) {
+  std::vector<PicturedView> sources = photographs.views;
+  for (size_t i = 0; i < sources.size() && depth.known(); ++i) sources[i].depth = depth.views[i];
+  if (!depth.known()) sources.clear();
+  const std::vector<ColourGains> gains = exposure_gains(sources);
+  PhotographViewOptions options;
+  options.carry.depth_reach = depth.reach;
+  std::vector<PlacedPhotographs> placed;
+  for (int64_t view = views.num_sources; view < views.size(); ++view) {
+    const Camera& camera = views.cameras[static_cast<size_t>(view)];
+    placed.push_back(place_photographs(
+        sources, gains, resized_camera(camera, times * camera.width, times * camera.height), options));
+  }
+  return placed;
+}
+
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times) {
   if (times == 1) return pictures;
   namespace F = torch::nn::functional;
@@ -70,7 +81,7 @@ std::vector<int64_t> complete_targets(const Views& views, const SourcePhotograph
                                       const SourceDepth& depth) {
   std::vector<int64_t> complete;
   if (!depth.known()) return complete;
-  const auto shown = photograph_views(views, photographs, depth, 1);
+  const auto shown = photograph_views(views, photographs, depth, 1, nullptr);
   for (size_t i = 0; i < shown.size(); ++i) {
     if (shown[i].complete()) complete.push_back(static_cast<int64_t>(i));
   }
@@ -78,10 +89,10 @@ std::vector<int64_t> complete_targets(const Views& views, const SourcePhotograph
 }
 
 ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth) {
+                            const SourceDepth& depth, Blending blending) {
   const int64_t times = magnification(views, photographs);
   std::vector<torch::Tensor> images, shares;
-  for (const PhotographView& view : photograph_views(views, photographs, depth, times)) {
+  for (const PhotographView& view : photograph_views(views, photographs, depth, times, blending)) {
     images.push_back(picture_of(filled(view), view.width, view.height));
     shares.push_back(torch::ones({view.height, view.width}));
   }
@@ -89,9 +100,9 @@ ComposedViews carried_views(const Views& views, const SourcePhotographs& photogr
 }
 
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth, const torch::Tensor& generated) {
+                            const SourceDepth& depth, const torch::Tensor& generated, Blending blending) {
   const int64_t times = magnification(views, photographs);
-  const auto shown = photograph_views(views, photographs, depth, times);
+  const auto shown = photograph_views(views, photographs, depth, times, blending);
   const auto large = enlarged(generated.to(torch::kCPU, torch::kFloat32), times).clamp(0, 1);
   std::vector<torch::Tensor> images, shares;
   for (size_t i = 0; i < shown.size(); ++i) {
@@ -107,7 +118,7 @@ ComposedViews compose_views(const Views& views, const SourcePhotographs& photogr
 FilledViews filled_views(const Views& views, const SourcePhotographs& photographs, const SourceDepth& depth) {
   const int64_t times = magnification(views, photographs);
   std::vector<torch::Tensor> pictures, shown;
-  for (const PhotographView& view : photograph_views(views, photographs, depth, times)) {
+  for (const PhotographView& view : photograph_views(views, photographs, depth, times, nullptr)) {
     pictures.push_back(picture_of(filled(view), view.width, view.height));
     std::vector<float> known(view.variance.size());
     for (size_t pixel = 0; pixel < known.size(); ++pixel) known[pixel] = view.shown(pixel) ? 1.0F : 0.0F;

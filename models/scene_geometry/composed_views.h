@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
+#include "models/blending/photograph_blending.h"
 #include "models/scene_geometry/photograph_depth.h"
 
 #include <cstdint>
@@ -9,6 +10,14 @@
 #include <torch/types.h>
 
 namespace gld {
+
+// How photographs are laid together where several depths and several of them are possible: by rule alone
+// (gld/photogrammetry/photograph_composition.h), or as a network chooses from there (null: by rule).
+using Blending = const PhotographBlending*;
+
+// Photographs laid into each target view, `times` as large as its camera says; none of them where depth is not known.
+std::vector<PlacedPhotographs> placed_photographs(const Views& views, const SourcePhotographs& photographs,
+                                                  const SourceDepth& depth, int64_t times);
 
 // Target views of which the photographs' part is kept and the rest generated
 // (gld/photogrammetry/photograph_composition.h).
@@ -24,7 +33,8 @@ struct ComposedViews {
 // generated: (target views, 3, height, width). Photographs that are `n` times as large as the generated pictures,
 // rounded down, make the composition n times as large; its images of the generated size are means over n x n pixels.
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth, const torch::Tensor& generated);
+                            const SourceDepth& depth, const torch::Tensor& generated,
+                            Blending blending = nullptr);
 
 // (pictures, 3, height, width) each side so many times as large, bicubically.
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times);
@@ -37,9 +47,9 @@ std::vector<int64_t> complete_targets(const Views& views, const SourcePhotograph
 // Target views from photographs alone: as compose_views() with what is shown around it in the place of the few pixels
 // that are not.
 ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth);
+                            const SourceDepth& depth, Blending blending = nullptr);
 
-// The target views as far as photographs show them, gaps filled in smoothly and nothing generated: what a generated
+// The target views as far as photographs show them by rule, gaps filled in smoothly and nothing generated: what a generated
 // part has to beat.
 struct FilledViews {
   torch::Tensor images;  // (target views, 3, height, width) of the views' size

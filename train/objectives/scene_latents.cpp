@@ -1,7 +1,7 @@
 #include "train/objectives/scene_latents.h"
 
 #include <array>
-#include <utility>
+#include <memory>
 
 namespace gld {
 namespace {
@@ -28,45 +28,22 @@ int64_t bytes_of(SceneLatents latents) {
   return bytes;
 }
 
-// Different views of one scene have different cameras, and so have crops of one view.
-std::string key_of(const TrainingScene& scene) {
-  std::string key = scene.name + '/' + std::to_string(scene.views.num_sources);
-  const auto append = [&key](const auto& matrix) {
-    key.append(reinterpret_cast<const char*>(matrix.data()),
-               sizeof(double) * static_cast<size_t>(matrix.size()));
-  };
-  for (const Camera& camera : scene.views.cameras) {
-    append(Eigen::Matrix4d(camera.world_from_camera.matrix()));
-    append(camera.intrinsics);
-    key += std::to_string(camera.width) + 'x' + std::to_string(camera.height);
-  }
-  return key;
-}
-
 }  // namespace
 
 SceneLatents SceneLatents::to(torch::Device device) const {
   return converted(*this, torch::TensorOptions().device(device));
 }
 
-KeptLatents::KeptLatents(double gib) : most_bytes_(static_cast<int64_t>(gib * (int64_t{1} << 30))) {}
+KeptLatents::KeptLatents(double gib) : kept_(gib) {}
 
 SceneLatents KeptLatents::get(const TrainingScene& scene, const std::function<SceneLatents()>& encode) {
-  const auto full = torch::TensorOptions().dtype(torch::kFloat32);
-  std::string key = key_of(scene);
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const auto found = kept_.find(key);
-    if (found != kept_.end()) return converted(found->second, full);
-  }
-  const SceneLatents rounded =
-      converted(encode(), torch::TensorOptions().dtype(torch::kFloat16).device(torch::kCPU));
-  const int64_t bytes = bytes_of(rounded) + static_cast<int64_t>(key.size());
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (bytes_ + bytes <= most_bytes_ && kept_.emplace(std::move(key), rounded).second) bytes_ += bytes;
-  }
-  return converted(rounded, full);
+  const auto made = kept_.get(scene, "latents", [&]() -> KeptScenes::Made {
+    auto rounded = std::make_shared<SceneLatents>(
+        converted(encode(), torch::TensorOptions().dtype(torch::kFloat16).device(torch::kCPU)));
+    return {rounded, bytes_of(*rounded)};
+  });
+  return converted(*static_cast<const SceneLatents*>(made.get()),
+                   torch::TensorOptions().dtype(torch::kFloat32));
 }
 
 }  // namespace gld

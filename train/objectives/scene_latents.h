@@ -2,12 +2,9 @@
 
 #include "models/dit/dit_scene.h"
 #include "train/data/training_scene.h"
+#include "train/objectives/kept_scenes.h"
 
-#include <cstdint>
 #include <functional>
-#include <map>
-#include <mutex>
-#include <string>
 
 #include <torch/types.h>
 
@@ -30,16 +27,13 @@ class KeptLatents {
   // gib: bound of their memory; past it scenes are encoded every time. 0 keeps none.
   explicit KeptLatents(double gib);
 
-  bool enabled() const { return most_bytes_ > 0; }
+  bool enabled() const { return kept_.enabled(); }
   // The latents of that scene (its name and cameras tell), on the CPU and in float32; encode makes them where they
   // are not kept. May be called from several threads.
   SceneLatents get(const TrainingScene& scene, const std::function<SceneLatents()>& encode);
 
  private:
-  int64_t most_bytes_;
-  std::mutex mutex_;
-  int64_t bytes_ = 0;
-  std::map<std::string, SceneLatents> kept_;  // float16
+  KeptScenes kept_;  // float16
 };
 
 }  // namespace gld

@@ -28,6 +28,22 @@ void TrainDecoderOptions::visit(FieldVisitor& visitor) {
   visitor.group({"objective", "losses"}, objective);
 }
 
+TrainBlendingOptions::TrainBlendingOptions() {
+  // One source alone leaves its depth without a unit: nothing is carried.
+  data.views.fewest_sources = 2;
+  loop.optimiser.clip_norm = 1.0;
+  loop.optimiser.ema_decay = 0.998;
+  loop.learning_rate.schedule = LearningRateSchedule::kLinear;
+  loop.learning_rate.peak = 1.5e-3;
+  loop.learning_rate.final = 1e-5;
+  loop.learning_rate.warmup_steps = 100;
+}
+
+void TrainBlendingOptions::visit(FieldVisitor& visitor) {
+  TrainOptions::visit(visitor);
+  visitor.group({"objective", "losses"}, objective);
+}
+
 std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw) {
   TrainingStage stage;
   stage.command = "train backbone";
@@ -75,6 +91,34 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
     if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(bundle.load_rgb_decoder(placement));
     }
+    return objective;
+  };
+  return run_training_stage(options, options, stage, draw);
+}
+
+std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw) {
+  const BundleOptions model = ModelBundle::open(options.model).options();
+  if (!model.blending.exists()) {
+    fail({options.model + "/model.yaml", "a blending part", "none",
+          "add for example blending: {channels: [24, 32, 48, 64]}"});
+  }
+  if (options.data.views.fewest_sources < 2) {
+    fail({"--fewest-sources", "at least 2, which tell the unit of depth",
+          std::to_string(options.data.views.fewest_sources), "raise it"});
+  }
+  TrainingStage stage;
+  stage.command = "train blending";
+  if (options.objective.true_depth > 0) stage.parts = FrameParts::kImageAndDepth;
+  stage.made = {BundlePart::blending()};
+  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    if (!placement.device.is_cpu()) {
+      fail({"--device", "cpu for train blending, which matches photographs there", placement.device.str(),
+            "leave it out"});
+    }
+    auto objective = std::make_unique<BlendingObjective>(
+        bundle.options(), options.objective, bundle.load_backbone(placement),
+        bundle.load_geometry_head(placement), options.loop.seed);
+    if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());
     return objective;
   };
   return run_training_stage(options, options, stage, draw);

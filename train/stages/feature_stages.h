@@ -2,6 +2,7 @@
 
 #include "train/objectives/autoencoder_objective.h"
 #include "train/objectives/backbone_objective.h"
+#include "train/objectives/blending_objective.h"
 #include "train/objectives/decoder_objective.h"
 #include "train/stages/training_stage.h"
 
@@ -22,8 +23,15 @@ struct TrainDecoderOptions : TrainOptions {
   void visit(FieldVisitor& visitor) override;
 };
 
-// gld train backbone and gld train decoder; see run_training_stage.
+struct TrainBlendingOptions : TrainOptions {
+  BlendingObjectiveOptions objective;
+  TrainBlendingOptions();
+  void visit(FieldVisitor& visitor) override;
+};
+
+// gld train backbone, decoder and blending; see run_training_stage.
 std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw);
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw);
+std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw);
 
 }  // namespace gld
