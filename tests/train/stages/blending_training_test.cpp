@@ -1,0 +1,142 @@
+#include "train/objectives/blending_objective.h"
+
+#include "models/bundle/random_bundle.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+#include "tests/train/small_training.h"
+#include "train/loop/metrics_log.h"
+#include "train/stages/feature_stages.h"
+
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+using test::TemporaryFolder;
+
+BundleOptions blending_model() {
+  BundleOptions model = test::small_model();
+  model.blending.channels = {6, 8};
+  model.blending.side = 56;
+  return model;
+}
+
+TrainingDataOptions scenes_of_two_sources() {
+  TrainingDataOptions data = test::small_data();
+  data.views.fewest_sources = data.views.most_sources = 2;
+  return data;
+}
+
+BlendingObjective random_objective(const BlendingObjectiveOptions& options) {
+  const BundleOptions model = blending_model();
+  auto generator = at::detail::createCPUGenerator(3);
+  auto backbone = model.backbone.make(ParameterPlacement{});
+  backbone->initialise(generator);
+  auto head = model.geometry_head.make(ParameterPlacement{});
+  head->initialise(generator);
+  return {model, options, backbone, head, 1};
+}
+
+double loss_after(BlendingObjective& objective, int64_t steps) {
+  FlatParameters parameters(objective.parameters());
+  Optimiser optimiser(parameters, {});
+  const DatasetBatches data(scenes_of_two_sources(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const TrainingBatch batch = data.batch(0);
+  auto generator = at::detail::createCPUGenerator(2);
+  double last = 0;
+  for (int64_t step = 0; step < steps; ++step) {
+    parameters.zero_gradients();
+    const Losses losses = objective.losses(batch, {step, steps, generator});
+    losses.total.backward();
+    optimiser.step(3e-3, optimiser.gradient_norm());
+    last = losses.total.item<double>();
+  }
+  return last;
+}
+
+// By true depth, which is right nearly everywhere, and which random weights of a backbone cannot tell.
+TEST(BlendingTraining, LearnsToLayPhotographsTogether) {
+  BlendingObjectiveOptions options;
+  options.true_depth = 1;
+  options.kept_gib = 0.1;
+  auto objective = random_objective(options);
+  const double first = loss_after(objective, 1);
+  EXPECT_LT(loss_after(objective, 40), first - 0.005);
+}
+
+TEST(BlendingTraining, WhatIsKeptIsWhatWouldBeMadeAgain) {
+  BlendingObjectiveOptions options;
+  options.true_depth = 0.5;
+  auto again = random_objective(options);
+  options.kept_gib = 0.1;
+  auto kept = random_objective(options);
+  EXPECT_EQ(loss_after(again, 6), loss_after(kept, 6));
+}
+
+class BlendingStage : public testing::Test {
+ protected:
+  BlendingStage() { write_random_bundle(folder_.path() / "bundle", blending_model(), 5); }
+  TrainBlendingOptions options(const std::string& out) const {
+    auto options = test::training_options<TrainBlendingOptions>(folder_.path() / "bundle", folder_.path() / out);
+    options.data = scenes_of_two_sources();
+    options.loop.learning_rate.warmup_steps = 0;
+    return options;
+  }
+  TemporaryFolder folder_;
+};
+
+TEST_F(BlendingStage, TwoStepsWriteTheModelWithItsBlending) {
+  train_blending(options("run"), {});
+  const MetricsLog log(folder_.path() / "run/metrics.jsonl", 2);
+  for (const char* key : {"loss", "validation_absolute", "validation_psnr", "validation_rule_psnr",
+                          "validation_sharpness", "validation_rule_sharpness"}) {
+    ASSERT_EQ(log.series(key).size(), 2U) << key;
+    for (const auto& point : log.series(key)) EXPECT_TRUE(std::isfinite(point.second)) << key;
+  }
+  const auto bundle = ModelBundle::open(folder_.path() / "run/model");
+  for (const BundlePart& part : bundle_parts(bundle.options()))
+    EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
+  EXPECT_EQ(bundle.load_blending()->options().channels, blending_model().blending.channels);
+}
+
+TEST_F(BlendingStage, StepsInOneCallEqualStepsInSeveral) {
+  train_blending(options("whole"), {});
+  auto first = options("parts");
+  first.loop.steps = 1;
+  train_blending(first, {});
+  auto second = options("parts");
+  second.resume = true;
+  train_blending(second, {});
+  const auto weights = [&](const std::string& run) {
+    return named_parameters(*ModelBundle::open(folder_.path() / run / "model").load_blending());
+  };
+  const auto whole = weights("whole"), parts = weights("parts");
+  for (size_t i = 0; i < whole.size(); ++i)
+    EXPECT_TRUE(torch::equal(whole[i].parameter, parts[i].parameter)) << whole[i].name;
+}
+
+TEST_F(BlendingStage, RefusesScenesOfOneSourceAndModelsWithoutBlending) {
+  auto single = options("single");
+  single.data.views.fewest_sources = 1;
+  EXPECT_EQ(error_of([&] { train_blending(single, {}); }),
+            "--fewest-sources: expected at least 2, which tell the unit of depth, found 1; raise it.");
+  auto without = options("without");
+  without.model = (folder_.path() / "other").string();
+  save_bundle_options(without.model, test::small_model());
+  EXPECT_EQ(error_of([&] { train_blending(without, {}); }),
+            without.model +
+                "/model.yaml: expected a blending part, found none; add for example blending: {channels: [24, 32, "
+                "48, 64]}.");
+}
+
+}  // namespace
+}  // namespace gld
