@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Trains the small model: backbone; latent statistics; the depth head, which carries photographs into target views for M1;
-# then M1 for as long as it is left running, while the RGB decoder and the cascade train beside it. Every stage goes on
+# then M1 for as long as it is left running, while the RGB decoder, the blending of photographs and the cascade train beside it. Every stage goes on
 # where it was interrupted: run it again.
 #   scripts/train_tiny.sh [RUNS [DEVICE]]        trains; Ctrl-C or SIGTERM writes checkpoints and stops
 #   scripts/train_tiny.sh ship [RUNS [DEVICE]]   branches a falling learning rate off what M1 has learnt so far, puts the
@@ -121,7 +121,7 @@ branch() {
 }
 
 if [ "$action" = ship ]; then
-  for needed in decoder cascade; do
+  for needed in decoder blending cascade; do
     if [ ! -f "$runs/$needed/report.json" ]; then
       echo "train_tiny: expected $runs/$needed to be done before shipping, found no report.json;" \
         "let scripts/train_tiny.sh $runs run on." >&2
@@ -132,7 +132,8 @@ if [ "$action" = ship ]; then
   branch level level "$level_base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
-  cp "$runs/level_$step/model/level1.safetensors" "$level_base/dpt_head.safetensors" "$recipe/model.yaml" "$runs/model/"
+  cp "$runs/level_$step/model/level1.safetensors" "$runs/blending/model/blending.safetensors" "$level_base/dpt_head.safetensors" \
+    "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
   echo "train_tiny: the model is in $runs/model; scripts/ship_tiny.sh $runs puts it into configs/tiny."
@@ -166,6 +167,7 @@ if [ "$action" = keep ]; then
     part level "$runs/level_$step" level1
   fi
   if [ -f "$runs/decoder/report.json" ]; then part decoder "$runs/decoder" rgb_decoder; fi
+  if [ -f "$runs/blending/report.json" ]; then part blending "$runs/blending" blending; fi
   if [ -f "$runs/cascade/report.json" ]; then part cascade "$runs/cascade" cascade; fi
   if [ -f "$runs/head/report.json" ]; then part head "$runs/head" dpt_head; fi
   exit 0
@@ -176,13 +178,17 @@ fi
 level() { stage level level "$level_base" "$level_start" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
+  # Photographs are matched on the CPU.
+  device=cpu stage blending blending "$level_base" "$(start_of blending objective.start=bundle)" --threads 1
   # The head that carries photographs into target views is M1's.
   rm -rf "$runs/cascade_base"
   cp -r "$runs/decoder/model" "$runs/cascade_base"
   cp "$level_base/dpt_head.safetensors" "$runs/cascade_base/"
   stage cascade cascade "$runs/cascade_base" "$(start_of cascade objective.flow.start=bundle)" --threads 1
 }
-level_is_alone() { [ -f "$runs/decoder/report.json" ] && [ -f "$runs/cascade/report.json" ]; }
+level_is_alone() {
+  [ -f "$runs/decoder/report.json" ] && [ -f "$runs/blending/report.json" ] && [ -f "$runs/cascade/report.json" ]
+}
 
 running=()
 # With process groups of their own (set -m), which get one signal each: gld then writes a checkpoint.
@@ -202,7 +208,7 @@ if ! level_is_alone; then
   level --threads 1 &
   running=("$beside" $!)
   if ! wait "$beside"; then
-    echo "train_tiny: expected decoder and cascade to train, found a failure; see $runs/beside_level.log." >&2
+    echo "train_tiny: expected decoder, blending and cascade to train, found a failure; see $runs/beside_level.log." >&2
     exit 1
   fi
   stop_running

@@ -80,6 +80,14 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
   return views;
 }
 
+std::vector<const FittedView*> all_views(const SplatFitViews& views) {
+  std::vector<const FittedView*> all;
+  for (const auto* some : {&views.fitted, &views.held_out}) {
+    for (const FittedView& view : *some) all.push_back(&view);
+  }
+  return all;
+}
+
 void give_latents(std::vector<LatentView> latents, SplatFitViews& views) {
   auto next = latents.begin();
   for (auto* some : {&views.fitted, &views.held_out}) {

@@ -37,6 +37,8 @@ struct SplatFitViews {
 // last, are kept apart. Error where fewer than one is left to be fitted.
 SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t held_out,
                              const KernelSettings& settings);
+// Fitted views first.
+std::vector<const FittedView*> all_views(const SplatFitViews& views);
 // Gives every view its latent, fitted views first, as many as there are views.
 void give_latents(std::vector<LatentView> latents, SplatFitViews& views);
 // That of the first one's aspect with at most `side` pixels. Error where no frame has a picture.

@@ -1,5 +1,6 @@
 #include "gld/photogrammetry/photograph_composition.h"
 
+#include "gld/cameras/image_size.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/bilinear_neighbours.h"
 #include "gld/photogrammetry/membrane.h"
@@ -16,11 +17,8 @@
 namespace gld {
 namespace {
 
-// Of a photograph that alone shows a place: nothing contradicts it, and nothing confirms its depth. About 24 dB, which
-// is what carried photographs of drawn rooms and of real places have there.
-constexpr float kVarianceOfOne = 0.004F;
-// What colours differ by where everything is right: noise of cameras, bilinear interpolation.
-constexpr float kColourNoise = 0.0004F;
+constexpr float kVarianceOfOne = PhotographView::kVarianceOfOne;
+constexpr float kColourNoise = PhotographView::kColourNoise;
 // A generated picture's error where no photograph can tell it (22 dB).
 constexpr double kUsualGeneratedVariance = 0.006;
 
@@ -51,17 +49,8 @@ std::vector<float> area_means(const PicturedView& view, int64_t width, int64_t h
   return reduced;
 }
 
-// The size with the longer side at most `side`.
-std::pair<int64_t, int64_t> size_within(int64_t width, int64_t height, int64_t side) {
-  const int64_t longer = std::max(width, height);
-  if (longer <= side) return {width, height};
-  const double factor = static_cast<double>(side) / static_cast<double>(longer);
-  return {std::max<int64_t>(1, std::llround(static_cast<double>(width) * factor)),
-          std::max<int64_t>(1, std::llround(static_cast<double>(height) * factor))};
-}
-
 PicturedView reduced_view(const PicturedView& view, int64_t side) {
-  const auto [width, height] = size_within(view.width, view.height, side);
+  const auto [width, height] = image_within(view.width, view.height, side);
   PicturedView reduced;
   reduced.camera = resized_camera(view.camera, width, height);
   reduced.depth = view.depth;
@@ -337,7 +326,7 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
       for (size_t p = c; p < even[i].rgb.size(); p += 3) even[i].rgb[p] *= factor;
     }
   }
-  const auto [width, height] = size_within(target.width, target.height, options.matched_side);
+  const auto [width, height] = image_within(target.width, target.height, options.matched_side);
   std::vector<PicturedView> small;
   for (const PicturedView& source : even) small.push_back(reduced_view(source, options.matched_side));
   placed.depth =
@@ -347,7 +336,7 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
 }
 
 PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side) {
-  const auto [width, height] = size_within(placed.target.width, placed.target.height, side);
+  const auto [width, height] = image_within(placed.target.width, placed.target.height, side);
   PlacedPhotographs small{{}, resized_camera(placed.target, width, height), {}, placed.carry};
   if (placed.photographs.empty()) return small;
   for (const PicturedView& photograph : placed.photographs)

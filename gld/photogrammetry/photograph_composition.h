@@ -44,6 +44,11 @@ struct PhotographView {
   bool complete() const;
 
   static constexpr float kNotShown = 1e30F;
+  // Of a photograph that alone shows a place: nothing contradicts it, and nothing confirms its depth. About 24 dB,
+  // which is what carried photographs of drawn rooms and of real places have there.
+  static constexpr float kVarianceOfOne = 0.004F;
+  // What colours differ by where everything is right: noise of cameras, bilinear interpolation.
+  static constexpr float kColourNoise = 0.0004F;
 };
 
 // Photographs as they are laid into a target view: all of one brightness, that of the target, with the depth that they

@@ -273,7 +273,7 @@ EvaluationModels load_models(const EvaluationOptions& options, const ModelBundle
   models.models = kept_bundle_models(bundle, device, options.precision);
   models.lpips = load_lpips(options.lpips);
   models.device = device;
-  models.photographs = photograph_use_of(options.photograph_use, models.bundle);
+  models.photographs = photograph_use_of(options.photograph_use, bundle);
   models.poses = options.poses;
   GeometryHeadOptions seeing = models.bundle.geometry_head;
   if (!options.pose_model.empty() && options.poses != PoseEstimator::kNone) {

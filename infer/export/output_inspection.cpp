@@ -108,6 +108,7 @@ const std::map<std::string, std::string>& following_commands() {
       {"synth", "gld check-data RUN"},
       {"splat fit", "gld splat render --splats RUN --path orbit --out runs/orbit"},
       {"train backbone", "gld train decoder --model RUN/model --out runs/decoder"},
+      {"train blending", "gld stats --model RUN/model --out runs/stats"},
       {"train decoder", "gld stats --model RUN/model --out runs/stats"},
       {"stats", "gld train level --model RUN/model --out runs/level"},
       {"train level", "gld train cascade --model RUN/model --out runs/cascade"},

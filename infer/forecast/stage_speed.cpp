@@ -1,5 +1,6 @@
 #include "infer/forecast/stage_speed.h"
 
+#include "gld/cameras/image_size.h"
 #include "gld/cameras/latent_grid.h"
 #include "gld/machine/timing.h"
 #include "models/backbones/backbone.h"
@@ -92,9 +93,8 @@ double blending_seconds(const BundleOptions& bundle, const PlanRequest& request)
   PhotographBlending blending(bundle.blending, ParameterPlacement{});
   fill(blending);
   const int64_t side = bundle.backbone.patch_side();
-  const auto inputs = torch::randn({1, PhotographBlending::kInputs,
-                                    std::min(bundle.blending.side, side * request.grid.height),
-                                    std::min(bundle.blending.side, side * request.grid.width)});
+  const auto seen = image_within(side * request.grid.width, side * request.grid.height, bundle.blending.side);
+  const auto inputs = torch::randn({1, PhotographBlending::kInputs, seen.height, seen.width});
   const auto targets = static_cast<double>(request.grid.views - request.num_sources);
   return targets * seconds_of([&] { blending.forward(inputs); });
 }

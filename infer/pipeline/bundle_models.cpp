@@ -40,11 +40,11 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   return models;
 }
 
-PhotographUse photograph_use_of(const PhotographOptions& options, const BundleOptions& bundle) {
+PhotographUse photograph_use_of(const PhotographOptions& options, const ModelBundle& bundle) {
   PhotographModel model;
-  model.warped_sources = bundle.level_set().warped_sources;
-  model.has_geometry_head = bundle.geometry_head.predicts_rays();
-  model.has_blending = bundle.blending.exists();
+  model.warped_sources = bundle.options().level_set().warped_sources;
+  model.has_geometry_head = bundle.options().geometry_head.predicts_rays();
+  model.has_blending = bundle.options().blending.exists() && bundle.has(BundlePart::blending());
   return options.use(model);
 }
 

@@ -21,7 +21,7 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
                                   ComputePrecision precision = ComputePrecision::kFloat32);
 
 // What options make of the photographs with that bundle.
-PhotographUse photograph_use_of(const PhotographOptions& options, const BundleOptions& bundle);
+PhotographUse photograph_use_of(const PhotographOptions& options, const ModelBundle& bundle);
 
 // Throws Error, naming --geometry-model, where a bundle has no geometry head.
 void require_geometry_head(const ModelBundle& bundle);

@@ -9,7 +9,7 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
       visitor,
       {"source_depth",
        "who says how deep the source views are: the model, the photographs where they agree (stereo), or "
-       "both (fused); automatic: fused for models that are shown photographs in target views"},
+       "both (fused); automatic: fused for models that are shown photographs in target views, or blend them"},
       source_depth, {"automatic", "model", "stereo", "fused"});
   visit_choice(
       visitor,
@@ -32,7 +32,8 @@ PhotographUse PhotographOptions::use(const PhotographModel& model) const {
   use.stereo = stereo;
   switch (source_depth) {
     case DepthChoice::kAutomatic:
-      use.depth = trained_with_photographs ? SourceDepthOrigin::kFused : SourceDepthOrigin::kHead;
+      use.depth = trained_with_photographs || model.has_blending ? SourceDepthOrigin::kFused
+                                                                 : SourceDepthOrigin::kHead;
       break;
     case DepthChoice::kModel:
       break;

@@ -117,6 +117,7 @@ ModelKind model_kind_of(StageKind kind) {
     case StageKind::kSourceDepth:
     case StageKind::kSourceWarp:
     case StageKind::kGeometry:
+    case StageKind::kComposition:  // convolutions alone
       return ModelKind::kLeanedOn;
     default:
       return ModelKind::kRunOnce;

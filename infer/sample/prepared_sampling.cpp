@@ -226,7 +226,7 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
       prepared.bundle.options().backbone.grid_of(prepared.scene.views.size(), size.height, size.width);
   request.num_sources = prepared.scene.views.num_sources;
   request.outputs = options.requested();
-  request.photographs_used = photograph_use_of(options.photograph_use, prepared.bundle.options());
+  request.photographs_used = photograph_use_of(options.photograph_use, prepared.bundle);
   if (prepared.geometry_model) {
     request.geometry_model = std::make_shared<const BundleOptions>(prepared.geometry_model->options());
   }

@@ -39,10 +39,10 @@ namespace gld {
 namespace {
 
 PipelineRequest make_request(const SampleOptions& options, const FlowSettings& settings,
-                             const BundleOptions& bundle, const SamplingScene& scene,
+                             const ModelBundle& bundle, const SamplingScene& scene,
                              const torch::Device& device) {
   const RequestedOutputs requested = options.requested();
-  PipelineRequest request = scene_request(scene, bundle, options.seed, device);
+  PipelineRequest request = scene_request(scene, bundle.options(), options.seed, device);
   request.flow = settings;
   request.savings = options.savings();
   request.photographs = photograph_use_of(options.photograph_use, bundle);
@@ -418,7 +418,7 @@ void sample(const SampleOptions& options) {
   }
   RunFolder run(options.out, "sample", options, earlier);
   const RequestedOutputs requested = options.requested();
-  PipelineRequest request = make_request(options, planned.settings, bundle.options(), scene, prepared.device);
+  PipelineRequest request = make_request(options, planned.settings, bundle, scene, prepared.device);
   provenance.seed = options.seed;
   provenance.precision = precision_text(planned.choice.method.precision, planned.choice.device);
   const UnfinishedLatents kept(run.path());

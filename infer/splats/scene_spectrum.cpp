@@ -25,11 +25,9 @@ SizedViews sized_views(const Scene& scene, int64_t side, const SpectrumSettings&
       load_fit_views(scene, ImageSize{side, side}, settings.held_out, settings.kernels);
   SizedViews result;
   std::vector<torch::Tensor> images;
-  for (const auto* some : {&views.fitted, &views.held_out}) {
-    for (const FittedView& view : *some) {
-      images.push_back(tensor_of(view.target.image));
-      result.cameras.push_back(view.camera);
-    }
+  for (const FittedView* view : all_views(views)) {
+    images.push_back(tensor_of(view->target.image));
+    result.cameras.push_back(view->camera);
   }
   result.images = torch::stack(images);
   return result;

@@ -50,11 +50,9 @@ struct EncodedScene {
 EncodedScene encoded_scene(const SplatFitViews& views, const ModelBundle& bundle, const GaussianSet& set) {
   EncodedScene scene{{}, {set, {}, {}, static_cast<int64_t>(views.fitted.size())}, {}};
   std::vector<torch::Tensor> images;
-  for (const auto* some : {&views.fitted, &views.held_out}) {
-    for (const FittedView& view : *some) {
-      images.push_back(tensor_of(view.target.image));
-      scene.gaussians.cameras.push_back(view.camera);
-    }
+  for (const FittedView* view : all_views(views)) {
+    images.push_back(tensor_of(view->target.image));
+    scene.gaussians.cameras.push_back(view->camera);
   }
   scene.images = torch::stack(images);
   scene.levels = encode_latent_pictures(bundle, scene.images, decoded_levels(bundle.options()));

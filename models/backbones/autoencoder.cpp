@@ -16,7 +16,7 @@ std::vector<DecodableLevel> Autoencoder::propagate(const PropagationStart& start
 
 torch::Tensor Autoencoder::decode(const torch::Tensor& patches, const LatentGrid& grid) const {
   require_propagation_tokens({0, patches, grid});
-  const auto latents = latents_of_tokens(patches, grid, latent_patch());
+  const auto latents = latents_of_tokens(patches, grid, architecture().latent_pixels());
   std::vector<torch::Tensor> views;
   for (int64_t view = 0; view < latents.size(0); ++view) {
     views.push_back(decoded_view(latents.narrow(0, view, 1)));

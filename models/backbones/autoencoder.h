@@ -28,7 +28,6 @@ class Autoencoder : public Backbone {
   torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const override;
 
  protected:
-  virtual int64_t latent_patch() const = 0;
   // The level's latents of a view, (1, channels, height, width) -> its image, RGB in about [0, 1].
   virtual torch::Tensor decoded_view(const torch::Tensor& latents) const = 0;
 };

@@ -36,6 +36,7 @@ struct AutoencoderKlOptions : AutoencoderArchitecture {
   // Image pixels of a latent pixel along each side, 8 by default.
   int64_t reduction() const { return int64_t{1} << (block_out_channels.size() - 1); }
   int64_t patch_side() const override { return reduction() * latent_patch; }
+  int64_t latent_pixels() const override { return latent_patch; }
   int64_t level_channels() const override { return latent_channels * latent_patch * latent_patch; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost decoding_cost(const LatentGrid& grid) const override;
@@ -65,7 +66,6 @@ class AutoencoderKl : public Autoencoder {
   torch::Tensor images_of(const torch::Tensor& latents) const;
 
  protected:
-  int64_t latent_patch() const override { return options_.latent_patch; }
   torch::Tensor decoded_view(const torch::Tensor& latents) const override;
 
  private:

@@ -34,8 +34,11 @@ class BackboneArchitecture : public OptionsGroup {
   // Parts of the module that have another beginning in the published file: {there, in the module}.
   virtual std::vector<std::pair<std::string, std::string>> published_elsewhere() const { return {}; }
 
-  virtual int64_t patch_side() const = 0;      // pixels
-  virtual int64_t levels() const = 0;          // how many the decoders take
+  virtual int64_t patch_side() const = 0;  // pixels
+  virtual int64_t levels() const = 0;      // how many the decoders take
+  virtual int64_t latent_pixels() const {
+    return 1;
+  }                                            // of a token along each side, where it holds some of a latent
   virtual int64_t level_channels() const = 0;  // C
   // Tokens in front of the patch tokens of a level: class, camera and register tokens.
   virtual int64_t leading_tokens() const = 0;

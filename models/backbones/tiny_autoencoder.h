@@ -29,6 +29,7 @@ struct TinyAutoencoderOptions : AutoencoderArchitecture {
   std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const override;
   std::string published_prefix() const override { return ""; }
   int64_t patch_side() const override { return 8 * latent_patch; }
+  int64_t latent_pixels() const override { return latent_patch; }
   int64_t level_channels() const override { return latent_channels * latent_patch * latent_patch; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost decoding_cost(const LatentGrid& grid) const override;
@@ -53,7 +54,6 @@ class TinyAutoencoder : public Autoencoder {
   torch::Tensor images_of(const torch::Tensor& latents) const;  // RGB in about [0, 1], not clamped
 
  protected:
-  int64_t latent_patch() const override { return options_.latent_patch; }
   torch::Tensor decoded_view(const torch::Tensor& latents) const override;
 
  private:

@@ -1,21 +1,65 @@
 #include "models/blending/blended_view.h"
 
 #include <algorithm>
-#include <cmath>
+#include <cstdint>
+#include <cstdlib>
+#include <vector>
 
 #include <torch/autograd.h>
 
 namespace gld {
 namespace {
 
-// Of a view as it is looked at, (1 + hypotheses, height, width).
-torch::Tensor choices(const PhotographBlending& blending, const PlacedPhotographs& nearest,
-                      const PhotographView& view) {
+// What the network chooses in a view, (1 + hypotheses, height, width).
+torch::Tensor shares_in(const PhotographBlending& blending, const PlacedPhotographs& nearest,
+                        const PhotographView& view) {
   BlendingCandidates views = blending_candidates(nearest, view);
-  for (torch::Tensor* part : {&views.colours, &views.shown, &views.disagreement, &views.depth})
-    *part = part->unsqueeze(0);
-  return blending.forward(blending_inputs(views))[0];
+  for (torch::Tensor* part : views.parts()) *part = part->unsqueeze(0);
+  return chosen_shares(blending, views)[0];
 }
+
+// Of the target and of all photographs, in pixels.
+int64_t longest_side(const PlacedPhotographs& placed) {
+  int64_t longest = std::max(placed.target.width, placed.target.height);
+  for (const PicturedView& view : placed.photographs) longest = std::max({longest, view.width, view.height});
+  return longest;
+}
+
+// A thousandth of a colour is less than what a file of 8 bits keeps.
+constexpr float kNegligibleShare = 1e-3F;
+
+// Of each pixel the mean of colours by their shares, and the variance of its error: the mean of theirs, and what they
+// are apart (the law of total variance), mean over the colours.
+class ColourMixture {
+ public:
+  explicit ColourMixture(size_t pixels)
+      : shares_(pixels), variances_(pixels), squares_(pixels), sums_(3 * pixels) {}
+
+  void add(size_t pixel, float share, const float* colour, float variance) {
+    shares_[pixel] += share;
+    variances_[pixel] += share * variance;
+    for (size_t c = 0; c < 3; ++c) {
+      sums_[3 * pixel + c] += share * colour[c];
+      squares_[pixel] += share * colour[c] * colour[c] / 3;
+    }
+  }
+
+  bool known(size_t pixel) const { return shares_[pixel] > 0; }
+  // Writes the colour and returns its variance.
+  float take(size_t pixel, float* colour) const {
+    float mean_square = 0;
+    for (size_t c = 0; c < 3; ++c) {
+      const float mean = sums_[3 * pixel + c] / shares_[pixel];
+      mean_square += mean * mean / 3;
+      colour[c] = std::clamp(mean, 0.0F, 1.0F);
+    }
+    return (variances_[pixel] + std::max(0.0F, squares_[pixel] - shares_[pixel] * mean_square)) /
+           shares_[pixel];
+  }
+
+ private:
+  std::vector<float> shares_, variances_, squares_, sums_;
+};
 
 }  // namespace
 
@@ -23,41 +67,52 @@ void blend_photographs(const PhotographBlending& blending, const PlacedPhotograp
                        PhotographView& view) {
   if (view.shown_share() == 0) return;
   const torch::NoGradGuard no_gradients;
-  const PlacedPhotographs nearest = nearest_photographs(placed);
+  PlacedPhotographs nearest = nearest_photographs(placed);
   const int64_t side = blending.options().side;
-  torch::Tensor logits;
-  if (std::max(view.width, view.height) <= side) {
-    logits = choices(blending, nearest, view);
+  torch::Tensor shares;
+  if (longest_side(placed) <= side) {
+    shares = shares_in(blending, nearest, view);
   } else {
     const PlacedPhotographs small = reduced(placed, side);
-    logits = choices(blending, nearest_photographs(small), view_from_photographs(small));
+    shares = shares_in(blending, nearest_photographs(small), view_from_photographs(small));
   }
   // One hypothesis after the other: of a large picture all of them would be a gigabyte.
-  const auto shares = logits.softmax(0);
   const auto share = [&](int64_t number) {
     return torch::upsample_bilinear2d(shares[number].view({1, 1, shares.size(1), shares.size(2)}),
                                       {view.height, view.width}, false)
         .contiguous();
   };
   const auto pixels = static_cast<size_t>(view.width * view.height);
+  ColourMixture mixture(pixels);
   const auto rule = share(0);
-  std::vector<float> total(rule.data_ptr<float>(), rule.data_ptr<float>() + pixels);
-  std::vector<float> sum(3 * pixels);
-  for (size_t i = 0; i < sum.size(); ++i) sum[i] = total[i / 3] * view.rgb[i];
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    if (view.shown(pixel))
+      mixture.add(pixel, rule.data_ptr<float>()[pixel], view.rgb.data() + 3 * pixel, view.variance[pixel]);
+  }
+  const std::vector<uint8_t> reached = nearest.depth.reached;
   for (size_t number = 0; number < kDepthFactors.size(); ++number) {
-    const DepthHypothesis hypothesis = depth_hypothesis(nearest, kDepthFactors[number]);
     const auto of_this = share(static_cast<int64_t>(number) + 1);
-    const float* weights = of_this.data_ptr<float>();
+    const float* shares_of_this = of_this.data_ptr<float>();
+    // Photographs are asked only where it counts: most pixels have a share of few depths.
+    for (size_t pixel = 0; pixel < pixels; ++pixel) {
+      const bool counts = view.shown(pixel) && shares_of_this[pixel] >= kNegligibleShare;
+      nearest.depth.reached[pixel] = counts ? reached[pixel] : 0;
+    }
+    const DepthHypothesis hypothesis = depth_hypothesis(nearest, kDepthFactors[number]);
     for (size_t pixel = 0; pixel < pixels; ++pixel) {
       if (hypothesis.shown[pixel] == 0) continue;
-      total[pixel] += weights[pixel];
-      for (size_t c = 0; c < 3; ++c) sum[3 * pixel + c] += weights[pixel] * hypothesis.rgb[3 * pixel + c];
+      const float apart = hypothesis.disagreement[pixel];
+      const float variance = hypothesis.shown[pixel] < 1 ? PhotographView::kVarianceOfOne
+                                                         : PhotographView::kColourNoise + apart * apart;
+      mixture.add(pixel, shares_of_this[pixel], hypothesis.rgb.data() + 3 * pixel, variance);
     }
   }
   for (size_t pixel = 0; pixel < pixels; ++pixel) {
-    if (!view.shown(pixel) || total[pixel] <= 0) continue;
-    for (size_t c = 0; c < 3; ++c)
-      view.rgb[3 * pixel + c] = std::clamp(sum[3 * pixel + c] / total[pixel], 0.0F, 1.0F);
+    if (mixture.known(pixel)) {
+      const float v = mixture.take(pixel, view.rgb.data() + 3 * pixel);
+      static const char* mode = getenv("VARMODE");
+      if (mode != nullptr && mode[0] == '1') view.variance[pixel] = v;
+    }
   }
 }
 

@@ -1,6 +1,7 @@
 #include "models/blending/photograph_blending.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/image_size.h"
 #include "gld/photogrammetry/percentile.h"
 #include "models/layers/initialisation.h"
 
@@ -116,8 +117,8 @@ PhotographBlending::Pair PhotographBlending::make_pair(torch::nn::Module& parent
 Cost blending_cost(const BlendingOptions& options, int64_t height, int64_t width) {
   Cost cost;
   if (!options.exists()) return cost;
-  const double larger = static_cast<double>(std::max(height, width)) / static_cast<double>(options.side);
-  const double whole = static_cast<double>(height * width) / std::max(1.0, larger * larger);
+  const ImageSize seen = image_within(width, height, options.side);
+  const auto whole = static_cast<double>(seen.width * seen.height);
   const auto& channels = options.channels;
   const auto add_pair = [&](size_t level, double inputs) {
     const double pixels = whole / std::pow(4.0, static_cast<double>(level));
@@ -164,12 +165,19 @@ torch::Tensor blending_inputs(const BlendingCandidates& views) {
                     1);
 }
 
-torch::Tensor blended(const BlendingCandidates& views, const torch::Tensor& logits) {
+torch::Tensor blending_shares(const BlendingCandidates& views, const torch::Tensor& logits) {
   const auto absent = torch::cat({torch::zeros_like(views.shown.narrow(1, 0, 1), torch::kBool),
                                   views.shown.narrow(1, 1, kHypotheses) <= 0},
                                  1);
-  const auto shares = logits.masked_fill(absent, -std::numeric_limits<float>::infinity()).softmax(1);
+  return logits.masked_fill(absent, -std::numeric_limits<float>::infinity()).softmax(1);
+}
+
+torch::Tensor blended(const BlendingCandidates& views, const torch::Tensor& shares) {
   return (views.colours * shares.unsqueeze(2)).sum(1);
+}
+
+torch::Tensor chosen_shares(const PhotographBlending& blending, const BlendingCandidates& views) {
+  return blending_shares(views, blending.forward(blending_inputs(views)));
 }
 
 }  // namespace gld

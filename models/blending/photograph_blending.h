@@ -6,6 +6,7 @@
 #include "models/layers/layers.h"
 #include "models/layers/operation_cost.h"
 
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -64,6 +65,8 @@ struct BlendingCandidates {
                           // rule's picture 1 or 0, where it is filled in from around
   torch::Tensor disagreement;  // (hypotheses, height, width)
   torch::Tensor depth;         // (1, height, width): log(depth / its median); 0 where no source reaches
+
+  std::array<torch::Tensor*, 4> parts() { return {&colours, &shown, &disagreement, &depth}; }
 };
 
 // placed: what nearest_photographs() leaves; view: of all of the photographs, by the rule.
@@ -72,8 +75,13 @@ BlendingCandidates blending_candidates(const PlacedPhotographs& placed, const Ph
 // As the network sees them: (views, kInputs, height, width).
 torch::Tensor blending_inputs(const BlendingCandidates& views);
 
-// The views' pictures by the network's logits: (views, 3, height, width). A hypothesis that no photograph shows has no
-// share.
-torch::Tensor blended(const BlendingCandidates& views, const torch::Tensor& logits);
+// Logits -> shares, (views, 1 + hypotheses, height, width): a hypothesis that no photograph shows has none.
+torch::Tensor blending_shares(const BlendingCandidates& views, const torch::Tensor& logits);
+
+// The views' pictures by these shares: (views, 3, height, width).
+torch::Tensor blended(const BlendingCandidates& views, const torch::Tensor& shares);
+
+// What the network chooses in views: (views, 1 + hypotheses, height, width).
+torch::Tensor chosen_shares(const PhotographBlending& blending, const BlendingCandidates& views);
 
 }  // namespace gld

@@ -10,7 +10,8 @@ namespace gld {
 // A part belongs to the parts that it was trained on: M1 of another backbone samples noise. So each carries, in the
 // metadata of its file, the SHA-256 of their files ("gld:trained_on", JSON by part name).
 
-// What that part is trained on: the backbone, and for generators the statistics that their latents are normalised with.
+// What that part is trained on: the backbone; for generators the statistics that their latents are normalised with; for
+// what is shown carried photographs the geometry head too.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
 // Writes into the part's file what its bundle has of those parts now. For each part right after it was made, and for

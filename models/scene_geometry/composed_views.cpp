@@ -25,9 +25,12 @@ int64_t magnification(const Views& views, const SourcePhotographs& photographs) 
 
 // The target views as photographs show them, each `times` as large as its camera says.
 std::vector<PhotographView> photograph_views(const Views& views, const SourcePhotographs& photographs,
-                                             const SourceDepth& depth, int64_t times, Blending blending) {
+                                             const SourceDepth& depth, int64_t times,
+                                             const PhotographBlending* blending) {
+  const CarriableSources sources(photographs, depth);
   std::vector<PhotographView> shown;
-  for (const PlacedPhotographs& placed : placed_photographs(views, photographs, depth, times)) {
+  for (int64_t view = views.num_sources; view < views.size(); ++view) {
+    const PlacedPhotographs placed = sources.placed_in(views.cameras[static_cast<size_t>(view)], times);
     shown.push_back(view_from_photographs(placed));
     if (blending != nullptr) blend_photographs(*blending, placed, shown.back());
   }
@@ -50,21 +53,17 @@ ComposedViews composed_of(const std::vector<torch::Tensor>& images, const std::v
 
 }  // namespace
 
-std::vector<PlacedPhotographs> placed_photographs(const Views& views, const SourcePhotographs& photographs,
-                                                  const SourceDepth& depth, int64_t times) {
-  std::vector<PicturedView> sources = photographs.views;
-  for (size_t i = 0; i < sources.size() && depth.known(); ++i) sources[i].depth = depth.views[i];
-  if (!depth.known()) sources.clear();
-  const std::vector<ColourGains> gains = exposure_gains(sources);
-  PhotographViewOptions options;
+CarriableSources::CarriableSources(const SourcePhotographs& sources, const SourceDepth& depth) {
   options.carry.depth_reach = depth.reach;
-  std::vector<PlacedPhotographs> placed;
-  for (int64_t view = views.num_sources; view < views.size(); ++view) {
-    const Camera& camera = views.cameras[static_cast<size_t>(view)];
-    placed.push_back(place_photographs(
-        sources, gains, resized_camera(camera, times * camera.width, times * camera.height), options));
-  }
-  return placed;
+  if (!depth.known()) return;
+  photographs = sources.views;
+  for (size_t i = 0; i < photographs.size(); ++i) photographs[i].depth = depth.views[i];
+  gains = exposure_gains(photographs);
+}
+
+PlacedPhotographs CarriableSources::placed_in(const Camera& target, int64_t times) const {
+  return place_photographs(photographs, gains,
+                           resized_camera(target, times * target.width, times * target.height), options);
 }
 
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times) {
@@ -89,7 +88,7 @@ std::vector<int64_t> complete_targets(const Views& views, const SourcePhotograph
 }
 
 ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth, Blending blending) {
+                            const SourceDepth& depth, const PhotographBlending* blending) {
   const int64_t times = magnification(views, photographs);
   std::vector<torch::Tensor> images, shares;
   for (const PhotographView& view : photograph_views(views, photographs, depth, times, blending)) {
@@ -100,7 +99,8 @@ ComposedViews carried_views(const Views& views, const SourcePhotographs& photogr
 }
 
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth, const torch::Tensor& generated, Blending blending) {
+                            const SourceDepth& depth, const torch::Tensor& generated,
+                            const PhotographBlending* blending) {
   const int64_t times = magnification(views, photographs);
   const auto shown = photograph_views(views, photographs, depth, times, blending);
   const auto large = enlarged(generated.to(torch::kCPU, torch::kFloat32), times).clamp(0, 1);

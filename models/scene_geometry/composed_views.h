@@ -11,13 +11,16 @@
 
 namespace gld {
 
-// How photographs are laid together where several depths and several of them are possible: by rule alone
-// (gld/photogrammetry/photograph_composition.h), or as a network chooses from there (null: by rule).
-using Blending = const PhotographBlending*;
+// The source photographs with their depth and what evens their exposure: what is laid into one target after the other.
+struct CarriableSources {
+  std::vector<PicturedView> photographs;  // none where depth is not known
+  std::vector<ColourGains> gains;
+  PhotographViewOptions options;
 
-// Photographs laid into each target view, `times` as large as its camera says; none of them where depth is not known.
-std::vector<PlacedPhotographs> placed_photographs(const Views& views, const SourcePhotographs& photographs,
-                                                  const SourceDepth& depth, int64_t times);
+  CarriableSources(const SourcePhotographs& sources, const SourceDepth& depth);
+  // `times` as large as the camera says.
+  PlacedPhotographs placed_in(const Camera& target, int64_t times) const;
+};
 
 // Target views of which the photographs' part is kept and the rest generated
 // (gld/photogrammetry/photograph_composition.h).
@@ -30,11 +33,13 @@ struct ComposedViews {
   torch::Tensor large_shown;
 };
 
+// How photographs are laid together where several depths and several of them are possible: by rule
+// (gld/photogrammetry/photograph_composition.h), and where `blending` is not null as that network chooses from there.
 // generated: (target views, 3, height, width). Photographs that are `n` times as large as the generated pictures,
 // rounded down, make the composition n times as large; its images of the generated size are means over n x n pixels.
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
                             const SourceDepth& depth, const torch::Tensor& generated,
-                            Blending blending = nullptr);
+                            const PhotographBlending* blending = nullptr);
 
 // (pictures, 3, height, width) each side so many times as large, bicubically.
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times);
@@ -47,10 +52,10 @@ std::vector<int64_t> complete_targets(const Views& views, const SourcePhotograph
 // Target views from photographs alone: as compose_views() with what is shown around it in the place of the few pixels
 // that are not.
 ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
-                            const SourceDepth& depth, Blending blending = nullptr);
+                            const SourceDepth& depth, const PhotographBlending* blending = nullptr);
 
-// The target views as far as photographs show them by rule, gaps filled in smoothly and nothing generated: what a generated
-// part has to beat.
+// The target views as far as photographs show them by rule, gaps filled in smoothly and nothing generated: what a
+// generated part has to beat.
 struct FilledViews {
   torch::Tensor images;  // (target views, 3, height, width) of the views' size
   torch::Tensor

@@ -1,6 +1,5 @@
 #include "models/splats/latent_pictures.h"
 
-#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/sha256.h"
 #include "gld/cameras/latent_grid.h"
@@ -23,11 +22,6 @@ namespace {
 bool is_number(const std::string& text) {
   return !text.empty() && text.size() < 4 &&
          std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
-}
-
-// Latent pixels of a token along each side: what the description of an autoencoder says, and 1 of other backbones.
-int64_t token_pixels_of(const BackboneArchitecture& architecture) {
-  return to_json(architecture).value("latent_patch", int64_t{1});
 }
 
 // Of a latent's channels where a token holds a block of its pixels: those of the block's places together.
@@ -122,7 +116,7 @@ ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about)
 }
 
 ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side) {
-  const int64_t pixels = token_pixels_of(bundle.backbone.architecture());
+  const int64_t pixels = bundle.backbone.architecture().latent_pixels();
   if (side % pixels != 0) {
     fail({"latents of " + bundle.name, fmt::format("a side in whole tokens of {} latent pixels", pixels),
           std::to_string(side), "choose another"});
@@ -145,7 +139,7 @@ std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, co
   const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
   const auto& architecture = backbone->architecture();
   const LatentGrid grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
-  const int64_t token_pixels = token_pixels_of(architecture);
+  const int64_t token_pixels = architecture.latent_pixels();
   require_memory(architecture, grid, levels.back());
   const auto encoded = backbone->encode(images, levels.back());
   const std::string hash = sha256_of_file(bundle.file(BundlePart::backbone()));
@@ -192,7 +186,7 @@ std::vector<int64_t> decoded_levels(const BundleOptions& bundle) {
 torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<torch::Tensor>& maps) {
   const at::NoGradGuard no_gradients;
   const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
-  const int64_t token_pixels = token_pixels_of(backbone->architecture());
+  const int64_t token_pixels = backbone->architecture().latent_pixels();
   std::vector<torch::Tensor> levels;
   levels.reserve(maps.size());
   for (const auto& level : maps)

@@ -9,8 +9,7 @@
 #include "models/weights/weight_loading.h"
 #include "train/objectives/scene_pixels.h"
 
-#include <algorithm>
-#include <array>
+#include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -18,12 +17,8 @@
 namespace gld {
 namespace {
 
-std::array<torch::Tensor*, 4> tensors_of(BlendingCandidates& candidates) {
-  return {&candidates.colours, &candidates.shown, &candidates.disagreement, &candidates.depth};
-}
-
-BlendingCandidates converted(BlendingCandidates candidates, torch::Dtype type) {
-  for (torch::Tensor* part : tensors_of(candidates)) {
+BlendingCandidates in_type(BlendingCandidates candidates, torch::Dtype type) {
+  for (torch::Tensor* part : candidates.parts()) {
     if (part->defined()) *part = part->to(type);
   }
   return candidates;
@@ -94,29 +89,31 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
     depth = photograph_depth(scene.views, pictures, photographs, &head, StereoOptions()).depth;
   }
   if (!depth.known()) return {};
+  const CarriableSources sources(photographs, depth);
   std::vector<BlendingCandidates> views;
-  for (const PlacedPhotographs& placed : placed_photographs(scene.views, photographs, depth, 1)) {
+  for (int64_t view = scene.views.num_sources; view < scene.views.size(); ++view) {
+    const PlacedPhotographs placed = sources.placed_in(scene.views.cameras[static_cast<size_t>(view)], 1);
     views.push_back(blending_candidates(nearest_photographs(placed), view_from_photographs(placed)));
   }
   BlendingCandidates result;
-  for (size_t part = 0; part < tensors_of(result).size(); ++part) {
+  for (size_t part = 0; part < result.parts().size(); ++part) {
     std::vector<torch::Tensor> maps;
-    for (BlendingCandidates& view : views) maps.push_back(*tensors_of(view)[part]);
-    *tensors_of(result)[part] = torch::stack(maps);
+    for (BlendingCandidates& view : views) maps.push_back(*view.parts()[part]);
+    *result.parts()[part] = torch::stack(maps);
   }
-  return converted(std::move(result), torch::kFloat16);
+  return in_type(std::move(result), torch::kFloat16);
 }
 
 BlendingCandidates BlendingObjective::kept_candidates_of(const TrainingScene& scene, DepthOf depth) {
   const auto made = kept_.get(scene, depth == DepthOf::kTruth ? "true depth" : "depth", [&] {
     auto candidates = std::make_shared<BlendingCandidates>(candidates_of(scene, depth));
     KeptScenes::Made result{candidates, 0};
-    for (const torch::Tensor* part : tensors_of(*candidates)) {
+    for (const torch::Tensor* part : candidates->parts()) {
       if (part->defined()) result.bytes += part->numel() * part->element_size();
     }
     return result;
   });
-  return converted(*static_cast<const BlendingCandidates*>(made.get()), torch::kFloat32);
+  return in_type(*static_cast<const BlendingCandidates*>(made.get()), torch::kFloat32);
 }
 
 Losses BlendingObjective::losses(const TrainingBatch& batch, const StepContext& context) {
@@ -133,7 +130,7 @@ Losses BlendingObjective::losses(const TrainingBatch& batch, const StepContext& 
     const auto candidates = kept_candidates_of(scene, from_truth ? DepthOf::kTruth : DepthOf::kModel);
     if (!candidates.colours.defined()) continue;
     const auto truth = targets_of(scene);
-    const auto picture = blended(candidates, blending_->forward(blending_inputs(candidates)));
+    const auto picture = blended(candidates, chosen_shares(*blending_, candidates));
     const auto off = picture - truth;
     const auto absolute = off.abs().mean();
     const auto logarithm = (off.pow(2).mean({1, 2, 3}) + 1e-4).log().mean();
@@ -153,10 +150,10 @@ Validation BlendingObjective::validate(const std::vector<TrainingScene>& scenes)
   Validation validation;
   double absolute = 0, psnr = 0, rule_psnr = 0, sharpness = 0, rule_sharpness = 0, count = 0;
   for (const TrainingScene& scene : scenes) {
-    const auto candidates = converted(candidates_of(scene, DepthOf::kModel), torch::kFloat32);
+    const auto candidates = in_type(candidates_of(scene, DepthOf::kModel), torch::kFloat32);
     if (!candidates.colours.defined()) continue;
     const auto truth = targets_of(scene);
-    const auto picture = blended(candidates, blending_->forward(blending_inputs(candidates)));
+    const auto picture = blended(candidates, chosen_shares(*blending_, candidates));
     const auto rule = candidates.colours.select(1, 0);
     absolute += (picture - truth).abs().mean().item<double>();
     psnr += measure_images(metric_named("psnr"), truth, picture).mean();
@@ -171,7 +168,7 @@ Validation BlendingObjective::validate(const std::vector<TrainingScene>& scenes)
       validation.rows.push_back(std::move(row));
     }
   }
-  count = std::max(count, 1.0);
+  // Without a scene that tells its depth no number is one.
   validation.values = {{"absolute", absolute / count},
                        {"psnr", psnr / count},
                        {"rule_psnr", rule_psnr / count},

@@ -38,14 +38,6 @@ double mean_of(const std::vector<double>& values) {
              : std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
 }
 
-std::vector<const FittedView*> all_views(const SplatFitViews& views) {
-  std::vector<const FittedView*> all;
-  for (const auto* some : {&views.fitted, &views.held_out}) {
-    for (const FittedView& view : *some) all.push_back(&view);
-  }
-  return all;
-}
-
 // What is refused before anything is read, and whether there is a checkpoint to go on from.
 bool goes_on(const SplatCommandOptions& options, EarlierRun earlier) {
   check_run_folder(options.out, "splat fit", earlier);

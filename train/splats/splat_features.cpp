@@ -29,11 +29,9 @@ EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scen
   EncodedViews result;
   result.fitted = static_cast<int64_t>(views.fitted.size());
   std::vector<torch::Tensor> images;
-  for (const auto* some : {&views.fitted, &views.held_out}) {
-    for (const FittedView& view : *some) {
-      result.cameras.push_back(view.camera);
-      images.push_back(tensor_of(view.target.image));
-    }
+  for (const FittedView* view : all_views(views)) {
+    result.cameras.push_back(view->camera);
+    images.push_back(tensor_of(view->target.image));
   }
   result.levels = encode_latent_pictures(bundle, torch::stack(images),
                                          latent_levels(options.features, bundle.options(), "--features"));

@@ -106,6 +106,9 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
     fail({"--fewest-sources", "at least 2, which tell the unit of depth",
           std::to_string(options.data.views.fewest_sources), "raise it"});
   }
+  if (options.data.validation_sources == 1) {
+    fail({"--validation-sources", "0 or at least 2, which tell the unit of depth", "1", "raise it"});
+  }
   TrainingStage stage;
   stage.command = "train blending";
   if (options.objective.true_depth > 0) stage.parts = FrameParts::kImageAndDepth;

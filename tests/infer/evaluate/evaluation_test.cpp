@@ -283,7 +283,7 @@ TEST_F(EvaluationProtocol, EnergyScoresAreOfAllSamplesTogether) {
   EvaluationModels models;
   models.bundle = bundle.options();
   models.models = kept_bundle_models(bundle, torch::kCPU);
-  models.photographs = photograph_use_of(asked.photograph_use, models.bundle);
+  models.photographs = photograph_use_of(asked.photograph_use, bundle);
   const FlowSettings settings = flow_settings(asked.sampling_method(), asked.guidance, bundle.options());
   std::vector<torch::Tensor> samples;
   std::vector<double> distances;

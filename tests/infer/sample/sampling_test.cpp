@@ -39,6 +39,7 @@ namespace {
 
 using test::Sampling;
 using testing::HasSubstr;
+using testing::Not;
 
 // A random model's rays fit no camera, so its depth has no place in the scene.
 TEST_F(Sampling, SaysWhereAModelIsNotShownThePhotographs) {
@@ -347,6 +348,34 @@ TEST_F(Sampling, WhatPhotographsShowWholeIsNotGenerated) {
   all.out = (folder_->path() / "whole_generated").string();
   all.photograph_use.generate_complete = true;
   EXPECT_EQ(run(all).at("photographs").at("carried_only").size(), 0U);
+}
+
+TEST_F(Sampling, PhotographsAreBlendedByTheModelOrByRule) {
+  auto blended = with_shipped_model(options("blended"));
+  blended.outputs = {"image"};
+  blended.solver.evaluations = 2;
+  auto by_rule = blended;
+  by_rule.out = (folder_->path() / "by_rule").string();
+  by_rule.photograph_use.compose = PhotographOptions::ComposeChoice::kPhotographs;
+  const auto first = run(blended), second = run(by_rule);
+  const auto reason = [](const nlohmann::json& report) {
+    for (const auto& stage : report.at("plan").at("stages")) {
+      if (stage.at("stage") == "composition") return stage.at("reason").get<std::string>();
+    }
+    return std::string();
+  };
+  EXPECT_THAT(reason(first), HasSubstr("blended by the model"));
+  EXPECT_THAT(reason(second), Not(HasSubstr("blended by the model")));
+  // As much of the pictures is kept, or nearly; its colours are others.
+  const auto kept = [](const nlohmann::json& report) {
+    return report.at("photographs").at("kept").at(0).at("share").get<double>();
+  };
+  EXPECT_GT(kept(first), 0.2);
+  EXPECT_NEAR(kept(first), kept(second), 0.2);
+  const auto picture = [](const SampleOptions& of) {
+    return read_image(std::filesystem::path(of.out) / "images" / "view_02.png").rgb;
+  };
+  EXPECT_NE(picture(blended), picture(by_rule));
 }
 
 TEST_F(Sampling, TheSameCommandGivesTheSameBytes) {

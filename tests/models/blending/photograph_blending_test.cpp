@@ -51,8 +51,8 @@ std::shared_ptr<PhotographBlending> always(int64_t number) {
 // The plane laid into the view between by a depth that is `off` times too large; no matching that would mend it.
 PlacedPhotographs placed_plane(double off, int64_t times = 1) {
   std::vector<PicturedView> sources = two_views_of_plane();
-  const Camera target = resized_camera(camera_between(), times * camera_between().width,
-                                       times * camera_between().height);
+  const Camera target =
+      resized_camera(camera_between(), times * camera_between().width, times * camera_between().height);
   PlacedPhotographs placed =
       place_photographs(sources, std::vector<ColourGains>(sources.size(), ColourGains{1, 1, 1}), target);
   const PicturedView truth = TexturedPlane().seen_by(target, 1);
@@ -74,15 +74,14 @@ double error_of_view(const PhotographView& view, const Camera& camera) {
 
 BlendingCandidates one_view(const PlacedPhotographs& placed) {
   BlendingCandidates views = blending_candidates(nearest_photographs(placed), view_from_photographs(placed));
-  for (torch::Tensor* part : {&views.colours, &views.shown, &views.disagreement, &views.depth})
-    *part = part->unsqueeze(0);
+  for (torch::Tensor* part : views.parts()) *part = part->unsqueeze(0);
   return views;
 }
 
 TEST(PhotographBlending, BeginsWithTheRulesPicture) {
   const auto views = one_view(placed_plane(1.06));
   const torch::NoGradGuard no_grad;
-  const auto picture = blended(views, blending_of(small_blending())->forward(blending_inputs(views)));
+  const auto picture = blended(views, chosen_shares(*blending_of(small_blending()), views));
   // exp(5) / (exp(5) + 11) of it: the rest is of hypotheses that differ by .1 or so.
   EXPECT_LT((picture - views.colours.select(1, 0)).abs().mean().item<double>(), 0.02);
 }
@@ -94,7 +93,7 @@ TEST(PhotographBlending, NoColourIsDrawnThatPhotographsDoNotHave) {
   auto shown = views.shown > 0;
   shown.select(1, 0).fill_(true);
   const auto hidden = shown.logical_not().unsqueeze(2);
-  const auto picture = blended(views, logits);
+  const auto picture = blended(views, blending_shares(views, logits));
   EXPECT_GE((picture - views.colours.masked_fill(hidden, 2).amin(1)).min().item<double>(), -1e-5);
   EXPECT_LE((picture - views.colours.masked_fill(hidden, -2).amax(1)).max().item<double>(), 1e-5);
 }
@@ -103,11 +102,11 @@ TEST(PhotographBlending, WhatIsNotShownHasNoShare) {
   BlendingCandidates views = one_view(placed_plane(1.06));
   ASSERT_TRUE((views.shown == 0).any().item<bool>());
   const auto logits = torch::zeros({1, views.colours.size(1), views.colours.size(3), views.colours.size(4)});
-  const auto before = blended(views, logits);
+  const auto before = blended(views, blending_shares(views, logits));
   const auto hidden = (views.shown.narrow(1, 1, views.shown.size(1) - 1) == 0).unsqueeze(2);
   auto hypotheses = views.colours.narrow(1, 1, views.colours.size(1) - 1);
   hypotheses.masked_fill_(hidden, 7);
-  EXPECT_TRUE(torch::equal(blended(views, logits), before));
+  EXPECT_TRUE(torch::equal(blended(views, blending_shares(views, logits)), before));
 }
 
 TEST(PhotographBlending, TheDepthThatMendsAWrongOneIsChosen) {
@@ -121,6 +120,29 @@ TEST(PhotographBlending, TheDepthThatMendsAWrongOneIsChosen) {
   EXPECT_LT(error_of_view(mended, placed.target), 0.01);
   EXPECT_EQ(same.rgb, rule.rgb);
   EXPECT_EQ(mended.variance, rule.variance);
+}
+
+// At the size that the network looks at a view is what training makes of it.
+TEST(PhotographBlending, AViewIsLaidTogetherAsInTraining) {
+  const PlacedPhotographs placed = placed_plane(1.06);
+  auto blending = blending_of(small_blending());
+  {
+    const torch::NoGradGuard no_grad;
+    auto weight = blending->named_parameters()["choice.weight"];
+    weight.normal_(0, 8, at::detail::createCPUGenerator(2));
+  }
+  PhotographView view = view_from_photographs(placed);
+  const PhotographView rule = view;
+  blend_photographs(*blending, placed, view);
+  const torch::NoGradGuard no_grad;
+  const auto views = one_view(placed);
+  const auto trained = blended(views, chosen_shares(*blending, views))[0].permute({1, 2, 0}).contiguous();
+  EXPECT_NE(view.rgb, rule.rgb);
+  for (size_t i = 0; i < view.rgb.size(); ++i) {
+    if (view.shown(i / 3)) {
+      ASSERT_NEAR(view.rgb[i], trained.data_ptr<float>()[i], 0.003) << i;
+    }
+  }
 }
 
 // Larger pictures are chosen for in smaller ones and keep their own colours.
@@ -151,7 +173,8 @@ TEST(PhotographBlending, WhatIsNotShownStaysSo) {
 TEST(PhotographBlending, TakesPicturesOfAnySize) {
   const auto blending = blending_of(small_blending());
   const torch::NoGradGuard no_grad;
-  for (const auto& [height, width] : std::vector<std::pair<int64_t, int64_t>>{{1, 1}, {1, 9}, {7, 5}, {30, 41}}) {
+  for (const auto& [height, width] :
+       std::vector<std::pair<int64_t, int64_t>>{{1, 1}, {1, 9}, {7, 5}, {30, 41}}) {
     const auto logits = blending->forward(torch::zeros({2, PhotographBlending::kInputs, height, width}));
     EXPECT_EQ(logits.sizes(),
               (std::vector<int64_t>{2, 1 + static_cast<int64_t>(kDepthFactors.size()), height, width}));
@@ -178,8 +201,9 @@ TEST(PhotographBlending, HasItsNamesAndItsCost) {
 TEST(PhotographBlending, RefusesANetworkOfOneSize) {
   BlendingOptions options;
   options.channels = {8};
-  EXPECT_EQ(test::error_of([&] { blending_of(options); }),
-            "channels: expected none, or 2 to 8 numbers, found 1; write for example channels: [24, 32, 48, 64].");
+  EXPECT_EQ(
+      test::error_of([&] { blending_of(options); }),
+      "channels: expected none, or 2 to 8 numbers, found 1; write for example channels: [24, 32, 48, 64].");
 }
 
 }  // namespace

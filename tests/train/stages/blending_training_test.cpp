@@ -1,13 +1,11 @@
-#include "train/objectives/blending_objective.h"
-
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
 #include "train/loop/metrics_log.h"
+#include "train/objectives/blending_objective.h"
 #include "train/stages/feature_stages.h"
 
-#include <cmath>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -46,6 +44,13 @@ BlendingObjective random_objective(const BlendingObjectiveOptions& options) {
   return {model, options, backbone, head, 1};
 }
 
+// By true depth, which is there in every scene; what random weights of a backbone say may be nothing.
+BlendingObjectiveOptions by_true_depth() {
+  BlendingObjectiveOptions options;
+  options.true_depth = 1;
+  return options;
+}
+
 double loss_after(BlendingObjective& objective, int64_t steps) {
   FlatParameters parameters(objective.parameters());
   Optimiser optimiser(parameters, {});
@@ -63,10 +68,8 @@ double loss_after(BlendingObjective& objective, int64_t steps) {
   return last;
 }
 
-// By true depth, which is right nearly everywhere, and which random weights of a backbone cannot tell.
 TEST(BlendingTraining, LearnsToLayPhotographsTogether) {
-  BlendingObjectiveOptions options;
-  options.true_depth = 1;
+  BlendingObjectiveOptions options = by_true_depth();
   options.kept_gib = 0.1;
   auto objective = random_objective(options);
   const double first = loss_after(objective, 1);
@@ -74,21 +77,42 @@ TEST(BlendingTraining, LearnsToLayPhotographsTogether) {
 }
 
 TEST(BlendingTraining, WhatIsKeptIsWhatWouldBeMadeAgain) {
-  BlendingObjectiveOptions options;
-  options.true_depth = 0.5;
+  BlendingObjectiveOptions options = by_true_depth();
   auto again = random_objective(options);
   options.kept_gib = 0.1;
   auto kept = random_objective(options);
-  EXPECT_EQ(loss_after(again, 6), loss_after(kept, 6));
+  const double loss = loss_after(again, 6);
+  EXPECT_NE(loss, 0);
+  EXPECT_EQ(loss, loss_after(kept, 6));
+}
+
+// Nothing is learnt from it, and nothing breaks.
+TEST(BlendingTraining, ASceneWithoutDepthHasNoGradient) {
+  BlendingObjectiveOptions options;
+  options.true_depth = 0;
+  auto objective = random_objective(options);
+  TrainingDataOptions one_place = scenes_of_two_sources();
+  const DatasetBatches data(one_place, {{56, 56}}, FrameParts::kImage);
+  TrainingBatch batch = data.batch(0);
+  // Two photographs of one place tell no depth, whoever is asked.
+  auto& scene = batch.scenes.front();
+  scene.views.cameras[1] = scene.views.cameras[0];
+  auto generator = at::detail::createCPUGenerator(2);
+  const Losses losses = objective.losses(batch, {0, 1, generator});
+  losses.total.backward();
+  EXPECT_EQ(losses.total.item<double>(), 0);
+  EXPECT_EQ(objective.parameters().front().parameter.grad().abs().max().item<double>(), 0);
 }
 
 class BlendingStage : public testing::Test {
  protected:
   BlendingStage() { write_random_bundle(folder_.path() / "bundle", blending_model(), 5); }
   TrainBlendingOptions options(const std::string& out) const {
-    auto options = test::training_options<TrainBlendingOptions>(folder_.path() / "bundle", folder_.path() / out);
+    auto options =
+        test::training_options<TrainBlendingOptions>(folder_.path() / "bundle", folder_.path() / out);
     options.data = scenes_of_two_sources();
     options.loop.learning_rate.warmup_steps = 0;
+    options.objective = by_true_depth();
     return options;
   }
   TemporaryFolder folder_;
@@ -97,11 +121,11 @@ class BlendingStage : public testing::Test {
 TEST_F(BlendingStage, TwoStepsWriteTheModelWithItsBlending) {
   train_blending(options("run"), {});
   const MetricsLog log(folder_.path() / "run/metrics.jsonl", 2);
-  for (const char* key : {"loss", "validation_absolute", "validation_psnr", "validation_rule_psnr",
-                          "validation_sharpness", "validation_rule_sharpness"}) {
-    ASSERT_EQ(log.series(key).size(), 2U) << key;
-    for (const auto& point : log.series(key)) EXPECT_TRUE(std::isfinite(point.second)) << key;
+  for (const char* key : {"loss", "absolute", "perceptual", "validation_absolute", "validation_psnr",
+                          "validation_rule_psnr", "validation_sharpness", "validation_rule_sharpness"}) {
+    EXPECT_EQ(log.series(key).size(), 2U) << key;
   }
+  for (const auto& point : log.series("absolute")) EXPECT_GT(point.second, 0);
   const auto bundle = ModelBundle::open(folder_.path() / "run/model");
   for (const BundlePart& part : bundle_parts(bundle.options()))
     EXPECT_TRUE(bundle.has(part)) << bundle_part_name(part);
@@ -120,6 +144,8 @@ TEST_F(BlendingStage, StepsInOneCallEqualStepsInSeveral) {
     return named_parameters(*ModelBundle::open(folder_.path() / run / "model").load_blending());
   };
   const auto whole = weights("whole"), parts = weights("parts");
+  const auto start = named_parameters(*ModelBundle::open(folder_.path() / "bundle").load_blending());
+  EXPECT_FALSE(torch::equal(whole.front().parameter, start.front().parameter));
   for (size_t i = 0; i < whole.size(); ++i)
     EXPECT_TRUE(torch::equal(whole[i].parameter, parts[i].parameter)) << whole[i].name;
 }
@@ -129,13 +155,19 @@ TEST_F(BlendingStage, RefusesScenesOfOneSourceAndModelsWithoutBlending) {
   single.data.views.fewest_sources = 1;
   EXPECT_EQ(error_of([&] { train_blending(single, {}); }),
             "--fewest-sources: expected at least 2, which tell the unit of depth, found 1; raise it.");
+  auto validated = options("validated");
+  validated.data.validation_sources = 1;
+  EXPECT_EQ(
+      error_of([&] { train_blending(validated, {}); }),
+      "--validation-sources: expected 0 or at least 2, which tell the unit of depth, found 1; raise it.");
   auto without = options("without");
   without.model = (folder_.path() / "other").string();
   save_bundle_options(without.model, test::small_model());
-  EXPECT_EQ(error_of([&] { train_blending(without, {}); }),
-            without.model +
-                "/model.yaml: expected a blending part, found none; add for example blending: {channels: [24, 32, "
-                "48, 64]}.");
+  EXPECT_EQ(
+      error_of([&] { train_blending(without, {}); }),
+      without.model +
+          "/model.yaml: expected a blending part, found none; add for example blending: {channels: [24, 32, "
+          "48, 64]}.");
 }
 
 }  // namespace
