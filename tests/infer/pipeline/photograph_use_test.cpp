@@ -51,9 +51,10 @@ TEST(PhotographUse, WithoutAHeadOnlyPhotographsSayHowDeepTheyAre) {
 TEST(PhotographUse, AModelWithoutBlendingCannotBlend) {
   PhotographOptions options;
   options.compose = Compose::kBlended;
-  EXPECT_EQ(test::error_of([&] { options.use(shown_photographs()); }),
-            "--compose: expected photographs or none for a model without a blending part, found blended; choose one "
-            "of them, or train the part with gld train blending.");
+  EXPECT_EQ(
+      test::error_of([&] { options.use(shown_photographs()); }),
+      "--compose: expected photographs or none for a model without a blending part, found blended; choose one "
+      "of them, or train the part with gld train blending.");
 }
 
 }  // namespace

@@ -359,7 +359,7 @@ TEST_F(Sampling, PhotographsAreBlendedByTheModelOrByRule) {
   by_rule.photograph_use.compose = PhotographOptions::ComposeChoice::kPhotographs;
   const auto first = run(blended), second = run(by_rule);
   const auto reason = [](const nlohmann::json& report) {
-    for (const auto& stage : report.at("plan").at("stages")) {
+    for (const auto& stage : report.at("plan")) {
       if (stage.at("stage") == "composition") return stage.at("reason").get<std::string>();
     }
     return std::string();
