@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <cstdlib>
 #include <vector>
 
 #include <torch/autograd.h>
@@ -108,11 +107,7 @@ void blend_photographs(const PhotographBlending& blending, const PlacedPhotograp
     }
   }
   for (size_t pixel = 0; pixel < pixels; ++pixel) {
-    if (mixture.known(pixel)) {
-      const float v = mixture.take(pixel, view.rgb.data() + 3 * pixel);
-      static const char* mode = getenv("VARMODE");
-      if (mode != nullptr && mode[0] == '1') view.variance[pixel] = v;
-    }
+    if (mixture.known(pixel)) view.variance[pixel] = mixture.take(pixel, view.rgb.data() + 3 * pixel);
   }
 }
 
