@@ -236,6 +236,7 @@ std::vector<ColourGains> exposure_gains(const std::vector<PicturedView>& sources
   std::vector<ColourGains> gains(count, ColourGains{1, 1, 1});
   if (count < 2) return gains;
   std::vector<PicturedView> small;
+  small.reserve(count);
   for (const PicturedView& source : sources) small.push_back(reduced_view(source, kSide));
   const auto n = static_cast<Eigen::Index>(count);
   std::array<Eigen::MatrixXd, 3> ratios, weights;
@@ -328,6 +329,7 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
   }
   const auto [width, height] = image_within(target.width, target.height, options.matched_side);
   std::vector<PicturedView> small;
+  small.reserve(even.size());
   for (const PicturedView& source : even) small.push_back(reduced_view(source, options.matched_side));
   placed.depth =
       resized_depth(matched_target_depth(small, resized_camera(target, width, height), options.carry),

@@ -98,6 +98,7 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   BlendingCandidates result;
   for (size_t part = 0; part < result.parts().size(); ++part) {
     std::vector<torch::Tensor> maps;
+    maps.reserve(views.size());
     for (BlendingCandidates& view : views) maps.push_back(*view.parts()[part]);
     *result.parts()[part] = torch::stack(maps);
   }
