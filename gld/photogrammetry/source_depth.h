@@ -3,6 +3,7 @@
 #include "gld/photogrammetry/planar_depth.h"
 
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace gld {
@@ -20,5 +21,14 @@ struct SourceDepth {
 
   bool known() const { return !views.empty(); }
 };
+
+// Depth that the scene itself has, which is not off: one map a source view.
+inline SourceDepth depth_of_scene(std::vector<PlanarDepth> views) {
+  SourceDepth depth;
+  depth.views = std::move(views);
+  depth.reach = 0;
+  depth.from = "the scene";
+  return depth;
+}
 
 }  // namespace gld

@@ -7,6 +7,7 @@
 #include "models/scene_geometry/source_warp.h"
 
 #include <optional>
+#include <utility>
 #include <vector>
 
 namespace gld {
@@ -20,13 +21,13 @@ torch::Tensor nearest_sources(const Views& views, const torch::Tensor& source_im
 }
 
 FilledViews filled_by_true_depth(const SamplingScene& scene) {
-  SourceDepth depth;
-  depth.from = "the scene";
-  depth.reach = 0;
+  std::vector<PlanarDepth> maps;
+  maps.reserve(scene.source_depths.size());
   for (const DepthMap& map : scene.source_depths) {
     if (map.empty()) return {};
-    depth.views.push_back({map.width, map.height, map.metres});
+    maps.push_back({map.width, map.height, map.metres});
   }
+  const SourceDepth depth = depth_of_scene(std::move(maps));
   if (!depth.known()) return {};
   return filled_views(scene.views,
                       scene.photographs.views.empty()

@@ -2,6 +2,11 @@
 
 namespace gld {
 
+void visit_start(FieldVisitor& visitor, ModelStart& start) {
+  visit_choice(visitor, {"start", "random weights, or those of the bundle (fine-tuning)"}, start,
+               {"random", "bundle"});
+}
+
 std::vector<std::pair<std::string, double>> Objective::after_step(const StepContext& /*context*/) {
   return {};
 }

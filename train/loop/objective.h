@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/base/options.h"
 #include "gld/files/dtype.h"
 #include "gld/machine/matrix_unit.h"
 #include "train/data/training_scene.h"
@@ -21,6 +22,7 @@ enum class ModelStart {
   kRandom,  // from nothing
   kBundle,  // from the weights that the bundle holds: fine-tuning, or going on where checkpoints are lost
 };
+void visit_start(FieldVisitor& visitor, ModelStart& start);
 
 struct StepContext {
   int64_t step = 0;            // from 0

@@ -29,21 +29,19 @@ torch::Tensor targets_of(const TrainingScene& scene) {
 }
 
 SourceDepth true_depth_of(const TrainingScene& scene) {
-  SourceDepth depth;
-  depth.from = "the scene";
-  depth.reach = 0;
+  std::vector<PlanarDepth> maps;
+  maps.reserve(static_cast<size_t>(scene.views.num_sources));
   for (int64_t view = 0; view < scene.views.num_sources; ++view) {
     const auto map = scene.depth[view];
-    depth.views.push_back({map.size(1), map.size(0), numbers_of(map)});
+    maps.push_back({map.size(1), map.size(0), numbers_of(map)});
   }
-  return depth;
+  return depth_of_scene(std::move(maps));
 }
 
 }  // namespace
 
 void BlendingObjectiveOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"start", "random weights, or those of the bundle (fine-tuning)"}, start,
-               {"random", "bundle"});
+  visit_start(visitor, start);
   visitor.real(
       {"true_depth", "how often photographs are carried by their true depth, where the scene has it"},
       true_depth, {0.0, 1.0});

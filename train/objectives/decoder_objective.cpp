@@ -69,8 +69,7 @@ void PerceptualOptions::check() const {
 }
 
 void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"start", "random weights, or those of the bundle (fine-tuning)"}, start,
-               {"random", "bundle"});
+  visit_start(visitor, start);
   visitor.real({"reconstruction_weight", "weight of the absolute error"}, reconstruction_weight, {0.0, 1e6});
   visitor.real({"level_dropout", "probability of leaving a level out"}, level_dropout, {0.0, 0.99});
   visitor.real(

@@ -29,8 +29,7 @@ constexpr uint64_t kValidationSeed = 20240607;
 }  // namespace
 
 void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"start", "random weights, or those of the bundle (fine-tuning)"}, start,
-               {"random", "bundle"});
+  visit_start(visitor, start);
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},

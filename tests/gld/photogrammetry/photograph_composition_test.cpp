@@ -1,6 +1,7 @@
 #include "gld/photogrammetry/photograph_composition.h"
 
 #include "gld/cameras/resized_camera.h"
+#include "tests/support/photograph_error.h"
 #include "tests/support/textured_plane.h"
 
 #include <cmath>
@@ -14,17 +15,8 @@ namespace {
 
 using test::camera_before_plane;
 using test::camera_between;
+using test::mean_error;
 using test::two_views_of_plane;
-
-double mean_error(const PhotographView& view, const std::vector<float>& truth) {
-  double sum = 0, count = 0;
-  for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {
-    if (!view.shown(pixel)) continue;
-    for (size_t c = 0; c < 3; ++c) sum += std::abs(view.rgb[3 * pixel + c] - truth[3 * pixel + c]);
-    count += 3;
-  }
-  return sum / count;
-}
 
 void brighten(PicturedView& view, float factor) {
   for (float& value : view.rgb) value *= factor;

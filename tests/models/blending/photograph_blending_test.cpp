@@ -3,6 +3,7 @@
 #include "gld/cameras/resized_camera.h"
 #include "models/blending/blended_view.h"
 #include "tests/support/error_of.h"
+#include "tests/support/photograph_error.h"
 #include "tests/support/textured_plane.h"
 
 #include <algorithm>
@@ -62,14 +63,7 @@ PlacedPhotographs placed_plane(double off, int64_t times = 1) {
 }
 
 double error_of_view(const PhotographView& view, const Camera& camera) {
-  const std::vector<float> truth = TexturedPlane().seen_by(camera, 1).rgb;
-  double sum = 0, count = 0;
-  for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {
-    if (!view.shown(pixel)) continue;
-    for (size_t c = 0; c < 3; ++c) sum += std::abs(view.rgb[3 * pixel + c] - truth[3 * pixel + c]);
-    count += 3;
-  }
-  return sum / count;
+  return test::mean_error(view, TexturedPlane().seen_by(camera, 1).rgb);
 }
 
 BlendingCandidates one_view(const PlacedPhotographs& placed) {
