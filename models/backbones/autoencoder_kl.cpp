@@ -5,7 +5,9 @@
 #include "gld/base/sha256.h"
 #include "gld/latents/latent_tokens.h"
 #include "gld/latents/noise.h"
+#include "models/layers/child_module.h"
 #include "models/layers/initialisation.h"
+#include "models/layers/residual_block.h"
 
 #include <algorithm>
 #include <string>
@@ -19,58 +21,15 @@ constexpr double kNormEpsilon = 1e-6;
 // Between which the logarithm of a posterior's variance is held.
 constexpr double kLeastLogVariance = -30, kLargestLogVariance = 20;
 
-std::shared_ptr<torch::nn::Module> child(torch::nn::Module& parent, const std::string& name) {
-  return parent.register_module(name, std::make_shared<torch::nn::Module>());
-}
-
 }  // namespace
 
-// Parts of AutoencoderKlHalf, which the header names: the types of its members may not be in an anonymous namespace.
-class KlGroupNorm : public torch::nn::Module {
- public:
-  KlGroupNorm(int64_t channels, int64_t groups, const ParameterPlacement& placement) : groups_(groups) {
-    weight_ = register_parameter("weight", torch::empty({channels}, placement.options()));
-    bias_ = register_parameter("bias", torch::empty({channels}, placement.options()));
-  }
-  torch::Tensor forward(const torch::Tensor& x) const {
-    return torch::group_norm(x, groups_, weight_, bias_, kNormEpsilon);
-  }
-
- private:
-  int64_t groups_;
-  torch::Tensor weight_, bias_;
-};
-
-// shortcut(x) + conv2(silu(norm2(conv1(silu(norm1(x)))))).
-class KlResidualBlock : public torch::nn::Module {
- public:
-  KlResidualBlock(int64_t inputs, int64_t outputs, int64_t groups, const ParameterPlacement& placement) {
-    norm1_ = register_module("norm1", std::make_shared<KlGroupNorm>(inputs, groups, placement));
-    conv1_ = register_module(
-        "conv1", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 3), placement));
-    norm2_ = register_module("norm2", std::make_shared<KlGroupNorm>(outputs, groups, placement));
-    conv2_ = register_module(
-        "conv2", std::make_shared<Convolution>(same_size_convolution(outputs, outputs, 3), placement));
-    if (inputs == outputs) return;
-    shortcut_ = register_module(
-        "conv_shortcut", std::make_shared<Convolution>(same_size_convolution(inputs, outputs, 1), placement));
-  }
-  torch::Tensor forward(const torch::Tensor& x) const {
-    const auto hidden = conv1_->forward(torch::silu(norm1_->forward(x)));
-    const auto refined = conv2_->forward(torch::silu(norm2_->forward(hidden)));
-    return (shortcut_ ? shortcut_->forward(x) : x) + refined;
-  }
-
- private:
-  std::shared_ptr<KlGroupNorm> norm1_, norm2_;
-  std::shared_ptr<Convolution> conv1_, conv2_, shortcut_;
-};
-
-// Attention of one head over the pixels of a map, added to it.
+// Attention of one head over the pixels of a map, added to it. A part of AutoencoderKlHalf, which the header names: the
+// types of its members may not be in an anonymous namespace.
 class KlPixelAttention : public torch::nn::Module {
  public:
   KlPixelAttention(int64_t channels, int64_t groups, const ParameterPlacement& placement) {
-    norm_ = register_module("group_norm", std::make_shared<KlGroupNorm>(channels, groups, placement));
+    norm_ = register_module(
+        "group_norm", std::make_shared<GroupNorm>(GroupNormSizes{channels, groups, kNormEpsilon}, placement));
     const auto linear = [&](torch::nn::Module& parent, const char* name) {
       return parent.register_module(name,
                                     std::make_shared<Linear>(LinearSizes{channels, channels}, placement));
@@ -78,7 +37,7 @@ class KlPixelAttention : public torch::nn::Module {
     query_ = linear(*this, "to_q");
     key_ = linear(*this, "to_k");
     value_ = linear(*this, "to_v");
-    projection_ = linear(*child(*this, "to_out"), "0");
+    projection_ = linear(*child_module(*this, "to_out"), "0");
   }
   torch::Tensor forward(const torch::Tensor& x) const {
     const auto tokens = norm_->forward(x).flatten(2).transpose(1, 2).contiguous();
@@ -91,7 +50,7 @@ class KlPixelAttention : public torch::nn::Module {
   }
 
  private:
-  std::shared_ptr<KlGroupNorm> norm_;
+  std::shared_ptr<GroupNorm> norm_;
   std::shared_ptr<Linear> query_, key_, value_, projection_;
 };
 
@@ -183,15 +142,17 @@ class AutoencoderKlHalf : public torch::nn::Module {
     };
     input_ = convolution(*this, "conv_in",
                          same_size_convolution(encodes ? 3 : options.latent_channels, channels.front(), 3));
-    const auto stages = child(*this, encodes ? "down_blocks" : "up_blocks");
+    const auto stages = child_module(*this, encodes ? "down_blocks" : "up_blocks");
     int64_t width = channels.front();
     for (size_t i = 0; i < channels.size(); ++i) {
-      const auto stage = child(*stages, std::to_string(i));
-      const auto layers = child(*stage, "resnets");
+      const auto stage = child_module(*stages, std::to_string(i));
+      const auto layers = child_module(*stage, "resnets");
       Stage made;
       for (int64_t layer = 0; layer < stage_layers(options, half); ++layer) {
         made.layers.push_back(layers->register_module(
-            std::to_string(layer), std::make_shared<KlResidualBlock>(width, channels[i], groups, placement)));
+            std::to_string(layer),
+            std::make_shared<ResidualBlock>(ResidualBlockSizes{width, channels[i], groups, kNormEpsilon, 0},
+                                            placement)));
         width = channels[i];
       }
       if (i + 1 < channels.size()) {
@@ -200,21 +161,23 @@ class AutoencoderKlHalf : public torch::nn::Module {
           sizes.stride = 2;
           sizes.padding = 0;
         }
-        const auto resizers = child(*stage, encodes ? "downsamplers" : "upsamplers");
-        made.resize = convolution(*child(*resizers, "0"), "conv", sizes);
+        const auto resizers = child_module(*stage, encodes ? "downsamplers" : "upsamplers");
+        made.resize = convolution(*child_module(*resizers, "0"), "conv", sizes);
       }
       stages_.push_back(std::move(made));
     }
     const int64_t inner = options.block_out_channels.back();
-    const auto middle = child(*this, "mid_block");
-    const auto attentions = child(*middle, "attentions"), layers = child(*middle, "resnets");
+    const auto middle = child_module(*this, "mid_block");
+    const auto attentions = child_module(*middle, "attentions"), layers = child_module(*middle, "resnets");
     attention_ =
         attentions->register_module("0", std::make_shared<KlPixelAttention>(inner, groups, placement));
     for (const char* name : {"0", "1"}) {
-      middle_.push_back(
-          layers->register_module(name, std::make_shared<KlResidualBlock>(inner, inner, groups, placement)));
+      middle_.push_back(layers->register_module(
+          name, std::make_shared<ResidualBlock>(ResidualBlockSizes{inner, inner, groups, kNormEpsilon, 0},
+                                                placement)));
     }
-    norm_ = register_module("conv_norm_out", std::make_shared<KlGroupNorm>(width, groups, placement));
+    norm_ = register_module(
+        "conv_norm_out", std::make_shared<GroupNorm>(GroupNormSizes{width, groups, kNormEpsilon}, placement));
     output_ = convolution(*this, "conv_out",
                           same_size_convolution(width, encodes ? 2 * options.latent_channels : 3, 3));
   }
@@ -238,7 +201,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
 
  private:
   struct Stage {
-    std::vector<std::shared_ptr<KlResidualBlock>> layers;
+    std::vector<std::shared_ptr<ResidualBlock>> layers;
     std::shared_ptr<Convolution> resize;  // null of the last stage
   };
   torch::Tensor middle(const torch::Tensor& x) const {
@@ -249,8 +212,8 @@ class AutoencoderKlHalf : public torch::nn::Module {
   std::shared_ptr<Convolution> input_, output_;
   std::vector<Stage> stages_;
   std::shared_ptr<KlPixelAttention> attention_;
-  std::vector<std::shared_ptr<KlResidualBlock>> middle_;
-  std::shared_ptr<KlGroupNorm> norm_;
+  std::vector<std::shared_ptr<ResidualBlock>> middle_;
+  std::shared_ptr<GroupNorm> norm_;
 };
 
 void AutoencoderKlOptions::visit(FieldVisitor& visitor) {
