@@ -50,24 +50,6 @@ void AdversarialOptions::visit(FieldVisitor& visitor) {
   visitor.group({"optimiser", "the discriminator's optimiser"}, optimiser);
 }
 
-void PerceptualOptions::visit(FieldVisitor& visitor) {
-  visitor.real({"weight", "weight of the perceptual loss"}, weight, {0.0, 1e6});
-  visitor.integer({"start", "first step with the perceptual loss"}, start, {0, kLargestStep});
-  visitor.text({"lpips_backbone", "classification network of LPIPS; empty uses the stand-in"},
-               lpips_backbone);
-  visitor.text({"lpips_heads", "published linear heads of LPIPS"}, lpips_heads);
-  visitor.group({"lpips", "which LPIPS"}, lpips);
-  visitor.group({"standin", "the loss used without LPIPS weights"}, standin);
-}
-
-void PerceptualOptions::check() const {
-  if (lpips_backbone.empty() != lpips_heads.empty()) {
-    fail({"perceptual", "both lpips_backbone and lpips_heads, or neither",
-          lpips_backbone.empty() ? "only lpips_heads" : "only lpips_backbone",
-          "give the other file as well"});
-  }
-}
-
 void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_start(visitor, start);
   visitor.real({"reconstruction_weight", "weight of the absolute error"}, reconstruction_weight, {0.0, 1e6});
@@ -82,9 +64,7 @@ void DecoderObjectiveOptions::visit(FieldVisitor& visitor) {
 std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options) {
   std::vector<std::string> notes;
   if (options.perceptual.weight > 0 && options.perceptual.lpips_backbone.empty()) {
-    notes.emplace_back(
-        "the perceptual loss is a stand-in of gradients and SSIM; LPIPS needs objective.perceptual.lpips_backbone and "
-        "lpips_heads");
+    notes.push_back(standin_note());
   }
   if (options.adversarial.weight > 0 && options.adversarial.dino_weights.empty()) {
     notes.emplace_back(
@@ -96,18 +76,15 @@ std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options) 
 DecoderObjective::DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
                                    std::shared_ptr<const Backbone> backbone,
                                    const ParameterPlacement& placement, int64_t seed)
-    : model_(model), options_(options), placement_(placement), backbone_(std::move(backbone)) {
+    : model_(model),
+      options_(options),
+      placement_(placement),
+      backbone_(std::move(backbone)),
+      perceptual_(options.perceptual, placement) {
   model_.check();
-  options_.perceptual.check();
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
   decoder_ = std::make_shared<RgbDecoder>(model_.rgb_decoder, placement);
   decoder_->initialise(generator);
-  if (!options_.perceptual.lpips_backbone.empty()) {
-    lpips_ = std::make_shared<Lpips>(options_.perceptual.lpips, placement);
-    load_lpips(*lpips_, *WeightFile::open(options_.perceptual.lpips_backbone),
-               *WeightFile::open(options_.perceptual.lpips_heads));
-    for (auto& parameter : lpips_->parameters()) parameter.set_requires_grad(false);
-  }
   if (options_.adversarial.weight > 0.0) {
     if (options_.adversarial.dino_weights.empty()) {
       discriminator_ =
@@ -141,12 +118,6 @@ std::vector<torch::Tensor> DecoderObjective::levels_of(const torch::Tensor& imag
     levels.push_back(backbone_->decodable(encoded.at(static_cast<size_t>(level))).patches);
   }
   return levels;
-}
-
-torch::Tensor DecoderObjective::perceptual(const torch::Tensor& truth, const torch::Tensor& decoded) const {
-  return (lpips_ ? lpips_->forward(truth, decoded)
-                 : perceptual_standin(truth, decoded, options_.perceptual.standin))
-      .mean();
 }
 
 std::vector<int64_t> DecoderObjective::draw_corner(const torch::Tensor& images,
@@ -191,7 +162,7 @@ Losses DecoderObjective::losses(const TrainingBatch& batch, const StepContext& c
   losses.parts.emplace_back("reconstruction", reconstruction.detach());
   losses.total = options_.reconstruction_weight * reconstruction;
   if (options_.perceptual.weight > 0.0 && context.step >= options_.perceptual.start) {
-    const auto loss = perceptual(truth, decoded);
+    const auto loss = perceptual_(truth, decoded);
     losses.parts.emplace_back("perceptual", loss.detach());
     losses.total = losses.total + options_.perceptual.weight * loss;
   }
@@ -262,7 +233,7 @@ Validation DecoderObjective::validate(const std::vector<TrainingScene>& scenes) 
     const auto grid = backbone_->architecture().grid_of(truth.size(0), truth.size(2), truth.size(3));
     const auto decoded = decoder_->decode(torch::cat(levels_of(truth), 2), grid);
     absolute += (decoded - truth).abs().mean().item<double>();
-    perceptual_sum += perceptual(truth, decoded).item<double>();
+    perceptual_sum += perceptual_(truth, decoded).item<double>();
     psnr_sum += measure_images(metric_named("psnr"), truth, decoded).mean();
     sharpness_sum += measure_images(metric_named("sharpness"), truth, decoded).mean();
     if (validation.rows.size() < 4) {

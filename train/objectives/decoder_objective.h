@@ -3,8 +3,7 @@
 #include "models/bundle/bundle.h"
 #include "models/losses/dino_discriminator.h"
 #include "models/losses/discriminator.h"
-#include "models/losses/lpips.h"
-#include "models/losses/perceptual_standin.h"
+#include "models/losses/perceptual_loss.h"
 #include "train/loop/objective.h"
 #include "train/objectives/diff_augment.h"
 #include "train/optim/learning_rate.h"
@@ -38,19 +37,6 @@ struct AdversarialOptions : OptionsGroup {
 
   AdversarialOptions();
   void visit(FieldVisitor& visitor) override;
-};
-
-struct PerceptualOptions : OptionsGroup {
-  double weight = 1.0;
-  int64_t start = 0;  // first step with the perceptual loss
-  std::string
-      lpips_backbone;       // torchvision's network; empty: the stand-in (models/losses/perceptual_standin.h)
-  std::string lpips_heads;  // published linear heads
-  LpipsOptions lpips;
-  PerceptualStandinOptions standin;
-
-  void visit(FieldVisitor& visitor) override;
-  void check() const override;
 };
 
 struct DecoderObjectiveOptions : OptionsGroup {
@@ -96,7 +82,6 @@ class DecoderObjective : public Objective {
  private:
   // The four decodable levels, (views, tokens, channels) each.
   std::vector<torch::Tensor> levels_of(const torch::Tensor& images) const;
-  torch::Tensor perceptual(const torch::Tensor& truth, const torch::Tensor& decoded) const;
   torch::Tensor crop(const torch::Tensor& images, const std::vector<int64_t>& corner) const;
   std::vector<int64_t> draw_corner(const torch::Tensor& images, torch::Generator& generator) const;
 
@@ -105,7 +90,7 @@ class DecoderObjective : public Objective {
   ParameterPlacement placement_;
   std::shared_ptr<const Backbone> backbone_;
   std::shared_ptr<RgbDecoder> decoder_;
-  std::shared_ptr<Lpips> lpips_;
+  PerceptualLoss perceptual_;
   std::shared_ptr<Discriminator> discriminator_;
   std::unique_ptr<FlatParameters> discriminator_parameters_;
   std::unique_ptr<Optimiser> discriminator_optimiser_;
