@@ -33,10 +33,11 @@ const torch::Tensor& tensor_of(const std::map<std::string, torch::Tensor>& state
 }  // namespace
 
 void OptimiserOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor,
-               {"algorithm",
-                "adamw (decoupled weight decay), adam, or muon for blocks' matrices and adamw for the rest"},
-               algorithm, {"adamw", "adam", "muon"});
+  visit_choice(
+      visitor,
+      {"algorithm",
+       "adamw (decoupled weight decay), adam, or muon for blocks' matrices and kernels and adamw for the rest"},
+      algorithm, {"adamw", "adam", "muon"});
   visitor.reals({"betas", "decay of the first and the second moment"}, betas, {0.0, 0.999999});
   visitor.real({"momentum", "muon: decay of the momentum"}, momentum, {0.0, 0.999999});
   visitor.real({"epsilon", "added to the root of the second moment"}, epsilon, {0.0, 1.0});
@@ -167,9 +168,10 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale) {
       const auto gradient = parameters_->part(parameters_->gradients(), index) * gradient_scale;
       momentum.lerp_(gradient, 1.0 - options_.momentum);
       const auto ahead = torch::lerp(gradient, momentum, options_.momentum);
-      const double size = 0.2 * std::sqrt(static_cast<double>(std::max(value.size(0), value.size(1))));
+      const auto matrix = ahead.flatten(1);
+      const double size = 0.2 * std::sqrt(static_cast<double>(std::max(matrix.size(0), matrix.size(1))));
       value.mul_(1.0 - learning_rate * options_.weight_decay)
-          .add_(nearly_orthogonal(ahead), -learning_rate * size);
+          .add_(nearly_orthogonal(matrix).view_as(value), -learning_rate * size);
       if (average_.defined()) {
         parameters_->part(average_, index).mul_(options_.ema_decay).add_(value, 1.0 - options_.ema_decay);
       }
@@ -178,11 +180,12 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale) {
 }
 
 bool Optimiser::is_block_matrix(const NamedParameter& item) {
-  // The published names: blocks.I of backbones and DiTs, decoder_layers.I of the RGB decoder. AdaLN's matrix makes
-  // vectors from one condition, as an embedding does.
+  // The published names: blocks.I of backbones, DiTs, autoencoders and UNets, the latter's mid_block, and decoder_layers.I
+  // of the RGB decoder. AdaLN's matrix makes vectors from one condition, as an embedding does, and so does a timestep's.
   const auto contains = [&](const char* part) { return item.name.find(part) != std::string::npos; };
-  return item.parameter.dim() == 2 && (contains("blocks.") || contains("decoder_layers.")) &&
-         !contains("adaLN_modulation");
+  const bool matrix = item.parameter.dim() == 2 || item.parameter.dim() == 4;
+  return matrix && (contains("blocks.") || contains("mid_block.") || contains("decoder_layers.")) &&
+         !contains("adaLN_modulation") && !contains("time_emb_proj");
 }
 
 torch::Tensor nearly_orthogonal(const torch::Tensor& matrix) {

@@ -195,14 +195,21 @@ TEST(Muon, OrthogonalisesAMatrix) {
 
 TEST(Muon, MovesBlockMatricesByItsRuleAndTheRestByAdamW) {
   auto generator = at::detail::createCPUGenerator(8);
-  const std::vector<std::string> names = {"x_embedder.weight", "blocks.0.attn.qkv.weight",
-                                          "blocks.0.adaLN_modulation.1.weight", "blocks.0.attn.qkv.bias",
-                                          "decoder_layers.1.output.dense.weight"};
-  const std::vector<bool> muons = {false, true, false, false, true};
+  const std::vector<std::string> names = {"x_embedder.weight",
+                                          "blocks.0.attn.qkv.weight",
+                                          "blocks.0.adaLN_modulation.1.weight",
+                                          "blocks.0.attn.qkv.bias",
+                                          "decoder_layers.1.output.dense.weight",
+                                          "encoder.mid_block.resnets.0.conv1.weight",
+                                          "conv_in.weight"};
+  const std::vector<bool> muons = {false, true, false, false, true, true, false};
   std::vector<NamedParameter> with_muon, with_adam;
   for (const std::string& name : names) {
     const bool vector = name.find("bias") != std::string::npos;
-    const auto value = torch::empty(vector ? std::vector<int64_t>{9} : std::vector<int64_t>{12, 7});
+    const bool kernels = name.find("conv") != std::string::npos;
+    const auto value = torch::empty(vector    ? std::vector<int64_t>{9}
+                                    : kernels ? std::vector<int64_t>{12, 2, 3, 1}
+                                              : std::vector<int64_t>{12, 7});
     value.normal_(0, 1, generator);
     with_muon.push_back({name, value.clone()});
     with_adam.push_back({name, value.clone()});
@@ -235,7 +242,9 @@ TEST(Muon, MovesBlockMatricesByItsRuleAndTheRestByAdamW) {
       const auto gradient = clip * with_muon[i].parameter.grad();
       momentum[i] = 0.95 * momentum[i] + 0.05 * gradient;
       const auto ahead = 0.95 * momentum[i] + 0.05 * gradient;
-      value[i] = (1 - kRate * 0.1) * value[i] - kRate * 0.2 * std::sqrt(12.0) * nearly_orthogonal(ahead);
+      // A convolution's kernels are a matrix of a row an output channel.
+      const auto direction = nearly_orthogonal(ahead.reshape({12, -1})).reshape(ahead.sizes());
+      value[i] = (1 - kRate * 0.1) * value[i] - kRate * 0.2 * std::sqrt(12.0) * direction;
       average[i] = 0.9 * average[i] + 0.1 * value[i];
     }
     adam.step(kRate, adam.gradient_norm());
