@@ -16,7 +16,29 @@ void AutoencoderObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.real({"reconstruction_weight", "of the absolute error of images"}, reconstruction_weight, {0, 1e6});
   visitor.real({"divergence_weight", "of the latents' distance from standard normal ones"}, divergence_weight,
                {0, 1e6});
+  visitor.integer({"crop", "side in pixels of the square of each image that is learnt from; 0: all of it"},
+                  crop, {0, 65536});
 }
+
+namespace {
+
+// A square of that side of each image, wherever the generator puts it; all of images that are no larger.
+torch::Tensor cropped(const torch::Tensor& images, int64_t side, torch::Generator generator) {
+  const int64_t height = images.size(2), width = images.size(3);
+  if (side == 0 || (height <= side && width <= side)) return images;
+  const auto place = [&](int64_t room) {
+    return torch::randint(0, std::max<int64_t>(room, 0) + 1, {1}, generator, torch::kInt64).item<int64_t>();
+  };
+  std::vector<torch::Tensor> squares;
+  for (int64_t view = 0; view < images.size(0); ++view) {
+    const int64_t top = place(height - side), left = place(width - side);
+    squares.push_back(
+        images[view].narrow(1, top, std::min(side, height)).narrow(2, left, std::min(side, width)));
+  }
+  return torch::stack(squares);
+}
+
+}  // namespace
 
 AutoencoderObjective::AutoencoderObjective(const BundleOptions& model,
                                            const AutoencoderObjectiveOptions& options,
@@ -41,7 +63,7 @@ Losses AutoencoderObjective::losses(const TrainingBatch& batch, const StepContex
   Losses losses;
   PartMeans parts;
   for (const TrainingScene& scene : batch.scenes) {
-    const auto images = scene.images.to(placement_.device);
+    const auto images = cropped(scene.images, options_.crop, context.generator).to(placement_.device);
     const Autoencoding made = backbone_->autoencode(images, context.generator);
     const auto error = (made.images - images).abs().mean();
     const auto total = options_.reconstruction_weight * error + options_.divergence_weight * made.divergence;

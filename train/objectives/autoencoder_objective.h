@@ -10,6 +10,7 @@ namespace gld {
 
 struct AutoencoderObjectiveOptions : OptionsGroup {
   double reconstruction_weight = 1.0;
+  int64_t crop = 0;  // pixels: side of the square of each image that is learnt from; 0: all of it
   double divergence_weight = 1e-3;
 
   void visit(FieldVisitor& visitor) override;
