@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
 """Makes the reference cases rgb_decoder_vggt, dpt_head_da3_replaced, known_cameras_da3 and camera_decoder_da3,
-tests/data/dpt_decoder, and the cases splat_* with the published modules.
+tests/data/dpt_decoder, and the cases splat_* and refiner_* with the published modules.
 
-Needs PyTorch, safetensors, for the first two transformers (of RAE's decoder) and for DA3's einops. Each case is made where the checkouts that
+Needs PyTorch, safetensors, for the first two transformers (of RAE's decoder), for DA3's einops, and for refiner_* diffusers
+0.31 and einops. Each case is made where the checkouts that
 it needs are given:
   --gld     cvlab-kaist/Geometric-Latent-Diffusion, of rgb_decoder_vggt and, together with
   --da3     ByteDance-Seed/Depth-Anything-3, of dpt_head_da3_replaced, known_cameras_da3 and camera_decoder_da3
   --gsplat  nerfstudio-project/gsplat at v1.5.3, of splat_*
+  --splatent  orhir/Splatent, of refiner_*
 Weights and inputs are random and exact in float16; outputs are float32, and the note of each case says how far they lie from
 the same modules in float64. Those of splat_* are float64, from inputs exact in float32.
-    scripts/make_published_cases.py --gld DIR --da3 DIR --gsplat DIR --out tests/data
+    scripts/make_published_cases.py --gld DIR --da3 DIR --gsplat DIR --splatent DIR --out tests/data
 """
 import argparse
 import ast
@@ -476,9 +478,107 @@ def splat_cases(checkout, out):
     splat_compositing_case(gsplat, out, "splat_picture", None, True)
 
 
+def functions_of(file, names, given):
+    """Functions and methods of a file by name, alone, so that what the file imports is not needed."""
+    made = dict(given)
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.FunctionDef) and node.name in names:
+            exec(compile(ast.Module(body=[node], type_ignores=[]), file.name, "exec"), made)
+    return [made[name] for name in names]
+
+
+class JoinedViews:
+    """Splatent's attention over pixels without its grid, by PyTorch's: the tokens of `views` maps behind each other joined
+    ("self"), or the first one's queries for the others and each of these for itself ("cross")."""
+
+    def __init__(self, views, kind):
+        self.views, self.kind = views, kind
+
+    def __call__(self, attn, hidden_states, encoder_hidden_states=None, attention_mask=None, temb=None, *_, **__):
+        keys = hidden_states if encoder_hidden_states is None else encoder_hidden_states
+
+        def heads(tokens):
+            return tokens.unflatten(-1, (attn.heads, -1)).transpose(1, 2)
+
+        def attended(query, key, value):
+            result = torch.nn.functional.scaled_dot_product_attention(heads(query), heads(key), heads(value))
+            return result.transpose(1, 2).flatten(2)
+
+        query, key, value = attn.to_q(hidden_states), attn.to_k(keys), attn.to_v(keys)
+        if encoder_hidden_states is not None:
+            result = attended(query, key, value)
+        elif self.kind == "self":
+            result = attended(*[part.flatten(0, 1).unsqueeze(0) for part in (query, key, value)]).reshape(query.shape)
+        else:
+            first = attended(query[:1], key[1:].flatten(0, 1).unsqueeze(0), value[1:].flatten(0, 1).unsqueeze(0))
+            result = torch.cat([first, attended(query[1:], key[1:], value[1:])])
+        return attn.to_out[0](result)
+
+
+def refiner_case(splatent, out, kind, seed):
+    from diffusers import DDPMScheduler, UNet2DConditionModel
+    from einops import rearrange
+
+    torch.manual_seed(seed)
+    config = {"channels": [8, 16, 24], "heads": [2, 4, 3], "attending_stages": 2, "layers_per_block": 2 if kind == "grid" else 1,
+              "norm_groups": 4, "latent_channels": 4, "prompt_tokens": 5, "prompt_channels": 12, "timestep": 300,
+              "form": "published", "attention": kind, "references": 3}
+    unet = UNet2DConditionModel(
+        in_channels=4, out_channels=4, block_out_channels=config["channels"], layers_per_block=config["layers_per_block"],
+        down_block_types=("CrossAttnDownBlock2D", "CrossAttnDownBlock2D", "DownBlock2D"),
+        up_block_types=("UpBlock2D", "CrossAttnUpBlock2D", "CrossAttnUpBlock2D"), norm_num_groups=config["norm_groups"],
+        cross_attention_dim=config["prompt_channels"], attention_head_dim=config["heads"],
+        use_linear_projection=True).eval()
+    make_random(unet)
+    views, height, width = 4, 6, 7  # odd, so that what is halved does not double to what it was
+    latents = torch.randn(views, 4, height, width).half().float()
+    prompt = torch.randn(config["prompt_tokens"], config["prompt_channels"]).half().float()
+    schedule = DDPMScheduler(num_train_timesteps=1000, beta_start=0.00085, beta_end=0.012, beta_schedule="scaled_linear")
+    signal = schedule.alphas_cumprod.double()
+    arrange, extract = functions_of(splatent / "src/model.py", ["_arrange_grid", "_extract_from_grid"],
+                                    {"rearrange": rearrange})
+    distance, nearest = functions_of(splatent / "scripts/generate_dataset.py", ["compute_camera_distance", "find_top_k_closest_ref_views"],
+                                     {"np": __import__("numpy"), "Dict": dict, "List": list})
+    nearest.__globals__["compute_camera_distance"] = distance
+    if kind != "grid":
+        unet.set_attn_processor(JoinedViews(views, kind))
+
+    def run(model, dtype):
+        maps, rows, columns = latents.to(dtype), 1, 1
+        if kind == "grid":
+            maps, rows, columns = arrange(None, latents.to(dtype).unsqueeze(0))
+            maps = maps[:, 0]
+        with torch.no_grad():
+            prediction = model(maps, config["timestep"], prompt.to(dtype).unsqueeze(0).expand(len(maps), -1, -1)).sample
+        if kind == "grid":
+            prediction = extract(None, prediction.unsqueeze(1), rows, columns)[0]
+        left = signal[config["timestep"]].to(dtype)
+        refined = (latents[0].to(dtype) - (1 - left).sqrt() * prediction[0]) / left.sqrt()
+        return {"prediction": prediction, "refined": refined}
+
+    single, double = run(unet, torch.float32), run(copy.deepcopy(unet).double(), torch.float64)
+    turns = torch.linalg.qr(torch.randn(9, 3, 3)).Q
+    turns = turns * torch.linalg.det(turns)[:, None, None]
+    poses = torch.eye(4).repeat(9, 1, 1)
+    poses[:, :3, :3], poses[:, :3, 3] = turns, torch.randn(9, 3)
+    frames = [{"transform_matrix": pose.tolist()} for pose in poses.double()]
+    inputs = {"latents": latents, "prompt": prompt, "camera_to_world": poses.double()}
+    outputs = {**single, "alpha_bar": signal.float(),
+               "references": torch.tensor(nearest(frames[0], frames[1:], 8), dtype=torch.float32)}
+    case = {"kind": "refiner", "config": config, "relative_tolerance": 1e-5,
+            "note": "diffusers' UNet2DConditionModel"
+                    + (" on the grid of Splatent's own _arrange_grid" if kind == "grid"
+                       else f", attention over pixels {kind}")
+                    + "; one step with alphas_cumprod of its DDPMScheduler, as current diffusers refuses timestep 300 there; "
+                      "references of camera 0 among the others by Splatent's find_top_k_closest_ref_views | "
+                      f"seed {seed}; weights and inputs exact in float16; " + observed(largest_error(single, double))}
+    write_case(out / ("reference_cases/refiner_" + kind), case, inputs, outputs,
+               half({**unet.state_dict(), "prompt": prompt}))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("gld", "da3", "gsplat"):
+    for name in ("gld", "da3", "gsplat", "splatent"):
         parser.add_argument("--" + name, type=pathlib.Path)
     parser.add_argument("--out", type=pathlib.Path, required=True)
     options = parser.parse_args()
@@ -490,6 +590,9 @@ def main():
         da3_camera_cases(options.da3, options.out)
     if options.gsplat:
         splat_cases(options.gsplat, options.out)
+    if options.splatent:
+        for kind, seed in (("grid", 41), ("self", 42), ("cross", 43)):
+            refiner_case(options.splatent, options.out, kind, seed)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ ReferenceRunners reference_runners() {
       {"metrics_trajectory", run_trajectory_case},
       {"splat_projection", run_splat_projection_case},
       {"splat_compositing", run_splat_compositing_case},
+      {"refiner", run_refiner_case},
       {"camera_conditioning", run_camera_case},
       {"dit", run_dit_case},
       {"sample", run_sample_case},

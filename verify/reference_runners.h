@@ -21,6 +21,7 @@ NamedTensors run_metrics_case(const ReferenceCase& reference);            // kin
 NamedTensors run_trajectory_case(const ReferenceCase& reference);         // kind "metrics_trajectory"
 NamedTensors run_splat_projection_case(const ReferenceCase& reference);   // kind "splat_projection"
 NamedTensors run_splat_compositing_case(const ReferenceCase& reference);  // kind "splat_compositing"
+NamedTensors run_refiner_case(const ReferenceCase& reference);            // kind "refiner"
 NamedTensors run_train_diffusion_case(const ReferenceCase& reference);    // kind "train_diffusion"
 
 // Every kind, by name.

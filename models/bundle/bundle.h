@@ -5,6 +5,7 @@
 #include "models/blending/photograph_blending.h"
 #include "models/bundle/bundle_options.h"
 #include "models/dit/dit_dh.h"
+#include "models/refiner/denoising_unet.h"
 #include "models/weights/weight_loading.h"
 
 #include <filesystem>
@@ -26,6 +27,7 @@ struct BundlePart {
     kGeometryHead,
     kRgbDecoder,
     kBlending,
+    kRefiner,
     kGenerator,
     kStatistics,
     kSpecialStatistics
@@ -38,6 +40,7 @@ struct BundlePart {
   static BundlePart geometry_head() { return {Kind::kGeometryHead, {}, 0}; }
   static BundlePart rgb_decoder() { return {Kind::kRgbDecoder, {}, 0}; }
   static BundlePart blending() { return {Kind::kBlending, {}, 0}; }
+  static BundlePart refiner() { return {Kind::kRefiner, {}, 0}; }
   static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
   static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
   // Of the special tokens that are generated in front of a level's patch tokens.
@@ -81,6 +84,7 @@ class ModelBundle {
   std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<PhotographBlending> load_blending(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<DenoisingUnet> load_refiner(const ParameterPlacement& placement = {}) const;
   // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
   std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;
   BundlePart image_decoder_part() const;

@@ -89,6 +89,9 @@ void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"dpt_head", "frozen geometry head"}, geometry_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
   visitor.group({"blending", "network that lays photographs together in target views"}, blending);
+  visitor.group(
+      {"refiner", "network that repairs a degraded view's latents beside its nearest views in one call"},
+      refiner);
   std::vector<std::string> texts;
   for (const auto& part : generators) texts.push_back(generator_text(part.generator));
   const auto before = texts;
@@ -173,6 +176,11 @@ void BundleOptions::check() const {
   if (set.warped_sources > 0 && !geometry_head.exists()) {
     fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
           std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
+  }
+  if (refiner.exists()) {
+    const int64_t pixels = backbone.architecture().latent_pixels();
+    require_equal("refiner.latent_channels", refiner.latent_channels, channels / (pixels * pixels),
+                  "the channels of a pixel of the backbone's latents");
   }
   if (blending.exists() && !geometry_head.exists()) {
     fail({"blending.channels",

@@ -9,6 +9,7 @@
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"
 #include "models/latent_spaces/level_set.h"
+#include "models/refiner/refiner_options.h"
 
 #include <cstdint>
 #include <string>
@@ -45,6 +46,7 @@ struct BundleOptions : OptionsGroup {
   GeometryHeadOptions geometry_head;
   RgbDecoderOptions rgb_decoder;
   BlendingOptions blending;
+  RefinerOptions refiner;
   std::vector<GeneratorOptions> generators;  // in the order of sampling
   int64_t boundary_level = 1;                // level that propagation starts from
   std::vector<int64_t> decoded_levels;       // that the RGB decoder takes; all when empty

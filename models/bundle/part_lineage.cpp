@@ -38,6 +38,11 @@ std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& 
   if (part.kind == BundlePart::Kind::kBackbone) return {};
   std::vector<BundlePart> parts = {BundlePart::backbone()};
   if (part.kind == BundlePart::Kind::kBlending) parts.push_back(BundlePart::geometry_head());
+  if (part.kind == BundlePart::Kind::kRefiner) {
+    for (const auto& statistics : bundle_parts(options)) {
+      if (statistics.kind == BundlePart::Kind::kStatistics) parts.push_back(statistics);
+    }
+  }
   if (part.kind != BundlePart::Kind::kGenerator) return parts;
   if (options.generator(part.generator).dit.warped_sources > 0) parts.push_back(BundlePart::geometry_head());
   std::vector<int64_t> levels = {part.generator.level};

@@ -37,5 +37,8 @@ INSTANTIATE_TEST_SUITE_P(Splatting, ReferenceCases,
                          testing::Values("splat_projection", "splat_projection_antialias", "splat_colours",
                                          "splat_compositing", "splat_picture"));
 
+INSTANTIATE_TEST_SUITE_P(Refiner, ReferenceCases,
+                         testing::Values("refiner_grid", "refiner_self", "refiner_cross"));
+
 }  // namespace
 }  // namespace gld

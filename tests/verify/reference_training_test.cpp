@@ -38,7 +38,7 @@ TEST(ReferenceTraining, EveryKindOfCaseHasARunner) {
   const auto runners = reference_runners();
   for (const char* kind :
        {"backbone", "dpt_head", "rgb_decoder", "lpips", "metrics_image_depth", "camera_conditioning", "dit",
-        "sample", "pipeline", "train_diffusion", "splat_projection", "splat_compositing"}) {
+        "sample", "pipeline", "train_diffusion", "splat_projection", "splat_compositing", "refiner"}) {
     EXPECT_EQ(runners.count(kind), 1U) << kind;
   }
 }

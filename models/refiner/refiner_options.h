@@ -1,0 +1,47 @@
+#pragma once
+
+#include "gld/base/options.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// How the degraded view and its references see each other in every attention over pixels (Splatent, table 4).
+enum class ViewAttention {
+  kGrid,   // as one picture of all views: convolutions cross the borders of its cells as well
+  kSelf,   // the tokens of all views joined; everything else is per view
+  kCross,  // the degraded view looks at the references alone, each reference at itself
+};
+
+// What one evaluation makes of a latent (one_step_update.h).
+enum class OneStepForm {
+  kIdentity,   // z + sqrt((1 - a) / a) e: where the network gives 0 nothing changes
+  kPublished,  // (z - sqrt(1 - a) e) / sqrt(a), of checkpoints of Stable Diffusion's shape
+};
+
+// Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). Defaults beside `channels` are those of the small
+// model; Stable Diffusion Turbo's are turbo_refiner().
+struct RefinerOptions : OptionsGroup {
+  std::vector<int64_t> channels;  // of the UNet's stages, each but the last halves the sides; none: no refiner
+  std::vector<int64_t> heads;     // of attention in each stage
+  int64_t attending_stages = 3;   // the first so many attend over pixels; the middle always does
+  int64_t layers_per_block = 1;   // residual blocks of a stage on the way down; one more on the way up
+  int64_t norm_groups = 32;
+  int64_t latent_channels = 4;
+  int64_t prompt_tokens = 1;      // constant tokens in the place of a text, seen by every attention's second half
+  int64_t prompt_channels = 64;
+  int64_t timestep = 300;         // tau, of 1000: how noisy the network is told that the latent is
+  OneStepForm form = OneStepForm::kIdentity;
+  ViewAttention attention = ViewAttention::kGrid;
+  int64_t references = 3;         // views beside the degraded one
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+  bool exists() const { return !channels.empty(); }
+};
+
+// The shape of Stable Diffusion 2.x and of its Turbo, with the published update and the prompt of 77 tokens.
+RefinerOptions turbo_refiner();
+
+}  // namespace gld
