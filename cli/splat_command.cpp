@@ -1,7 +1,8 @@
 #include "cli/splat_command.h"
 
+#include "infer/splats/latent_render.h"
 #include "infer/splats/splat_evaluation.h"
-#include "infer/splats/splat_render.h"
+#include "infer/splats/splat_pairs.h"
 #include "infer/splats/splat_spectrum.h"
 #include "train/splats/splat_features.h"
 
@@ -38,7 +39,7 @@ Command make_render_command() {
       "Example: gld splat render --splats runs/splats --path orbit --frames 60 --out runs/orbit";
   command.options = options;
   command.run = [options](const std::vector<std::string>&) {
-    run_splat_render(*options);
+    run_splat_render_with_latents(*options);
     return 0;
   };
   return command;
@@ -78,6 +79,24 @@ Command make_evaluation_command() {
   return command;
 }
 
+Command make_pairs_command() {
+  auto options = std::make_shared<SplatPairsOptions>();
+  Command command;
+  command.name = "splat pairs";
+  command.summary = "Splat latents of views that nothing is fitted to, for gld train refiner";
+  command.description =
+      "Example: gld splat pairs --synthetic 400 --input-views 30 --model configs/splat --out runs/pairs\n"
+      "A file a scene: latents as Gaussians show them beside those of the truth, and the views around them.";
+  command.options = options;
+  command.usual = {{"Scenes", {"scenes", "synthetic", "synthetic_seed", "held_out", "input_views"}},
+                   {"Fit", {"model", "side", "fit.steps", "fit.density.most_gaussians"}}};
+  command.run = [options](const std::vector<std::string>&) {
+    run_splat_pairs(*options);
+    return 0;
+  };
+  return command;
+}
+
 }  // namespace
 
 Command make_splat_command() {
@@ -85,7 +104,7 @@ Command make_splat_command() {
   command.name = "splat";
   command.summary = "3D Gaussians of a scene: fit them, draw them, see latents by them";
   command.subcommands = {make_fit_command(), make_render_command(), make_evaluation_command(),
-                         make_spectrum_command()};
+                         make_spectrum_command(), make_pairs_command()};
   return command;
 }
 

@@ -2,6 +2,7 @@
 
 #include "train/stages/feature_stages.h"
 #include "train/stages/latent_stages.h"
+#include "train/stages/refiner_stage.h"
 #include "train/stages/validation_sheet.h"
 
 #include <iostream>
@@ -11,21 +12,23 @@
 namespace gld {
 namespace {
 
-// own: options that --help shows and other stages have not.
+// own: options that --help shows and other stages have not; data: those of what it trains on.
 template <class Options>
 Command stage_command(const std::string& name, const std::string& summary,
                       std::string (*run)(const Options&, const DrawValidation&),
-                      const std::vector<std::string>& own) {
+                      const std::vector<std::string>& own,
+                      const std::vector<std::string>& data = {"data.scenes", "data.views.views",
+                                                              "data.loading.batch_size",
+                                                              "data.validation_folder"}) {
   auto options = std::make_shared<Options>();
   Command command;
   command.name = "train " + name;
   command.summary = summary;
   command.options = options;
-  command.usual = {
-      {"Data", {"data.scenes", "data.views.views", "data.loading.batch_size", "data.validation_folder"}},
-      {"Training",
-       {"model", "loop.steps", "loop.learning_rate.peak", "loop.precision", "loop.workers", "loop.seed",
-        "loop.checkpoint_every", "loop.validate_every"}}};
+  command.usual = {{"Data", data},
+                   {"Training",
+                    {"model", "loop.steps", "loop.learning_rate.peak", "loop.precision", "loop.workers",
+                     "loop.seed", "loop.checkpoint_every", "loop.validate_every"}}};
   auto& training = command.usual.back().keys;
   training.insert(training.begin() + 1, own.begin(), own.end());
   command.run = [options, run](const std::vector<std::string>&) {
@@ -40,7 +43,7 @@ Command stage_command(const std::string& name, const std::string& summary,
 Command make_train_command() {
   Command command;
   command.name = "train";
-  command.summary = "Train a part of a model: backbone, decoder, blending, level or cascade";
+  command.summary = "Train a part of a model: backbone, decoder, blending, level, cascade or refiner";
   command.description =
       "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
       "runs/backbone\n"
@@ -58,7 +61,10 @@ Command make_train_command() {
       stage_command("level", "M_L, which generates a level from noise", train_level,
                     {"level", "objective.start"}),
       stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,
-                    {"objective.flow.start"})};
+                    {"objective.flow.start"}),
+      stage_command(
+          "refiner", "The network that repairs splatted latents beside the nearest views in one call",
+          train_refiner, {"objective.start"}, {"data.pairs", "data.validation_pairs", "data.batch_size"})};
   return command;
 }
 

@@ -37,9 +37,8 @@ NamedTensors run_refiner_case(const ReferenceCase& reference) {
   const auto cameras = cameras_of(reference.input("camera_to_world", {-1, 4, 4}));
   std::vector<double> left;
   for (int64_t timestep = 0; timestep < kDiffusionSteps; ++timestep) left.push_back(alpha_bar(timestep));
-  const auto order =
-      nearest_references(cameras.front(), {cameras.begin() + 1, cameras.end()},
-                         static_cast<int64_t>(cameras.size()) - 1, ReferenceUnit::kScene);
+  const auto order = nearest_references(cameras.front(), {cameras.begin() + 1, cameras.end()},
+                                        static_cast<int64_t>(cameras.size()) - 1, ReferenceUnit::kScene);
   return {{"prediction", unet.forward(latents, options.timestep)[0]},
           {"refined", refined_latents(unet, latents)[0]},
           {"alpha_bar", torch::tensor(left, torch::kFloat64).to(torch::kFloat32)},

@@ -107,6 +107,8 @@ const std::map<std::string, std::string>& following_commands() {
       {"sample", "gld splat fit --run RUN --out runs/splats"},
       {"synth", "gld check-data RUN"},
       {"splat fit", "gld splat render --splats RUN --path orbit --out runs/orbit"},
+      {"splat pairs", "gld train refiner --pairs RUN/pairs --model configs/splat --out runs/refiner"},
+      {"train refiner", "gld splat eval --model RUN/model --synthetic 16 --out runs/splat_eval"},
       {"train backbone", "gld train decoder --model RUN/model --out runs/decoder"},
       {"train blending", "gld stats --model RUN/model --out runs/stats"},
       {"train decoder", "gld stats --model RUN/model --out runs/stats"},
@@ -130,8 +132,8 @@ ordered_json next_command(const std::string& kind, const std::string& state,
   }
   // The description of an ablation is another file than its options.
   if (kind == "ablate") return {};
-  const bool resumes =
-      kind == "sample" || kind == "eval" || kind == "splat fit" || kind.rfind("train ", 0) == 0;
+  const bool resumes = kind == "sample" || kind == "eval" || kind == "splat fit" || kind == "splat pairs" ||
+                       kind.rfind("train ", 0) == 0;
   return "gld " + kind + " --config " + shell_word((folder / kRunConfiguration).string()) + " --out " +
          shell_word(run) + (resumes ? " --resume" : " --overwrite");
 }

@@ -9,7 +9,9 @@
 #include "gld/cameras/relative_cameras.h"
 #include "gld/machine/timing.h"
 #include "gld/metrics/image_metrics.h"
+#include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"
+#include "gld/metrics/sharpness.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
 #include "gld/report/table.h"
@@ -17,84 +19,84 @@
 #include "infer/export/image_export.h"
 #include "infer/request/held_out_scenes.h"
 #include "models/bundle/bundle.h"
-#include "models/splats/latent_fit.h"
+#include "models/splats/latent_refining.h"
 
+#include <algorithm>
 #include <iostream>
-#include <utility>
+#include <limits>
+#include <memory>
 
 #include <fmt/format.h>
 
 namespace gld {
 namespace {
 
-// As many of them as asked for, evenly spread; the first and the last stay.
-template <class View>
-void thin_out(std::vector<View>& views, int64_t wanted) {
-  const auto count = static_cast<int64_t>(views.size());
-  if (wanted == 0 || wanted >= count) return;
-  std::vector<View> kept;
-  for (int64_t i = 0; i < wanted; ++i) {
-    const int64_t from = wanted == 1 ? count / 2 : (i * (count - 1) + (wanted - 1) / 2) / (wanted - 1);
-    kept.push_back(std::move(views[static_cast<size_t>(from)]));
-  }
-  views = std::move(kept);
-}
-
-// All views, fitted ones first: (views, 3, height, width), their cameras, and latents of the levels that are decoded.
-struct EncodedScene {
-  torch::Tensor images;
-  StillGaussians gaussians;
-  std::vector<LatentPictures> levels;
-};
-
-EncodedScene encoded_scene(const SplatFitViews& views, const ModelBundle& bundle, const GaussianSet& set) {
-  EncodedScene scene{{}, {set, {}, {}, static_cast<int64_t>(views.fitted.size())}, {}};
-  std::vector<torch::Tensor> images;
-  for (const FittedView* view : all_views(views)) {
-    images.push_back(tensor_of(view->target.image));
-    scene.gaussians.cameras.push_back(view->camera);
-  }
-  scene.images = torch::stack(images);
-  scene.levels = encode_latent_pictures(bundle, scene.images, decoded_levels(bundle.options()));
-  return scene;
-}
-
-// Pictures of held-out views, each (views, 3, height, width).
+// Pictures of held-out views, each (views, 3, height, width); refined is undefined without a refiner.
 struct HeldOutPictures {
-  torch::Tensor truth, rgb, decoded, autoencoded, nearest;
+  torch::Tensor truth, rgb, decoded, refined, autoencoded, nearest;
 };
 
-HeldOutPictures held_out_pictures(const EncodedScene& scene, const std::vector<LatentFit>& fits,
-                                  const ModelBundle& bundle, const KernelSettings& settings) {
-  const StillGaussians& gaussians = scene.gaussians;
+struct EvaluatedScene {
+  SplatScores scores;
   HeldOutPictures pictures;
-  pictures.truth = scene.images.slice(0, gaussians.fitted);
+};
+
+// Latents of held-out views, normalised, a tensor a level: (views, channels, height, width).
+struct HeldOutLatents {
+  std::vector<torch::Tensor> encoded, shown, refined;
+};
+
+HeldOutLatents held_out_latents(const LatentSplats& splats, const DenoisingUnet* refiner, SplatScores& scores,
+                                const KernelSettings& settings) {
+  HeldOutLatents latents;
+  for (size_t level = 0; level < splats.fits.size(); ++level) {
+    latents.encoded.push_back(splats.encoded(level, splats.fitted, splats.views()));
+    latents.shown.push_back(splats.shown(level, settings));
+  }
+  if (refiner == nullptr) return latents;
+  const LatentRefining refining(*refiner, splats.fitted_cameras(), splats.encoded(0, 0, splats.fitted));
+  std::vector<torch::Tensor> refined;
+  scores.refined_seconds = seconds_of([&] {
+    for (int64_t view = splats.fitted; view < splats.views(); ++view) {
+      refined.push_back(
+          refining(splats.cameras[static_cast<size_t>(view)], latents.shown.front()[view - splats.fitted]));
+    }
+  });
+  scores.refined_seconds /= static_cast<double>(refined.size());
+  latents.refined = {torch::stack(refined)};
+  return latents;
+}
+
+torch::Tensor raw(const torch::Tensor& latents, const LatentPictures& of) {
+  return of.statistics.denormalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+}
+
+torch::Tensor decoded(const std::vector<torch::Tensor>& latents, const LatentSplats& splats,
+                      const ModelBundle& bundle) {
+  std::vector<torch::Tensor> maps;
+  for (size_t level = 0; level < latents.size(); ++level)
+    maps.push_back(raw(latents[level], splats.levels[level]));
+  return decode_latent_maps(bundle, maps);
+}
+
+HeldOutPictures held_out_pictures(const LatentSplats& splats, const HeldOutLatents& latents,
+                                  const ModelBundle& bundle, const KernelSettings& settings) {
+  HeldOutPictures pictures;
+  pictures.truth = splats.images.slice(0, splats.fitted);
   Views cameras;
-  cameras.cameras = gaussians.cameras;
-  cameras.num_sources = gaussians.fitted;
+  cameras.cameras = splats.cameras;
+  cameras.num_sources = splats.fitted;
   std::vector<torch::Tensor> rgb, nearest;
-  for (int64_t view = gaussians.fitted; view < cameras.size(); ++view) {
-    const Camera& camera = gaussians.cameras[static_cast<size_t>(view)];
-    rgb.push_back(tensor_of(splat_picture(gaussians.set, camera, gaussians.projection, settings).image));
-    nearest.push_back(scene.images[nearest_source(cameras, view)]);
+  for (int64_t view = splats.fitted; view < cameras.size(); ++view) {
+    const Camera& camera = splats.cameras[static_cast<size_t>(view)];
+    rgb.push_back(tensor_of(splat_picture(splats.fit.set, camera, splats.projection, settings).image));
+    nearest.push_back(splats.images[nearest_source(cameras, view)]);
   }
   pictures.rgb = torch::stack(rgb);
   pictures.nearest = torch::stack(nearest);
-  std::vector<torch::Tensor> shown, encoded;
-  for (size_t level = 0; level < fits.size(); ++level) {
-    const LatentPictures& latents = scene.levels[level];
-    std::vector<torch::Tensor> of_gaussians, of_encoder;
-    for (int64_t view = gaussians.fitted; view < cameras.size(); ++view) {
-      const auto number = static_cast<size_t>(view);
-      of_encoder.push_back(latents.raw(latents.pictures[number]));
-      of_gaussians.push_back(latents.raw(rendered_features(
-          gaussians, fits[level].features, latents.camera_of(gaussians.cameras[number]), settings)));
-    }
-    shown.push_back(torch::stack(of_gaussians));
-    encoded.push_back(torch::stack(of_encoder));
-  }
-  pictures.decoded = decode_latent_maps(bundle, shown);
-  pictures.autoencoded = decode_latent_maps(bundle, encoded);
+  pictures.decoded = decoded(latents.shown, splats, bundle);
+  pictures.autoencoded = decoded(latents.encoded, splats, bundle);
+  if (!latents.refined.empty()) pictures.refined = decoded(latents.refined, splats, bundle);
   return pictures;
 }
 
@@ -104,54 +106,62 @@ double mean_psnr(const torch::Tensor& truth, const torch::Tensor& pictures) {
 double mean_ssim(const torch::Tensor& truth, const torch::Tensor& pictures) {
   return ssim(truth, pictures).mean().item<double>();
 }
+double mean_sharpness(const torch::Tensor& truth, const torch::Tensor& pictures) {
+  return sharpness(truth, pictures.clamp(0, 1)).mean().item<double>();
+}
 
-struct EvaluatedScene {
-  SplatScores scores;
-  HeldOutPictures pictures;
-};
+// |latents - encoded| over |encoded - its mean|, mean over levels.
+double mean_error(const std::vector<torch::Tensor>& latents, const std::vector<torch::Tensor>& encoded) {
+  double sum = 0;
+  for (size_t level = 0; level < latents.size(); ++level)
+    sum += relative_latent_error(latents[level], encoded[level]);
+  return sum / static_cast<double>(latents.size());
+}
 
-EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const SplatEvaluationOptions& options,
-                         const KernelSettings& settings) {
-  const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
-  SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
-  thin_out(views.fitted, options.input_views);
-  thin_out(views.pictures, options.input_views);
-  SplatFitOptions fit_options = options.fit;
-  SplatFit fit;
-  EncodedScene encoded = encoded_scene(views, bundle, fit.set);
-  give_latents(latent_views(encoded.levels, encoded.gaussians.cameras), views);
+// Of the first level's raw latents; NaN where they are not square.
+double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, const LatentPictures& of) {
+  const int64_t side = encoded.size(2);
+  if (encoded.size(3) != side || side < 8) return std::numeric_limits<double>::quiet_NaN();
+  const int64_t last = last_whole_ring(side);
+  const auto amplitudes = [&](const torch::Tensor& views) {
+    return ring_amplitudes(raw(views, of), last, SpectrumWindow::kHann);
+  };
+  return band_ratio(amplitudes(latents), amplitudes(encoded), side / 4, last);
+}
+
+EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const DenoisingUnet* refiner,
+                         const SplatEvaluationOptions& options, const KernelSettings& settings) {
+  const LatentSplats splats = splat_latents(scene, bundle, options, settings);
   EvaluatedScene result;
   SplatScores& scores = result.scores;
   scores.scene = scene.name;
-  std::vector<LatentFit> fits;
-  scores.seconds = seconds_of([&] {
-    fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name);
-    begin_features(views.fitted, fit_options, settings, fit);
-    while (fit.step < fit_options.steps) {
-      stop_if_interrupted("in the fit of " + scene.name);
-      splat_fit_step(views.fitted, fit_options, static_cast<uint64_t>(options.seed), settings, fit);
-    }
-    encoded.gaussians.projection = fit_options.projection;
-    for (const LatentPictures& latents : encoded.levels)
-      fits.push_back(fit_latents(encoded.gaussians, latents, options.solve, settings));
-  });
-  scores.gaussians = fit.set.size();
-  const auto all = static_cast<int64_t>(encoded.gaussians.cameras.size());
-  for (size_t level = 0; level < fits.size(); ++level) {
-    scores.latent_error += latent_error(encoded.gaussians, fits[level], encoded.levels[level],
-                                        encoded.gaussians.fitted, all, settings) /
-                           static_cast<double>(fits.size());
-  }
-  result.pictures = held_out_pictures(encoded, fits, bundle, settings);
+  scores.seconds = splats.seconds;
+  scores.gaussians = splats.fit.set.size();
+  const HeldOutLatents latents = held_out_latents(splats, refiner, scores, settings);
+  scores.latent_error = mean_error(latents.shown, latents.encoded);
+  scores.high_band = high_band(latents.shown.front(), latents.encoded.front(), splats.levels.front());
+  result.pictures = held_out_pictures(splats, latents, bundle, settings);
   const HeldOutPictures& pictures = result.pictures;
-  scores.rgb_psnr = mean_psnr(pictures.truth, pictures.rgb);
-  scores.rgb_ssim = mean_ssim(pictures.truth, pictures.rgb);
-  scores.decoded_psnr = mean_psnr(pictures.truth, pictures.decoded);
-  scores.decoded_ssim = mean_ssim(pictures.truth, pictures.decoded);
-  scores.autoencoded_psnr = mean_psnr(pictures.truth, pictures.autoencoded);
-  scores.autoencoded_ssim = mean_ssim(pictures.truth, pictures.autoencoded);
-  scores.nearest_psnr = mean_psnr(pictures.truth, pictures.nearest);
-  scores.nearest_ssim = mean_ssim(pictures.truth, pictures.nearest);
+  const auto& truth = pictures.truth;
+  scores.rgb_psnr = mean_psnr(truth, pictures.rgb);
+  scores.rgb_ssim = mean_ssim(truth, pictures.rgb);
+  scores.rgb_sharpness = mean_sharpness(truth, pictures.rgb);
+  scores.decoded_psnr = mean_psnr(truth, pictures.decoded);
+  scores.decoded_ssim = mean_ssim(truth, pictures.decoded);
+  scores.decoded_sharpness = mean_sharpness(truth, pictures.decoded);
+  scores.autoencoded_psnr = mean_psnr(truth, pictures.autoencoded);
+  scores.autoencoded_ssim = mean_ssim(truth, pictures.autoencoded);
+  scores.autoencoded_sharpness = mean_sharpness(truth, pictures.autoencoded);
+  scores.nearest_psnr = mean_psnr(truth, pictures.nearest);
+  scores.nearest_ssim = mean_ssim(truth, pictures.nearest);
+  if (refiner != nullptr) {
+    scores.refined_error = mean_error(latents.refined, latents.encoded);
+    scores.refined_high_band =
+        high_band(latents.refined.front(), latents.encoded.front(), splats.levels.front());
+    scores.refined_psnr = mean_psnr(truth, pictures.refined);
+    scores.refined_ssim = mean_ssim(truth, pictures.refined);
+    scores.refined_sharpness = mean_sharpness(truth, pictures.refined);
+  }
   return result;
 }
 
@@ -160,50 +170,77 @@ struct ScoreColumn {
   const char* name;
   const char* says;
   double SplatScores::*value;
+  enum Of { kAll, kRefined, kSquare, kRefinedSquare } of = kAll;
 };
-const std::vector<ScoreColumn>& score_columns() {
-  static const std::vector<ScoreColumn> columns{
+// What every scene has.
+std::vector<ScoreColumn> score_columns(bool refined, bool square) {
+  const std::vector<ScoreColumn> columns{
       {"rgb_psnr", "the Gaussians' colours, PSNR in dB", &SplatScores::rgb_psnr},
       {"decoded_psnr", "splatted latents, decoded, PSNR in dB", &SplatScores::decoded_psnr},
+      {"refined_psnr", "splatted latents, repaired by the refiner and decoded, PSNR in dB",
+       &SplatScores::refined_psnr, ScoreColumn::kRefined},
       {"autoencoded_psnr", "encoded latents, decoded: what can be reached, PSNR in dB",
        &SplatScores::autoencoded_psnr},
       {"nearest_psnr", "the nearest input view, PSNR in dB", &SplatScores::nearest_psnr},
       {"rgb_ssim", "the Gaussians' colours, SSIM", &SplatScores::rgb_ssim},
       {"decoded_ssim", "splatted latents, decoded, SSIM", &SplatScores::decoded_ssim},
+      {"refined_ssim", "splatted latents, repaired and decoded, SSIM", &SplatScores::refined_ssim,
+       ScoreColumn::kRefined},
       {"autoencoded_ssim", "encoded latents, decoded, SSIM", &SplatScores::autoencoded_ssim},
       {"nearest_ssim", "the nearest input view, SSIM", &SplatScores::nearest_ssim},
+      {"rgb_sharpness", "the Gaussians' colours, sharpness of the truth's", &SplatScores::rgb_sharpness},
+      {"decoded_sharpness", "splatted latents, decoded, sharpness of the truth's",
+       &SplatScores::decoded_sharpness},
+      {"refined_sharpness", "splatted latents, repaired and decoded, sharpness of the truth's",
+       &SplatScores::refined_sharpness, ScoreColumn::kRefined},
+      {"autoencoded_sharpness", "encoded latents, decoded, sharpness of the truth's",
+       &SplatScores::autoencoded_sharpness},
       {"latent_error", "splatted latents, distance from what is encoded over its spread",
        &SplatScores::latent_error},
-      {"seconds", "of fit and solve", &SplatScores::seconds}};
-  return columns;
+      {"refined_error", "repaired latents, distance from what is encoded over its spread",
+       &SplatScores::refined_error, ScoreColumn::kRefined},
+      {"high_band", "splatted latents, high frequencies of the encoded ones'", &SplatScores::high_band,
+       ScoreColumn::kSquare},
+      {"refined_high_band", "repaired latents, high frequencies of the encoded ones'",
+       &SplatScores::refined_high_band, ScoreColumn::kRefinedSquare},
+      {"seconds", "seconds of fit and solve", &SplatScores::seconds},
+      {"refined_seconds", "seconds of the refiner, a view", &SplatScores::refined_seconds,
+       ScoreColumn::kRefined}};
+  std::vector<ScoreColumn> had;
+  for (const ScoreColumn& column : columns) {
+    const bool of_refined = column.of == ScoreColumn::kRefined || column.of == ScoreColumn::kRefinedSquare;
+    const bool of_square = column.of == ScoreColumn::kSquare || column.of == ScoreColumn::kRefinedSquare;
+    if ((!of_refined || refined) && (!of_square || square)) had.push_back(column);
+  }
+  return had;
 }
 
-Table scene_table(const std::vector<SplatScores>& scenes) {
+Table scene_table(const std::vector<SplatScores>& scenes, const std::vector<ScoreColumn>& columns) {
   std::vector<std::string> names{"scene", "gaussians"};
-  for (const ScoreColumn& column : score_columns()) names.emplace_back(column.name);
+  for (const ScoreColumn& column : columns) names.emplace_back(column.name);
   Table table(names);
   for (const SplatScores& scene : scenes) {
     std::vector<TableCell> row{scene.scene, scene.gaussians};
-    for (const ScoreColumn& column : score_columns()) row.emplace_back(scene.*column.value);
+    for (const ScoreColumn& column : columns) row.emplace_back(scene.*column.value);
     table.add_row(row);
   }
   return table;
 }
 
-// The first held-out view: truth, colours, decoded latents, what decoding alone loses.
+// The first held-out view: truth, colours, decoded latents, what the refiner makes of them where there is one, and what
+// decoding alone loses.
 void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const Provenance& provenance) {
   const HeldOutPictures& pictures = scene.pictures;
-  const auto sheet = torch::cat({pictures.truth[0], pictures.rgb[0], pictures.decoded[0].clamp(0, 1),
-                                 pictures.autoencoded[0].clamp(0, 1)},
-                                2);
-  export_image(run.subfolder("pictures") / (scene.scores.scene + ".png"), to_image(sheet), provenance);
+  std::vector<torch::Tensor> row = {pictures.truth[0], pictures.rgb[0], pictures.decoded[0]};
+  if (pictures.refined.defined()) row.push_back(pictures.refined[0]);
+  row.push_back(pictures.autoencoded[0]);
+  export_image(run.subfolder("pictures") / (scene.scores.scene + ".png"),
+               to_image(torch::cat(row, 2).clamp(0, 1)), provenance);
 }
 
 }  // namespace
 
 SplatEvaluationOptions::SplatEvaluationOptions() {
-  fit.density.most_gaussians = 30000;
-  fit.steps = 1000;
   generator.frames = 35;
   generator.width = generator.height = 256;
 }
@@ -213,25 +250,16 @@ void SplatEvaluationOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
   visitor.integer({"synthetic_seed", "seed of the generated scenes"}, synthetic_seed, {0, 1'000'000'000'000});
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
-  visitor.text({"model", "the model bundle whose latents are splatted and decoded"}, model);
   visit_out(visitor, out, overwrite);
-  visit_side(visitor, side);
-  visitor.integer({"held_out", "views that are not fitted but compared with, evenly spread over the scene"},
-                  held_out, {1, 100000});
-  visitor.integer({"input_views", "of the others so many are fitted, evenly spread; 0: all"}, input_views,
-                  {0, 100000});
-  visit_seed(visitor, seed, "the order of views and what density control draws");
-  visit_threads(visitor, threads);
-  visitor.group({"fit", "how Gaussians are fitted"}, fit);
-  visitor.group({"solve", "how features are solved for"}, solve);
+  LatentSplattingOptions::visit(visitor);
 }
 
 void SplatEvaluationOptions::check() const {
+  LatentSplattingOptions::check();
   check_out(out, "runs/splat_eval");
   if (scenes.empty() && synthetic == 0) {
     fail({"gld splat eval", "scenes", "none", "give --scenes DIR or --synthetic N"});
   }
-  fit.check();
 }
 
 void run_splat_evaluation(const SplatEvaluationOptions& options) {
@@ -240,11 +268,9 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   KernelSettings settings;
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
-  for (const BundlePart& part : {BundlePart::backbone(), bundle.image_decoder_part()}) {
-    if (bundle.has(part)) continue;
-    fail({options.model, "a " + bundle_part_name(part) + " with weights", "none",
-          "add it with gld convert or gld train"});
-  }
+  require_encoder_and_decoder(bundle, options.model);
+  std::shared_ptr<const DenoisingUnet> refiner;
+  if (has_refiner(bundle)) refiner = bundle.load_refiner();
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder run(options.out, "splat eval", options, earlier_run(options.overwrite));
@@ -253,17 +279,20 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   Progress progress("scenes", dataset->size());
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
-    const EvaluatedScene scene = evaluated(dataset->scene(index), bundle, options, settings);
+    const EvaluatedScene scene = evaluated(dataset->scene(index), bundle, refiner.get(), options, settings);
     write_pictures(run, scene, provenance);
     scenes.push_back(scene.scores);
     progress.update(index + 1);
   }
   progress.finish();
+  const bool square =
+      std::all_of(scenes.begin(), scenes.end(), [](const SplatScores& of) { return of.high_band > 0; });
+  const auto columns = score_columns(refiner != nullptr, square);
   nlohmann::ordered_json report;
   report["scenes"] = scenes.size();
   report["threads"] = settings.threads;
   Table means({"what", "mean", "low", "high"});
-  for (const ScoreColumn& column : score_columns()) {
+  for (const ScoreColumn& column : columns) {
     std::vector<double> values;
     values.reserve(scenes.size());
     for (const SplatScores& scene : scenes) values.push_back(scene.*column.value);
@@ -277,7 +306,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
       "# Splats against views that they were not fitted to\n\n{} scene{}, {} held-out views of each; means over scenes, "
       "low and high: 95 % by bootstrap over scenes.\n\n{}",
       scenes.size(), scenes.size() == 1 ? "" : "s", options.held_out, means.markdown());
-  write_file_atomically(run.path() / "eval.csv", scene_table(scenes).csv());
+  write_file_atomically(run.path() / "eval.csv", scene_table(scenes, columns).csv());
   write_file_atomically(run.path() / "splat_eval.md", text);
   run.write_report(report);
   std::cout << text;

@@ -1,8 +1,7 @@
 #pragma once
 
-#include "datasets/splats/scene_fit.h"
 #include "datasets/synthetic/synthetic_scene.h"
-#include "gld/splatting/feature_solve.h"
+#include "infer/splats/latent_splatting.h"
 
 #include <cstdint>
 #include <string>
@@ -11,22 +10,15 @@
 namespace gld {
 
 // gld splat eval: what Gaussians show of views that they were not fitted to, in colours and in a model's latents that
-// its image decoder turns into pictures (the baselines of Splatent, arXiv 2512.09923, table 1, without its refiner).
-struct SplatEvaluationOptions : OptionsGroup {
+// its image decoder turns into pictures, as they are shown and, where the bundle has a refiner, as that repairs them
+// (Splatent, arXiv 2512.09923, table 1).
+struct SplatEvaluationOptions : LatentSplattingOptions {
   std::vector<std::string> scenes;
   int64_t synthetic = 8;       // drawn rooms where no scenes are given
   int64_t synthetic_seed = 0;  // theirs
   SyntheticOptions generator;
-  std::string model = "configs/tiny";
   std::string out;
   bool overwrite = false;
-  int64_t side = 256;       // pixels of a picture's longer side at most, in whole patches of the model
-  int64_t held_out = 5;     // views that are compared with, evenly spread
-  int64_t input_views = 0;  // of the others, evenly spread; 0: all
-  int64_t seed = 0;
-  int64_t threads = 0;
-  SplatFitOptions fit;
-  FeatureSolveOptions solve;
 
   SplatEvaluationOptions();
   void visit(FieldVisitor& visitor) override;
@@ -39,11 +31,18 @@ struct SplatScores {
   int64_t gaussians = 0;
   double rgb_psnr = 0, rgb_ssim = 0;          // of the Gaussians' colours
   double decoded_psnr = 0, decoded_ssim = 0;  // of latents as they show them, decoded
+  double refined_psnr = 0, refined_ssim = 0;  // of those latents as the refiner repairs them, decoded
   double autoencoded_psnr = 0,
          autoencoded_ssim = 0;                // of latents as they are encoded, decoded: what can be reached
   double nearest_psnr = 0, nearest_ssim = 0;  // of the input view whose camera is nearest
-  double latent_error = 0;                    // models/splats/latent_fit.h, mean over levels
-  double seconds = 0;                         // of fit and solve
+  // Sharpness (gld/metrics), of the truth's.
+  double rgb_sharpness = 0, decoded_sharpness = 0, refined_sharpness = 0, autoencoded_sharpness = 0;
+  double latent_error = 0;   // models/splats/latent_fit.h, mean over levels
+  double refined_error = 0;  // the same of what the refiner makes of them
+  // Energy of the high frequencies of latents over that of the encoded ones (gld/metrics/latent_spectrum.h).
+  double high_band = 0, refined_high_band = 0;
+  double seconds = 0;          // of fit and solve
+  double refined_seconds = 0;  // of the refiner, a view
 };
 
 // Writes eval.csv (a row a scene), splat_eval.md, pictures/ and report.json into options.out.

@@ -24,11 +24,6 @@ namespace {
 
 constexpr const char* kCamerasFile = "cameras.json";
 
-// A file as it is, or that of this name in a folder.
-std::filesystem::path file_in(const std::filesystem::path& place, const std::string& name) {
-  return std::filesystem::is_directory(place) ? place / name : place;
-}
-
 // The cameras that a path is made from: those that a fit names as its sources, or all.
 std::vector<Camera> path_sources(const CameraList& list) {
   std::vector<Camera> sources, all;
@@ -40,6 +35,10 @@ std::vector<Camera> path_sources(const CameraList& list) {
 }
 
 }  // namespace
+
+std::filesystem::path splat_file_in(const std::filesystem::path& place, const std::string& name) {
+  return std::filesystem::is_directory(place) ? place / name : place;
+}
 
 SplatRenderOptions::SplatRenderOptions() {
   path.frames = 30;
@@ -54,6 +53,12 @@ void SplatRenderOptions::visit(FieldVisitor& visitor) {
       cameras);
   visit_out(visitor, out, overwrite);
   visit_threads(visitor, threads);
+  visit_choice(
+      visitor,
+      {"show",
+       "colours, latents of gld splat fit --features decoded, or those repaired by the refiner before"},
+      show, {"colours", "latents", "refined"});
+  visitor.text({"model", "of latents: the model bundle that they were encoded with"}, model);
   visitor.group({"path", "where the cameras go"}, path);
   visitor.group({"projection", "how Gaussians are drawn"}, projection);
 }
@@ -67,15 +72,21 @@ void SplatRenderOptions::check() const {
     fail({"--cameras", "a cameras.json beside a file of Gaussians", "nothing",
           "name one, or the run folder in --splats"});
   }
+  if (show != SplatShown::kColours && !std::filesystem::is_directory(splats)) {
+    fail({"--show", "colours of a file of Gaussians, which has no latents", "another choice",
+          "name the run folder of gld splat fit --features in --splats"});
+  }
   path.check();
 }
 
-void run_splat_render(const SplatRenderOptions& options) {
+void run_splat_render(const SplatRenderOptions& options,
+                      const std::function<DrawSplats(const DrawnSplats&)>& make_drawing) {
   options.check();
   check_run_folder(options.out, "splat render", earlier_run(options.overwrite));
-  const GaussianSet set = read_splat_ply(file_in(options.splats, "splats.ply"));
-  const CameraList list =
-      read_cameras_json(file_in(options.cameras.empty() ? options.splats : options.cameras, kCamerasFile));
+  const auto file = splat_file_in(options.splats, "splats.ply");
+  const GaussianSet set = read_splat_ply(file);
+  const CameraList list = read_cameras_json(
+      splat_file_in(options.cameras.empty() ? options.splats : options.cameras, kCamerasFile));
   const std::vector<Camera> sources = path_sources(list);
   PathSurroundings surroundings;
   for (const CameraRecord& record : list.records) surroundings.cameras.push_back(record.camera);
@@ -85,6 +96,10 @@ void run_splat_render(const SplatRenderOptions& options) {
     projection.near = kNearShare * std::max(known_reach(sources, surroundings), 1e-30);
   KernelSettings settings;
   settings.threads = static_cast<int>(threads_to_use(options.threads));
+  DrawSplats draw = [&](Camera& camera) {
+    return image_of(splat_picture(set, camera, projection, settings).image);
+  };
+  if (options.show != SplatShown::kColours) draw = make_drawing({set, projection, sources, file, settings});
   RunFolder run(options.out, "splat render", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat render", options);
   CameraList written;
@@ -100,9 +115,9 @@ void run_splat_render(const SplatRenderOptions& options) {
     record.role = "target";
     record.camera = path.cameras[static_cast<size_t>(view)];
     record.image = "images/" + record.name + ".png";
-    CompositedView picture;
-    seconds += seconds_of([&] { picture = splat_picture(set, record.camera, projection, settings); });
-    export_image(run.path() / record.image, image_of(picture.image), provenance);
+    Image picture;
+    seconds += seconds_of([&] { picture = draw(record.camera); });
+    export_image(run.path() / record.image, picture, provenance);
     written.records.push_back(record);
     progress.update(view + 1);
   }

@@ -1,13 +1,26 @@
 #pragma once
 
+#include "datasets/images/image.h"
 #include "gld/base/options.h"
+#include "gld/kernels/attention_kernel.h"
+#include "gld/splatting/gaussian_set.h"
 #include "gld/splatting/projection.h"
 #include "infer/paths/camera_path.h"
 
 #include <cstdint>
+#include <filesystem>
+#include <functional>
 #include <string>
+#include <vector>
 
 namespace gld {
+
+// What pictures of Gaussians show.
+enum class SplatShown {
+  kColours,
+  kLatents,  // features of gld splat fit --features, decoded
+  kRefined,  // the same, repaired by the model's refiner before
+};
 
 // gld splat render: Gaussians drawn along a path of gld sample.
 struct SplatRenderOptions : OptionsGroup {
@@ -16,6 +29,8 @@ struct SplatRenderOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
   int64_t threads = 0;
+  SplatShown show = SplatShown::kColours;
+  std::string model = "configs/splat";  // of latents
   CameraPathOptions path;
   ProjectionOptions projection;
 
@@ -24,7 +39,23 @@ struct SplatRenderOptions : OptionsGroup {
   void check() const override;
 };
 
-// Writes images/NAME.png, cameras.json and report.json into options.out. Stops between pictures on Ctrl-C.
-void run_splat_render(const SplatRenderOptions& options);
+// What is drawn, as it was read.
+struct DrawnSplats {
+  const GaussianSet& set;
+  ProjectionOptions projection;
+  std::vector<Camera> sources;  // the cameras of fitted views, or all where none is named so
+  std::filesystem::path file;   // the PLY file
+  KernelSettings settings;
+};
+// A picture of them; it may have another size than the camera, which is then changed to that.
+using DrawSplats = std::function<Image(Camera& camera)>;
+
+// Writes images/NAME.png, cameras.json and report.json into options.out. Stops between pictures on Ctrl-C. make_drawing
+// is asked for what draws latents, which this part of the program, without LibTorch, does not know (latent_render.h).
+void run_splat_render(const SplatRenderOptions& options,
+                      const std::function<DrawSplats(const DrawnSplats&)>& make_drawing);
+
+// The file of that name in a run folder, or that file as it is.
+std::filesystem::path splat_file_in(const std::filesystem::path& place, const std::string& name);
 
 }  // namespace gld

@@ -13,8 +13,8 @@ torch::Tensor GroupNorm::forward(const torch::Tensor& x) const {
 
 ResidualBlock::ResidualBlock(const ResidualBlockSizes& sizes, const ParameterPlacement& placement) {
   const auto norm = [&](const char* name, int64_t channels) {
-    return register_module(name, std::make_shared<GroupNorm>(
-                                     GroupNormSizes{channels, sizes.groups, sizes.epsilon}, placement));
+    return register_module(
+        name, std::make_shared<GroupNorm>(GroupNormSizes{channels, sizes.groups, sizes.epsilon}, placement));
   };
   const auto convolution = [&](const char* name, int64_t inputs, int64_t kernel) {
     return register_module(

@@ -10,9 +10,9 @@
 #include <cmath>
 #include <utility>
 
-#include <fmt/format.h>
-
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -26,11 +26,12 @@ constexpr int64_t kTimeWidening = 4;
 }  // namespace
 
 ResidualBlockSizes DenoisingUnet::block_sizes(int64_t inputs, int64_t outputs) const {
-  return {inputs, outputs, options_.norm_groups, kBlockNormEpsilon, kTimeWidening * options_.channels.front()};
+  return {inputs, outputs, options_.norm_groups, kBlockNormEpsilon,
+          kTimeWidening * options_.channels.front()};
 }
 
-std::shared_ptr<UnetAttention> DenoisingUnet::make_attention(torch::nn::Module& parent, const std::string& name,
-                                                             size_t stage,
+std::shared_ptr<UnetAttention> DenoisingUnet::make_attention(torch::nn::Module& parent,
+                                                             const std::string& name, size_t stage,
                                                              const ParameterPlacement& placement) const {
   const UnetAttentionSizes sizes{options_.channels[stage], options_.heads[stage], options_.norm_groups,
                                  options_.prompt_channels};
@@ -46,8 +47,8 @@ DenoisingUnet::DenoisingUnet(const RefinerOptions& options, const ParameterPlace
   const auto time = child_module(*this, "time_embedding");
   time1_ = time->register_module("linear_1",
                                  std::make_shared<Linear>(LinearSizes{first, time_channels}, placement));
-  time2_ = time->register_module("linear_2",
-                                 std::make_shared<Linear>(LinearSizes{time_channels, time_channels}, placement));
+  time2_ = time->register_module(
+      "linear_2", std::make_shared<Linear>(LinearSizes{time_channels, time_channels}, placement));
   const auto convolution = [&](torch::nn::Module& parent, const char* name, const ConvolutionSizes& sizes) {
     return parent.register_module(name, std::make_shared<Convolution>(sizes, placement));
   };
@@ -80,7 +81,8 @@ DenoisingUnet::DenoisingUnet(const RefinerOptions& options, const ParameterPlace
   }
   const auto middle = child_module(*this, "mid_block");
   const auto middle_layers = child_module(*middle, "resnets");
-  middle_attention_ = make_attention(*child_module(*middle, "attentions"), "0", channels.size() - 1, placement);
+  middle_attention_ =
+      make_attention(*child_module(*middle, "attentions"), "0", channels.size() - 1, placement);
   for (const char* name : {"0", "1"}) {
     middle_.push_back(middle_layers->register_module(
         name, std::make_shared<ResidualBlock>(block_sizes(width, width), placement)));
@@ -93,7 +95,8 @@ DenoisingUnet::DenoisingUnet(const RefinerOptions& options, const ParameterPlace
     for (int64_t layer = 0; layer <= options_.layers_per_block; ++layer) {
       const std::string name = std::to_string(layer);
       made.layers.push_back(layers->register_module(
-          name, std::make_shared<ResidualBlock>(block_sizes(width + skipped.back(), channels[i]), placement)));
+          name,
+          std::make_shared<ResidualBlock>(block_sizes(width + skipped.back(), channels[i]), placement)));
       if (attentions) made.attentions.push_back(make_attention(*attentions, name, i, placement));
       width = channels[i];
       skipped.pop_back();
@@ -104,16 +107,16 @@ DenoisingUnet::DenoisingUnet(const RefinerOptions& options, const ParameterPlace
     }
     up_.push_back(std::move(made));
   }
-  norm_ = register_module("conv_norm_out",
-                          std::make_shared<GroupNorm>(
-                              GroupNormSizes{width, options_.norm_groups, kBlockNormEpsilon}, placement));
+  norm_ = register_module(
+      "conv_norm_out",
+      std::make_shared<GroupNorm>(GroupNormSizes{width, options_.norm_groups, kBlockNormEpsilon}, placement));
   output_ = convolution(*this, "conv_out", same_size_convolution(width, options_.latent_channels, 3));
 }
 
 torch::Tensor DenoisingUnet::time_embedding(int64_t timestep) const {
   const int64_t half = options_.channels.front() / 2;
-  const auto rates = torch::exp(-std::log(kLongestWave) / static_cast<double>(half) *
-                                torch::arange(half, torch::kFloat64));
+  const auto rates =
+      torch::exp(-std::log(kLongestWave) / static_cast<double>(half) * torch::arange(half, torch::kFloat64));
   const auto angles = static_cast<double>(timestep) * rates;
   const auto waves =
       torch::cat({angles.cos(), angles.sin()}).unsqueeze(0).to(prompt_.device(), prompt_.scalar_type());
@@ -154,8 +157,7 @@ torch::Tensor DenoisingUnet::of_maps(const torch::Tensor& maps, int64_t timestep
 
 torch::Tensor DenoisingUnet::forward(const torch::Tensor& views, int64_t timestep) const {
   if (views.dim() != 5 || views.size(2) != options_.latent_channels) {
-    fail({"refiner",
-          fmt::format("(scenes, views, {} channels, height, width)", options_.latent_channels),
+    fail({"refiner", fmt::format("(scenes, views, {} channels, height, width)", options_.latent_channels),
           "a tensor of shape " + c10::str(views.sizes()), "give latents of the refiner's own autoencoder"});
   }
   JoinedViews joined;

@@ -40,8 +40,8 @@ class DenoisingUnet : public torch::nn::Module {
     std::shared_ptr<Convolution> resize;                     // null of the last
   };
   bool attends(size_t stage) const { return static_cast<int64_t>(stage) < options_.attending_stages; }
-  std::shared_ptr<UnetAttention> make_attention(torch::nn::Module& parent, const std::string& name, size_t stage,
-                                                const ParameterPlacement& placement) const;
+  std::shared_ptr<UnetAttention> make_attention(torch::nn::Module& parent, const std::string& name,
+                                                size_t stage, const ParameterPlacement& placement) const;
   ResidualBlockSizes block_sizes(int64_t inputs, int64_t outputs) const;
   torch::Tensor time_embedding(int64_t timestep) const;
   // (scenes views, channels, height, width)

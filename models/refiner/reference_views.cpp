@@ -14,9 +14,9 @@ double mean_spacing(const std::vector<Camera>& cameras) {
     double nearest = std::numeric_limits<double>::infinity();
     for (size_t j = 0; j < cameras.size(); ++j) {
       if (i == j) continue;
-      nearest = std::min(nearest, (cameras[i].world_from_camera.translation() -
-                                   cameras[j].world_from_camera.translation())
-                                      .norm());
+      nearest = std::min(
+          nearest,
+          (cameras[i].world_from_camera.translation() - cameras[j].world_from_camera.translation()).norm());
     }
     sum += nearest;
   }
@@ -26,8 +26,8 @@ double mean_spacing(const std::vector<Camera>& cameras) {
 
 }  // namespace
 
-std::vector<int64_t> nearest_references(const Camera& of, const std::vector<Camera>& candidates, int64_t count,
-                                        ReferenceUnit unit) {
+std::vector<int64_t> nearest_references(const Camera& of, const std::vector<Camera>& candidates,
+                                        int64_t count, ReferenceUnit unit) {
   const double scale = unit == ReferenceUnit::kScene ? 1 : 1 / mean_spacing(candidates);
   std::vector<double> distances;
   distances.reserve(candidates.size());

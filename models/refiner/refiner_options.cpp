@@ -18,17 +18,19 @@ void RefinerOptions::visit(FieldVisitor& visitor) {
   visitor.integers({"heads", "heads of attention in each stage"}, heads, {1, 1024});
   visitor.integer({"attending_stages", "the first so many stages attend over pixels; the middle always does"},
                   attending_stages, {0, 8});
-  visitor.integer({"layers_per_block", "residual blocks of a stage on the way down, one less than on the way up"},
-                  layers_per_block, {1, 16});
+  visitor.integer(
+      {"layers_per_block", "residual blocks of a stage on the way down, one less than on the way up"},
+      layers_per_block, {1, 16});
   visitor.integer({"norm_groups", "groups of the group norms"}, norm_groups, {1, 1024});
   visitor.integer({"latent_channels", "channels of a latent pixel"}, latent_channels, {1, 1 << 14});
   visitor.integer({"prompt_tokens", "constant tokens in the place of a text"}, prompt_tokens, {1, 1 << 14});
   visitor.integer({"prompt_channels", "channels of such a token"}, prompt_channels, {1, 1 << 14});
   visitor.integer({"timestep", "tau: how noisy the network is told that the latent is, of 1000"}, timestep,
                   {0, kDiffusionSteps - 1});
-  visit_choice(visitor,
-               {"form", "what an evaluation makes of a latent: identity where the network gives 0, or published"},
-               form, {"identity", "published"});
+  visit_choice(
+      visitor,
+      {"form", "what an evaluation makes of a latent: identity where the network gives 0, or published"},
+      form, {"identity", "published"});
   visit_choice(visitor, {"attention", "how views see each other: grid, self or cross"}, attention,
                {"grid", "self", "cross"});
   visitor.integer({"references", "views beside the degraded one"}, references, {0, 63});

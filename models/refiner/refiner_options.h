@@ -23,18 +23,19 @@ enum class OneStepForm {
 // Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). Defaults beside `channels` are those of the small
 // model; Stable Diffusion Turbo's are turbo_refiner().
 struct RefinerOptions : OptionsGroup {
-  std::vector<int64_t> channels;  // of the UNet's stages, each but the last halves the sides; none: no refiner
-  std::vector<int64_t> heads;     // of attention in each stage
-  int64_t attending_stages = 3;   // the first so many attend over pixels; the middle always does
-  int64_t layers_per_block = 1;   // residual blocks of a stage on the way down; one more on the way up
+  std::vector<int64_t>
+      channels;                  // of the UNet's stages, each but the last halves the sides; none: no refiner
+  std::vector<int64_t> heads;    // of attention in each stage
+  int64_t attending_stages = 3;  // the first so many attend over pixels; the middle always does
+  int64_t layers_per_block = 1;  // residual blocks of a stage on the way down; one more on the way up
   int64_t norm_groups = 32;
   int64_t latent_channels = 4;
-  int64_t prompt_tokens = 1;      // constant tokens in the place of a text, seen by every attention's second half
+  int64_t prompt_tokens = 1;  // constant tokens in the place of a text, seen by every attention's second half
   int64_t prompt_channels = 64;
-  int64_t timestep = 300;         // tau, of 1000: how noisy the network is told that the latent is
+  int64_t timestep = 300;  // tau, of 1000: how noisy the network is told that the latent is
   OneStepForm form = OneStepForm::kIdentity;
   ViewAttention attention = ViewAttention::kGrid;
-  int64_t references = 3;         // views beside the degraded one
+  int64_t references = 3;  // views beside the degraded one
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

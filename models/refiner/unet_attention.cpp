@@ -91,7 +91,8 @@ torch::Tensor UnetAttention::forward(const torch::Tensor& maps, const torch::Ten
                                      const JoinedViews& joined) const {
   auto tokens = proj_in_->forward(norm_->forward(maps).flatten(2).transpose(1, 2).contiguous());
   tokens = tokens + over_pixels(norm1_->forward(tokens), joined);
-  tokens = tokens + attended(prompt_, norm2_->forward(tokens), prompt.unsqueeze(0).expand({maps.size(0), -1, -1}));
+  tokens =
+      tokens + attended(prompt_, norm2_->forward(tokens), prompt.unsqueeze(0).expand({maps.size(0), -1, -1}));
   const auto gated = expansion_->forward(norm3_->forward(tokens)).chunk(2, -1);
   tokens = tokens + contraction_->forward(gated[0] * torch::gelu(gated[1]));
   return maps + proj_out_->forward(tokens).transpose(1, 2).reshape(maps.sizes());

@@ -36,7 +36,8 @@ class UnetAttention : public torch::nn::Module {
  public:
   UnetAttention(const UnetAttentionSizes& sizes, const ParameterPlacement& placement);
   // maps: (scenes views, channels, height, width); prompt: (tokens, prompt_channels).
-  torch::Tensor forward(const torch::Tensor& maps, const torch::Tensor& prompt, const JoinedViews& joined) const;
+  torch::Tensor forward(const torch::Tensor& maps, const torch::Tensor& prompt,
+                        const JoinedViews& joined) const;
 
  private:
   struct Projections {
@@ -45,7 +46,8 @@ class UnetAttention : public torch::nn::Module {
   Projections projections(torch::nn::Module& parent, const char* name, int64_t key_channels,
                           const ParameterPlacement& placement) const;
   // Tokens: (batch, tokens, channels) each.
-  torch::Tensor attended(const Projections& by, const torch::Tensor& queries, const torch::Tensor& keys) const;
+  torch::Tensor attended(const Projections& by, const torch::Tensor& queries,
+                         const torch::Tensor& keys) const;
   torch::Tensor over_pixels(const torch::Tensor& tokens, const JoinedViews& joined) const;
 
   UnetAttentionSizes sizes_;

@@ -1,10 +1,12 @@
 #include "models/splats/latent_fit.h"
 
+#include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/sha256.h"
 #include "gld/machine/timing.h"
 #include "gld/tensors/weight_tensors.h"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 #include <utility>
@@ -53,6 +55,13 @@ SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tenso
   return composite(view, given, settings).image;
 }
 
+double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& encoded) {
+  const auto truth = encoded.to(torch::kFloat64);
+  const auto apart = latents.to(torch::kFloat64) - truth;
+  const auto spread = truth - truth.mean({0, 2, 3}, true);
+  return std::sqrt(apart.square().sum().item<double>() / spread.square().sum().item<double>());
+}
+
 double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
                     int64_t first, int64_t end, const KernelSettings& settings) {
   std::vector<torch::Tensor> rendered, encoded;
@@ -62,10 +71,7 @@ double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const
         rendered_features(gaussians, fit.features, latents.camera_of(gaussians.cameras[number]), settings)));
     encoded.push_back(tensor_of(latents.pictures[number]));
   }
-  const auto truth = torch::stack(encoded).to(torch::kFloat64);
-  const auto apart = torch::stack(rendered).to(torch::kFloat64) - truth;
-  const auto spread = truth - truth.mean({0, 2, 3}, true);
-  return std::sqrt(apart.square().sum().item<double>() / spread.square().sum().item<double>());
+  return relative_latent_error(torch::stack(rendered), torch::stack(encoded));
 }
 
 void save_latent_fits(const std::filesystem::path& file, const std::vector<LatentFit>& fits,
@@ -78,12 +84,63 @@ void save_latent_fits(const std::filesystem::path& file, const std::vector<Laten
     tensors[name + ".features"] = fit.features;
     tensors[name + ".mean"] = fit.statistics.mean;
     tensors[name + ".deviation"] = (fit.statistics.variance + fit.statistics.epsilon).sqrt();
+    if (fit.encoded.defined()) tensors[name + ".encoded"] = fit.encoded.to(torch::kFloat16);
     tags[name] = tag_json(fit.tag);
   }
   std::map<std::string, std::string> metadata(notes.begin(), notes.end());
   metadata["gld:latent_space"] = json_text(tags);
   metadata["gld:splats"] = sha256_of_file(splats);
   save_safetensors(file, tensors, metadata);
+}
+
+std::vector<LatentFit> read_latent_fits(const std::filesystem::path& file,
+                                        const std::filesystem::path& splats) {
+  const auto refuse = [&](const std::string& expected, const std::string& found) {
+    fail({file.string(), expected, found, "make it again with gld splat fit --features"});
+  };
+  const auto weights = WeightFile::open(file);
+  const auto note = [&](const char* key) {
+    const auto found = weights->metadata().find(key);
+    return found == weights->metadata().end() ? std::string() : found->second;
+  };
+  if (note("gld:splats") != sha256_of_file(splats))
+    refuse("features of the Gaussians of " + splats.string(), "those of another file");
+  const auto tags = nlohmann::json::parse(note("gld:latent_space"), nullptr, /*allow_exceptions=*/false);
+  if (!tags.is_object()) refuse("the latent spaces that gld splat fit writes", "something else");
+  std::vector<LatentFit> fits;
+  for (const auto& [name, json] : tags.items()) {
+    const auto tag = tag_of_json(json);
+    if (!tag) refuse("the latent space of " + name, "something else");
+    LatentFit fit;
+    fit.tag = *tag;
+    const auto vector = [&](const std::string& part) {
+      auto values = read_tensor(*weights, name + part);
+      if (values.dim() != 1 || values.size(0) != tag->channels || values.scalar_type() != torch::kFloat32)
+        refuse(fmt::format("{}{} of {} float32 numbers", name, part, tag->channels),
+               c10::str(values.sizes()));
+      return values;
+    };
+    fit.features = read_tensor(*weights, name + ".features");
+    if (fit.features.dim() != 2 || fit.features.size(1) != tag->channels ||
+        fit.features.scalar_type() != torch::kFloat32)
+      refuse(fmt::format("{}.features, (gaussians, {}), float32", name, tag->channels),
+             c10::str(fit.features.sizes()));
+    fit.statistics.mean = vector(".mean");
+    fit.statistics.variance = vector(".deviation").square();
+    fit.statistics.epsilon = 0;
+    if (weights->find(name + ".encoded") != nullptr) {
+      fit.encoded = read_tensor(*weights, name + ".encoded").to(torch::kFloat32);
+      if (fit.encoded.dim() != 4 ||
+          !fit.encoded.sizes().slice(1).equals({tag->channels, tag->height, tag->width})) {
+        refuse(fmt::format("{}.encoded, (views, {}, {}, {})", name, tag->channels, tag->height, tag->width),
+               c10::str(fit.encoded.sizes()));
+      }
+    }
+    fits.push_back(std::move(fit));
+  }
+  std::sort(fits.begin(), fits.end(),
+            [](const LatentFit& a, const LatentFit& b) { return a.tag.level < b.tag.level; });
+  return fits;
 }
 
 }  // namespace gld

@@ -83,6 +83,23 @@ nlohmann::ordered_json tag_json(const LatentTag& tag) {
           {"height", tag.height}, {"statistics", tag.statistics}};
 }
 
+std::optional<LatentTag> tag_of_json(const nlohmann::json& json) {
+  LatentTag tag;
+  try {
+    tag.model = json.at("model").get<std::string>();
+    tag.backbone = json.at("backbone").get<std::string>();
+    tag.backbone_hash = json.at("backbone_hash").get<std::string>();
+    tag.level = json.at("level").get<int64_t>();
+    tag.channels = json.at("channels").get<int64_t>();
+    tag.width = json.at("width").get<int64_t>();
+    tag.height = json.at("height").get<int64_t>();
+    tag.statistics = json.at("statistics").get<std::string>();
+  } catch (const nlohmann::json::exception&) {
+    return std::nullopt;
+  }
+  return tag;
+}
+
 Camera LatentPictures::camera_of(const Camera& of_image) const {
   return resized_camera(of_image, tag.width, tag.height);
 }

@@ -6,6 +6,7 @@
 #include "models/bundle/bundle.h"
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -26,6 +27,8 @@ struct LatentTag {
   std::string statistics;         // what they are normalised by: "of the model" or "of the views"
 };
 nlohmann::ordered_json tag_json(const LatentTag& tag);
+// What tag_json wrote; none for anything else.
+std::optional<LatentTag> tag_of_json(const nlohmann::json& json);
 
 // A level of a latent space as pictures that Gaussians can be fitted to: an autoencoder's on the grid of its pixels,
 // others on the grid of their patch tokens.

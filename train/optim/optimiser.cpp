@@ -180,8 +180,9 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale) {
 }
 
 bool Optimiser::is_block_matrix(const NamedParameter& item) {
-  // The published names: blocks.I of backbones, DiTs, autoencoders and UNets, the latter's mid_block, and decoder_layers.I
-  // of the RGB decoder. AdaLN's matrix makes vectors from one condition, as an embedding does, and so does a timestep's.
+  // The published names: blocks.I of backbones, DiTs, autoencoders and UNets, the latter's mid_block, and
+  // decoder_layers.I of the RGB decoder. AdaLN's matrix makes vectors from one condition, as an embedding does, and so
+  // does a timestep's.
   const auto contains = [&](const char* part) { return item.name.find(part) != std::string::npos; };
   const bool matrix = item.parameter.dim() == 2 || item.parameter.dim() == 4;
   return matrix && (contains("blocks.") || contains("mid_block.") || contains("decoder_layers.")) &&

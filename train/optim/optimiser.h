@@ -42,8 +42,9 @@ struct FlatRange {
 // gradient norm and an exponential moving average of the values, over flat buffers.
 //
 // Muon (Jordan et al. 2024; update size of Liu et al. 2025, "Muon is scalable for LLM training", section 2.2): a matrix
-// of a block, or a convolution's kernels as one of a row an output channel, moves by the orthogonal factor of its Nesterov momentum, approximated by five Newton-Schulz steps, times
-// 0.2 sqrt(larger side), which gives an update the root mean square of AdamW's, so that one learning rate serves both.
+// of a block, or a convolution's kernels as one of a row an output channel, moves by the orthogonal factor of its
+// Nesterov momentum, approximated by five Newton-Schulz steps, times 0.2 sqrt(larger side), which gives an update the
+// root mean square of AdamW's, so that one learning rate serves both.
 // Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
  public:

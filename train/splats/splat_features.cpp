@@ -5,6 +5,7 @@
 #include "gld/base/interrupt.h"
 #include "gld/tensors/compute_threads.h"
 #include "models/splats/latent_fit.h"
+#include "models/splats/latent_refining.h"
 
 #include <iostream>
 #include <optional>
@@ -20,6 +21,7 @@ namespace {
 struct EncodedViews {
   std::vector<Camera> cameras;
   int64_t fitted = 0;
+  bool refined = false;  // the model has a refiner, which is given what these views are encoded as
   std::vector<LatentPictures> levels;
 };
 EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scene, const ModelBundle& bundle,
@@ -33,6 +35,7 @@ EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scen
     result.cameras.push_back(view->camera);
     images.push_back(tensor_of(view->target.image));
   }
+  result.refined = has_refiner(bundle);
   result.levels = encode_latent_pictures(bundle, torch::stack(images),
                                          latent_levels(options.features, bundle.options(), "--features"));
   return result;
@@ -47,7 +50,13 @@ void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFi
   for (const LatentPictures& latents : views.levels) {
     stop_if_interrupted("features were being solved for; --resume goes on behind the fit");
     fits.push_back(fit_latents(gaussians, latents, options.solve, fit.settings));
-    const LatentFit& solved = fits.back();
+    LatentFit& solved = fits.back();
+    if (views.refined) {
+      std::vector<torch::Tensor> encoded;
+      for (int64_t view = 0; view < gaussians.fitted; ++view)
+        encoded.push_back(tensor_of(latents.pictures[static_cast<size_t>(view)]));
+      solved.encoded = torch::stack(encoded);
+    }
     nlohmann::ordered_json row = tag_json(solved.tag);
     row["iterations"] = solved.iterations;
     row["residual"] = solved.residual;

@@ -45,13 +45,12 @@ void TrainBlendingOptions::visit(FieldVisitor& visitor) {
 }
 
 std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw) {
-  TrainingStage stage;
-  stage.command = "train backbone";
   const BundleOptions model = ModelBundle::open(options.model).options();
   const bool head = model.geometry_head.exists(), autoencoder = !model.has_rgb_decoder();
-  if (head || !options.objective.geometry_weights.empty() || options.objective.correspondence_weight > 0) {
-    stage.parts = FrameParts::kImageAndDepth;
-  }
+  const bool with_depth =
+      head || !options.objective.geometry_weights.empty() || options.objective.correspondence_weight > 0;
+  TrainingStage stage =
+      scene_stage("train backbone", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   const bool head_only = options.objective.training == GeometryTraining::kHeadOnly;
   if (head_only && !head) {
     fail({"objective.training", "from_scratch or from_bundle for a model without a geometry head",
@@ -77,8 +76,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
 }
 
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw) {
-  TrainingStage stage;
-  stage.command = "train decoder";
+  TrainingStage stage = scene_stage("train decoder", options, FrameParts::kImage);
   if (!ModelBundle::open(options.model).options().has_rgb_decoder()) {
     fail({"train decoder", "a model with an RGB decoder", "one whose backbone decodes images itself",
           "train both halves with gld train backbone"});
@@ -109,9 +107,9 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
   if (options.data.validation_sources == 1) {
     fail({"--validation-sources", "0 or at least 2, which tell the unit of depth", "1", "raise it"});
   }
-  TrainingStage stage;
-  stage.command = "train blending";
-  if (options.objective.true_depth > 0) stage.parts = FrameParts::kImageAndDepth;
+  const bool with_depth = options.objective.true_depth > 0;
+  TrainingStage stage =
+      scene_stage("train blending", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::blending()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     if (!placement.device.is_cpu()) {

@@ -121,9 +121,9 @@ void TrainCascadeOptions::visit(FieldVisitor& visitor) {
 
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw) {
   const LevelGenerator generator = level_model(options.level);
-  TrainingStage stage;
-  stage.command = "train level";
-  if (options.objective.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
+  const bool with_depth = options.objective.correspondence_weight > 0;
+  TrainingStage stage =
+      scene_stage("train level", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
@@ -144,9 +144,9 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
     fail({"--cascade", "a cascade such as 1->0", "'" + options.cascade + "'",
           "gld train level trains levels"});
   }
-  TrainingStage stage;
-  stage.command = "train cascade";
-  if (options.objective.flow.correspondence_weight > 0) stage.parts = FrameParts::kImageAndDepth;
+  const bool with_depth = options.objective.flow.correspondence_weight > 0;
+  TrainingStage stage =
+      scene_stage("train cascade", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));

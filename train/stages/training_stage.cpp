@@ -47,7 +47,7 @@ void check_loop(const TrainingLoopOptions& loop) {
 }
 
 // "foo" would silently allow nothing.
-void check_may_change(const TrainOptions& options, const OptionsGroup& all_options,
+void check_may_change(const StageOptions& options, const OptionsGroup& all_options,
                       const BundleOptions& model) {
   std::vector<std::string> keys;
   for (const auto& option : describe_options(all_options)) keys.push_back(option.key);
@@ -62,7 +62,7 @@ void check_may_change(const TrainOptions& options, const OptionsGroup& all_optio
 
 }  // namespace
 
-void TrainOptions::visit(FieldVisitor& visitor) {
+void StageOptions::visit(FieldVisitor& visitor) {
   visitor.text({"model", "bundle folder: model.yaml and the parts trained before"}, model);
   visit_out(visitor, out, overwrite);
   visitor.boolean({"resume", "continue the run in the run folder"}, resume);
@@ -75,11 +75,37 @@ void TrainOptions::visit(FieldVisitor& visitor) {
   visitor.group(
       {"processes", "several processes that train together; torchrun sets the environment that is meant"},
       processes);
-  visitor.group({"data", "what to train on"}, data);
+  visit_data(visitor);
   visitor.group({"loop", "steps, optimiser, checkpoints"}, loop);
 }
 
-void TrainOptions::check() const {
+void TrainOptions::visit_data(FieldVisitor& visitor) { visitor.group({"data", "what to train on"}, data); }
+
+TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts) {
+  TrainingStage stage;
+  stage.command = command;
+  stage.views = options.data.views.views;
+  stage.data = [&options, parts](const ModelBundle& bundle) {
+    const auto sizes = bundle.options().image_sizes();
+    const auto batches = std::make_shared<DatasetBatches>(options.data, sizes, parts);
+    StageData data;
+    data.batches = batches;
+    data.validation = [&options, parts, size = sizes.front()] {
+      return validation_scenes(options.data, size, parts);
+    };
+    data.report = [batches] {
+      const LoadingReport loading = batches->report();
+      return nlohmann::ordered_json{{"broken_samples", loading.broken_samples},
+                                    {"pose_outliers", loading.pose_outliers},
+                                    {"short_scenes", loading.short_scenes},
+                                    {"last_problem", loading.last_problem}};
+    };
+    return data;
+  };
+  return stage;
+}
+
+void StageOptions::check() const {
   if (model.empty()) {
     fail({"--model", "a bundle folder with a model.yaml", "nothing", "add for example --model configs/tiny"});
   }
@@ -151,7 +177,7 @@ void note_what_was_trained_on(const ModelBundle& bundle, const std::vector<Bundl
   }
 }
 
-std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
+std::string run_training_stage(const StageOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw) {
   const ProcessShare share = join_others(options.processes);
   const bool leads = share.leads();
@@ -180,13 +206,12 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
     }
   }
   const auto objective = stage.objective(bundle, placement);
-  const auto sizes = bundle.options().image_sizes();
-  const auto data = std::make_shared<DatasetBatches>(options.data, sizes, stage.parts);
+  const StageData data = stage.data(bundle);
 
   TrainingRun run;
   run.team = share.team.get();
   run.objective = objective.get();
-  run.data = data;
+  run.data = data.batches;
   run.folder = options.out;
   run.export_dtype = stored_dtype(options.store);
   run.draw_validation = draw;
@@ -203,7 +228,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   }
   RunFolder folder(options.out, stage.command, all_options, earlier);
   run.folder = folder.path();
-  run.validation_scenes = validation_scenes(options.data, sizes.front(), stage.parts);
+  run.validation_scenes = data.validation();
   if (!share.team->alone()) {
     const int64_t processes = share.team->count();
     std::cerr << "note: " << processes << " processes; micro-batch i of a step is computed by rank i modulo "
@@ -221,8 +246,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
   const auto trained = ModelBundle::open(folder.path() / "model");
   note_what_was_trained_on(trained, stage.made);
   for (const auto& part : stage.made) {
-    if (part.kind == BundlePart::Kind::kGenerator)
-      note_trained_views(trained, part, options.data.views.views);
+    if (part.kind == BundlePart::Kind::kGenerator) note_trained_views(trained, part, stage.views);
   }
 
   nlohmann::ordered_json report = {{"command", stage.command},
@@ -234,11 +258,7 @@ std::string run_training_stage(const TrainOptions& options, const OptionsGroup& 
                                    {"seconds", summary.seconds},
                                    {"final_loss", summary.final_loss}};
   for (const auto& [name, value] : summary.validation) report["validation"][name] = value;
-  const LoadingReport loading = data->report();
-  report["data"] = {{"broken_samples", loading.broken_samples},
-                    {"pose_outliers", loading.pose_outliers},
-                    {"short_scenes", loading.short_scenes},
-                    {"last_problem", loading.last_problem}};
+  if (data.report) report["data"] = data.report();
   report["messages"] = summary.messages;
   folder.write_report(report);
   for (const std::string& message : summary.messages) std::cerr << "note: " << message << '\n';

@@ -17,11 +17,13 @@
 
 #include <torch/types.h>
 
+#include <nlohmann/json.hpp>
+
 namespace gld {
 
 // What every kind of gld train has. model is a bundle: its model.yaml is the architecture, and the parts trained
 // before are taken from it. The run's own bundle, model/ in the run folder, is a copy with the trained part.
-struct TrainOptions : OptionsGroup {
+struct StageOptions : OptionsGroup {
   std::string model;
   std::string out;
   bool overwrite = false;
@@ -32,22 +34,43 @@ struct TrainOptions : OptionsGroup {
   int64_t threads = 0;
   StoredPrecision store = StoredPrecision::kFloat32;  // of the exported model
   ProcessesOptions processes;
-  TrainingDataOptions data;
   TrainingLoopOptions loop;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
+
+ protected:
+  virtual void visit_data(FieldVisitor& visitor) = 0;
+};
+
+// Of those that train on scenes.
+struct TrainOptions : StageOptions {
+  TrainingDataOptions data;
+
+ protected:
+  void visit_data(FieldVisitor& visitor) override;
 };
 
 using DrawValidation = std::function<void(const Validation& validation, const std::filesystem::path& file)>;
 
-// One kind of training: what it needs of the data and how its objective is made.
+// What a stage trains on.
+struct StageData {
+  std::shared_ptr<const TrainingBatchSource> batches;
+  std::function<std::vector<TrainingScene>()> validation;  // the scenes that it is validated on
+  std::function<nlohmann::ordered_json()> report;          // what was wrong with the data; may be empty
+};
+
+// One kind of training: its data and how its objective is made.
 struct TrainingStage {
   std::string command;  // "train backbone"
-  FrameParts parts = FrameParts::kImage;
+  std::function<StageData(const ModelBundle&)> data;
+  int64_t views = 0;             // of a training scene, which flow models note
   std::vector<BundlePart> made;  // what the run trains; the other parts are copied
   std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
 };
+
+// A stage that trains on scenes with these parts.
+TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts);
 
 // Throws Error where `now` differs from the options that the run in the folder was begun with, naming each: the run
 // would go on as something that neither of them describes. What a run may go on with is left out: where it writes, how
@@ -58,7 +81,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
 
 // Runs a stage: run folder with the resolved configuration (all_options), loop, model/, report.json. Returns the
 // closing box as text, an empty one where another process writes the run folder. draw may be empty.
-std::string run_training_stage(const TrainOptions& options, const OptionsGroup& all_options,
+std::string run_training_stage(const StageOptions& options, const OptionsGroup& all_options,
                                const TrainingStage& stage, const DrawValidation& draw);
 
 // Writes into parts that a run made what they were trained on (models/bundle/part_lineage.h); the other parts are

@@ -82,7 +82,8 @@ TEST(OneStepUpdate, WhoSeesTheNoiseGivesTheLatentBack) {
   }
   const double left = alpha_bar(500);
   const auto published = noised_latent(latent, noise, 500, OneStepForm::kPublished);
-  EXPECT_LT((published - std::sqrt(left) * latent - std::sqrt(1 - left) * noise).abs().max().item<double>(), 1e-6);
+  EXPECT_LT((published - std::sqrt(left) * latent - std::sqrt(1 - left) * noise).abs().max().item<double>(),
+            1e-6);
 }
 
 TEST(ViewGrid, LaysViewsOutRowByRow) {
@@ -98,9 +99,10 @@ TEST(ViewGrid, LaysViewsOutRowByRow) {
   EXPECT_EQ(picture[0][0][3][4].item<int64_t>(), 2);
   EXPECT_EQ(picture[0][0][5][5].item<int64_t>(), 3);
   EXPECT_TRUE(views_of_grid(picture, view_grid(4)).equal(views));
-  EXPECT_THAT(error_of([] { view_grid(3); }),
-              testing::StrEq("references: expected 0 or an odd number, so that with the degraded view no cell of the "
-                             "grid is empty, found 2; take one more or one less, or attention self or cross."));
+  EXPECT_THAT(
+      error_of([] { view_grid(3); }),
+      testing::StrEq("references: expected 0 or an odd number, so that with the degraded view no cell of the "
+                     "grid is empty, found 2; take one more or one less, or attention self or cross."));
   EXPECT_EQ(views_in_whole_grid(5), 4);
   EXPECT_EQ(views_in_whole_grid(2), 2);
   EXPECT_EQ(views_in_whole_grid(1), 1);
@@ -120,7 +122,8 @@ TEST(DenoisingUnet, OneViewAloneIsTheSameInEveryAttention) {
   const auto view = random_views(1, 6, 7);
   const auto grid = random_unet(small_refiner(ViewAttention::kGrid)).forward(view, 300);
   for (const auto attention : {ViewAttention::kSelf, ViewAttention::kCross})
-    EXPECT_LT((random_unet(small_refiner(attention)).forward(view, 300) - grid).abs().max().item<double>(), 1e-5);
+    EXPECT_LT((random_unet(small_refiner(attention)).forward(view, 300) - grid).abs().max().item<double>(),
+              1e-5);
 }
 
 // How much what the network predicts of view `of` changes with view `with`.
@@ -161,24 +164,28 @@ TEST(DenoisingUnet, CountsWhatItMultiplies) {
   for (const auto& item : unet.named_parameters()) {
     const std::string& name = item.key();
     // Of the prompt and of the time, which have a row each.
-    const bool once = name.find("time_emb") != std::string::npos || name.find("attn2.to_k") != std::string::npos ||
+    const bool once = name.find("time_emb") != std::string::npos ||
+                      name.find("attn2.to_k") != std::string::npos ||
                       name.find("attn2.to_v") != std::string::npos || name == "prompt";
     if (item.value().dim() > 1 && !once) weights += item.value().numel();
   }
   const Cost cost = refiner_cost(options, 4, 8, 8);
   EXPECT_EQ(cost.weight_bytes, 4 * weights);
   EXPECT_GT(cost.working_bytes, 0);
-  EXPECT_NEAR(scored_pairs(4, 64, ViewAttention::kGrid) / scored_pairs(4, 64, ViewAttention::kCross), 8.0 / 3, 1e-12);
+  EXPECT_NEAR(scored_pairs(4, 64, ViewAttention::kGrid) / scored_pairs(4, 64, ViewAttention::kCross), 8.0 / 3,
+              1e-12);
 }
 
 TEST(RefinerOptions, SaysWhatDoesNotFit) {
   RefinerOptions options = small_refiner(ViewAttention::kGrid);
   options.references = 2;
-  EXPECT_THAT(error_of([&] { options.check(); }), testing::HasSubstr("references: expected 0 or an odd number"));
+  EXPECT_THAT(error_of([&] { options.check(); }),
+              testing::HasSubstr("references: expected 0 or an odd number"));
   options.references = 3;
   options.heads = {2};
-  EXPECT_THAT(error_of([&] { options.check(); }),
-              testing::StrEq("heads: expected 2 numbers, one a stage, found 1; write for example heads: [2, 3, 4]."));
+  EXPECT_THAT(
+      error_of([&] { options.check(); }),
+      testing::StrEq("heads: expected 2 numbers, one a stage, found 1; write for example heads: [2, 3, 4]."));
   options.heads = {3, 2};
   EXPECT_THAT(error_of([&] { options.check(); }),
               testing::HasSubstr("heads: expected numbers that divide the stage's channels 8, found 3"));
@@ -195,13 +202,17 @@ Camera camera_at(double x, double turn) {
 TEST(NearestReferences, WeighTurnsAgainstSpacing) {
   // Spacing 1: a turn of 1 radian is |R - R'|_F / 2 = sqrt(2) sin(1/2) = .68.
   const std::vector<Camera> cameras = {camera_at(0, 1), camera_at(1, 0), camera_at(2, 0), camera_at(3, 0)};
-  EXPECT_THAT(nearest_references(camera_at(0.1, 0), cameras, 3, ReferenceUnit::kSpacing), ElementsAre(0, 1, 2));
+  EXPECT_THAT(nearest_references(camera_at(0.1, 0), cameras, 3, ReferenceUnit::kSpacing),
+              ElementsAre(0, 1, 2));
   // In a unit of a hundredth the scene's own distances weigh a hundred times as much, spacings what they did.
   std::vector<Camera> hundredths = cameras;
   for (Camera& camera : hundredths) camera.world_from_camera.translation() *= 0.01;
-  EXPECT_THAT(nearest_references(camera_at(0.001, 0), hundredths, 3, ReferenceUnit::kSpacing), ElementsAre(0, 1, 2));
-  EXPECT_THAT(nearest_references(camera_at(0.001, 0), hundredths, 4, ReferenceUnit::kScene), ElementsAre(1, 2, 3, 0));
-  EXPECT_THAT(nearest_references(camera_at(0, 0), {camera_at(5, 0)}, 3, ReferenceUnit::kSpacing), ElementsAre(0));
+  EXPECT_THAT(nearest_references(camera_at(0.001, 0), hundredths, 3, ReferenceUnit::kSpacing),
+              ElementsAre(0, 1, 2));
+  EXPECT_THAT(nearest_references(camera_at(0.001, 0), hundredths, 4, ReferenceUnit::kScene),
+              ElementsAre(1, 2, 3, 0));
+  EXPECT_THAT(nearest_references(camera_at(0, 0), {camera_at(5, 0)}, 3, ReferenceUnit::kSpacing),
+              ElementsAre(0));
 }
 
 }  // namespace

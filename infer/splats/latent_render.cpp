@@ -1,0 +1,102 @@
+#include "infer/splats/latent_render.h"
+
+#include "datasets/loading/batching.h"
+#include "gld/base/error.h"
+#include "gld/cameras/resized_camera.h"
+#include "gld/tensors/compute_threads.h"
+#include "infer/splats/latent_splatting.h"
+#include "models/splats/latent_refining.h"
+#include "models/splats/splatted_scene.h"
+
+#include <memory>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+// What draws latents of a run of gld splat fit --features.
+struct LatentDrawing {
+  DrawnSplats splats;
+  ModelBundle bundle;
+  std::vector<LatentFit> fits;
+  std::shared_ptr<const DenoisingUnet> refiner;
+  std::unique_ptr<LatentRefining> refining;
+
+  Image operator()(Camera& camera) const {
+    const torch::NoGradGuard no_grad;
+    const StillGaussians still{splats.set, splats.projection, {}, 0};
+    std::vector<torch::Tensor> maps;
+    for (const LatentFit& fit : fits) {
+      const Camera over = resized_camera(camera, fit.tag.width, fit.tag.height);
+      auto latents = tensor_of(rendered_features(still, fit.features, over, splats.settings));
+      if (refining) latents = (*refining)(camera, latents);
+      maps.push_back(
+          fit.statistics.denormalise(latents.permute({1, 2, 0})).permute({2, 0, 1}).contiguous().unsqueeze(0));
+    }
+    const auto picture = decode_latent_maps(bundle, maps)[0].clamp(0, 1);
+    camera = resized_camera(camera, picture.size(2), picture.size(1));
+    return to_image(picture);
+  }
+};
+
+std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSplats& splats,
+                               const ModelBundle& bundle) {
+  const std::filesystem::path file = std::filesystem::path(options.splats) / "features.safetensors";
+  if (!std::filesystem::is_regular_file(file)) {
+    fail({options.splats, "features beside the Gaussians, features.safetensors", "none",
+          "make them with gld splat fit --features 0 --model " + options.model});
+  }
+  std::vector<LatentFit> fits;
+  for (LatentFit& fit : read_latent_fits(file, splats.file)) {
+    for (const int64_t level : decoded_levels(bundle.options())) {
+      if (fit.tag.level == level) fits.push_back(std::move(fit));
+    }
+  }
+  if (fits.size() != decoded_levels(bundle.options()).size()) {
+    fail({file.string(), fmt::format("the {} levels that {} decodes images of", decoded_levels(bundle.options()).size(),
+                                     bundle.options().name),
+          fmt::format("{} of them", fits.size()), "fit them with gld splat fit --features all"});
+  }
+  for (const LatentFit& fit : fits) {
+    require_same_latent_space(fit.tag, bundle, file.string());
+    if (fit.features.size(0) != splats.set.size()) {
+      fail({file.string(), fmt::format("features of {} Gaussians", splats.set.size()),
+            std::to_string(fit.features.size(0)), "make it again with gld splat fit --features"});
+    }
+  }
+  return fits;
+}
+
+DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& splats) {
+  use_threads(options.threads);
+  const ModelBundle bundle = ModelBundle::open(options.model);
+  require_encoder_and_decoder(bundle, options.model);
+  const auto drawing =
+      std::make_shared<LatentDrawing>(LatentDrawing{splats, bundle, fits_of(options, splats, bundle), nullptr, nullptr});
+  if (options.show == SplatShown::kRefined) {
+    if (!has_refiner(bundle)) {
+      fail({options.model, "a refiner with weights", "none", "train one with gld train refiner, or --show latents"});
+    }
+    const torch::Tensor& encoded = drawing->fits.front().encoded;
+    if (!encoded.defined() || encoded.size(0) != static_cast<int64_t>(splats.sources.size())) {
+      fail({options.splats, "what its fitted views are encoded as, which the refiner looks at",
+            encoded.defined() ? fmt::format("{} views for {} cameras", encoded.size(0), splats.sources.size()) : "none",
+            "fit them again with gld splat fit --features 0 --model " + options.model});
+    }
+    drawing->refiner = bundle.load_refiner();
+    drawing->refining = std::make_unique<LatentRefining>(*drawing->refiner, splats.sources, encoded);
+  }
+  return [drawing](Camera& camera) { return (*drawing)(camera); };
+}
+
+}  // namespace
+
+void run_splat_render_with_latents(const SplatRenderOptions& options) {
+  run_splat_render(options, [&](const DrawnSplats& splats) { return latent_drawing(options, splats); });
+}
+
+}  // namespace gld

@@ -1,0 +1,104 @@
+#include "infer/splats/latent_splatting.h"
+
+#include "gld/base/command_options.h"
+#include "gld/base/error.h"
+#include "gld/base/interrupt.h"
+#include "gld/machine/timing.h"
+
+#include <utility>
+
+namespace gld {
+namespace {
+
+// As many of them as asked for, evenly spread; the first and the last stay.
+template <class View>
+void thin_out(std::vector<View>& views, int64_t wanted) {
+  const auto count = static_cast<int64_t>(views.size());
+  if (wanted == 0 || wanted >= count) return;
+  std::vector<View> kept;
+  for (int64_t i = 0; i < wanted; ++i) {
+    const int64_t from = wanted == 1 ? count / 2 : (i * (count - 1) + (wanted - 1) / 2) / (wanted - 1);
+    kept.push_back(std::move(views[static_cast<size_t>(from)]));
+  }
+  views = std::move(kept);
+}
+
+}  // namespace
+
+LatentSplattingOptions::LatentSplattingOptions() {
+  fit.density.most_gaussians = 30000;
+  fit.steps = 1000;
+}
+
+void LatentSplattingOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"model", "the model bundle whose latents are splatted and decoded"}, model);
+  visit_side(visitor, side);
+  visitor.integer({"held_out", "views that are not fitted but compared with, evenly spread over the scene"},
+                  held_out, {1, 100000});
+  visitor.integer({"input_views", "of the others so many are fitted, evenly spread; 0: all"}, input_views,
+                  {0, 100000});
+  visit_seed(visitor, seed, "the order of views and what density control draws");
+  visit_threads(visitor, threads);
+  visitor.group({"fit", "how Gaussians are fitted"}, fit);
+  visitor.group({"solve", "how features are solved for"}, solve);
+}
+
+void LatentSplattingOptions::check() const { fit.check(); }
+
+torch::Tensor LatentSplats::shown(size_t level, const KernelSettings& settings) const {
+  const StillGaussians still = gaussians();
+  std::vector<torch::Tensor> pictures;
+  for (int64_t view = fitted; view < views(); ++view) {
+    const Camera camera = levels[level].camera_of(cameras[static_cast<size_t>(view)]);
+    pictures.push_back(tensor_of(rendered_features(still, fits[level].features, camera, settings)));
+  }
+  return torch::stack(pictures);
+}
+
+torch::Tensor LatentSplats::encoded(size_t level, int64_t first, int64_t end) const {
+  std::vector<torch::Tensor> pictures;
+  for (int64_t view = first; view < end; ++view)
+    pictures.push_back(tensor_of(levels[level].pictures[static_cast<size_t>(view)]));
+  return torch::stack(pictures);
+}
+
+LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle, const LatentSplattingOptions& options,
+                           const KernelSettings& settings) {
+  const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
+  SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
+  thin_out(views.fitted, options.input_views);
+  thin_out(views.pictures, options.input_views);
+  LatentSplats result;
+  result.fitted = static_cast<int64_t>(views.fitted.size());
+  std::vector<torch::Tensor> images;
+  for (const FittedView* view : all_views(views)) {
+    images.push_back(tensor_of(view->target.image));
+    result.cameras.push_back(view->camera);
+  }
+  result.images = torch::stack(images);
+  result.levels = encode_latent_pictures(bundle, result.images, decoded_levels(bundle.options()));
+  give_latents(latent_views(result.levels, result.cameras), views);
+  result.seconds = seconds_of([&] {
+    SplatFitOptions fit_options = options.fit;
+    result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name);
+    begin_features(views.fitted, fit_options, settings, result.fit);
+    while (result.fit.step < fit_options.steps) {
+      stop_if_interrupted("in the fit of " + scene.name);
+      splat_fit_step(views.fitted, fit_options, static_cast<uint64_t>(options.seed), settings, result.fit);
+    }
+    result.projection = fit_options.projection;
+    for (const LatentPictures& latents : result.levels)
+      result.fits.push_back(fit_latents(result.gaussians(), latents, options.solve, settings));
+  });
+  return result;
+}
+
+void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where) {
+  for (const BundlePart& part : {BundlePart::backbone(), bundle.image_decoder_part()}) {
+    if (bundle.has(part)) continue;
+    fail({where, "a " + bundle_part_name(part) + " with weights", "none",
+          "add it with gld convert or gld train"});
+  }
+}
+
+}  // namespace gld

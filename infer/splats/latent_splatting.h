@@ -1,0 +1,60 @@
+#pragma once
+
+#include "datasets/splats/scene_fit.h"
+#include "gld/splatting/feature_solve.h"
+#include "models/bundle/bundle.h"
+#include "models/splats/latent_fit.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <torch/types.h>
+
+namespace gld {
+
+// How the latents of a scene's views become features of Gaussians.
+struct LatentSplattingOptions : OptionsGroup {
+  std::string model = "configs/tiny";
+  int64_t side = 256;       // pixels of a picture's longer side at most, in whole patches of the model
+  int64_t held_out = 5;     // views that nothing is fitted to, evenly spread
+  int64_t input_views = 0;  // of the others, evenly spread; 0: all
+  int64_t seed = 0;         // of the order of views and of density control
+  int64_t threads = 0;
+  SplatFitOptions fit;
+  FeatureSolveOptions solve;
+
+  LatentSplattingOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Gaussians fitted to the views of a scene, and features of the levels that the bundle's image decoder takes. Views:
+// fitted ones first.
+struct LatentSplats {
+  torch::Tensor images;  // (views, 3, height, width), RGB in [0, 1]
+  SplatFit fit;
+  std::vector<Camera> cameras;
+  int64_t fitted = 0;
+  ProjectionOptions projection;
+  std::vector<LatentPictures> levels;
+  std::vector<LatentFit> fits;  // one a level
+  double seconds = 0;           // of fit and solve
+
+  StillGaussians gaussians() const { return {fit.set, projection, cameras, fitted}; }
+  int64_t views() const { return static_cast<int64_t>(cameras.size()); }
+  std::vector<Camera> fitted_cameras() const { return {cameras.begin(), cameras.begin() + fitted}; }
+  // What the Gaussians show of the held-out views' latents of a level, normalised: (views - fitted, channels, height,
+  // width).
+  torch::Tensor shown(size_t level, const KernelSettings& settings) const;
+  // As they are encoded, of views `first` to `end`.
+  torch::Tensor encoded(size_t level, int64_t first, int64_t end) const;
+};
+
+LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle, const LatentSplattingOptions& options,
+                           const KernelSettings& settings);
+
+// Error where the bundle lacks the weights of a backbone or of what decodes images.
+void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where);
+
+}  // namespace gld

@@ -1,0 +1,32 @@
+#pragma once
+
+#include "datasets/synthetic/synthetic_scene.h"
+#include "infer/splats/latent_splatting.h"
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// gld splat pairs: what a refiner is trained on. Of each scene Gaussians are fitted to some views and show the latents of
+// the others, which are kept beside the encoded ones (models/splats/splatted_scene.h).
+struct SplatPairsOptions : LatentSplattingOptions {
+  std::vector<std::string> scenes;
+  int64_t synthetic = 400;     // drawn rooms where no scenes are given
+  int64_t synthetic_seed = 0;  // theirs
+  SyntheticOptions generator;
+  std::string out;
+  bool overwrite = false;
+  bool resume = false;
+
+  SplatPairsOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Writes pairs/ with a file a scene, pairs.csv with the error of each, and report.json into options.out. With resume
+// scenes whose file is there already are left as they are.
+void run_splat_pairs(const SplatPairsOptions& options);
+
+}  // namespace gld

@@ -1,0 +1,38 @@
+#include "models/splats/latent_refining.h"
+
+#include "models/refiner/view_grid.h"
+
+#include <algorithm>
+#include <utility>
+
+#include <torch/autograd.h>
+
+namespace gld {
+
+bool has_refiner(const ModelBundle& bundle) {
+  if (!bundle.options().refiner.exists() || !bundle.has(BundlePart::refiner())) return false;
+  for (const BundlePart& part : bundle_parts(bundle.options())) {
+    if (part.kind == BundlePart::Kind::kStatistics && bundle.has(part)) return true;
+  }
+  return false;
+}
+
+int64_t references_taken(const RefinerOptions& options, int64_t available) {
+  const int64_t most = std::min(options.references, available);
+  return options.attention == ViewAttention::kGrid ? views_in_whole_grid(1 + most) - 1 : most;
+}
+
+LatentRefining::LatentRefining(const DenoisingUnet& unet, std::vector<Camera> cameras, torch::Tensor encoded)
+    : unet_(unet), cameras_(std::move(cameras)), encoded_(std::move(encoded)) {}
+
+torch::Tensor LatentRefining::operator()(const Camera& camera, const torch::Tensor& degraded) const {
+  const torch::NoGradGuard no_grad;
+  const auto available = static_cast<int64_t>(cameras_.size());
+  std::vector<torch::Tensor> views = {degraded};
+  for (const int64_t view : nearest_references(camera, cameras_, references_taken(unet_.options(), available),
+                                               ReferenceUnit::kSpacing))
+    views.push_back(encoded_[view]);
+  return refined_latents(unet_, torch::stack(views).unsqueeze(0))[0];
+}
+
+}  // namespace gld

@@ -1,0 +1,172 @@
+#include "infer/splats/splat_pairs.h"
+
+#include "datasets/images/image_file.h"
+#include "datasets/synthetic/synth.h"
+#include "gld/base/atomic_file.h"
+#include "gld/latents/latent_statistics.h"
+#include "infer/export/image_export.h"
+#include "infer/splats/latent_render.h"
+#include "infer/splats/splat_evaluation.h"
+#include "models/splats/splatted_scene.h"
+#include "tests/models/splats/small_autoencoder.h"
+#include "tests/support/error_of.h"
+#include "tests/support/temporary_folder.h"
+#include "train/splats/splat_features.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+using test::error_of;
+using test::TemporaryFolder;
+using testing::HasSubstr;
+
+// What a command says on standard output is not looked at.
+template <class Run>
+void quietly(const Run& run) {
+  testing::internal::CaptureStdout();
+  run();
+  testing::internal::GetCapturedStdout();
+}
+
+template <class Options>
+void make_small(Options& options, const ModelBundle& bundle, const std::filesystem::path& out) {
+  options.model = bundle.folder().string();
+  options.out = out.string();
+  options.synthetic = 2;
+  options.generator.frames = 9;
+  options.generator.width = options.generator.height = 64;
+  options.side = 64;
+  options.held_out = 2;
+  options.threads = 1;
+  options.fit.steps = 20;
+  options.fit.density.most_gaussians = 2000;
+}
+
+class SplatPairs : public testing::Test {
+ protected:
+  SplatPairs() : bundle_(test::write_small_autoencoder(folder_.path() / "bundle", true)) {
+    make_small(options_, bundle_, folder_.path() / "run");
+  }
+  std::filesystem::path file(int64_t scene) const {
+    return folder_.path() / "run" / "pairs" / ("synthetic_0_00000" + std::to_string(scene) + ".safetensors");
+  }
+  TemporaryFolder folder_;
+  ModelBundle bundle_;
+  SplatPairsOptions options_;
+};
+
+TEST_F(SplatPairs, KeepWhatGaussiansShowBesideTheTruth) {
+  quietly([&] { run_splat_pairs(options_); });
+  const SplattedScene scene = read_splatted_scene(file(1));
+  EXPECT_EQ(scene.fitted, 7);
+  EXPECT_EQ(scene.held_out(), 2);
+  EXPECT_EQ(scene.pictures.size(2), 64);
+  EXPECT_EQ(scene.encoded.size(2), 8);
+  EXPECT_EQ(scene.tag.statistics, "of the model");
+  // What is encoded is the pictures' own latent.
+  const auto again =
+      encode_latent_pictures(bundle_, scene.pictures.to(torch::kFloat32) / 255, {0}).front().pictures[8];
+  EXPECT_LT((tensor_of(again) - scene.encoded[8].to(torch::kFloat32)).abs().max().item<double>(), 0.05);
+  const auto report = nlohmann::json::parse(read_file(folder_.path() / "run/report.json"));
+  const double error = report.at("latent_error").at("mean").get<double>();
+  EXPECT_GT(error, 0);
+  EXPECT_LT(error, 1.5);
+}
+
+TEST_F(SplatPairs, GoOnBehindTheScenesThatAreThere) {
+  quietly([&] { run_splat_pairs(options_); });
+  const std::string first = read_file(file(0)), second = read_file(file(1));
+  std::filesystem::remove(file(1));
+  const auto written = std::filesystem::last_write_time(file(0));
+  options_.resume = true;
+  quietly([&] { run_splat_pairs(options_); });
+  EXPECT_EQ(std::filesystem::last_write_time(file(0)), written);
+  EXPECT_EQ(read_file(file(0)), first);
+  EXPECT_EQ(read_file(file(1)), second);
+}
+
+TEST_F(SplatPairs, NeedStatisticsAndOneLevel) {
+  std::filesystem::remove(bundle_.file(BundlePart::statistics(0)));
+  EXPECT_THAT(error_of([&] { run_splat_pairs(options_); }),
+              HasSubstr("expected statistics of its latents, which are normalised by them, found none"));
+  options_.resume = options_.overwrite = true;
+  EXPECT_THAT(error_of([&] { options_.check(); }), HasSubstr("--resume, --overwrite: expected one of the two"));
+}
+
+TEST_F(SplatPairs, AnEvaluationMeasuresWhatTheRefinerMakes) {
+  SplatEvaluationOptions evaluation;
+  make_small(evaluation, bundle_, folder_.path() / "eval");
+  quietly([&] { run_splat_evaluation(evaluation); });
+  const auto with = nlohmann::json::parse(read_file(folder_.path() / "eval/report.json")).at("means");
+  for (const char* column : {"refined_psnr", "refined_ssim", "refined_sharpness", "refined_error", "high_band",
+                             "refined_high_band", "refined_seconds"})
+    EXPECT_GT(with.at(column).at("mean").get<double>(), 0) << column;
+  // Random weights change latents.
+  EXPECT_NE(with.at("refined_error").at("mean"), with.at("latent_error").at("mean"));
+  std::filesystem::remove(bundle_.file(BundlePart::refiner()));
+  evaluation.out = (folder_.path() / "without").string();
+  quietly([&] { run_splat_evaluation(evaluation); });
+  const auto without = nlohmann::json::parse(read_file(folder_.path() / "without/report.json")).at("means");
+  EXPECT_FALSE(without.contains("refined_psnr"));
+  EXPECT_EQ(without.at("decoded_psnr"), with.at("decoded_psnr"));
+}
+
+TEST_F(SplatPairs, RendersShowLatentsAndWhatTheRefinerMakesOfThem) {
+  const auto scenes = folder_.path() / "rooms";
+  SynthOptions rooms;
+  rooms.scene.scene_count = 1;
+  rooms.scene.frames = 6;
+  rooms.scene.width = rooms.scene.height = 64;
+  rooms.threads = 1;
+  rooms.out = scenes.string();
+  quietly([&] { run_synth(rooms); });
+  SplatCommandOptions fit;
+  fit.scene = (std::filesystem::directory_iterator(scenes / "scenes"))->path().string();
+  fit.out = (folder_.path() / "fit").string();
+  fit.side = 64;
+  fit.threads = 1;
+  fit.fit.steps = 20;
+  fit.fit.density.most_gaussians = 2000;
+  fit.features = {"0"};
+  fit.model = bundle_.folder().string();
+  quietly([&] { run_splat_fit_with_features(fit); });
+  SplatRenderOptions render;
+  render.splats = fit.out;
+  render.model = fit.model;
+  render.threads = 1;
+  render.path.frames = 2;
+  const auto picture = [&](SplatShown shown, const char* name) {
+    render.show = shown;
+    render.out = (folder_.path() / name).string();
+    quietly([&] { run_splat_render_with_latents(render); });
+    return read_image(std::filesystem::path(render.out) / "images" / (view_name(0, 2) + ".png"));
+  };
+  const Image colours = picture(SplatShown::kColours, "colours"), latents = picture(SplatShown::kLatents, "latents"),
+              refined = picture(SplatShown::kRefined, "refined");
+  EXPECT_EQ(latents.width, colours.width);
+  EXPECT_NE(latents.rgb, colours.rgb);
+  EXPECT_NE(refined.rgb, latents.rgb);
+
+  render.out = (folder_.path() / "no").string();
+  std::filesystem::remove(bundle_.file(BundlePart::refiner()));
+  EXPECT_THAT(error_of([&] { run_splat_render_with_latents(render); }),
+              HasSubstr("expected a refiner with weights, found none; train one with gld train refiner"));
+  std::filesystem::remove(std::filesystem::path(fit.out) / "features.safetensors");
+  EXPECT_THAT(error_of([&] { run_splat_render_with_latents(render); }),
+              HasSubstr("expected features beside the Gaussians, features.safetensors, found none"));
+  render.splats += "/splats.ply";
+  render.cameras = fit.out;
+  EXPECT_THAT(error_of([&] { run_splat_render_with_latents(render); }),
+              HasSubstr("--show: expected colours of a file of Gaussians, which has no latents"));
+}
+
+}  // namespace
+}  // namespace gld

@@ -1,0 +1,111 @@
+#include "train/objectives/splat_pairs.h"
+
+#include "gld/base/error.h"
+#include "gld/base/mixed_bits.h"
+
+#include <utility>
+
+#include <fmt/format.h>
+
+namespace gld {
+
+void SplatPairOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"pairs", "folder of splatted scenes, pairs/ of gld splat pairs"}, pairs);
+  visitor.text({"validation_pairs", "the same of scenes to validate on; empty: the last ones of pairs, kept apart"},
+               validation_pairs);
+  visitor.integer({"validation_scenes", "so many of them at most; 0 validates nothing"}, validation_scenes,
+                  {0, 100000});
+  visitor.integer({"batch_size", "target views of a micro-batch"}, batch_size, {1, 4096});
+  visitor.integer({"seed", "of the order of scenes and views"}, seed, {0, 1'000'000'000'000});
+  visit_choice(visitor,
+               {"unit", "what distances between cameras are measured in: their mean spacing, or the scene's unit"},
+               unit, {"spacing", "scene"});
+}
+
+void SplatPairOptions::check() const {
+  if (pairs.empty()) {
+    fail({"--pairs", "a folder of splatted scenes", "nothing",
+          "make one with gld splat pairs, and name its folder pairs/"});
+  }
+}
+
+SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, int64_t references,
+                                   const ModelBundle& bundle)
+    : options_(options), references_(references) {
+  options_.check();
+  const auto read = [&](const std::string& folder) {
+    std::vector<SplattedScene> scenes;
+    for (const auto& file : splatted_scene_files(folder)) {
+      scenes.push_back(read_splatted_scene(file));
+      const SplattedScene& scene = scenes.back();
+      if (scenes.size() == 1) require_same_latent_space(scene.tag, bundle, file.string());
+      const auto& first = scenes.front();
+      if (!scene.pictures.sizes().slice(1).equals(first.pictures.sizes().slice(1)) ||
+          scene.tag.backbone_hash != first.tag.backbone_hash) {
+        fail({file.string(), "pictures of one size and latents of one model, as in " + first.name, "others",
+              "keep them in folders of their own"});
+      }
+      if (scene.fitted < references_) {
+        fail({file.string(), fmt::format("at least {} fitted views, the refiner's references", references_),
+              std::to_string(scene.fitted), "fit more views, or train a refiner with fewer references"});
+      }
+    }
+    return scenes;
+  };
+  scenes_ = read(options_.pairs);
+  if (options_.validation_scenes == 0) return;
+  const auto wanted = static_cast<size_t>(options_.validation_scenes);
+  if (!options_.validation_pairs.empty()) {
+    validation_ = read(options_.validation_pairs);
+    if (validation_.size() > wanted) validation_.resize(wanted);
+    return;
+  }
+  if (scenes_.size() <= wanted) {
+    fail({"--validation-scenes", fmt::format("fewer than the {} scenes of {}", scenes_.size(), options_.pairs),
+          std::to_string(wanted), "lower it, or name --validation-pairs"});
+  }
+  validation_.assign(scenes_.end() - static_cast<std::ptrdiff_t>(wanted), scenes_.end());
+  scenes_.resize(scenes_.size() - wanted);
+}
+
+TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t held_out) const {
+  const int64_t target = scene.fitted + held_out;
+  const Camera& camera = scene.cameras[static_cast<size_t>(target)];
+  TrainingScene result;
+  result.name = scene.name;
+  std::vector<torch::Tensor> pictures, encoded;
+  const auto take = [&](int64_t view) {
+    result.views.cameras.push_back(scene.cameras[static_cast<size_t>(view)]);
+    pictures.push_back(scene.pictures[view]);
+    encoded.push_back(scene.encoded[view]);
+  };
+  for (const int64_t view : nearest_references(camera, scene.fitted_cameras(), references_, options_.unit)) take(view);
+  result.views.num_sources = result.views.size();
+  take(target);
+  result.images = torch::stack(pictures).to(torch::kFloat32) / 255;
+  result.encoded = torch::stack(encoded).to(torch::kFloat32);
+  result.splatted = scene.splatted.narrow(0, held_out, 1).to(torch::kFloat32);
+  return result;
+}
+
+TrainingBatch SplatPairBatches::batch(int64_t index) const {
+  TrainingBatch batch;
+  batch.index = index;
+  for (int64_t i = 0; i < options_.batch_size; ++i) {
+    const auto pair = static_cast<uint64_t>(index * options_.batch_size + i);
+    const uint64_t which = mixed_bits(pair ^ mixed_bits(static_cast<uint64_t>(options_.seed)));
+    const SplattedScene& scene = scenes_[which % scenes_.size()];
+    const auto held_out = mixed_bits(which) % static_cast<uint64_t>(scene.held_out());
+    batch.scenes.push_back(scene_of(scene, static_cast<int64_t>(held_out)));
+  }
+  return batch;
+}
+
+std::vector<TrainingScene> SplatPairBatches::validation() const {
+  std::vector<TrainingScene> scenes;
+  scenes.reserve(validation_.size());
+  for (const SplattedScene& scene : validation_) scenes.push_back(scene_of(scene, 0));
+  return scenes;
+}
+
+}  // namespace gld

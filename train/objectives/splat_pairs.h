@@ -1,0 +1,46 @@
+#pragma once
+
+#include "gld/base/options.h"
+#include "models/refiner/reference_views.h"
+#include "models/splats/splatted_scene.h"
+#include "train/data/batch_prefetcher.h"
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// Which splatted scenes a refiner is trained on.
+struct SplatPairOptions : OptionsGroup {
+  std::string pairs;             // folder of gld splat pairs, its pairs/
+  std::string validation_pairs;  // the same of other scenes; empty: the last validation_scenes of pairs, not trained on
+  int64_t validation_scenes = 16;
+  int64_t batch_size = 8;  // pairs of a micro-batch
+  int64_t seed = 0;
+  ReferenceUnit unit = ReferenceUnit::kSpacing;
+
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Scenes of one target view that nothing was fitted to, and the views nearest to it as its sources.
+class SplatPairBatches : public TrainingBatchSource {
+ public:
+  // references: views beside the target; Error where a scene has fewer.
+  SplatPairBatches(const SplatPairOptions& options, int64_t references, const ModelBundle& bundle);
+  // A scene and one of its held-out views each, drawn by the seed and the batch's number.
+  TrainingBatch batch(int64_t index) const override;
+  // The first held-out view of every validation scene.
+  std::vector<TrainingScene> validation() const;
+
+ private:
+  TrainingScene scene_of(const SplattedScene& scene, int64_t held_out) const;
+
+  SplatPairOptions options_;
+  int64_t references_;
+  std::vector<SplattedScene> scenes_, validation_;
+};
+
+}  // namespace gld

@@ -1,0 +1,75 @@
+#include "train/stages/refiner_stage.h"
+
+#include "gld/base/error.h"
+
+#include <iostream>
+
+namespace gld {
+namespace {
+
+// The autoencoder's latents are normalised as the model that would generate them has it.
+const LevelGenerator& generator_of_latents(const ModelBundle& bundle) {
+  for (const auto& part : bundle.options().generators) {
+    if (bundle.has(BundlePart::statistics(part.generator.level))) return part.generator;
+  }
+  fail({bundle.folder().string(), "statistics of its latents, which are normalised by them", "none",
+        "make them with gld stats"});
+}
+
+}  // namespace
+
+TrainRefinerOptions::TrainRefinerOptions() {
+  loop.optimiser.clip_norm = 1.0;
+  loop.optimiser.ema_decay = 0.998;
+  loop.learning_rate.schedule = LearningRateSchedule::kConstant;
+  loop.learning_rate.peak = 2e-5;
+}
+
+void TrainRefinerOptions::visit(FieldVisitor& visitor) {
+  StageOptions::visit(visitor);
+  visitor.group({"objective", "losses"}, objective);
+}
+
+void TrainRefinerOptions::visit_data(FieldVisitor& visitor) {
+  visitor.group({"data", "what to train on"}, data);
+}
+
+void TrainRefinerOptions::check() const {
+  StageOptions::check();
+  data.check();
+}
+
+std::string train_refiner(const TrainRefinerOptions& options, const DrawValidation& draw) {
+  const BundleOptions model = ModelBundle::open(options.model).options();
+  if (!model.refiner.exists()) {
+    fail({options.model + "/model.yaml", "a refiner", "none",
+          "add for example refiner: {channels: [64, 96, 128], heads: [2, 3, 4]}"});
+  }
+  if (model.has_rgb_decoder()) {
+    fail({"train refiner", "a model whose backbone decodes images itself, an autoencoder",
+          "one with an RGB decoder", "choose another model"});
+  }
+  if (options.objective.perceptual.weight > 0 && options.objective.perceptual.lpips_backbone.empty())
+    std::cerr << "note: " << standin_note() << ".\n";
+  TrainingStage stage;
+  stage.command = "train refiner";
+  stage.made = {BundlePart::refiner()};
+  stage.data = [&options](const ModelBundle& bundle) {
+    const auto pairs = std::make_shared<SplatPairBatches>(
+        options.data, bundle.options().refiner.references, bundle);
+    StageData data;
+    data.batches = pairs;
+    data.validation = [pairs] { return pairs->validation(); };
+    return data;
+  };
+  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    auto objective = std::make_unique<RefinerObjective>(
+        bundle.options(), options.objective, bundle.load_backbone(placement),
+        bundle.load_statistics(generator_of_latents(bundle)).patches, placement, options.loop.seed);
+    if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_refiner(placement));
+    return objective;
+  };
+  return run_training_stage(options, options, stage, draw);
+}
+
+}  // namespace gld
