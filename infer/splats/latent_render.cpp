@@ -11,9 +11,9 @@
 #include <memory>
 #include <utility>
 
-#include <fmt/format.h>
-
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -34,8 +34,10 @@ struct LatentDrawing {
       const Camera over = resized_camera(camera, fit.tag.width, fit.tag.height);
       auto latents = tensor_of(rendered_features(still, fit.features, over, splats.settings));
       if (refining) latents = (*refining)(camera, latents);
-      maps.push_back(
-          fit.statistics.denormalise(latents.permute({1, 2, 0})).permute({2, 0, 1}).contiguous().unsqueeze(0));
+      maps.push_back(fit.statistics.denormalise(latents.permute({1, 2, 0}))
+                         .permute({2, 0, 1})
+                         .contiguous()
+                         .unsqueeze(0));
     }
     const auto picture = decode_latent_maps(bundle, maps)[0].clamp(0, 1);
     camera = resized_camera(camera, picture.size(2), picture.size(1));
@@ -57,8 +59,9 @@ std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSpl
     }
   }
   if (fits.size() != decoded_levels(bundle.options()).size()) {
-    fail({file.string(), fmt::format("the {} levels that {} decodes images of", decoded_levels(bundle.options()).size(),
-                                     bundle.options().name),
+    fail({file.string(),
+          fmt::format("the {} levels that {} decodes images of", decoded_levels(bundle.options()).size(),
+                      bundle.options().name),
           fmt::format("{} of them", fits.size()), "fit them with gld splat fit --features all"});
   }
   for (const LatentFit& fit : fits) {
@@ -75,16 +78,18 @@ DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& 
   use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  const auto drawing =
-      std::make_shared<LatentDrawing>(LatentDrawing{splats, bundle, fits_of(options, splats, bundle), nullptr, nullptr});
+  const auto drawing = std::make_shared<LatentDrawing>(
+      LatentDrawing{splats, bundle, fits_of(options, splats, bundle), nullptr, nullptr});
   if (options.show == SplatShown::kRefined) {
     if (!has_refiner(bundle)) {
-      fail({options.model, "a refiner with weights", "none", "train one with gld train refiner, or --show latents"});
+      fail({options.model, "a refiner with weights", "none",
+            "train one with gld train refiner, or --show latents"});
     }
     const torch::Tensor& encoded = drawing->fits.front().encoded;
     if (!encoded.defined() || encoded.size(0) != static_cast<int64_t>(splats.sources.size())) {
       fail({options.splats, "what its fitted views are encoded as, which the refiner looks at",
-            encoded.defined() ? fmt::format("{} views for {} cameras", encoded.size(0), splats.sources.size()) : "none",
+            encoded.defined() ? fmt::format("{} views for {} cameras", encoded.size(0), splats.sources.size())
+                              : "none",
             "fit them again with gld splat fit --features 0 --model " + options.model});
     }
     drawing->refiner = bundle.load_refiner();

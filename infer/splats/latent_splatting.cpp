@@ -62,8 +62,8 @@ torch::Tensor LatentSplats::encoded(size_t level, int64_t first, int64_t end) co
   return torch::stack(pictures);
 }
 
-LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle, const LatentSplattingOptions& options,
-                           const KernelSettings& settings) {
+LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
+                           const LatentSplattingOptions& options, const KernelSettings& settings) {
   const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
   SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
   thin_out(views.fitted, options.input_views);

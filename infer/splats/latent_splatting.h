@@ -51,8 +51,8 @@ struct LatentSplats {
   torch::Tensor encoded(size_t level, int64_t first, int64_t end) const;
 };
 
-LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle, const LatentSplattingOptions& options,
-                           const KernelSettings& settings);
+LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
+                           const LatentSplattingOptions& options, const KernelSettings& settings);
 
 // Error where the bundle lacks the weights of a backbone or of what decodes images.
 void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where);

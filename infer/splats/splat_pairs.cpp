@@ -44,7 +44,8 @@ void require_statistics(const ModelBundle& bundle, const std::string& where) {
   for (const BundlePart& part : bundle_parts(bundle.options())) {
     if (part.kind == BundlePart::Kind::kStatistics && bundle.has(part)) return;
   }
-  fail({where, "statistics of its latents, which are normalised by them", "none", "make them with gld stats"});
+  fail(
+      {where, "statistics of its latents, which are normalised by them", "none", "make them with gld stats"});
 }
 
 }  // namespace
@@ -98,8 +99,8 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   std::vector<double> errors;
   Progress progress("scenes", dataset->size());
   for (int64_t index = 0; index < dataset->size(); ++index) {
-    stop_if_interrupted(fmt::format("{} of {} scenes are in {}; --resume goes on", index, dataset->size(),
-                                    folder.string()));
+    stop_if_interrupted(
+        fmt::format("{} of {} scenes are in {}; --resume goes on", index, dataset->size(), folder.string()));
     const auto file = folder / (dataset->scene_name(index) + ".safetensors");
     SplattedScene scene;
     if (options.resume && std::filesystem::is_regular_file(file)) {
@@ -116,11 +117,11 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   progress.finish();
   write_file_atomically(run.path() / "pairs.csv", table.csv());
   const SceneStatistics statistics = statistics_over_scenes(errors);
-  run.write_report({{"scenes", errors.size()},
-                    {"latent_error",
-                     {{"mean", statistics.mean},
-                      {"interval_95", {statistics.interval.low, statistics.interval.high}}}},
-                    {"threads", settings.threads}});
+  run.write_report(
+      {{"scenes", errors.size()},
+       {"latent_error",
+        {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}}},
+       {"threads", settings.threads}});
   run.note("pairs", kPairsFolder);
   run.note("errors", "pairs.csv");
   run.note("report", "report.json");

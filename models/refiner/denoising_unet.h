@@ -17,17 +17,17 @@
 
 namespace gld {
 
-// The UNet of latent diffusion (Rombach et al. 2022) in the shape of Stable Diffusion 2.x, under the names of diffusers'
-// UNet2DConditionModel, and beside them "prompt" (tokens, channels): what a text encoder made of the one text that
-// there is, or what training made of it.
+// The UNet of latent diffusion (Rombach et al. 2022) in the shape of Stable Diffusion 2.x, under the names of
+// diffusers' UNet2DConditionModel, and beside them "prompt" (tokens, channels): what a text encoder made of the one
+// text that there is, or what training made of it.
 class DenoisingUnet : public torch::nn::Module {
  public:
   DenoisingUnet(const RefinerOptions& options, const ParameterPlacement& placement);
 
   const RefinerOptions& options() const { return options_; }
 
-  // views: (scenes, views, latent channels, height, width), normalised, the degraded one first. Returns what the network
-  // predicts of all of them, of the same shape.
+  // views: (scenes, views, latent channels, height, width), normalised, the degraded one first. Returns what the
+  // network predicts of all of them, of the same shape.
   torch::Tensor forward(const torch::Tensor& views, int64_t timestep) const;
 
   // With random weights that predict 0.

@@ -1,11 +1,15 @@
 #include "models/splats/latent_refining.h"
 
+#include "gld/base/error.h"
+#include "gld/machine/stage_record.h"
 #include "models/refiner/view_grid.h"
 
 #include <algorithm>
 #include <utility>
 
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 
@@ -23,7 +27,17 @@ int64_t references_taken(const RefinerOptions& options, int64_t available) {
 }
 
 LatentRefining::LatentRefining(const DenoisingUnet& unet, std::vector<Camera> cameras, torch::Tensor encoded)
-    : unet_(unet), cameras_(std::move(cameras)), encoded_(std::move(encoded)) {}
+    : unet_(unet), cameras_(std::move(cameras)), encoded_(std::move(encoded)) {
+  const int64_t views = 1 + references_taken(unet_.options(), static_cast<int64_t>(cameras_.size()));
+  const int64_t height = encoded_.size(2), width = encoded_.size(3);
+  const int64_t needed = refiner_cost(unet_.options(), views, height, width).working_bytes;
+  const int64_t available = available_memory_bytes();
+  if (available <= 0 || needed <= available) return;
+  fail({"refining latents", fmt::format("at most {} of memory", bytes_text(available)),
+        fmt::format("{} for {} views of {}x{} latent pixels by the forecast", bytes_text(needed), views,
+                    width, height),
+        "take smaller views"});
+}
 
 torch::Tensor LatentRefining::operator()(const Camera& camera, const torch::Tensor& degraded) const {
   const torch::NoGradGuard no_grad;
@@ -32,7 +46,11 @@ torch::Tensor LatentRefining::operator()(const Camera& camera, const torch::Tens
   for (const int64_t view : nearest_references(camera, cameras_, references_taken(unet_.options(), available),
                                                ReferenceUnit::kSpacing))
     views.push_back(encoded_[view]);
-  return refined_latents(unet_, torch::stack(views).unsqueeze(0))[0];
+  auto refined = refined_latents(unet_, torch::stack(views).unsqueeze(0))[0];
+  if (!refined.isfinite().all().item<bool>()) {
+    fail({"refining latents", "finite latents", "NaN or infinity", "check the refiner with gld inspect"});
+  }
+  return refined;
 }
 
 }  // namespace gld

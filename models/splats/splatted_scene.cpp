@@ -54,7 +54,8 @@ torch::Tensor tensor_like(const WeightFile& file, const char* name, torch::Dtype
   if (file.find(name) == nullptr) fail_at(file.path(), fmt::format("a tensor {}", name), "none");
   const auto tensor = read_tensor(file, name);
   if (tensor.scalar_type() != dtype || tensor.dim() != dimensions) {
-    fail_at(file.path(), fmt::format("{} of {} dimensions and type {}", name, dimensions, c10::toString(dtype)),
+    fail_at(file.path(),
+            fmt::format("{} of {} dimensions and type {}", name, dimensions, c10::toString(dtype)),
             fmt::format("shape {}, {}", c10::str(tensor.sizes()), c10::toString(tensor.scalar_type())));
   }
   return tensor;
@@ -143,7 +144,8 @@ std::vector<std::filesystem::path> splatted_scene_files(const std::filesystem::p
 void require_same_latent_space(const LatentTag& tag, const ModelBundle& bundle, const std::string& where) {
   const std::string hash = sha256_of_file(bundle.file(BundlePart::backbone()));
   if (tag.backbone_hash != hash) {
-    fail({where, fmt::format("latents of the backbone of {}, {}", bundle.folder().string(), hash.substr(0, 12)),
+    fail({where,
+          fmt::format("latents of the backbone of {}, {}", bundle.folder().string(), hash.substr(0, 12)),
           fmt::format("those of {}, {}", tag.model, tag.backbone_hash.substr(0, 12)),
           "make them again with this model"});
   }

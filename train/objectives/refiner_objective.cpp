@@ -48,12 +48,13 @@ void RefinerObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.real({"picture_weight", "weight of the mean squared error of decoded pictures in [-1, 1]"},
                picture_weight, {0.0, 1e6});
   visitor.group({"perceptual", "perceptual loss of decoded pictures"}, perceptual);
-  visit_choice(visitor,
-               {"truth", "decoded pictures are compared with the true view's latents decoded, or with the view"},
-               truth, {"decoded", "photograph"});
-  visitor.integer({"denoising_steps",
-                   "first steps in which encoded latents are seen through noise of random timesteps"},
-                  denoising_steps, {0, 1'000'000'000});
+  visit_choice(
+      visitor,
+      {"truth", "decoded pictures are compared with the true view's latents decoded, or with the view"},
+      truth, {"decoded", "photograph"});
+  visitor.integer(
+      {"denoising_steps", "first steps in which encoded latents are seen through noise of random timesteps"},
+      denoising_steps, {0, 1'000'000'000});
 }
 
 RefinerObjective::RefinerObjective(const BundleOptions& model, const RefinerObjectiveOptions& options,
@@ -77,8 +78,7 @@ std::vector<NamedParameter> RefinerObjective::parameters() const { return named_
 
 torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
   const int64_t pixels = autoencoder_->architecture().latent_pixels();
-  const auto raw =
-      latents_.denormalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+  const auto raw = latents_.denormalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
   const LatentGrid grid{raw.size(0), raw.size(2) / pixels, raw.size(3) / pixels};
   return autoencoder_->decode(autoencoder_->normalise_for_decoding(tokens_of_latents(raw, pixels)), grid);
 }
@@ -88,7 +88,8 @@ Losses RefinerObjective::denoising_losses(const torch::Tensor& views, const Step
   const RefinerOptions& refiner = model_.refiner;
   // Not of the first timesteps, at which nothing can be seen of the noise.
   constexpr int64_t kFirstTimestep = 20;
-  const auto timestep = torch::randint(kFirstTimestep, kDiffusionSteps, {1}, generator, torch::kInt64).item<int64_t>();
+  const auto timestep =
+      torch::randint(kFirstTimestep, kDiffusionSteps, {1}, generator, torch::kInt64).item<int64_t>();
   const auto clean = views.select(1, 0);
   const auto noise = torch::randn(clean.sizes(), generator, torch::kFloat32).to(clean.device());
   auto seen = views.clone();

@@ -10,16 +10,18 @@
 namespace gld {
 
 void SplatPairOptions::visit(FieldVisitor& visitor) {
-  visitor.text({"pairs", "folder of splatted scenes, pairs/ of gld splat pairs"}, pairs);
-  visitor.text({"validation_pairs", "the same of scenes to validate on; empty: the last ones of pairs, kept apart"},
+  visitor.texts({"pairs", "folders of splatted scenes, pairs/ of gld splat pairs"}, pairs);
+  visitor.text({"validation_pairs",
+                "the same of scenes to validate on; empty: some of pairs, evenly spread and kept apart"},
                validation_pairs);
   visitor.integer({"validation_scenes", "so many of them at most; 0 validates nothing"}, validation_scenes,
                   {0, 100000});
   visitor.integer({"batch_size", "target views of a micro-batch"}, batch_size, {1, 4096});
   visitor.integer({"seed", "of the order of scenes and views"}, seed, {0, 1'000'000'000'000});
-  visit_choice(visitor,
-               {"unit", "what distances between cameras are measured in: their mean spacing, or the scene's unit"},
-               unit, {"spacing", "scene"});
+  visit_choice(
+      visitor,
+      {"unit", "what distances between cameras are measured in: their mean spacing, or the scene's unit"},
+      unit, {"spacing", "scene"});
 }
 
 void SplatPairOptions::check() const {
@@ -33,8 +35,7 @@ SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, int64_t refe
                                    const ModelBundle& bundle)
     : options_(options), references_(references) {
   options_.check();
-  const auto read = [&](const std::string& folder) {
-    std::vector<SplattedScene> scenes;
+  const auto read = [&](const std::string& folder, std::vector<SplattedScene>& scenes) {
     for (const auto& file : splatted_scene_files(folder)) {
       scenes.push_back(read_splatted_scene(file));
       const SplattedScene& scene = scenes.back();
@@ -50,22 +51,25 @@ SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, int64_t refe
               std::to_string(scene.fitted), "fit more views, or train a refiner with fewer references"});
       }
     }
-    return scenes;
   };
-  scenes_ = read(options_.pairs);
+  for (const std::string& folder : options_.pairs) read(folder, scenes_);
   if (options_.validation_scenes == 0) return;
   const auto wanted = static_cast<size_t>(options_.validation_scenes);
   if (!options_.validation_pairs.empty()) {
-    validation_ = read(options_.validation_pairs);
+    read(options_.validation_pairs, validation_);
     if (validation_.size() > wanted) validation_.resize(wanted);
     return;
   }
   if (scenes_.size() <= wanted) {
-    fail({"--validation-scenes", fmt::format("fewer than the {} scenes of {}", scenes_.size(), options_.pairs),
+    fail({"--validation-scenes", fmt::format("fewer than the {} scenes of --pairs", scenes_.size()),
           std::to_string(wanted), "lower it, or name --validation-pairs"});
   }
-  validation_.assign(scenes_.end() - static_cast<std::ptrdiff_t>(wanted), scenes_.end());
-  scenes_.resize(scenes_.size() - wanted);
+  std::vector<SplattedScene> trained;
+  for (size_t i = 0; i < scenes_.size(); ++i) {
+    const bool apart = (i + 1) * wanted / scenes_.size() > i * wanted / scenes_.size();
+    (apart ? validation_ : trained).push_back(std::move(scenes_[i]));
+  }
+  scenes_ = std::move(trained);
 }
 
 TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t held_out) const {
@@ -79,7 +83,8 @@ TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t hel
     pictures.push_back(scene.pictures[view]);
     encoded.push_back(scene.encoded[view]);
   };
-  for (const int64_t view : nearest_references(camera, scene.fitted_cameras(), references_, options_.unit)) take(view);
+  for (const int64_t view : nearest_references(camera, scene.fitted_cameras(), references_, options_.unit))
+    take(view);
   result.views.num_sources = result.views.size();
   take(target);
   result.images = torch::stack(pictures).to(torch::kFloat32) / 255;

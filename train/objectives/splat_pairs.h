@@ -14,8 +14,9 @@ namespace gld {
 
 // Which splatted scenes a refiner is trained on.
 struct SplatPairOptions : OptionsGroup {
-  std::string pairs;             // folder of gld splat pairs, its pairs/
-  std::string validation_pairs;  // the same of other scenes; empty: the last validation_scenes of pairs, not trained on
+  std::vector<std::string> pairs;  // folders of gld splat pairs, their pairs/
+  // The same of other scenes; empty: validation_scenes of pairs, evenly spread, which are not trained on.
+  std::string validation_pairs;
   int64_t validation_scenes = 16;
   int64_t batch_size = 8;  // pairs of a micro-batch
   int64_t seed = 0;

@@ -55,8 +55,8 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
   stage.command = "train refiner";
   stage.made = {BundlePart::refiner()};
   stage.data = [&options](const ModelBundle& bundle) {
-    const auto pairs = std::make_shared<SplatPairBatches>(
-        options.data, bundle.options().refiner.references, bundle);
+    const auto pairs =
+        std::make_shared<SplatPairBatches>(options.data, bundle.options().refiner.references, bundle);
     StageData data;
     data.batches = pairs;
     data.validation = [pairs] { return pairs->validation(); };

@@ -98,7 +98,8 @@ TEST_F(SplatPairs, NeedStatisticsAndOneLevel) {
   EXPECT_THAT(error_of([&] { run_splat_pairs(options_); }),
               HasSubstr("expected statistics of its latents, which are normalised by them, found none"));
   options_.resume = options_.overwrite = true;
-  EXPECT_THAT(error_of([&] { options_.check(); }), HasSubstr("--resume, --overwrite: expected one of the two"));
+  EXPECT_THAT(error_of([&] { options_.check(); }),
+              HasSubstr("--resume, --overwrite: expected one of the two"));
 }
 
 TEST_F(SplatPairs, AnEvaluationMeasuresWhatTheRefinerMakes) {
@@ -106,8 +107,8 @@ TEST_F(SplatPairs, AnEvaluationMeasuresWhatTheRefinerMakes) {
   make_small(evaluation, bundle_, folder_.path() / "eval");
   quietly([&] { run_splat_evaluation(evaluation); });
   const auto with = nlohmann::json::parse(read_file(folder_.path() / "eval/report.json")).at("means");
-  for (const char* column : {"refined_psnr", "refined_ssim", "refined_sharpness", "refined_error", "high_band",
-                             "refined_high_band", "refined_seconds"})
+  for (const char* column : {"refined_psnr", "refined_ssim", "refined_sharpness", "refined_error",
+                             "high_band", "refined_high_band", "refined_seconds"})
     EXPECT_GT(with.at(column).at("mean").get<double>(), 0) << column;
   // Random weights change latents.
   EXPECT_NE(with.at("refined_error").at("mean"), with.at("latent_error").at("mean"));
@@ -149,7 +150,8 @@ TEST_F(SplatPairs, RendersShowLatentsAndWhatTheRefinerMakesOfThem) {
     quietly([&] { run_splat_render_with_latents(render); });
     return read_image(std::filesystem::path(render.out) / "images" / (view_name(0, 2) + ".png"));
   };
-  const Image colours = picture(SplatShown::kColours, "colours"), latents = picture(SplatShown::kLatents, "latents"),
+  const Image colours = picture(SplatShown::kColours, "colours"),
+              latents = picture(SplatShown::kLatents, "latents"),
               refined = picture(SplatShown::kRefined, "refined");
   EXPECT_EQ(latents.width, colours.width);
   EXPECT_NE(latents.rgb, colours.rgb);

@@ -51,7 +51,8 @@ TEST_F(SplattedScenes, AreReadAsTheyWereWritten) {
   EXPECT_TRUE(read.splatted.equal(written.splatted.to(torch::kFloat16)));
   for (size_t view = 0; view < 6; ++view) {
     EXPECT_EQ(read.cameras[view].intrinsics, written.cameras[view].intrinsics);
-    EXPECT_EQ(read.cameras[view].world_from_camera.matrix(), written.cameras[view].world_from_camera.matrix());
+    EXPECT_EQ(read.cameras[view].world_from_camera.matrix(),
+              written.cameras[view].world_from_camera.matrix());
     EXPECT_EQ(read.cameras[view].width, 32);
   }
   EXPECT_EQ(splatted_scene_files(folder_.path()).size(), 1U);
@@ -60,19 +61,22 @@ TEST_F(SplattedScenes, AreReadAsTheyWereWritten) {
 TEST_F(SplattedScenes, SayWhatIsWrongWithThem) {
   const std::string made = "; make it again with gld splat pairs.";
   const auto scene = test::half_splatted_scene(bundle_, 1);
-  EXPECT_THAT(error_with("splatted", scene.splatted),
-              HasSubstr("expected splatted of 4 dimensions and type Half, found shape [2, 4, 4, 4], Float" + made));
-  EXPECT_THAT(error_with("encoded", scene.encoded.slice(0, 1).to(torch::kFloat16)),
-              HasSubstr("expected pictures, latents and cameras of as many views, of which some are splatted"));
+  EXPECT_THAT(
+      error_with("splatted", scene.splatted),
+      HasSubstr("expected splatted of 4 dimensions and type Half, found shape [2, 4, 4, 4], Float" + made));
+  EXPECT_THAT(
+      error_with("encoded", scene.encoded.slice(0, 1).to(torch::kFloat16)),
+      HasSubstr("expected pictures, latents and cameras of as many views, of which some are splatted"));
   EXPECT_THAT(error_with("encoded", (scene.encoded / 0).to(torch::kFloat16)),
               HasSubstr("expected finite latents, found NaN or infinity" + made));
   EXPECT_THAT(error_with("intrinsics", torch::zeros({6, 3, 3}, torch::kFloat64)), HasSubstr("view 0"));
   const auto empty = folder_.path() / "empty";
   std::filesystem::create_directory(empty);
-  EXPECT_EQ(error_of([&] { splatted_scene_files(empty); }),
-            empty.string() +
-                ": expected splatted scenes, files *.safetensors, found none; make them with gld splat pairs, and name "
-                "its folder pairs/.");
+  EXPECT_EQ(
+      error_of([&] { splatted_scene_files(empty); }),
+      empty.string() +
+          ": expected splatted scenes, files *.safetensors, found none; make them with gld splat pairs, and name "
+          "its folder pairs/.");
 }
 
 TEST_F(SplattedScenes, BelongToOneAutoencoder) {
@@ -90,16 +94,16 @@ TEST_F(SplattedScenes, AreRepairedBesideAsManyViewsAsThereAre) {
   const auto encoded = scene.encoded.to(torch::kFloat32);
   const auto degraded = scene.splatted[0].to(torch::kFloat32);
   const auto refined = [&](int64_t views) {
-    return LatentRefining(*unet, {scene.cameras.begin(), scene.cameras.begin() + views}, encoded.slice(0, 0, views))(
-        scene.cameras[4], degraded);
+    return LatentRefining(*unet, {scene.cameras.begin(), scene.cameras.begin() + views},
+                          encoded.slice(0, 0, views))(scene.cameras[4], degraded);
   };
   // Of a grid two references leave a cell empty: one is taken.
   EXPECT_EQ(references_taken(unet->options(), 2), 1);
   EXPECT_EQ(references_taken(unet->options(), 9), 3);
   EXPECT_FALSE(refined(1).equal(degraded));
   // View 3 is the nearest to the one held out at 4, then 2 and 1.
-  const auto by_hand = refined_latents(
-      *unet, torch::stack({degraded, encoded[3], encoded[2], encoded[1]}).unsqueeze(0))[0];
+  const auto by_hand =
+      refined_latents(*unet, torch::stack({degraded, encoded[3], encoded[2], encoded[1]}).unsqueeze(0))[0];
   EXPECT_LT((refined(4) - by_hand).abs().max().item<double>(), 1e-4);
   EXPECT_TRUE(has_refiner(bundle_));
   std::filesystem::remove(bundle_.file(BundlePart::refiner()));

@@ -1,11 +1,10 @@
-#include "train/stages/refiner_stage.h"
-
 #include "gld/base/atomic_file.h"
 #include "tests/models/splats/small_autoencoder.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
 #include "train/loop/metrics_log.h"
+#include "train/stages/refiner_stage.h"
 
 #include <filesystem>
 #include <string>
@@ -35,7 +34,7 @@ class RefinerStage : public testing::Test {
     options.out = (folder_.path() / out).string();
     options.threads = 1;
     options.loop = test::two_steps();
-    options.data.pairs = (folder_.path() / "pairs").string();
+    options.data.pairs = {(folder_.path() / "pairs").string()};
     options.data.validation_scenes = 1;
     options.data.batch_size = 2;
     return options;
@@ -97,14 +96,16 @@ TEST_F(RefinerStage, SaysWhatItLacks) {
   auto training = options("run");
   training.data.validation_scenes = 4;
   EXPECT_THAT(error_of([&] { train_refiner(training, {}); }),
-              HasSubstr("--validation-scenes: expected fewer than the 4 scenes of"));
+              HasSubstr("--validation-scenes: expected fewer than the 4 scenes of --pairs, found 4"));
   training = options("run");
-  training.data.pairs = "";
-  EXPECT_THAT(error_of([&] { training.check(); }), HasSubstr("--pairs: expected a folder of splatted scenes"));
+  training.data.pairs = {};
+  EXPECT_THAT(error_of([&] { training.check(); }),
+              HasSubstr("--pairs: expected a folder of splatted scenes"));
   BundleOptions many = test::small_autoencoder_model();
   many.refiner.references = 5;
   write_random_bundle(folder_.path() / "many", many, 5);
-  std::filesystem::copy_file(bundle_.file(BundlePart::backbone()), folder_.path() / "many/backbone.safetensors",
+  std::filesystem::copy_file(bundle_.file(BundlePart::backbone()),
+                             folder_.path() / "many/backbone.safetensors",
                              std::filesystem::copy_options::overwrite_existing);
   training = options("run");
   training.model = (folder_.path() / "many").string();
