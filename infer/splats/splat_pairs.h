@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// gld splat pairs: what a refiner is trained on. Of each scene Gaussians are fitted to some views and show the latents of
-// the others, which are kept beside the encoded ones (models/splats/splatted_scene.h).
+// gld splat pairs: what a refiner is trained on. Of each scene Gaussians are fitted to some views and show the latents
+// of the others, which are kept beside the encoded ones (models/splats/splatted_scene.h).
 struct SplatPairsOptions : LatentSplattingOptions {
   std::vector<std::string> scenes;
   int64_t synthetic = 400;     // drawn rooms where no scenes are given

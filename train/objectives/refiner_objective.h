@@ -36,8 +36,8 @@ struct RefinerObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// Trains the one-step refiner (models/refiner) on splatted latents of views whose encoded latents are known, beside their
-// nearest views (Splatent, arXiv 2512.09923, section 4.3): latent_weight MSE(z) + picture_weight MSE(D(z)) +
+// Trains the one-step refiner (models/refiner) on splatted latents of views whose encoded latents are known, beside
+// their nearest views (Splatent, arXiv 2512.09923, section 4.3): latent_weight MSE(z) + picture_weight MSE(D(z)) +
 // perceptual.weight perceptual(D(z)). Scenes have their references first and one target.
 class RefinerObjective : public Objective {
  public:
