@@ -1,10 +1,13 @@
 #include "infer/splats/latent_render.h"
 
+#include "datasets/formats/cameras_json.h"
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
+#include "gld/report/report_text.h"
 #include "gld/tensors/compute_threads.h"
 #include "infer/splats/latent_splatting.h"
+#include "models/bundle/part_lineage.h"
 #include "models/splats/latent_refining.h"
 #include "models/splats/splatted_scene.h"
 
@@ -21,7 +24,7 @@ namespace {
 // What draws latents of a run of gld splat fit --features.
 struct LatentDrawing {
   DrawnSplats splats;
-  ModelBundle bundle;
+  LatentDecoding decoding;
   std::vector<LatentFit> fits;
   std::shared_ptr<const DenoisingUnet> refiner;
   std::unique_ptr<LatentRefining> refining;
@@ -34,12 +37,9 @@ struct LatentDrawing {
       const Camera over = resized_camera(camera, fit.tag.width, fit.tag.height);
       auto latents = tensor_of(rendered_features(still, fit.features, over, splats.settings));
       if (refining) latents = (*refining)(camera, latents);
-      maps.push_back(fit.statistics.denormalise(latents.permute({1, 2, 0}))
-                         .permute({2, 0, 1})
-                         .contiguous()
-                         .unsqueeze(0));
+      maps.push_back(raw_latents(latents.unsqueeze(0), fit.statistics));
     }
-    const auto picture = decode_latent_maps(bundle, maps)[0].clamp(0, 1);
+    const auto picture = decoding(maps)[0].clamp(0, 1);
     camera = resized_camera(camera, picture.size(2), picture.size(1));
     return to_image(picture);
   }
@@ -74,26 +74,39 @@ std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSpl
   return fits;
 }
 
+std::vector<Camera> fitted_cameras(const std::filesystem::path& run) {
+  std::vector<Camera> cameras;
+  for (const CameraRecord& record : read_cameras_json(splat_file_in(run, "cameras.json")).records) {
+    if (record.role == "source") cameras.push_back(record.camera);
+  }
+  return cameras;
+}
+
 DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& splats) {
   use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
   const auto drawing = std::make_shared<LatentDrawing>(
-      LatentDrawing{splats, bundle, fits_of(options, splats, bundle), nullptr, nullptr});
+      LatentDrawing{splats, LatentDecoding(bundle), fits_of(options, splats, bundle), nullptr, nullptr});
   if (options.show == SplatShown::kRefined) {
     if (!has_refiner(bundle)) {
       fail({options.model, "a refiner with weights", "none",
             "train one with gld train refiner, or --show latents"});
     }
-    const torch::Tensor& encoded = drawing->fits.front().encoded;
-    if (!encoded.defined() || encoded.size(0) != static_cast<int64_t>(splats.sources.size())) {
-      fail({options.splats, "what its fitted views are encoded as, which the refiner looks at",
-            encoded.defined() ? fmt::format("{} views for {} cameras", encoded.size(0), splats.sources.size())
-                              : "none",
+    print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
+    const LatentFit& fit = drawing->fits.front();
+    require_same_normalisation(fit.tag, bundle, options.splats);
+    // Of the fit itself, whatever cameras the path is about.
+    const std::vector<Camera> fitted = fitted_cameras(options.splats);
+    const int64_t encoded = fit.encoded.defined() ? fit.encoded.size(0) : 0;
+    if (encoded != static_cast<int64_t>(fitted.size())) {
+      fail({options.splats,
+            fmt::format("what its {} fitted views are encoded as, which the refiner looks at", fitted.size()),
+            encoded == 0 ? "none" : fmt::format("{} views", encoded),
             "fit them again with gld splat fit --features 0 --model " + options.model});
     }
     drawing->refiner = bundle.load_refiner();
-    drawing->refining = std::make_unique<LatentRefining>(*drawing->refiner, splats.sources, encoded);
+    drawing->refining = std::make_unique<LatentRefining>(*drawing->refiner, fitted, fit.encoded);
   }
   return [drawing](Camera& camera) { return (*drawing)(camera); };
 }

@@ -45,6 +45,28 @@ void LatentSplattingOptions::visit(FieldVisitor& visitor) {
 
 void LatentSplattingOptions::check() const { fit.check(); }
 
+ScenesSplattingOptions::ScenesSplattingOptions() {
+  generator.frames = 35;
+  generator.width = generator.height = 256;
+}
+
+void ScenesSplattingOptions::visit(FieldVisitor& visitor) {
+  visit_scenes(visitor, scenes, "generated ones");
+  visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
+  visitor.integer({"synthetic_seed", "seed of the generated scenes"}, synthetic_seed, {0, 1'000'000'000'000});
+  visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
+  visit_out(visitor, out, overwrite);
+  LatentSplattingOptions::visit(visitor);
+}
+
+void ScenesSplattingOptions::check() const {
+  LatentSplattingOptions::check();
+  check_out(out, "runs/splats");
+  if (scenes.empty() && synthetic == 0) {
+    fail({"scenes", "--scenes DIR or --synthetic N", "neither", "give one of them"});
+  }
+}
+
 torch::Tensor LatentSplats::shown(size_t level, const KernelSettings& settings) const {
   const StillGaussians still = gaussians();
   std::vector<torch::Tensor> pictures;

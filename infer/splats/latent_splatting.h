@@ -1,6 +1,7 @@
 #pragma once
 
 #include "datasets/splats/scene_fit.h"
+#include "datasets/synthetic/synthetic_scene.h"
 #include "gld/splatting/feature_solve.h"
 #include "models/bundle/bundle.h"
 #include "models/splats/latent_fit.h"
@@ -25,6 +26,20 @@ struct LatentSplattingOptions : OptionsGroup {
   FeatureSolveOptions solve;
 
   LatentSplattingOptions();
+  void visit(FieldVisitor& visitor) override;
+  void check() const override;
+};
+
+// Of commands that do so with many scenes and write a run folder.
+struct ScenesSplattingOptions : LatentSplattingOptions {
+  std::vector<std::string> scenes;
+  int64_t synthetic = 8;       // drawn rooms where no scenes are given
+  int64_t synthetic_seed = 0;  // theirs
+  SyntheticOptions generator;
+  std::string out;
+  bool overwrite = false;
+
+  ScenesSplattingOptions();
   void visit(FieldVisitor& visitor) override;
   void check() const override;
 };

@@ -13,12 +13,14 @@
 #include "gld/metrics/metric.h"
 #include "gld/metrics/sharpness.h"
 #include "gld/report/progress.h"
+#include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/report/table.h"
 #include "gld/tensors/compute_threads.h"
 #include "infer/export/image_export.h"
 #include "infer/request/held_out_scenes.h"
 #include "models/bundle/bundle.h"
+#include "models/bundle/part_lineage.h"
 #include "models/splats/latent_refining.h"
 
 #include <algorithm>
@@ -67,20 +69,16 @@ HeldOutLatents held_out_latents(const LatentSplats& splats, const DenoisingUnet*
   return latents;
 }
 
-torch::Tensor raw(const torch::Tensor& latents, const LatentPictures& of) {
-  return of.statistics.denormalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
-}
-
 torch::Tensor decoded(const std::vector<torch::Tensor>& latents, const LatentSplats& splats,
-                      const ModelBundle& bundle) {
+                      const LatentDecoding& decoding) {
   std::vector<torch::Tensor> maps;
   for (size_t level = 0; level < latents.size(); ++level)
-    maps.push_back(raw(latents[level], splats.levels[level]));
-  return decode_latent_maps(bundle, maps);
+    maps.push_back(raw_latents(latents[level], splats.levels[level].statistics));
+  return decoding(maps);
 }
 
 HeldOutPictures held_out_pictures(const LatentSplats& splats, const HeldOutLatents& latents,
-                                  const ModelBundle& bundle, const KernelSettings& settings) {
+                                  const LatentDecoding& decoding, const KernelSettings& settings) {
   HeldOutPictures pictures;
   pictures.truth = splats.images.slice(0, splats.fitted);
   Views cameras;
@@ -94,9 +92,9 @@ HeldOutPictures held_out_pictures(const LatentSplats& splats, const HeldOutLaten
   }
   pictures.rgb = torch::stack(rgb);
   pictures.nearest = torch::stack(nearest);
-  pictures.decoded = decoded(latents.shown, splats, bundle);
-  pictures.autoencoded = decoded(latents.encoded, splats, bundle);
-  if (!latents.refined.empty()) pictures.refined = decoded(latents.refined, splats, bundle);
+  pictures.decoded = decoded(latents.shown, splats, decoding);
+  pictures.autoencoded = decoded(latents.encoded, splats, decoding);
+  if (!latents.refined.empty()) pictures.refined = decoded(latents.refined, splats, decoding);
   return pictures;
 }
 
@@ -124,7 +122,7 @@ double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, con
   if (encoded.size(3) != side || side < 8) return std::numeric_limits<double>::quiet_NaN();
   const int64_t last = last_whole_ring(side);
   const auto amplitudes = [&](const torch::Tensor& views) {
-    return ring_amplitudes(raw(views, of), last, SpectrumWindow::kHann);
+    return ring_amplitudes(raw_latents(views, of.statistics), last, SpectrumWindow::kHann);
   };
   return band_ratio(amplitudes(latents), amplitudes(encoded), side / 4, last);
 }
@@ -140,7 +138,7 @@ EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const De
   const HeldOutLatents latents = held_out_latents(splats, refiner, scores, settings);
   scores.latent_error = mean_error(latents.shown, latents.encoded);
   scores.high_band = high_band(latents.shown.front(), latents.encoded.front(), splats.levels.front());
-  result.pictures = held_out_pictures(splats, latents, bundle, settings);
+  result.pictures = held_out_pictures(splats, latents, LatentDecoding(bundle), settings);
   const HeldOutPictures& pictures = result.pictures;
   const auto& truth = pictures.truth;
   scores.rgb_psnr = mean_psnr(truth, pictures.rgb);
@@ -240,28 +238,6 @@ void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const Pro
 
 }  // namespace
 
-SplatEvaluationOptions::SplatEvaluationOptions() {
-  generator.frames = 35;
-  generator.width = generator.height = 256;
-}
-
-void SplatEvaluationOptions::visit(FieldVisitor& visitor) {
-  visit_scenes(visitor, scenes, "generated ones");
-  visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
-  visitor.integer({"synthetic_seed", "seed of the generated scenes"}, synthetic_seed, {0, 1'000'000'000'000});
-  visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
-  visit_out(visitor, out, overwrite);
-  LatentSplattingOptions::visit(visitor);
-}
-
-void SplatEvaluationOptions::check() const {
-  LatentSplattingOptions::check();
-  check_out(out, "runs/splat_eval");
-  if (scenes.empty() && synthetic == 0) {
-    fail({"gld splat eval", "scenes", "none", "give --scenes DIR or --synthetic N"});
-  }
-}
-
 void run_splat_evaluation(const SplatEvaluationOptions& options) {
   options.check();
   check_run_folder(options.out, "splat eval", earlier_run(options.overwrite));
@@ -270,7 +246,10 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
   std::shared_ptr<const DenoisingUnet> refiner;
-  if (has_refiner(bundle)) refiner = bundle.load_refiner();
+  if (has_refiner(bundle)) {
+    print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
+    refiner = bundle.load_refiner();
+  }
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder run(options.out, "splat eval", options, earlier_run(options.overwrite));

@@ -1,6 +1,5 @@
 #pragma once
 
-#include "datasets/synthetic/synthetic_scene.h"
 #include "infer/splats/latent_splatting.h"
 
 #include <cstdint>
@@ -12,18 +11,7 @@ namespace gld {
 // gld splat eval: what Gaussians show of views that they were not fitted to, in colours and in a model's latents that
 // its image decoder turns into pictures, as they are shown and, where the bundle has a refiner, as that repairs them
 // (Splatent, arXiv 2512.09923, table 1).
-struct SplatEvaluationOptions : LatentSplattingOptions {
-  std::vector<std::string> scenes;
-  int64_t synthetic = 8;       // drawn rooms where no scenes are given
-  int64_t synthetic_seed = 0;  // theirs
-  SyntheticOptions generator;
-  std::string out;
-  bool overwrite = false;
-
-  SplatEvaluationOptions();
-  void visit(FieldVisitor& visitor) override;
-  void check() const override;
-};
+struct SplatEvaluationOptions : ScenesSplattingOptions {};
 
 // Means over the held-out views of a scene. PSNR in dB, SSIM.
 struct SplatScores {

@@ -4,6 +4,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/base/option_differences.h"
 #include "gld/metrics/metric.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"
@@ -40,41 +41,24 @@ double error_of(const SplattedScene& scene) {
   return relative_latent_error(scene.splatted, scene.encoded.slice(0, scene.fitted));
 }
 
-void require_statistics(const ModelBundle& bundle, const std::string& where) {
-  for (const BundlePart& part : bundle_parts(bundle.options())) {
-    if (part.kind == BundlePart::Kind::kStatistics && bundle.has(part)) return;
-  }
-  fail(
-      {where, "statistics of its latents, which are normalised by them", "none", "make them with gld stats"});
-}
-
 }  // namespace
 
 SplatPairsOptions::SplatPairsOptions() {
-  generator.frames = 35;
+  synthetic = 400;
   generator.width = generator.height = 128;
   model = "configs/splat";
 }
 
 void SplatPairsOptions::visit(FieldVisitor& visitor) {
-  visit_scenes(visitor, scenes, "generated ones");
-  visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
-  visitor.integer({"synthetic_seed", "seed of the generated scenes"}, synthetic_seed, {0, 1'000'000'000'000});
-  visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
-  visit_out(visitor, out, overwrite);
   visitor.boolean({"resume", "go on with the run in the folder: scenes that are there stay"}, resume);
-  LatentSplattingOptions::visit(visitor);
+  ScenesSplattingOptions::visit(visitor);
 }
 
 void SplatPairsOptions::check() const {
-  LatentSplattingOptions::check();
-  check_out(out, "runs/pairs");
+  ScenesSplattingOptions::check();
   if (resume && overwrite) {
     fail({"--resume, --overwrite", "one of the two", "both",
           "--resume goes on with the run, --overwrite removes it"});
-  }
-  if (scenes.empty() && synthetic == 0) {
-    fail({"gld splat pairs", "scenes", "none", "give --scenes DIR or --synthetic N"});
   }
 }
 
@@ -82,11 +66,12 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   options.check();
   const EarlierRun earlier = options.resume ? EarlierRun::kContinue : earlier_run(options.overwrite);
   check_run_folder(options.out, "splat pairs", earlier);
+  if (options.resume) refuse_other_options(options.out, options);
   KernelSettings settings;
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  require_statistics(bundle, options.model);
+  statistics_of_pictures(bundle, decoded_levels(bundle.options()).front());
   if (decoded_levels(bundle.options()).size() != 1) {
     fail({options.model, "a model whose pictures are decoded of one level, such as an autoencoder",
           fmt::format("one of {} levels", decoded_levels(bundle.options()).size()), "choose another model"});
@@ -101,15 +86,13 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(
         fmt::format("{} of {} scenes are in {}; --resume goes on", index, dataset->size(), folder.string()));
-    const auto file = folder / (dataset->scene_name(index) + ".safetensors");
-    SplattedScene scene;
-    if (options.resume && std::filesystem::is_regular_file(file)) {
-      scene = read_splatted_scene(file);
-      require_same_latent_space(scene.tag, bundle, file.string());
-    } else {
-      scene = splatted_scene(dataset->scene(index), bundle, options, settings);
-      save_splatted_scene(file, scene);
-    }
+    const Scene drawn = dataset->scene(index);
+    // Names of scenes in several folders may be the same.
+    const auto file = folder / fmt::format("{:06}_{}.safetensors", index, drawn.name);
+    if (!options.resume || !std::filesystem::is_regular_file(file))
+      save_splatted_scene(file, splatted_scene(drawn, bundle, options, settings));
+    const SplattedScene scene = read_splatted_scene(file);
+    require_same_normalisation(scene.tag, bundle, file.string());
     errors.push_back(error_of(scene));
     table.add_row({scene.name, scene.fitted, scene.held_out(), errors.back()});
     progress.update(index + 1);

@@ -1,23 +1,12 @@
 #pragma once
 
-#include "datasets/synthetic/synthetic_scene.h"
 #include "infer/splats/latent_splatting.h"
-
-#include <cstdint>
-#include <string>
-#include <vector>
 
 namespace gld {
 
 // gld splat pairs: what a refiner is trained on. Of each scene Gaussians are fitted to some views and show the latents
 // of the others, which are kept beside the encoded ones (models/splats/splatted_scene.h).
-struct SplatPairsOptions : LatentSplattingOptions {
-  std::vector<std::string> scenes;
-  int64_t synthetic = 400;     // drawn rooms where no scenes are given
-  int64_t synthetic_seed = 0;  // theirs
-  SyntheticOptions generator;
-  std::string out;
-  bool overwrite = false;
+struct SplatPairsOptions : ScenesSplattingOptions {
   bool resume = false;
 
   SplatPairsOptions();

@@ -99,7 +99,7 @@ void run_splat_render(const SplatRenderOptions& options,
   DrawSplats draw = [&](Camera& camera) {
     return image_of(splat_picture(set, camera, projection, settings).image);
   };
-  if (options.show != SplatShown::kColours) draw = make_drawing({set, projection, sources, file, settings});
+  if (options.show != SplatShown::kColours) draw = make_drawing({set, projection, file, settings});
   RunFolder run(options.out, "splat render", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat render", options);
   CameraList written;

@@ -43,8 +43,7 @@ struct SplatRenderOptions : OptionsGroup {
 struct DrawnSplats {
   const GaussianSet& set;
   ProjectionOptions projection;
-  std::vector<Camera> sources;  // the cameras of fitted views, or all where none is named so
-  std::filesystem::path file;   // the PLY file
+  std::filesystem::path file;  // the PLY file
   KernelSettings settings;
 };
 // A picture of them; it may have another size than the camera, which is then changed to that.

@@ -177,6 +177,10 @@ void BundleOptions::check() const {
     fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
           std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
   }
+  if (refiner.exists() && has_rgb_decoder()) {
+    fail({"refiner.channels", "none for a model with an RGB decoder: it repairs latents of autoencoders",
+          std::to_string(refiner.channels.size()) + " numbers", "leave them out"});
+  }
   if (refiner.exists()) {
     const int64_t pixels = backbone.architecture().latent_pixels();
     require_equal("refiner.latent_channels", refiner.latent_channels, channels / (pixels * pixels),

@@ -23,8 +23,10 @@ ResidualBlock::ResidualBlock(const ResidualBlockSizes& sizes, const ParameterPla
   norm1_ = norm("norm1", sizes.inputs);
   conv1_ = convolution("conv1", sizes.inputs, 3);
   if (sizes.time_channels > 0) {
-    time_ = register_module("time_emb_proj", std::make_shared<Linear>(
-                                                 LinearSizes{sizes.time_channels, sizes.outputs}, placement));
+    time_ = register_module(
+        "time_emb_proj",
+        std::make_shared<Linear>(
+            LinearSizes{sizes.time_channels, sizes.outputs, true, 1, LinearPacking::kNever}, placement));
   }
   norm2_ = norm("norm2", sizes.outputs);
   conv2_ = convolution("conv2", sizes.outputs, 3);

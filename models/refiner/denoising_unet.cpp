@@ -45,10 +45,13 @@ DenoisingUnet::DenoisingUnet(const RefinerOptions& options, const ParameterPlace
   prompt_ = register_parameter(
       "prompt", torch::empty({options_.prompt_tokens, options_.prompt_channels}, placement.options()));
   const auto time = child_module(*this, "time_embedding");
-  time1_ = time->register_module("linear_1",
-                                 std::make_shared<Linear>(LinearSizes{first, time_channels}, placement));
-  time2_ = time->register_module(
-      "linear_2", std::make_shared<Linear>(LinearSizes{time_channels, time_channels}, placement));
+  const auto of_time = [&](const char* name, int64_t inputs) {
+    return time->register_module(
+        name, std::make_shared<Linear>(LinearSizes{inputs, time_channels, true, 1, LinearPacking::kNever},
+                                       placement));
+  };
+  time1_ = of_time("linear_1", first);
+  time2_ = of_time("linear_2", time_channels);
   const auto convolution = [&](torch::nn::Module& parent, const char* name, const ConvolutionSizes& sizes) {
     return parent.register_module(name, std::make_shared<Convolution>(sizes, placement));
   };

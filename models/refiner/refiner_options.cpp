@@ -34,6 +34,10 @@ void RefinerOptions::visit(FieldVisitor& visitor) {
   visit_choice(visitor, {"attention", "how views see each other: grid, self or cross"}, attention,
                {"grid", "self", "cross"});
   visitor.integer({"references", "views beside the degraded one"}, references, {0, 63});
+  visit_choice(visitor,
+               {"reference_unit",
+                "what distances between cameras are measured in: their mean spacing, or the scene's unit"},
+               reference_unit, {"spacing", "scene"});
 }
 
 void RefinerOptions::check() const {
@@ -61,18 +65,6 @@ void RefinerOptions::check() const {
           std::to_string(channels.front()), "change it"});
   }
   if (attention == ViewAttention::kGrid) view_grid(1 + references);
-}
-
-RefinerOptions turbo_refiner() {
-  RefinerOptions options;
-  options.channels = {320, 640, 1280, 1280};
-  options.heads = {5, 10, 20, 20};
-  options.attending_stages = 3;
-  options.layers_per_block = 2;
-  options.prompt_tokens = 77;
-  options.prompt_channels = 1024;
-  options.form = OneStepForm::kPublished;
-  return options;
 }
 
 }  // namespace gld

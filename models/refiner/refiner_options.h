@@ -20,8 +20,14 @@ enum class OneStepForm {
   kPublished,  // (z - sqrt(1 - a) e) / sqrt(a), of checkpoints of Stable Diffusion's shape
 };
 
-// Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). Defaults beside `channels` are those of the small
-// model; Stable Diffusion Turbo's are turbo_refiner().
+// What distances between cameras are measured in when references are chosen (reference_views.h).
+enum class ReferenceUnit {
+  kSpacing,  // the mean distance of a camera from the one nearest to it: the same for a scene of any unit
+  kScene,    // the scene's own unit (Splatent's code)
+};
+
+// Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). Defaults beside `channels` and `heads` are
+// those of the small model.
 struct RefinerOptions : OptionsGroup {
   std::vector<int64_t>
       channels;                  // of the UNet's stages, each but the last halves the sides; none: no refiner
@@ -35,14 +41,13 @@ struct RefinerOptions : OptionsGroup {
   int64_t timestep = 300;  // tau, of 1000: how noisy the network is told that the latent is
   OneStepForm form = OneStepForm::kIdentity;
   ViewAttention attention = ViewAttention::kGrid;
+
   int64_t references = 3;  // views beside the degraded one
+  ReferenceUnit reference_unit = ReferenceUnit::kSpacing;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
   bool exists() const { return !channels.empty(); }
 };
-
-// The shape of Stable Diffusion 2.x and of its Turbo, with the published update and the prompt of 77 tokens.
-RefinerOptions turbo_refiner();
 
 }  // namespace gld

@@ -68,6 +68,7 @@ torch::Tensor UnetAttention::attended(const Projections& by, const torch::Tensor
   inputs.query = heads(by.query->forward(queries));
   inputs.key = heads(by.key->forward(keys));
   inputs.value = heads(by.value->forward(keys));
+  inputs.precision = attention_precision_;
   return by.output->forward(attention(inputs).flatten(2));
 }
 

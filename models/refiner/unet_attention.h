@@ -1,5 +1,6 @@
 #pragma once
 
+#include "models/layers/layer_precision.h"
 #include "models/layers/layers.h"
 #include "models/layers/residual_block.h"
 #include "models/refiner/refiner_options.h"
@@ -32,7 +33,7 @@ struct UnetAttentionSizes {
 // The transformer block of Stable Diffusion's UNets under diffusers' names (Transformer2DModel with linear
 // projections): x + proj_out(block(proj_in(norm(x)))), the block attention over pixels ("attn1"), over the prompt
 // ("attn2") and a gated feed-forward layer ("ff"), each behind a layer norm and added.
-class UnetAttention : public torch::nn::Module {
+class UnetAttention : public torch::nn::Module, public AttentionPrecisionLayer {
  public:
   UnetAttention(const UnetAttentionSizes& sizes, const ParameterPlacement& placement);
   // maps: (scenes views, channels, height, width); prompt: (tokens, prompt_channels).

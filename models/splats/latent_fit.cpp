@@ -111,30 +111,30 @@ std::vector<LatentFit> read_latent_fits(const std::filesystem::path& file,
   for (const auto& [name, json] : tags.items()) {
     const auto tag = tag_of_json(json);
     if (!tag) refuse("the latent space of " + name, "something else");
-    LatentFit fit;
-    fit.tag = *tag;
-    const auto vector = [&](const std::string& part) {
-      auto values = read_tensor(*weights, name + part);
-      if (values.dim() != 1 || values.size(0) != tag->channels || values.scalar_type() != torch::kFloat32)
-        refuse(fmt::format("{}{} of {} float32 numbers", name, part, tag->channels),
-               c10::str(values.sizes()));
+    // A tensor of these sizes (0: any) and type, finite.
+    const auto tensor = [&](const std::string& part, const std::vector<int64_t>& sizes, torch::Dtype type) {
+      const auto values = read_tensor(*weights, name + part);
+      bool fits_tag = values.dim() == static_cast<int64_t>(sizes.size()) && values.scalar_type() == type;
+      for (size_t i = 0; fits_tag && i < sizes.size(); ++i)
+        fits_tag = sizes[i] == 0 || values.size(static_cast<int64_t>(i)) == sizes[i];
+      if (!fits_tag) {
+        refuse(fmt::format("{}{} of shape ({}), {}, 0 being any", name, part, fmt::join(sizes, ", "),
+                           c10::toString(type)),
+               fmt::format("{}, {}", c10::str(values.sizes()), c10::toString(values.scalar_type())));
+      }
+      if (!values.isfinite().all().item<bool>())
+        refuse("finite numbers in " + name + part, "NaN or infinity");
       return values;
     };
-    fit.features = read_tensor(*weights, name + ".features");
-    if (fit.features.dim() != 2 || fit.features.size(1) != tag->channels ||
-        fit.features.scalar_type() != torch::kFloat32)
-      refuse(fmt::format("{}.features, (gaussians, {}), float32", name, tag->channels),
-             c10::str(fit.features.sizes()));
-    fit.statistics.mean = vector(".mean");
-    fit.statistics.variance = vector(".deviation").square();
+    LatentFit fit;
+    fit.tag = *tag;
+    fit.features = tensor(".features", {0, tag->channels}, torch::kFloat32);
+    fit.statistics.mean = tensor(".mean", {tag->channels}, torch::kFloat32);
+    fit.statistics.variance = tensor(".deviation", {tag->channels}, torch::kFloat32).square();
     fit.statistics.epsilon = 0;
     if (weights->find(name + ".encoded") != nullptr) {
-      fit.encoded = read_tensor(*weights, name + ".encoded").to(torch::kFloat32);
-      if (fit.encoded.dim() != 4 ||
-          !fit.encoded.sizes().slice(1).equals({tag->channels, tag->height, tag->width})) {
-        refuse(fmt::format("{}.encoded, (views, {}, {}, {})", name, tag->channels, tag->height, tag->width),
-               c10::str(fit.encoded.sizes()));
-      }
+      fit.encoded = tensor(".encoded", {0, tag->channels, tag->height, tag->width}, torch::kFloat16)
+                        .to(torch::kFloat32);
     }
     fits.push_back(std::move(fit));
   }

@@ -78,9 +78,9 @@ const LevelGenerator* generator_of(const BundleOptions& bundle, int64_t level) {
 }  // namespace
 
 nlohmann::ordered_json tag_json(const LatentTag& tag) {
-  return {{"model", tag.model},   {"backbone", tag.backbone},    {"backbone_hash", tag.backbone_hash},
-          {"level", tag.level},   {"channels", tag.channels},    {"width", tag.width},
-          {"height", tag.height}, {"statistics", tag.statistics}};
+  return {{"model", tag.model},   {"backbone", tag.backbone},     {"backbone_hash", tag.backbone_hash},
+          {"level", tag.level},   {"channels", tag.channels},     {"width", tag.width},
+          {"height", tag.height}, {"statistics", tag.statistics}, {"statistics_hash", tag.statistics_hash}};
 }
 
 std::optional<LatentTag> tag_of_json(const nlohmann::json& json) {
@@ -94,8 +94,13 @@ std::optional<LatentTag> tag_of_json(const nlohmann::json& json) {
     tag.width = json.at("width").get<int64_t>();
     tag.height = json.at("height").get<int64_t>();
     tag.statistics = json.at("statistics").get<std::string>();
+    tag.statistics_hash = json.at("statistics_hash").get<std::string>();
   } catch (const nlohmann::json::exception&) {
     return std::nullopt;
+  }
+  constexpr int64_t kMost = 1 << 16;
+  for (const int64_t count : {tag.channels, tag.width, tag.height}) {
+    if (count < 1 || count > kMost) return std::nullopt;
   }
   return tag;
 }
@@ -105,7 +110,23 @@ Camera LatentPictures::camera_of(const Camera& of_image) const {
 }
 
 torch::Tensor LatentPictures::raw(const SplatImage& picture) const {
-  return statistics.denormalise(tensor_of(picture).permute({1, 2, 0})).permute({2, 0, 1}).contiguous();
+  return raw_latents(tensor_of(picture).unsqueeze(0), statistics)[0];
+}
+
+torch::Tensor raw_latents(const torch::Tensor& normalised, const LatentStatistics& statistics) {
+  return statistics.denormalise(normalised.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+}
+
+LatentStatistics statistics_of_pictures(const ModelBundle& bundle, int64_t level) {
+  const BundleOptions& options = bundle.options();
+  const LevelGenerator* generator = generator_of(options, level);
+  if (generator == nullptr || !bundle.has(BundlePart::statistics(level))) {
+    fail({bundle.folder().string(),
+          fmt::format("statistics of level {}, which its latents are normalised by", level), "none",
+          "make them with gld stats"});
+  }
+  return of_pixels(bundle.load_statistics(*generator).patches,
+                   options.backbone.architecture().latent_pixels());
 }
 
 std::vector<int64_t> latent_levels(const std::vector<std::string>& names, const BundleOptions& bundle,
@@ -176,10 +197,9 @@ std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, co
     tag.backbone_hash = hash;
     tag.level = level;
     tag.statistics = of_model ? "of the model" : "of the views";
+    if (of_model) tag.statistics_hash = sha256_of_file(bundle.file(BundlePart::statistics(level)));
     result.push_back(normalised_pictures(
-        latents,
-        of_model ? of_pixels(bundle.load_statistics(*generator).patches, token_pixels) : of_views(latents),
-        std::move(tag)));
+        latents, of_model ? statistics_of_pictures(bundle, level) : of_views(latents), std::move(tag)));
   }
   return result;
 }
@@ -200,17 +220,19 @@ std::vector<int64_t> decoded_levels(const BundleOptions& bundle) {
   return bundle.level_set().decoded_levels();
 }
 
-torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<torch::Tensor>& maps) {
+LatentDecoding::LatentDecoding(const ModelBundle& bundle)
+    : backbone_(bundle.load_backbone()), decoder_(bundle.load_image_decoder()) {}
+
+torch::Tensor LatentDecoding::operator()(const std::vector<torch::Tensor>& maps) const {
   const at::NoGradGuard no_gradients;
-  const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
-  const int64_t token_pixels = backbone->architecture().latent_pixels();
+  const int64_t token_pixels = backbone_->architecture().latent_pixels();
   std::vector<torch::Tensor> levels;
   levels.reserve(maps.size());
   for (const auto& level : maps)
-    levels.push_back(backbone->normalise_for_decoding(tokens_of_latents(level, token_pixels)));
+    levels.push_back(backbone_->normalise_for_decoding(tokens_of_latents(level, token_pixels)));
   const auto& first = maps.front();
   const LatentGrid grid{first.size(0), first.size(2) / token_pixels, first.size(3) / token_pixels};
-  return bundle.load_image_decoder()->decode(torch::cat(levels, 2), grid);
+  return decoder_->decode(torch::cat(levels, 2), grid);
 }
 
 SplatImage splat_image_of(const torch::Tensor& picture) {

@@ -6,6 +6,7 @@
 #include "models/bundle/bundle.h"
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -25,6 +26,7 @@ struct LatentTag {
   int64_t channels = 0;
   int64_t width = 0, height = 0;  // of a view in latent pixels, where the features were fitted
   std::string statistics;         // what they are normalised by: "of the model" or "of the views"
+  std::string statistics_hash;    // SHA-256 of the model's, else empty
 };
 nlohmann::ordered_json tag_json(const LatentTag& tag);
 // What tag_json wrote; none for anything else.
@@ -42,6 +44,11 @@ struct LatentPictures {
   // (channels, height, width), raw: before normalisation.
   torch::Tensor raw(const SplatImage& picture) const;
 };
+// Normalised latents (views, channels, height, width) as they were before.
+torch::Tensor raw_latents(const torch::Tensor& normalised, const LatentStatistics& statistics);
+
+// The bundle's statistics of a level, of a channel of its pictures. Throws Error where it has none.
+LatentStatistics statistics_of_pictures(const ModelBundle& bundle, int64_t level);
 
 // The levels that `names` says: numbers from 0, or "all". Error for other words and for levels that the backbone does
 // not have; option names what was asked ("--features").
@@ -71,7 +78,15 @@ std::vector<LatentView> latent_views(const std::vector<LatentPictures>& levels,
 std::vector<int64_t> decoded_levels(const BundleOptions& bundle);
 // Images of maps of those levels, in their order, raw, (views, channels, height, width), as LatentPictures::raw gives
 // them: (views, 3, height, width), RGB in about [0, 1]. Bundle: only the backbone and the image decoder are read.
-torch::Tensor decode_latent_maps(const ModelBundle& bundle, const std::vector<torch::Tensor>& maps);
+class LatentDecoding {
+ public:
+  explicit LatentDecoding(const ModelBundle& bundle);
+  torch::Tensor operator()(const std::vector<torch::Tensor>& maps) const;
+
+ private:
+  std::shared_ptr<const Backbone> backbone_;
+  std::shared_ptr<const ImageDecoder> decoder_;
+};
 
 // (channels, height, width) and back.
 SplatImage splat_image_of(const torch::Tensor& picture);

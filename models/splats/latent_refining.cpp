@@ -14,11 +14,9 @@
 namespace gld {
 
 bool has_refiner(const ModelBundle& bundle) {
-  if (!bundle.options().refiner.exists() || !bundle.has(BundlePart::refiner())) return false;
-  for (const BundlePart& part : bundle_parts(bundle.options())) {
-    if (part.kind == BundlePart::Kind::kStatistics && bundle.has(part)) return true;
-  }
-  return false;
+  // Refiners are of autoencoders, which have one level.
+  return bundle.options().refiner.exists() && bundle.has(BundlePart::refiner()) &&
+         bundle.has(BundlePart::statistics(0));
 }
 
 int64_t references_taken(const RefinerOptions& options, int64_t available) {
@@ -44,7 +42,7 @@ torch::Tensor LatentRefining::operator()(const Camera& camera, const torch::Tens
   const auto available = static_cast<int64_t>(cameras_.size());
   std::vector<torch::Tensor> views = {degraded};
   for (const int64_t view : nearest_references(camera, cameras_, references_taken(unet_.options(), available),
-                                               ReferenceUnit::kSpacing))
+                                               unet_.options().reference_unit))
     views.push_back(encoded_[view]);
   auto refined = refined_latents(unet_, torch::stack(views).unsqueeze(0))[0];
   if (!refined.isfinite().all().item<bool>()) {

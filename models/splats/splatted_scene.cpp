@@ -98,17 +98,25 @@ SplattedScene read_splatted_scene(const std::filesystem::path& file) {
   const auto poses = tensor_like(*weights, "world_from_camera", torch::kFloat64, 3);
   const int64_t views = scene.pictures.size(0);
   scene.fitted = views - scene.splatted.size(0);
-  const bool agree =
-      views > 0 && scene.pictures.size(1) == 3 && scene.fitted > 0 && scene.splatted.size(0) > 0 &&
-      note_of(*weights, kFittedKey) == std::to_string(scene.fitted) && scene.encoded.size(0) == views &&
-      scene.encoded.sizes().slice(1).equals({scene.tag.channels, scene.tag.height, scene.tag.width}) &&
-      scene.splatted.sizes().slice(1).equals(scene.encoded.sizes().slice(1)) &&
-      intrinsics.sizes().equals({views, 3, 3}) && poses.sizes().equals({views, 4, 4});
-  if (!agree) {
-    fail_at(file, "pictures, latents and cameras of as many views, of which some are splatted",
-            fmt::format("pictures {}, encoded {}, splatted {}, cameras {}", c10::str(scene.pictures.sizes()),
-                        c10::str(scene.encoded.sizes()), c10::str(scene.splatted.sizes()),
-                        c10::str(poses.sizes())));
+  const auto expect = [&](bool holds, const std::string& expected, at::IntArrayRef found) {
+    if (!holds) fail_at(file, expected, c10::str(found));
+  };
+  expect(views > 0 && scene.pictures.size(1) == 3 && scene.pictures.numel() > 0,
+         "pictures (views, 3, height, width)", scene.pictures.sizes());
+  expect(scene.encoded.sizes().equals({views, scene.tag.channels, scene.tag.height, scene.tag.width}),
+         fmt::format("encoded latents of {} views, {} channels and {}x{} pixels", views, scene.tag.channels,
+                     scene.tag.width, scene.tag.height),
+         scene.encoded.sizes());
+  expect(scene.fitted > 0 && scene.splatted.size(0) > 0 &&
+             scene.splatted.sizes().slice(1).equals(scene.encoded.sizes().slice(1)),
+         "splatted latents of some of the views", scene.splatted.sizes());
+  expect(intrinsics.sizes().equals({views, 3, 3}), fmt::format("intrinsics of {} views", views),
+         intrinsics.sizes());
+  expect(poses.sizes().equals({views, 4, 4}), fmt::format("world_from_camera of {} views", views),
+         poses.sizes());
+  if (note_of(*weights, kFittedKey) != std::to_string(scene.fitted)) {
+    fail_at(file, fmt::format("{} fitted views, those that are not splatted", scene.fitted),
+            note_of(*weights, kFittedKey) + " in gld:fitted");
   }
   if (!scene.encoded.isfinite().all().item<bool>() || !scene.splatted.isfinite().all().item<bool>())
     fail_at(file, "finite latents", "NaN or infinity");
@@ -147,6 +155,18 @@ void require_same_latent_space(const LatentTag& tag, const ModelBundle& bundle, 
     fail({where,
           fmt::format("latents of the backbone of {}, {}", bundle.folder().string(), hash.substr(0, 12)),
           fmt::format("those of {}, {}", tag.model, tag.backbone_hash.substr(0, 12)),
+          "make them again with this model"});
+  }
+}
+
+void require_same_normalisation(const LatentTag& tag, const ModelBundle& bundle, const std::string& where) {
+  require_same_latent_space(tag, bundle, where);
+  const auto statistics = bundle.file(BundlePart::statistics(tag.level));
+  const std::string hash =
+      bundle.has(BundlePart::statistics(tag.level)) ? sha256_of_file(statistics) : std::string("none");
+  if (tag.statistics_hash != hash) {
+    fail({where, fmt::format("latents normalised by {}, {}", statistics.string(), hash.substr(0, 12)),
+          tag.statistics_hash.empty() ? tag.statistics : tag.statistics_hash.substr(0, 12),
           "make them again with this model"});
   }
 }

@@ -41,5 +41,7 @@ std::vector<std::filesystem::path> splatted_scene_files(const std::filesystem::p
 
 // Throws Error where latents are not those of this bundle's backbone; where: whose they are.
 void require_same_latent_space(const LatentTag& tag, const ModelBundle& bundle, const std::string& where);
+// The same, and where they are not normalised by this bundle's statistics, under which a refiner learns.
+void require_same_normalisation(const LatentTag& tag, const ModelBundle& bundle, const std::string& where);
 
 }  // namespace gld

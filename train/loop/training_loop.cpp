@@ -359,6 +359,8 @@ void Session::save_offending_batch() const {
     const std::string prefix = "scene" + std::to_string(i) + ".";
     tensors[prefix + "images"] = scene.images;
     if (scene.depth.defined()) tensors[prefix + "depth"] = scene.depth;
+    if (scene.encoded.defined()) tensors[prefix + "encoded"] = scene.encoded;
+    if (scene.splatted.defined()) tensors[prefix + "splatted"] = scene.splatted;
     const auto views = static_cast<int64_t>(scene.views.cameras.size());
     torch::Tensor poses = torch::zeros({views, 4, 4}, torch::kFloat64);
     torch::Tensor intrinsics = torch::zeros({views, 3, 3}, torch::kFloat64);

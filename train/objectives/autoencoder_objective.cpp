@@ -1,25 +1,20 @@
 #include "train/objectives/autoencoder_objective.h"
 
+#include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
 #include "models/layers/layer_precision.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/scene_pixels.h"
 
 #include <algorithm>
+#include <string>
 #include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
 
+#include <fmt/format.h>
+
 namespace gld {
-
-void AutoencoderObjectiveOptions::visit(FieldVisitor& visitor) {
-  visitor.real({"reconstruction_weight", "of the absolute error of images"}, reconstruction_weight, {0, 1e6});
-  visitor.real({"divergence_weight", "of the latents' distance from standard normal ones"}, divergence_weight,
-               {0, 1e6});
-  visitor.integer({"crop", "side in pixels of the square of each image that is learnt from; 0: all of it"},
-                  crop, {0, 65536});
-}
-
 namespace {
 
 // A square of that side of each image, wherever the generator puts it; all of images that are no larger.
@@ -40,11 +35,24 @@ torch::Tensor cropped(const torch::Tensor& images, int64_t side, torch::Generato
 
 }  // namespace
 
+void AutoencoderObjectiveOptions::visit(FieldVisitor& visitor) {
+  visitor.real({"reconstruction_weight", "of the absolute error of images"}, reconstruction_weight, {0, 1e6});
+  visitor.real({"divergence_weight", "of the latents' distance from standard normal ones"}, divergence_weight,
+               {0, 1e6});
+  visitor.integer({"crop", "side in pixels of the square of each image that is learnt from; 0: all of it"},
+                  crop, {0, 65536});
+}
+
 AutoencoderObjective::AutoencoderObjective(const BundleOptions& model,
                                            const AutoencoderObjectiveOptions& options,
                                            const ParameterPlacement& placement, int64_t seed,
                                            std::shared_ptr<Backbone> trained)
     : model_(model), options_(options), placement_(placement), backbone_(std::move(trained)) {
+  const int64_t side = model_.backbone.patch_side();
+  if (options_.crop % side != 0) {
+    fail({"autoencoder.crop", fmt::format("0 or a multiple of {}, the autoencoder's patches", side),
+          std::to_string(options_.crop), "choose whole patches"});
+  }
   if (backbone_) return;
   backbone_ = model_.backbone.make(placement);
   backbone_->initialise(at::detail::createCPUGenerator(static_cast<uint64_t>(seed)));

@@ -78,7 +78,8 @@ std::vector<NamedParameter> RefinerObjective::parameters() const { return named_
 
 torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
   const int64_t pixels = autoencoder_->architecture().latent_pixels();
-  const auto raw = latents_.denormalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+
+  const auto raw = raw_latents(latents, latents_);
   const LatentGrid grid{raw.size(0), raw.size(2) / pixels, raw.size(3) / pixels};
   return autoencoder_->decode(autoencoder_->normalise_for_decoding(tokens_of_latents(raw, pixels)), grid);
 }

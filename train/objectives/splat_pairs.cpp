@@ -3,6 +3,8 @@
 #include "gld/base/error.h"
 #include "gld/base/mixed_bits.h"
 
+#include <algorithm>
+#include <set>
 #include <utility>
 
 #include <fmt/format.h>
@@ -18,10 +20,6 @@ void SplatPairOptions::visit(FieldVisitor& visitor) {
                   {0, 100000});
   visitor.integer({"batch_size", "target views of a micro-batch"}, batch_size, {1, 4096});
   visitor.integer({"seed", "of the order of scenes and views"}, seed, {0, 1'000'000'000'000});
-  visit_choice(
-      visitor,
-      {"unit", "what distances between cameras are measured in: their mean spacing, or the scene's unit"},
-      unit, {"spacing", "scene"});
 }
 
 void SplatPairOptions::check() const {
@@ -31,23 +29,34 @@ void SplatPairOptions::check() const {
   }
 }
 
-SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, int64_t references,
+SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, const RefinerOptions& refiner,
                                    const ModelBundle& bundle)
-    : options_(options), references_(references) {
+    : options_(options), refiner_(refiner) {
   options_.check();
   const auto read = [&](const std::string& folder, std::vector<SplattedScene>& scenes) {
     for (const auto& file : splatted_scene_files(folder)) {
       scenes.push_back(read_splatted_scene(file));
       const SplattedScene& scene = scenes.back();
-      if (scenes.size() == 1) require_same_latent_space(scene.tag, bundle, file.string());
+      if (scenes.size() == 1) require_same_normalisation(scene.tag, bundle, file.string());
       const auto& first = scenes.front();
       if (!scene.pictures.sizes().slice(1).equals(first.pictures.sizes().slice(1)) ||
-          scene.tag.backbone_hash != first.tag.backbone_hash) {
+          scene.tag.backbone_hash != first.tag.backbone_hash ||
+          scene.tag.statistics_hash != first.tag.statistics_hash) {
         fail({file.string(), "pictures of one size and latents of one model, as in " + first.name, "others",
               "keep them in folders of their own"});
       }
-      if (scene.fitted < references_) {
-        fail({file.string(), fmt::format("at least {} fitted views, the refiner's references", references_),
+      const auto& backbone = bundle.options().backbone.architecture();
+      const int64_t pixels = backbone.patch_side() / backbone.latent_pixels();
+      if (scene.encoded.size(2) * pixels != scene.pictures.size(2) ||
+          scene.encoded.size(3) * pixels != scene.pictures.size(3)) {
+        fail({file.string(), fmt::format("a latent pixel for {0}x{0} pixels of the pictures", pixels),
+              fmt::format("{}x{} for {}x{}", scene.encoded.size(3), scene.encoded.size(2),
+                          scene.pictures.size(3), scene.pictures.size(2)),
+              "make it again with gld splat pairs"});
+      }
+      if (scene.fitted < refiner_.references) {
+        fail({file.string(),
+              fmt::format("at least {} fitted views, the refiner's references", refiner_.references),
               std::to_string(scene.fitted), "fit more views, or train a refiner with fewer references"});
       }
     }
@@ -58,18 +67,21 @@ SplatPairBatches::SplatPairBatches(const SplatPairOptions& options, int64_t refe
   if (!options_.validation_pairs.empty()) {
     read(options_.validation_pairs, validation_);
     if (validation_.size() > wanted) validation_.resize(wanted);
-    return;
+  } else {
+    const size_t all = scenes_.size();
+    for (size_t i = 0; i < all; ++i) {
+      if ((i + 1) * wanted / all > i * wanted / all) validation_.push_back(scenes_[i]);
+    }
   }
-  if (scenes_.size() <= wanted) {
-    fail({"--validation-scenes", fmt::format("fewer than the {} scenes of --pairs", scenes_.size()),
-          std::to_string(wanted), "lower it, or name --validation-pairs"});
+  // A scene may be in several folders, with more views fitted in one than in the other.
+  std::set<std::string> names;
+  for (const SplattedScene& scene : validation_) names.insert(scene.name);
+  const auto validated = [&](const SplattedScene& scene) { return names.count(scene.name) > 0; };
+  scenes_.erase(std::remove_if(scenes_.begin(), scenes_.end(), validated), scenes_.end());
+  if (scenes_.empty()) {
+    fail({"--pairs", "scenes of other names than those that are validated on", "none",
+          "lower --validation-scenes, or make more"});
   }
-  std::vector<SplattedScene> trained;
-  for (size_t i = 0; i < scenes_.size(); ++i) {
-    const bool apart = (i + 1) * wanted / scenes_.size() > i * wanted / scenes_.size();
-    (apart ? validation_ : trained).push_back(std::move(scenes_[i]));
-  }
-  scenes_ = std::move(trained);
 }
 
 TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t held_out) const {
@@ -83,7 +95,8 @@ TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t hel
     pictures.push_back(scene.pictures[view]);
     encoded.push_back(scene.encoded[view]);
   };
-  for (const int64_t view : nearest_references(camera, scene.fitted_cameras(), references_, options_.unit))
+  for (const int64_t view :
+       nearest_references(camera, scene.fitted_cameras(), refiner_.references, refiner_.reference_unit))
     take(view);
   result.views.num_sources = result.views.size();
   take(target);

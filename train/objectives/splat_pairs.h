@@ -15,12 +15,13 @@ namespace gld {
 // Which splatted scenes a refiner is trained on.
 struct SplatPairOptions : OptionsGroup {
   std::vector<std::string> pairs;  // folders of gld splat pairs, their pairs/
-  // The same of other scenes; empty: validation_scenes of pairs, evenly spread, which are not trained on.
+
+  // The same of other scenes; empty: validation_scenes of pairs, evenly spread. No scene of such a name is trained on.
   std::string validation_pairs;
   int64_t validation_scenes = 16;
   int64_t batch_size = 8;  // pairs of a micro-batch
+
   int64_t seed = 0;
-  ReferenceUnit unit = ReferenceUnit::kSpacing;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;
@@ -29,8 +30,8 @@ struct SplatPairOptions : OptionsGroup {
 // Scenes of one target view that nothing was fitted to, and the views nearest to it as its sources.
 class SplatPairBatches : public TrainingBatchSource {
  public:
-  // references: views beside the target; Error where a scene has fewer.
-  SplatPairBatches(const SplatPairOptions& options, int64_t references, const ModelBundle& bundle);
+  // Error where a scene has fewer fitted views than the refiner's references, or latents of another model.
+  SplatPairBatches(const SplatPairOptions& options, const RefinerOptions& refiner, const ModelBundle& bundle);
   // A scene and one of its held-out views each, drawn by the seed and the batch's number.
   TrainingBatch batch(int64_t index) const override;
   // The first held-out view of every validation scene.
@@ -40,7 +41,8 @@ class SplatPairBatches : public TrainingBatchSource {
   TrainingScene scene_of(const SplattedScene& scene, int64_t held_out) const;
 
   SplatPairOptions options_;
-  int64_t references_;
+
+  RefinerOptions refiner_;
   std::vector<SplattedScene> scenes_, validation_;
 };
 

@@ -5,19 +5,6 @@
 #include <iostream>
 
 namespace gld {
-namespace {
-
-// The autoencoder's latents are normalised as the model that would generate them has it.
-const LevelGenerator& generator_of_latents(const ModelBundle& bundle) {
-  for (const auto& part : bundle.options().generators) {
-    if (bundle.has(BundlePart::statistics(part.generator.level))) return part.generator;
-  }
-  fail({bundle.folder().string(), "statistics of its latents, which are normalised by them", "none",
-        "make them with gld stats"});
-}
-
-}  // namespace
-
 TrainRefinerOptions::TrainRefinerOptions() {
   loop.optimiser.clip_norm = 1.0;
   loop.optimiser.ema_decay = 0.998;
@@ -45,18 +32,13 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
     fail({options.model + "/model.yaml", "a refiner", "none",
           "add for example refiner: {channels: [64, 96, 128], heads: [2, 3, 4]}"});
   }
-  if (model.has_rgb_decoder()) {
-    fail({"train refiner", "a model whose backbone decodes images itself, an autoencoder",
-          "one with an RGB decoder", "choose another model"});
-  }
   if (options.objective.perceptual.weight > 0 && options.objective.perceptual.lpips_backbone.empty())
     std::cerr << "note: " << standin_note() << ".\n";
   TrainingStage stage;
   stage.command = "train refiner";
   stage.made = {BundlePart::refiner()};
   stage.data = [&options](const ModelBundle& bundle) {
-    const auto pairs =
-        std::make_shared<SplatPairBatches>(options.data, bundle.options().refiner.references, bundle);
+    const auto pairs = std::make_shared<SplatPairBatches>(options.data, bundle.options().refiner, bundle);
     StageData data;
     data.batches = pairs;
     data.validation = [pairs] { return pairs->validation(); };
@@ -65,7 +47,7 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     auto objective = std::make_unique<RefinerObjective>(
         bundle.options(), options.objective, bundle.load_backbone(placement),
-        bundle.load_statistics(generator_of_latents(bundle)).patches, placement, options.loop.seed);
+        statistics_of_pictures(bundle, 0), placement, options.loop.seed);
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_refiner(placement));
     return objective;
   };

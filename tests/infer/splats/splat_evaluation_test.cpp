@@ -60,7 +60,7 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
 
   options.synthetic = 0;
   EXPECT_EQ(error_of([&] { run_splat_evaluation(options); }),
-            "gld splat eval: expected scenes, found none; give --scenes DIR or --synthetic N.");
+            "scenes: expected --scenes DIR or --synthetic N, found neither; give one of them.");
 }
 
 }  // namespace

@@ -56,7 +56,8 @@ class SplatPairs : public testing::Test {
     make_small(options_, bundle_, folder_.path() / "run");
   }
   std::filesystem::path file(int64_t scene) const {
-    return folder_.path() / "run" / "pairs" / ("synthetic_0_00000" + std::to_string(scene) + ".safetensors");
+    const std::string number = "00000" + std::to_string(scene);
+    return folder_.path() / "run" / "pairs" / (number + "_synthetic_0_" + number + ".safetensors");
   }
   TemporaryFolder folder_;
   ModelBundle bundle_;
@@ -93,10 +94,31 @@ TEST_F(SplatPairs, GoOnBehindTheScenesThatAreThere) {
   EXPECT_EQ(read_file(file(1)), second);
 }
 
+TEST_F(SplatPairs, OfFoldersKeepToTheRun) {
+  SynthOptions rooms;
+  rooms.scene.scene_count = 1;
+  rooms.scene.frames = 6;
+  rooms.scene.width = rooms.scene.height = 64;
+  rooms.threads = 1;
+  for (const char* name : {"a", "b"}) {
+    rooms.out = (folder_.path() / name).string();
+    quietly([&] { run_synth(rooms); });
+  }
+  options_.scenes = {(folder_.path() / "a").string(), (folder_.path() / "b").string()};
+  quietly([&] { run_splat_pairs(options_); });
+  // One name in both, two files.
+  const auto files = splatted_scene_files(folder_.path() / "run" / "pairs");
+  ASSERT_EQ(files.size(), 2U);
+  EXPECT_EQ(read_splatted_scene(files[0]).name, read_splatted_scene(files[1]).name);
+  options_.resume = true;
+  options_.held_out = 1;
+  EXPECT_THAT(error_of([&] { run_splat_pairs(options_); }), HasSubstr("held_out"));
+}
+
 TEST_F(SplatPairs, NeedStatisticsAndOneLevel) {
   std::filesystem::remove(bundle_.file(BundlePart::statistics(0)));
   EXPECT_THAT(error_of([&] { run_splat_pairs(options_); }),
-              HasSubstr("expected statistics of its latents, which are normalised by them, found none"));
+              HasSubstr("expected statistics of level 0, which its latents are normalised by, found none"));
   options_.resume = options_.overwrite = true;
   EXPECT_THAT(error_of([&] { options_.check(); }),
               HasSubstr("--resume, --overwrite: expected one of the two"));

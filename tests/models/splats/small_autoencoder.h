@@ -20,7 +20,7 @@ inline BundleOptions small_autoencoder_model() {
   autoencoder.layers_per_block = 1;
   autoencoder.norm_groups = 4;
   autoencoder.scaling_factor = 1;
-  autoencoder.latent_patch = 1;
+  autoencoder.latent_patch = 2;
   BackboneOptions backbone;
   backbone = autoencoder;
   BundleOptions model = single_level_options("small autoencoder", backbone);

@@ -66,9 +66,14 @@ TEST_F(SplattedScenes, SayWhatIsWrongWithThem) {
       HasSubstr("expected splatted of 4 dimensions and type Half, found shape [2, 4, 4, 4], Float" + made));
   EXPECT_THAT(
       error_with("encoded", scene.encoded.slice(0, 1).to(torch::kFloat16)),
-      HasSubstr("expected pictures, latents and cameras of as many views, of which some are splatted"));
+      HasSubstr("expected encoded latents of 6 views, 4 channels and 4x4 pixels, found [1, 4, 4, 4]" + made));
   EXPECT_THAT(error_with("encoded", (scene.encoded / 0).to(torch::kFloat16)),
               HasSubstr("expected finite latents, found NaN or infinity" + made));
+  EXPECT_THAT(error_with("intrinsics", torch::zeros({5, 3, 3}, torch::kFloat64)),
+              HasSubstr("expected intrinsics of 6 views, found [5, 3, 3]" + made));
+  EXPECT_THAT(
+      error_with("splatted", scene.splatted.slice(0, 1).to(torch::kFloat16)),
+      HasSubstr("expected 5 fitted views, those that are not splatted, found 4 in gld:fitted" + made));
   EXPECT_THAT(error_with("intrinsics", torch::zeros({6, 3, 3}, torch::kFloat64)), HasSubstr("view 0"));
   const auto empty = folder_.path() / "empty";
   std::filesystem::create_directory(empty);
@@ -86,6 +91,11 @@ TEST_F(SplattedScenes, BelongToOneAutoencoder) {
   const auto another = ModelBundle::open(folder_.path() / "another");
   EXPECT_THAT(error_of([&] { require_same_latent_space(tag, another, "here"); }),
               HasSubstr("here: expected latents of the backbone of " + another.folder().string()));
+  EXPECT_NO_THROW(require_same_normalisation(tag, bundle_, "here"));
+  save_bundle_part(bundle_.folder(), BundlePart::statistics(0),
+                   statistics_tensors({torch::zeros(4), torch::full({4}, 2.0F)}));
+  EXPECT_THAT(error_of([&] { require_same_normalisation(tag, bundle_, "here"); }),
+              HasSubstr("here: expected latents normalised by"));
 }
 
 TEST_F(SplattedScenes, AreRepairedBesideAsManyViewsAsThereAre) {

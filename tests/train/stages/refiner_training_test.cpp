@@ -92,11 +92,45 @@ TEST_F(RefinerStage, StepsInOneCallEqualStepsInSeveral) {
             read_file(folder_.path() / "parts/model/refiner.safetensors"));
 }
 
+TEST_F(RefinerStage, AValidatedSceneIsNotTrainedOnInAnotherFolderEither) {
+  std::filesystem::create_directory(folder_.path() / "again");
+  for (uint64_t seed = 1; seed <= 2; ++seed) {
+    const SplattedScene scene = test::half_splatted_scene(bundle_, seed);
+    save_splatted_scene(folder_.path() / "again" / (scene.name + ".safetensors"), scene);
+  }
+  SplatPairOptions data = options("run").data;
+  data.validation_pairs = (folder_.path() / "again").string();
+  data.validation_scenes = 2;
+  data.batch_size = 32;
+  const SplatPairBatches pairs(data, bundle_.options().refiner, bundle_);
+  ASSERT_EQ(pairs.validation().size(), 2U);
+  for (const TrainingScene& scene : pairs.batch(0).scenes)
+    EXPECT_THAT(scene.name, testing::AnyOf("scene_3", "scene_4"));
+}
+
+TEST_F(RefinerStage, GoesOnWithTrainedWeightsAndComparesWithPhotographs) {
+  auto first = options("first");
+  train_refiner(first, {});
+  auto second = options("second");
+  second.model = (folder_.path() / "first/model").string();
+  second.objective.start = ModelStart::kBundle;
+  second.objective.truth = RefinerTruth::kPhotograph;
+  second.loop.learning_rate.peak = second.loop.learning_rate.final = 1e-9;
+  train_refiner(second, {});
+  const auto weights = [&](const char* run) {
+    return ModelBundle::open(folder_.path() / run / "model").load_refiner()->parameters().front();
+  };
+  EXPECT_LT((weights("first") - weights("second")).abs().max().item<double>(), 1e-6);
+  // The autoencoder's own pictures are another truth than the photographs.
+  EXPECT_NE(series("first", "picture").front().second, series("second", "picture").front().second);
+}
+
 TEST_F(RefinerStage, SaysWhatItLacks) {
   auto training = options("run");
   training.data.validation_scenes = 4;
-  EXPECT_THAT(error_of([&] { train_refiner(training, {}); }),
-              HasSubstr("--validation-scenes: expected fewer than the 4 scenes of --pairs, found 4"));
+  EXPECT_THAT(
+      error_of([&] { train_refiner(training, {}); }),
+      HasSubstr("--pairs: expected scenes of other names than those that are validated on, found none"));
   training = options("run");
   training.data.pairs = {};
   EXPECT_THAT(error_of([&] { training.check(); }),
