@@ -2,7 +2,7 @@
 # Trains configs/splat from nothing: the autoencoder, statistics of its latents, pairs of splatted and encoded latents, and
 # the refiner. Every stage goes on where it was interrupted: run it again.
 #   scripts/train_splat.sh [RUNS]       trains; Ctrl-C or SIGTERM writes checkpoints and stops
-#   scripts/train_splat.sh keep [RUNS]  copies weights, curves and reports so far into configs/splat, for git
+#   scripts/train_splat.sh keep [RUNS]  copies weights, curves and reports of finished stages into configs/splat, for git
 # RUNS is runs/splat by default. GLD=PROGRAM takes another program than build/release's.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -21,7 +21,7 @@ if [ "$action" = keep ]; then
     [ -f "$runs/$stage/report.json" ] || continue
     latest=$runs/$stage/model
     mkdir -p "$recipe/training/$stage"
-    for file in report.json config.yaml metrics.jsonl; do
+    for file in report.json config.yaml metrics.jsonl loss.png; do
       if [ -f "$runs/$stage/$file" ]; then cp "$runs/$stage/$file" "$recipe/training/$stage/"; fi
     done
   done
@@ -30,6 +30,7 @@ if [ "$action" = keep ]; then
     exit 1
   fi
   cp "$latest"/*.safetensors "$recipe/"
+  cp "$runs/stats/model/seen_scenes.json" "$recipe/"
   exit 0
 fi
 

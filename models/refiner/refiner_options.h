@@ -26,8 +26,7 @@ enum class ReferenceUnit {
   kScene,    // the scene's own unit (Splatent's code)
 };
 
-// Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). Defaults beside `channels` and `heads` are
-// those of the small model.
+// Of the one-step refiner (Splatent, arXiv 2512.09923, section 4.3). The defaults are a small model's.
 struct RefinerOptions : OptionsGroup {
   std::vector<int64_t>
       channels;                  // of the UNet's stages, each but the last halves the sides; none: no refiner
