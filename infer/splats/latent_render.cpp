@@ -11,6 +11,7 @@
 #include "models/splats/latent_refining.h"
 #include "models/splats/splatted_scene.h"
 
+#include <algorithm>
 #include <memory>
 #include <utility>
 
@@ -53,15 +54,15 @@ std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSpl
           "make them with gld splat fit --features 0 --model " + options.model});
   }
   std::vector<LatentFit> fits;
+
+  const std::vector<int64_t> decoded = decoded_levels(bundle.options());
   for (LatentFit& fit : read_latent_fits(file, splats.file)) {
-    for (const int64_t level : decoded_levels(bundle.options())) {
-      if (fit.tag.level == level) fits.push_back(std::move(fit));
-    }
+    if (std::find(decoded.begin(), decoded.end(), fit.tag.level) != decoded.end())
+      fits.push_back(std::move(fit));
   }
-  if (fits.size() != decoded_levels(bundle.options()).size()) {
+  if (fits.size() != decoded.size()) {
     fail({file.string(),
-          fmt::format("the {} levels that {} decodes images of", decoded_levels(bundle.options()).size(),
-                      bundle.options().name),
+          fmt::format("the {} levels that {} decodes images of", decoded.size(), bundle.options().name),
           fmt::format("{} of them", fits.size()), "fit them with gld splat fit --features all"});
   }
   for (const LatentFit& fit : fits) {

@@ -14,6 +14,38 @@
 #include <fmt/format.h>
 
 namespace gld {
+namespace {
+
+[[noreturn]] void refuse_features(const std::filesystem::path& file, const std::string& expected,
+                                  const std::string& found) {
+  fail({file.string(), expected, found, "make it again with gld splat fit --features"});
+}
+
+// Empty where the file says nothing.
+std::string note_of(const WeightFile& file, const std::string& key) {
+  const auto found = file.metadata().find(key);
+  return found == file.metadata().end() ? std::string() : found->second;
+}
+
+// A tensor of these sizes (0: any) and type, finite.
+torch::Tensor checked_tensor(const WeightFile& file, const std::string& name,
+                             const std::vector<int64_t>& sizes, torch::Dtype type) {
+  auto values = read_tensor(file, name);
+  bool as_said = values.dim() == static_cast<int64_t>(sizes.size()) && values.scalar_type() == type;
+  for (size_t i = 0; as_said && i < sizes.size(); ++i)
+    as_said = sizes[i] == 0 || values.size(static_cast<int64_t>(i)) == sizes[i];
+  if (!as_said) {
+    refuse_features(
+        file.path(),
+        fmt::format("{} of shape ({}), {}, 0 being any", name, fmt::join(sizes, ", "), c10::toString(type)),
+        fmt::format("{}, {}", c10::str(values.sizes()), c10::toString(values.scalar_type())));
+  }
+  if (!values.isfinite().all().item<bool>())
+    refuse_features(file.path(), fmt::format("finite numbers in {}", name), "NaN or infinity");
+  return values;
+}
+
+}  // namespace
 
 torch::Tensor feature_tensor(const std::vector<float>& values, int64_t channels) {
   const auto rows = static_cast<int64_t>(values.size()) / channels;
@@ -95,46 +127,30 @@ void save_latent_fits(const std::filesystem::path& file, const std::vector<Laten
 
 std::vector<LatentFit> read_latent_fits(const std::filesystem::path& file,
                                         const std::filesystem::path& splats) {
-  const auto refuse = [&](const std::string& expected, const std::string& found) {
-    fail({file.string(), expected, found, "make it again with gld splat fit --features"});
-  };
   const auto weights = WeightFile::open(file);
-  const auto note = [&](const char* key) {
-    const auto found = weights->metadata().find(key);
-    return found == weights->metadata().end() ? std::string() : found->second;
-  };
-  if (note("gld:splats") != sha256_of_file(splats))
-    refuse("features of the Gaussians of " + splats.string(), "those of another file");
-  const auto tags = nlohmann::json::parse(note("gld:latent_space"), nullptr, /*allow_exceptions=*/false);
-  if (!tags.is_object()) refuse("the latent spaces that gld splat fit writes", "something else");
+  if (note_of(*weights, "gld:splats") != sha256_of_file(splats))
+    refuse_features(file, "features of the Gaussians of " + splats.string(), "those of another file");
+  const auto tags =
+      nlohmann::json::parse(note_of(*weights, "gld:latent_space"), nullptr, /*allow_exceptions=*/false);
+  if (!tags.is_object())
+    refuse_features(file, "the latent spaces that gld splat fit writes", "something else");
   std::vector<LatentFit> fits;
-  for (const auto& [name, json] : tags.items()) {
-    const auto tag = tag_of_json(json);
-    if (!tag) refuse("the latent space of " + name, "something else");
-    // A tensor of these sizes (0: any) and type, finite.
-    const auto tensor = [&](const std::string& part, const std::vector<int64_t>& sizes, torch::Dtype type) {
-      const auto values = read_tensor(*weights, name + part);
-      bool fits_tag = values.dim() == static_cast<int64_t>(sizes.size()) && values.scalar_type() == type;
-      for (size_t i = 0; fits_tag && i < sizes.size(); ++i)
-        fits_tag = sizes[i] == 0 || values.size(static_cast<int64_t>(i)) == sizes[i];
-      if (!fits_tag) {
-        refuse(fmt::format("{}{} of shape ({}), {}, 0 being any", name, part, fmt::join(sizes, ", "),
-                           c10::toString(type)),
-               fmt::format("{}, {}", c10::str(values.sizes()), c10::toString(values.scalar_type())));
-      }
-      if (!values.isfinite().all().item<bool>())
-        refuse("finite numbers in " + name + part, "NaN or infinity");
-      return values;
-    };
+  for (const auto& item : tags.items()) {
+    const std::string& name = item.key();
+    const auto tag = tag_of_json(item.value());
+    if (!tag) refuse_features(file, "the latent space of " + name, "something else");
     LatentFit fit;
     fit.tag = *tag;
-    fit.features = tensor(".features", {0, tag->channels}, torch::kFloat32);
-    fit.statistics.mean = tensor(".mean", {tag->channels}, torch::kFloat32);
-    fit.statistics.variance = tensor(".deviation", {tag->channels}, torch::kFloat32).square();
+    fit.features = checked_tensor(*weights, name + ".features", {0, tag->channels}, torch::kFloat32);
+    fit.statistics.mean = checked_tensor(*weights, name + ".mean", {tag->channels}, torch::kFloat32);
+    fit.statistics.variance =
+        checked_tensor(*weights, name + ".deviation", {tag->channels}, torch::kFloat32).square();
     fit.statistics.epsilon = 0;
-    if (weights->find(name + ".encoded") != nullptr) {
-      fit.encoded = tensor(".encoded", {0, tag->channels, tag->height, tag->width}, torch::kFloat16)
-                        .to(torch::kFloat32);
+    const std::string encoded = name + ".encoded";
+    if (weights->find(encoded) != nullptr) {
+      fit.encoded =
+          checked_tensor(*weights, encoded, {0, tag->channels, tag->height, tag->width}, torch::kFloat16)
+              .to(torch::kFloat32);
     }
     fits.push_back(std::move(fit));
   }

@@ -44,7 +44,7 @@ Matrix matrix_of(const torch::Tensor& values) {
   fail({file.string(), expected, found, "make it again with gld splat pairs"});
 }
 
-const std::string& note_of(const WeightFile& file, const char* key) {
+const std::string& required_note(const WeightFile& file, const char* key) {
   const auto found = file.metadata().find(key);
   if (found == file.metadata().end()) fail_at(file.path(), fmt::format("{} in its metadata", key), "none");
   return found->second;
@@ -52,7 +52,7 @@ const std::string& note_of(const WeightFile& file, const char* key) {
 
 torch::Tensor tensor_like(const WeightFile& file, const char* name, torch::Dtype dtype, int64_t dimensions) {
   if (file.find(name) == nullptr) fail_at(file.path(), fmt::format("a tensor {}", name), "none");
-  const auto tensor = read_tensor(file, name);
+  auto tensor = read_tensor(file, name);
   if (tensor.scalar_type() != dtype || tensor.dim() != dimensions) {
     fail_at(file.path(),
             fmt::format("{} of {} dimensions and type {}", name, dimensions, c10::toString(dtype)),
@@ -89,8 +89,8 @@ void save_splatted_scene(const std::filesystem::path& file, const SplattedScene&
 SplattedScene read_splatted_scene(const std::filesystem::path& file) {
   const auto weights = WeightFile::open(file);
   SplattedScene scene;
-  scene.name = note_of(*weights, kSceneKey);
-  scene.tag = tag_of(file, note_of(*weights, kTagKey));
+  scene.name = required_note(*weights, kSceneKey);
+  scene.tag = tag_of(file, required_note(*weights, kTagKey));
   scene.pictures = tensor_like(*weights, "pictures", torch::kUInt8, 4);
   scene.encoded = tensor_like(*weights, "encoded", torch::kFloat16, 4);
   scene.splatted = tensor_like(*weights, "splatted", torch::kFloat16, 4);
@@ -114,9 +114,9 @@ SplattedScene read_splatted_scene(const std::filesystem::path& file) {
          intrinsics.sizes());
   expect(poses.sizes().equals({views, 4, 4}), fmt::format("world_from_camera of {} views", views),
          poses.sizes());
-  if (note_of(*weights, kFittedKey) != std::to_string(scene.fitted)) {
+  if (required_note(*weights, kFittedKey) != std::to_string(scene.fitted)) {
     fail_at(file, fmt::format("{} fitted views, those that are not splatted", scene.fitted),
-            note_of(*weights, kFittedKey) + " in gld:fitted");
+            required_note(*weights, kFittedKey) + " in gld:fitted");
   }
   if (!scene.encoded.isfinite().all().item<bool>() || !scene.splatted.isfinite().all().item<bool>())
     fail_at(file, "finite latents", "NaN or infinity");

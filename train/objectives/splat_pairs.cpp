@@ -1,5 +1,6 @@
 #include "train/objectives/splat_pairs.h"
 
+#include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/mixed_bits.h"
 
@@ -19,7 +20,7 @@ void SplatPairOptions::visit(FieldVisitor& visitor) {
   visitor.integer({"validation_scenes", "so many of them at most; 0 validates nothing"}, validation_scenes,
                   {0, 100000});
   visitor.integer({"batch_size", "target views of a micro-batch"}, batch_size, {1, 4096});
-  visitor.integer({"seed", "of the order of scenes and views"}, seed, {0, 1'000'000'000'000});
+  visit_seed(visitor, seed, "the order of scenes and views");
 }
 
 void SplatPairOptions::check() const {

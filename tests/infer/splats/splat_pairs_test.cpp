@@ -4,6 +4,7 @@
 #include "datasets/synthetic/synth.h"
 #include "gld/base/atomic_file.h"
 #include "gld/latents/latent_statistics.h"
+#include "gld/tensors/weight_tensors.h"
 #include "infer/export/image_export.h"
 #include "infer/splats/latent_render.h"
 #include "infer/splats/splat_evaluation.h"
@@ -183,7 +184,23 @@ TEST_F(SplatPairs, RendersShowLatentsAndWhatTheRefinerMakesOfThem) {
   std::filesystem::remove(bundle_.file(BundlePart::refiner()));
   EXPECT_THAT(error_of([&] { run_splat_render_with_latents(render); }),
               HasSubstr("expected a refiner with weights, found none; train one with gld train refiner"));
-  std::filesystem::remove(std::filesystem::path(fit.out) / "features.safetensors");
+
+  const auto features = std::filesystem::path(fit.out) / "features.safetensors";
+  const auto notes = WeightFile::open(features)->metadata();
+  auto tensors = read_all(features);
+  const auto error_with = [&](const std::string& name, const torch::Tensor& tensor) {
+    auto changed = tensors;
+    changed[name] = tensor;
+    save_safetensors(features, changed, notes);
+    return error_of([&] { run_splat_render_with_latents(render); });
+  };
+  const auto given = tensors.at("level0.features").clone();
+  EXPECT_THAT(error_with("level0.features", given / 0),
+              HasSubstr("expected finite numbers in level0.features, found NaN or infinity"));
+  EXPECT_THAT(error_with("level0.features", given.slice(0, 1)), HasSubstr("expected features of"));
+  EXPECT_THAT(error_with("level0.mean", torch::zeros({2})),
+              HasSubstr("expected level0.mean of shape (4), Float, 0 being any, found [2], Float"));
+  std::filesystem::remove(features);
   EXPECT_THAT(error_of([&] { run_splat_render_with_latents(render); }),
               HasSubstr("expected features beside the Gaussians, features.safetensors, found none"));
   render.splats += "/splats.ply";

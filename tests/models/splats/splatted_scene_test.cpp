@@ -66,7 +66,7 @@ TEST_F(SplattedScenes, SayWhatIsWrongWithThem) {
       HasSubstr("expected splatted of 4 dimensions and type Half, found shape [2, 4, 4, 4], Float" + made));
   EXPECT_THAT(
       error_with("encoded", scene.encoded.slice(0, 1).to(torch::kFloat16)),
-      HasSubstr("expected encoded latents of 6 views, 4 channels and 4x4 pixels, found [1, 4, 4, 4]" + made));
+      HasSubstr("expected encoded latents of 6 views, 4 channels and 4x4 pixels, found [5, 4, 4, 4]" + made));
   EXPECT_THAT(error_with("encoded", (scene.encoded / 0).to(torch::kFloat16)),
               HasSubstr("expected finite latents, found NaN or infinity" + made));
   EXPECT_THAT(error_with("intrinsics", torch::zeros({5, 3, 3}, torch::kFloat64)),
