@@ -68,20 +68,11 @@ void ScenesSplattingOptions::check() const {
 }
 
 torch::Tensor LatentSplats::shown(size_t level, const KernelSettings& settings) const {
-  const StillGaussians still = gaussians();
-  std::vector<torch::Tensor> pictures;
-  for (int64_t view = fitted; view < views(); ++view) {
-    const Camera camera = levels[level].camera_of(cameras[static_cast<size_t>(view)]);
-    pictures.push_back(tensor_of(rendered_features(still, fits[level].features, camera, settings)));
-  }
-  return torch::stack(pictures);
+  return rendered_views(gaussians(), fits[level].features, levels[level], fitted, views(), settings);
 }
 
 torch::Tensor LatentSplats::encoded(size_t level, int64_t first, int64_t end) const {
-  std::vector<torch::Tensor> pictures;
-  for (int64_t view = first; view < end; ++view)
-    pictures.push_back(tensor_of(levels[level].pictures[static_cast<size_t>(view)]));
-  return torch::stack(pictures);
+  return levels[level].views(first, end);
 }
 
 LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,

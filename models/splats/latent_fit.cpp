@@ -95,16 +95,21 @@ double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& 
   return std::sqrt(apart.square().sum().item<double>() / spread.square().sum().item<double>());
 }
 
+torch::Tensor rendered_views(const StillGaussians& gaussians, const torch::Tensor& features,
+                             const LatentPictures& latents, int64_t first, int64_t end,
+                             const KernelSettings& settings) {
+  std::vector<torch::Tensor> rendered;
+  for (int64_t view = first; view < end; ++view) {
+    const Camera over = latents.camera_of(gaussians.cameras[static_cast<size_t>(view)]);
+    rendered.push_back(tensor_of(rendered_features(gaussians, features, over, settings)));
+  }
+  return torch::stack(rendered);
+}
+
 double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
                     int64_t first, int64_t end, const KernelSettings& settings) {
-  std::vector<torch::Tensor> rendered, encoded;
-  for (int64_t view = first; view < end; ++view) {
-    const auto number = static_cast<size_t>(view);
-    rendered.push_back(tensor_of(
-        rendered_features(gaussians, fit.features, latents.camera_of(gaussians.cameras[number]), settings)));
-    encoded.push_back(tensor_of(latents.pictures[number]));
-  }
-  return relative_latent_error(torch::stack(rendered), torch::stack(encoded));
+  return relative_latent_error(rendered_views(gaussians, fit.features, latents, first, end, settings),
+                               latents.views(first, end));
 }
 
 void save_latent_fits(const std::filesystem::path& file, const std::vector<LatentFit>& fits,

@@ -40,6 +40,11 @@ LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& lat
 SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tensor& features,
                              const Camera& over_latents, const KernelSettings& settings);
 
+// The same of views `first` to `end`, over the pixels of these latents: (views, channels, height, width).
+torch::Tensor rendered_views(const StillGaussians& gaussians, const torch::Tensor& features,
+                             const LatentPictures& latents, int64_t first, int64_t end,
+                             const KernelSettings& settings);
+
 // |latents - encoded| over |encoded - its mean|, (views, channels, height, width) each: 0 where they are what the
 // backbone sees, 1 where they are no more than each channel's mean.
 double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& encoded);

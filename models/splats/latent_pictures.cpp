@@ -109,6 +109,13 @@ Camera LatentPictures::camera_of(const Camera& of_image) const {
   return resized_camera(of_image, tag.width, tag.height);
 }
 
+torch::Tensor LatentPictures::views(int64_t first, int64_t end) const {
+  std::vector<torch::Tensor> chosen;
+  for (int64_t view = first; view < end; ++view)
+    chosen.push_back(tensor_of(pictures[static_cast<size_t>(view)]));
+  return torch::stack(chosen);
+}
+
 torch::Tensor LatentPictures::raw(const SplatImage& picture) const {
   return raw_latents(tensor_of(picture).unsqueeze(0), statistics)[0];
 }

@@ -41,6 +41,8 @@ struct LatentPictures {
 
   // The camera of an image over the latent's pixels.
   Camera camera_of(const Camera& of_image) const;
+  // Pictures `first` to `end` together, normalised: (views, channels, height, width).
+  torch::Tensor views(int64_t first, int64_t end) const;
   // (channels, height, width), raw: before normalisation.
   torch::Tensor raw(const SplatImage& picture) const;
 };

@@ -51,12 +51,7 @@ void solve_features_of(const SplatCommandOptions& options, const FinishedSplatFi
     stop_if_interrupted("features were being solved for; --resume goes on behind the fit");
     fits.push_back(fit_latents(gaussians, latents, options.solve, fit.settings));
     LatentFit& solved = fits.back();
-    if (views.refined) {
-      std::vector<torch::Tensor> encoded;
-      for (int64_t view = 0; view < gaussians.fitted; ++view)
-        encoded.push_back(tensor_of(latents.pictures[static_cast<size_t>(view)]));
-      solved.encoded = torch::stack(encoded);
-    }
+    if (views.refined) solved.encoded = latents.views(0, gaussians.fitted);
     nlohmann::ordered_json row = tag_json(solved.tag);
     row["iterations"] = solved.iterations;
     row["residual"] = solved.residual;
