@@ -48,13 +48,12 @@ struct LatentDrawing {
 
 std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSplats& splats,
                                const ModelBundle& bundle) {
-  const std::filesystem::path file = std::filesystem::path(options.splats) / "features.safetensors";
+  const std::filesystem::path file = std::filesystem::path(options.splats) / kSplatFeaturesFile;
   if (!std::filesystem::is_regular_file(file)) {
-    fail({options.splats, "features beside the Gaussians, features.safetensors", "none",
+    fail({options.splats, std::string("features beside the Gaussians, ") + kSplatFeaturesFile, "none",
           "make them with gld splat fit --features 0 --model " + options.model});
   }
   std::vector<LatentFit> fits;
-
   const std::vector<int64_t> decoded = decoded_levels(bundle.options());
   for (LatentFit& fit : read_latent_fits(file, splats.file)) {
     if (std::find(decoded.begin(), decoded.end(), fit.tag.level) != decoded.end())
@@ -77,7 +76,7 @@ std::vector<LatentFit> fits_of(const SplatRenderOptions& options, const DrawnSpl
 
 std::vector<Camera> fitted_cameras(const std::filesystem::path& run) {
   std::vector<Camera> cameras;
-  for (const CameraRecord& record : read_cameras_json(splat_file_in(run, "cameras.json")).records) {
+  for (const CameraRecord& record : read_cameras_json(splat_file_in(run, kSplatCamerasFile)).records) {
     if (record.role == "source") cameras.push_back(record.camera);
   }
   return cameras;

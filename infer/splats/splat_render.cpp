@@ -1,6 +1,7 @@
 #include "infer/splats/splat_render.h"
 
 #include "datasets/formats/cameras_json.h"
+#include "datasets/splats/scene_fit.h"
 #include "datasets/splats/splat_picture.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -21,8 +22,6 @@
 
 namespace gld {
 namespace {
-
-constexpr const char* kCamerasFile = "cameras.json";
 
 // The cameras that a path is made from: those that a fit names as its sources, or all.
 std::vector<Camera> path_sources(const CameraList& list) {
@@ -83,10 +82,10 @@ void run_splat_render(const SplatRenderOptions& options,
                       const std::function<DrawSplats(const DrawnSplats&)>& make_drawing) {
   options.check();
   check_run_folder(options.out, "splat render", earlier_run(options.overwrite));
-  const auto file = splat_file_in(options.splats, "splats.ply");
+  const auto file = splat_file_in(options.splats, kSplatFile);
   const GaussianSet set = read_splat_ply(file);
   const CameraList list = read_cameras_json(
-      splat_file_in(options.cameras.empty() ? options.splats : options.cameras, kCamerasFile));
+      splat_file_in(options.cameras.empty() ? options.splats : options.cameras, kSplatCamerasFile));
   const std::vector<Camera> sources = path_sources(list);
   PathSurroundings surroundings;
   for (const CameraRecord& record : list.records) surroundings.cameras.push_back(record.camera);
@@ -122,7 +121,7 @@ void run_splat_render(const SplatRenderOptions& options,
     progress.update(view + 1);
   }
   progress.finish();
-  write_cameras_json(run.path() / kCamerasFile, written);
+  write_cameras_json(run.path() / kSplatCamerasFile, written);
   nlohmann::ordered_json report;
   report["gaussians"] = set.size();
   report["views"] = views;
@@ -132,7 +131,7 @@ void run_splat_render(const SplatRenderOptions& options,
   run.write_report(report);
   print_warnings(path.warnings);
   run.note("views", "images/");
-  run.note("cameras", kCamerasFile);
+  run.note("cameras", kSplatCamerasFile);
   run.note("report", "report.json");
   std::cout << run.closing_box();
 }

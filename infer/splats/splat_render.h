@@ -15,6 +15,9 @@
 
 namespace gld {
 
+// The fitted and the held-out views of a run folder.
+constexpr const char* kSplatCamerasFile = "cameras.json";
+
 // What pictures of Gaussians show.
 enum class SplatShown {
   kColours,

@@ -13,6 +13,9 @@
 
 namespace gld {
 
+// Where the features of a run folder are, beside its Gaussians.
+constexpr const char* kSplatFeaturesFile = "features.safetensors";
+
 // Gaussians that stand still, and the views that see them.
 struct StillGaussians {
   const GaussianSet& set;

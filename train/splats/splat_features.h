@@ -4,9 +4,6 @@
 
 namespace gld {
 
-// Where the features of a run folder are, beside its Gaussians.
-constexpr const char* kSplatFeaturesFile = "features.safetensors";
-
 // gld splat fit, features included: run_splat_fit, and where --features names levels their latents solved for the
 // finished Gaussians, which stand still, in features.safetensors. All views are encoded together, fitted ones first;
 // those that are held out are compared with what the features show. What is wrong with the model is said before the

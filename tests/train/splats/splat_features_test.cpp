@@ -6,6 +6,7 @@
 #include "gld/base/sha256.h"
 #include "gld/splatting/splat_ply.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/splats/latent_fit.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
