@@ -7,6 +7,16 @@ set_property(DIRECTORY ${PROJECT_SOURCE_DIR} APPEND PROPERTY CMAKE_CONFIGURE_DEP
 function(gld_target_defaults target)
   target_include_directories(${target} PUBLIC ${PROJECT_SOURCE_DIR})
   target_compile_options(${target} PRIVATE -Wall -Wextra)
+  # Nobody replaces a function of ours at run time: within a room they are inlined as in a program.
+  target_compile_options(${target} PRIVATE $<$<CXX_COMPILER_ID:GNU>:-fno-semantic-interposition>)
+  # As the rooms are for libgld.so: a precompiled header serves only sources of its own kind of code.
+  get_target_property(type ${target} TYPE)
+  if(type STREQUAL EXECUTABLE)
+    set_target_properties(${target} PROPERTIES POSITION_INDEPENDENT_CODE OFF)
+    target_compile_options(${target} PRIVATE -fPIC)
+  endif()
+  # g++ collects its garbage again and again beside a precompiled header of 500 MB: for nothing, in a tenth of its time.
+  target_compile_options(${target} PRIVATE $<$<CXX_COMPILER_ID:GNU>:--param=ggc-min-heapsize=1048576>)
   if(GLD_WARNINGS_AS_ERRORS)
     target_compile_options(${target} PRIVATE -Werror)
   endif()
@@ -19,19 +29,21 @@ function(gld_target_defaults target)
   endif()
 endfunction()
 
-# The precompiled header that all sources with LibTorch share; its headers cost 25 s a file otherwise.
-function(gld_torch_headers)
-  add_library(gld_torch_headers STATIC ${PROJECT_SOURCE_DIR}/gld/tensors/torch_precompiled.cpp)
-  gld_target_defaults(gld_torch_headers)
-  target_link_libraries(gld_torch_headers PUBLIC
-    ${TORCH_LIBRARIES} OpenMP::OpenMP_CXX Threads::Threads Eigen3::Eigen fmt::fmt ${GLD_TORCH_FMT} nlohmann_json::nlohmann_json)
-  target_precompile_headers(gld_torch_headers PRIVATE ${PROJECT_SOURCE_DIR}/gld/tensors/torch_precompiled.h)
+# gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
+# all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain).
+function(gld_shared_headers name folder)
+  add_library(gld_${name}_headers STATIC ${PROJECT_SOURCE_DIR}/${folder}/${name}_precompiled.cpp)
+  gld_target_defaults(gld_${name}_headers)
+  target_link_libraries(gld_${name}_headers PUBLIC ${ARGN})
+  target_precompile_headers(gld_${name}_headers PRIVATE ${PROJECT_SOURCE_DIR}/${folder}/${name}_precompiled.h)
 endfunction()
 
-# CMake warns of every target that is to share a precompiled header where there is none (scripts/tidy.sh).
-function(gld_share_torch_headers target)
+# The precompiled header NAME for the sources of a target. CMake warns of every target that is to share one where there is none
+# (scripts/tidy.sh).
+function(gld_use_headers name target)
+  target_link_libraries(${target} PUBLIC gld_${name}_headers)
   if(NOT CMAKE_DISABLE_PRECOMPILE_HEADERS)
-    target_precompile_headers(${target} REUSE_FROM gld_torch_headers)
+    target_precompile_headers(${target} REUSE_FROM gld_${name}_headers)
   endif()
 endfunction()
 
@@ -74,9 +86,10 @@ function(gld_room)
   endforeach()
   target_link_libraries(${target} PUBLIC ${arg_LIBRARIES} PRIVATE ${arg_PRIVATE_LIBRARIES})
   if(arg_TORCH_SOURCES)
-    target_link_libraries(${target} PUBLIC gld_torch_headers)
-    gld_share_torch_headers(${target})
+    gld_use_headers(torch ${target})
     set_source_files_properties(${arg_SOURCES} PROPERTIES SKIP_PRECOMPILE_HEADERS ON)
+  else()
+    gld_use_headers(plain ${target})
   endif()
 endfunction()
 
@@ -230,11 +243,12 @@ function(gld_folder_tests folder)
   endif()
   if(arg_TESTS)
     gld_test_program(${program}_tests ${folder} "${arg_TESTS}" ${arg_LIBRARIES})
+    gld_use_headers(plain ${program}_tests)
   endif()
   if(arg_TORCH_TESTS AND NOT GLD_SANITIZE)
     gld_test_program(${program}_torch_tests ${folder} "${arg_TORCH_TESTS}" ${arg_LIBRARIES})
     target_sources(${program}_torch_tests PRIVATE ${arg_SOURCES})
-    gld_share_torch_headers(${program}_torch_tests)
+    gld_use_headers(torch ${program}_torch_tests)
     if(NOT arg_LABEL)
       # Benchmarks, ablations and evaluation call nothing of LibTorch that these rooms do not: a second build is for them.
       if(folder MATCHES "^(gld|models|train|verify|cli|infer/pipeline|infer/sample)(/|$)")

@@ -2,6 +2,8 @@
 
 // The one precompiled header of everything that includes LibTorch: its headers cost 25 s a file otherwise. The headers
 // of other libraries that most of these files include are in it too. Sources still include what they use.
+#include "gld/base/json_instances.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
