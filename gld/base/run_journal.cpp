@@ -124,6 +124,8 @@ std::optional<std::string> noted_name(const std::string& line) {
 
 }  // namespace
 
+bool is_result_of_run(const std::string& name) { return name != kRunConfiguration && name != kRunProgress; }
+
 std::optional<RunJournal::Found> RunJournal::find(const std::filesystem::path& folder) {
   if (!has_journal(folder)) return std::nullopt;
   const auto header = read_header(folder / kJournalName);
@@ -230,7 +232,9 @@ void RunJournal::put_earlier_back() const {
   if (!has_earlier_aside(folder_)) return;
   const auto aside = folder_ / kEarlierRun;
   std::error_code error;
-  std::filesystem::remove(folder_ / kRunConfiguration, error);  // of the run that came to nothing
+  for (const char* name : {kRunConfiguration, kRunProgress}) {
+    std::filesystem::remove(folder_ / name, error);  // of the run that came to nothing
+  }
   std::vector<std::filesystem::path> files;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(aside)) {
     if (!std::filesystem::is_directory(entry.symlink_status())) files.push_back(entry.path());
@@ -294,7 +298,7 @@ void note_written(const std::filesystem::path& file) {
     return;
   }
   const std::lock_guard<std::mutex> lock(notes_mutex());
-  if (name != kRunConfiguration && RunJournal::has_earlier_aside(folder)) forget_earlier(folder);
+  if (is_result_of_run(name) && RunJournal::has_earlier_aside(folder)) forget_earlier(folder);
   const auto written = ::write(journal, line.data(), line.size());  // one call: lines of threads do not mix
   ::close(journal);
   if (written != static_cast<ssize_t>(line.size())) {

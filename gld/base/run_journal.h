@@ -10,8 +10,10 @@ namespace gld {
 
 class UndoneAtEnd;
 
-// What every run writes first. It is no result yet.
+// What every run writes first, and how far it is (gld/report/progress.h). They are no results.
 inline constexpr const char* kRunConfiguration = "config.yaml";
+inline constexpr const char* kRunProgress = "progress.json";
+bool is_result_of_run(const std::string& name);
 
 // What a run has written into its folder, noted in the folder while it runs, so that a later run can remove exactly
 // that; and the lock that keeps a second run out. The file is .gld-run: a line about the process that writes, then a
@@ -37,8 +39,8 @@ class RunJournal {
   RunJournal& operator=(const RunJournal&) = delete;
 
   // For a run that begins anew: moves every file that is noted into a hidden folder below, and removes folders that are
-  // empty for it. Nothing else is touched, and no symbolic link is followed. The first file that is noted afterwards,
-  // kRunConfiguration apart, is the new run's first result: with it the earlier run goes for good. Where this object
+  // empty for it. Nothing else is touched, and no symbolic link is followed. The first result that is noted afterwards
+  // (is_result_of_run) is the new run's: with it the earlier run goes for good. Where this object
   // goes before that, or a stop ends the process, the earlier run is put back; where the process is killed, the next
   // run that is to begin anew finds it aside and keeps it so. Throws Error where a file cannot be moved.
   void put_earlier_aside();

@@ -49,6 +49,7 @@ class RecordOnExit {
 }  // namespace
 
 void StageRecords::run(const std::string& name, const std::function<void()>& work) {
+  if (on_start_) on_start_(name);
   const RecordOnExit record(records_, name);
   work();
 }

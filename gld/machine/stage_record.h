@@ -22,12 +22,15 @@ class StageRecords {
  public:
   // Runs work as the stage of that name. The record is kept also when work throws.
   void run(const std::string& name, const std::function<void()>& work);
+  // Called with the name of each stage before it begins.
+  void on_start(std::function<void(const std::string& name)> called) { on_start_ = std::move(called); }
 
   const std::vector<StageRecord>& records() const { return records_; }
   nlohmann::ordered_json to_json() const;
 
  private:
   std::vector<StageRecord> records_;
+  std::function<void(const std::string& name)> on_start_;
 };
 
 // Largest resident memory of this process since the last reset, in bytes; 0 where the system does not tell (it comes

@@ -41,8 +41,7 @@ bool holds_nothing(const std::filesystem::path& folder) {
 
 // Of a run that was killed as it began.
 bool has_no_result(const RunJournal::Found& journal) {
-  return std::all_of(journal.written.begin(), journal.written.end(),
-                     [](const std::string& name) { return name == kRunConfiguration; });
+  return std::none_of(journal.written.begin(), journal.written.end(), is_result_of_run);
 }
 
 // Nobody can write below a file, and not everybody into every folder.

@@ -353,7 +353,7 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
   const auto missing = scenes_to_measure(share, records, dataset.size());
   int64_t done = dataset.size() - static_cast<int64_t>(missing.size());
   std::optional<Progress> progress;
-  if (share.leads()) progress.emplace("evaluating", dataset.size());
+  if (share.leads()) progress.emplace(ProgressOf{"evaluating", dataset.size(), done, options.out});
   PieceOfWork scenes;
   scenes.make = [&](int64_t index) {
     stop_if_interrupted("evaluation stopped after " + std::to_string(done) +

@@ -255,7 +255,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   RunFolder run(options.out, "splat eval", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat eval", options);
   std::vector<SplatScores> scenes;
-  Progress progress("scenes", dataset->size());
+  Progress progress({"scenes", dataset->size(), 0, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
     const EvaluatedScene scene = evaluated(dataset->scene(index), bundle, refiner.get(), options, settings);

@@ -82,7 +82,13 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   const auto folder = run.subfolder(kPairsFolder);
   Table table({"scene", "fitted_views", "held_out_views", "latent_error"});
   std::vector<double> errors;
-  Progress progress("scenes", dataset->size());
+  const auto made_before = [&] {
+    int64_t made = 0;
+    for (const auto& entry : std::filesystem::directory_iterator(folder))
+      made += entry.path().extension() == ".safetensors" ? 1 : 0;
+    return made;
+  };
+  Progress progress({"scenes", dataset->size(), options.resume ? made_before() : 0, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(
         fmt::format("{} of {} scenes are in {}; --resume goes on", index, dataset->size(), folder.string()));

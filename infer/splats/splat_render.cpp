@@ -104,7 +104,7 @@ void run_splat_render(const SplatRenderOptions& options,
   CameraList written;
   written.metric = list.metric;
   const auto views = static_cast<int64_t>(path.cameras.size());
-  Progress progress("views", views);
+  Progress progress({"views", views, 0, run.path()});
   double seconds = 0;
   const auto folder = run.subfolder("images");
   for (int64_t view = 0; view < views; ++view) {

@@ -265,7 +265,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
   const Provenance provenance = make_provenance("splat spectrum", options);
   std::vector<SceneSpectrum> scenes;
   std::map<std::string, int64_t> names;
-  Progress progress("scenes", static_cast<int64_t>(locations.size()));
+  Progress progress({"scenes", static_cast<int64_t>(locations.size()), 0, run.path()});
   const double seconds = seconds_of([&] {
     for (const SceneLocation& location : locations) {
       stop_if_interrupted(fmt::format("{} of {} scenes were done", scenes.size(), locations.size()));

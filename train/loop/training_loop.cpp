@@ -426,7 +426,8 @@ TrainingSummary Session::run() {
   if (!leads()) {
     // Rank 0 speaks for all.
   } else if (first_step < options_.steps) {
-    progress.emplace("training the " + objective_.kind(), options_.steps - first_step);
+    progress.emplace(
+        ProgressOf{"training the " + objective_.kind(), options_.steps, first_step, run_.folder});
   } else {
     messages_.push_back(fmt::format("nothing to train: the run is at step {} of {}", step_, options_.steps));
   }
@@ -490,13 +491,13 @@ TrainingSummary Session::run() {
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
-      progress->update(step_ - first_step, "step " + std::to_string(step_) + ", loss " +
-                                               four_digits(last_loss_) + ", rate " + four_digits(rate) +
-                                               ", " + four_digits(line["samples_per_second"].get<double>()) +
-                                               " scenes/s, data wait " +
-                                               four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
+      progress->update(step_, "loss " + four_digits(last_loss_) + ", rate " + four_digits(rate) + ", " +
+                                  four_digits(line["samples_per_second"].get<double>()) +
+                                  " scenes/s, data wait " +
+                                  four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
       averages.clear();
       scenes = 0;
+      if (run_.on_log) run_.on_log();
     }
     if (validates) {
       validate(state);

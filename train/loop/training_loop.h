@@ -50,6 +50,8 @@ struct TrainingRun {
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
+  // Called after lines of metrics.jsonl; may be empty.
+  std::function<void()> on_log;
   // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are
   // spread over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
   ProcessTeam* team = nullptr;

@@ -4,6 +4,8 @@
 #include "gld/base/json_text.h"
 #include "gld/page/results.h"
 #include "gld/page/run_report.h"
+#include "gld/report/progress.h"
+#include "gld/report/run_folder.h"
 #include "gld/report/table.h"
 
 #include <algorithm>
@@ -17,6 +19,7 @@ namespace gld {
 namespace {
 
 using Points = std::vector<std::pair<double, double>>;
+using Courses = std::vector<std::pair<std::string, Points>>;
 
 // A browser draws no more than this of one curve.
 constexpr size_t kMostPoints = 600;
@@ -39,8 +42,8 @@ Points fewer(const Points& points) {
 }
 
 // The course of every number of metrics.jsonl, in the order in which they first appear.
-std::vector<std::pair<std::string, Points>> read_courses(const std::filesystem::path& run, Page& page) {
-  std::vector<std::pair<std::string, Points>> courses;
+Courses read_courses(const std::filesystem::path& run, Page& page) {
+  Courses courses;
   const auto file = run / "metrics.jsonl";
   std::error_code error;
   if (!std::filesystem::is_regular_file(file, error)) {
@@ -70,7 +73,7 @@ bool all_positive(const Points& points) {
 }
 
 // Numbers of one magnitude belong into one panel.
-std::vector<PlotPanel> panels_of(const std::vector<std::pair<std::string, Points>>& courses) {
+std::vector<PlotPanel> panels_of(const Courses& courses) {
   std::vector<PlotPanel> panels(5);
   const char* titles[] = {"Losses", "Held-out losses", "Held-out PSNR, dB", "Learning rate and gradient norm",
                           "Scenes a second"};
@@ -126,7 +129,7 @@ std::vector<std::pair<std::string, std::string>> validation_pictures(const std::
   return pictures;
 }
 
-ResultTable validation_table(const std::vector<std::pair<std::string, Points>>& courses) {
+ResultTable validation_table(const Courses& courses) {
   ResultTable table;
   table.title = "Held-out scenes";
   table.columns = {"", "first", "best", "last", "step of the last"};
@@ -143,6 +146,13 @@ ResultTable validation_table(const std::vector<std::pair<std::string, Points>>& 
                           std::to_string(static_cast<int64_t>(points.back().first))});
   }
   return table;
+}
+
+void add_courses(Page& page, const std::filesystem::path& run, const Courses& courses) {
+  add_charts(page, "How it went", panels_of(courses));
+  add_table(page, validation_table(courses));
+  add_pictures(page, "What it generates", "Scenes that it was not trained on.", run,
+               validation_pictures(run));
 }
 
 }  // namespace
@@ -175,15 +185,40 @@ Page training_page(const std::filesystem::path& run) {
   if (const auto problem = report_text_at(report, "/data/last_problem"); !problem.empty()) {
     page.doubts.push_back("The data had problems, the last one: " + problem);
   }
-  add_charts(page, "How it went", panels_of(courses));
-  add_table(page, validation_table(courses));
-  add_pictures(page, "What it generates", "Scenes that it was not trained on.", run,
-               validation_pictures(run));
+  add_courses(page, run, courses);
   add_fact(page, "Command", command.empty() ? "" : "gld " + command);
   add_fact(page, "Steps", steps);
   add_fact(page, "Parameters", parameters);
   add_fact(page, "Precision", report_text_at(report, "/precision"));
   add_fact(page, "Broken samples", report_number_at(report, "/data/broken_samples"));
+  return page;
+}
+
+Page unfinished_training_page(const std::filesystem::path& run, UnfinishedTraining state) {
+  const std::string command = command_of_run(run);
+  Page page = results_page("gld " + (command.empty() ? "train" : command), nlohmann::ordered_json::object());
+  const auto courses = read_courses(run, page);
+  const auto progress = read_run_progress(run);
+  const auto& done = report_value(progress, "/done");
+  const auto& total = report_value(progress, "/total");
+  std::string steps;
+  if (done.is_number_integer() && total.is_number_integer())
+    steps = done.dump() + " of " + total.dump() + " steps";
+  if (state == UnfinishedTraining::kStopped) {
+    page.verdict =
+        steps.empty() ? "The training was stopped." : "The training was stopped after " + steps + ".";
+    page.verdict += " The same command with --resume goes on with it.";
+  } else {
+    page.reload_seconds = kTrainingPageSeconds;
+    page.verdict = steps.empty() ? "The training has begun." : steps + " are done";
+    if (const auto& left = report_value(progress, "/seconds_left"); !steps.empty()) {
+      page.verdict += left.is_number() ? "; " + duration_text(left.get<double>()) + " are left." : ".";
+    }
+    page.verdict += " This page loads itself again every minute until the training ends.";
+  }
+  add_courses(page, run, courses);
+  add_fact(page, "Command", command.empty() ? "" : "gld " + command);
+  add_fact(page, "Now", report_text_at(progress, "/note"));
   return page;
 }
 

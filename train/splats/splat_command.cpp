@@ -80,7 +80,7 @@ class FitInSteps {
 
   // Until all steps are done or Ctrl-C is pressed; then there is a checkpoint.
   void run() {
-    Progress progress("splats", fit_options_.steps);
+    Progress progress({"splats", fit_options_.steps, state_.fit.step, options_.out});
     while (!finished() && !interrupt_requested()) {
       SplatFitStep step;
       state_.seconds += seconds_of([&] {

@@ -9,6 +9,7 @@
 #include "gld/base/option_differences.h"
 #include "gld/distributed/shared_work.h"
 #include "gld/machine/precision_option.h"
+#include "gld/page/run_page.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
@@ -16,6 +17,7 @@
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/seen_scenes.h"
 #include "models/bundle/trained_views.h"
+#include "train/page/live_training_page.h"
 
 #include <algorithm>
 #include <iostream>
@@ -241,6 +243,8 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
     print_warnings({"this processor has no unit for " + compute_precision_name(precision) +
                     ", which makes it slower here than --loop.precision float32"});
   }
+  LiveTrainingPage page(folder.path());
+  run.on_log = [&page] { page.follow(); };
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);
   const auto trained = ModelBundle::open(folder.path() / "model");
@@ -261,11 +265,13 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   if (data.report) report["data"] = data.report();
   report["messages"] = summary.messages;
   folder.write_report(report);
+  page.end();
   for (const std::string& message : summary.messages) std::cerr << "note: " << message << '\n';
   folder.note("model", "model");
   folder.note("loss curve", "loss.png");
   folder.note("metrics", "metrics.jsonl");
   folder.note("report", "report.json");
+  folder.note("page", kPageFile);
   return folder.closing_box();
 }
 

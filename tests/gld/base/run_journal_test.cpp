@@ -121,7 +121,7 @@ TEST(RunJournal, PutsTheEarlierRunBackUnlessThereIsAResult) {
   run({kRunConfiguration, "images/0.png", "report.json"});
   write_file_atomically(folder / "notes.txt", "mine");
   run({});
-  run({kRunConfiguration});
+  run({kRunConfiguration, kRunProgress});
   EXPECT_THAT(RunJournal::find(folder)->written,
               testing::ElementsAre(kRunConfiguration, "images/0.png", "report.json"));
   EXPECT_FALSE(RunJournal::has_earlier_aside(folder));

@@ -1,9 +1,13 @@
 #include "train/page/training_page.h"
 
 #include "gld/base/atomic_file.h"
+#include "gld/base/run_journal.h"
+#include "gld/page/run_page.h"
+#include "gld/report/progress.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
+#include "train/page/live_training_page.h"
 
 #include <filesystem>
 #include <string>
@@ -69,6 +73,61 @@ TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
   for (const auto& picture : page.data.at("parts")[1].at("pictures"))
     names += picture.at("name").get<std::string>() + ", ";
   EXPECT_EQ(names, "after step 100, after step 300, after step 400, ");
+}
+
+// As the training loop leaves it in between.
+void write_unfinished(const std::filesystem::path& run) {
+  write_file_atomically(run / kRunConfiguration,
+                        "# gld train level: the options of this run, defaults included\n");
+  write_file_atomically(run / "metrics.jsonl", "{\"step\":20,\"loss\":0.5}\n{\"step\":40,\"loss\":0.4}\n");
+  Progress({"training the level", 100, 0, run}).update(40, "loss 0.4");
+  write_file_atomically(
+      run / kRunProgress,
+      R"({"stage": "a", "done": 40, "total": 100, "seconds_left": 130, "note": "loss 0.4"})");
+}
+
+TEST(TrainingPage, OfOneThatGoesOnSaysHowFarItIsAndLoadsItselfAgain) {
+  test::TemporaryFolder run;
+  write_unfinished(run.path());
+  const Page page = unfinished_training_page(run.path(), UnfinishedTraining::kGoesOn);
+  EXPECT_EQ(page.title, "gld train level");
+  EXPECT_EQ(page.reload_seconds, kTrainingPageSeconds);
+  EXPECT_EQ(
+      page.verdict,
+      "40 of 100 steps are done; 2 min 10 s are left. This page loads itself again every minute until the "
+      "training ends.");
+  EXPECT_EQ(page.data.at("parts")[0].at("charts")[0].at("series")[0].at("points").size(), 2u);
+  EXPECT_THAT(page.data.at("facts").dump(), HasSubstr("loss 0.4"));
+  std::filesystem::remove(run.path() / kRunProgress);
+  EXPECT_THAT(unfinished_training_page(run.path(), UnfinishedTraining::kGoesOn).verdict,
+              HasSubstr("The training has begun."));
+}
+
+TEST(LiveTrainingPage, IsOfARunThatGoesOnThenOfAStoppedOrFinishedOne) {
+  test::TemporaryFolder run;
+  const auto file = run.path() / kPageFile;
+  write_unfinished(run.path());
+  {
+    LiveTrainingPage page(run.path());
+    EXPECT_FALSE(std::filesystem::exists(file));
+    page.follow();
+    EXPECT_THAT(read_file(file), HasSubstr("http-equiv=\"refresh\""));
+    std::filesystem::remove(file);
+    page.follow();
+    EXPECT_FALSE(std::filesystem::exists(file)) << "written again within the minute";
+  }
+  EXPECT_THAT(read_file(file),
+              testing::AllOf(HasSubstr("The training was stopped after 40 of 100 steps. The same "
+                                       "command with --resume goes on with it."),
+                             testing::Not(HasSubstr("http-equiv=\"refresh\""))));
+  {
+    LiveTrainingPage page(run.path());
+    page.follow();
+    write_file_atomically(run.path() / "report.json", R"({"command": "train level", "steps": 100})");
+    page.end();
+  }
+  EXPECT_THAT(read_file(file), testing::AllOf(HasSubstr("100 steps were done."),
+                                              testing::Not(HasSubstr("http-equiv=\"refresh\""))));
 }
 
 TEST(TrainingPage, DoesWithoutMetricsAndRefusesBrokenOnes) {

@@ -1,0 +1,32 @@
+#pragma once
+
+#include "train/page/training_page.h"
+
+#include <chrono>
+#include <filesystem>
+
+namespace gld {
+
+// Keeps report.html of a run of gld train as the run goes: at the first call of follow() and then every
+// kTrainingPageSeconds; that of the finished run with end(); without it, that of a stopped one when this object goes.
+// Where it cannot be written the training goes on without.
+class LiveTrainingPage {
+ public:
+  explicit LiveTrainingPage(std::filesystem::path run) : run_(std::move(run)) {}
+  ~LiveTrainingPage();
+  LiveTrainingPage(const LiveTrainingPage&) = delete;
+  LiveTrainingPage& operator=(const LiveTrainingPage&) = delete;
+
+  // Something is new in metrics.jsonl.
+  void follow();
+  // report.json is written. Throws Error where the page cannot be.
+  void end();
+
+ private:
+  std::filesystem::path run_;
+  bool ended_ = false;
+  bool written_ = false;
+  std::chrono::steady_clock::time_point last_;
+};
+
+}  // namespace gld
