@@ -37,7 +37,7 @@ packages=(
   g++ cmake ninja-build pkg-config
   libtorch-dev libgloo-dev libopenblas0-pthread libopencv-dev libceres-dev libeigen3-dev nlohmann-json3-dev libyaml-cpp-dev
   libgtest-dev libgmock-dev libbenchmark-dev libcli11-dev zlib1g-dev libfmt-dev libhdf5-dev libcairo2-dev
-  libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev
+  libpango1.0-dev fonts-dejavu-core libpng-dev libjpeg-dev libtiff-dev libwebp-dev libexif-dev libheif-dev
   libssl-dev libtinygltf-dev libjs-three
 )
 if [ -n "$testing" ]; then

@@ -1,6 +1,7 @@
 #include "datasets/images/image_file.h"
 
 #include "datasets/images/decoded_pixels.h"
+#include "datasets/images/heif_file.h"
 #include "datasets/images/image_format.h"
 #include "datasets/images/image_probe.h"
 #include "datasets/images/jpeg_file.h"
@@ -33,6 +34,8 @@ DecodedPixels decode(const std::string& bytes, const std::string& where) {
       return decode_webp(bytes, where);
     case ImageFormat::kTiff:
       return decode_tiff(bytes, where);
+    case ImageFormat::kHeif:
+      return decode_heif(bytes, where);
     case ImageFormat::kPng:
       break;
   }

@@ -20,16 +20,22 @@ std::optional<ImageFormat> image_format(std::string_view bytes) {
   for (const auto start : {"II\x2A\0"sv, "MM\0\x2A"sv, "II\x2B\0"sv, "MM\0\x2B"sv}) {
     if (starts_with(bytes, start)) return ImageFormat::kTiff;
   }
+  if (bytes.size() >= 12 && bytes.substr(4, 4) == "ftyp"sv) {
+    for (const auto brand : {"heic"sv, "heix"sv, "heim"sv, "heis"sv, "mif1"sv, "avif"sv}) {
+      if (bytes.substr(8, 4) == brand) return ImageFormat::kHeif;
+    }
+  }
   return std::nullopt;
 }
 
 const std::string& image_format_names() {
-  static const std::string names = "PNG, JPEG, WebP or TIFF";
+  static const std::string names = "PNG, JPEG, WebP, TIFF, HEIC or AVIF";
   return names;
 }
 
 const std::vector<std::string>& image_extensions() {
-  static const std::vector<std::string> extensions{".png", ".jpg", ".jpeg", ".webp", ".tiff", ".tif"};
+  static const std::vector<std::string> extensions{".png", ".jpg",  ".jpeg", ".webp", ".tiff",
+                                                   ".tif", ".heic", ".heif", ".avif"};
   return extensions;
 }
 

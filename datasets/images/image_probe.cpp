@@ -1,6 +1,7 @@
 #include "datasets/images/image_probe.h"
 
 #include "datasets/images/decoded_pixels.h"
+#include "datasets/images/heif_file.h"
 #include "datasets/images/image.h"
 #include "datasets/images/image_format.h"
 #include "datasets/images/jpeg_file.h"
@@ -99,6 +100,12 @@ ImageFileInfo header_info(std::string_view bytes, const std::string& where) {
       const TiffHeader header = read_tiff_header(bytes, where);
       return {header.width, header.height, header.orientation, 0};
     }
+    case ImageFormat::kHeif: {
+      const HeifHeader header = read_heif_header(bytes, where);
+      ImageFileInfo info = with_exif({header.width, header.height, 1, 0}, header.exif);
+      info.orientation = 1;  // the file has turned it already
+      return info;
+    }
     case ImageFormat::kPng:
       break;
   }
@@ -121,6 +128,7 @@ bool has_end(std::string_view bytes, const std::string& where) {
     case ImageFormat::kWebp:
       return read_webp_header(bytes, where).whole;
     case ImageFormat::kTiff:
+    case ImageFormat::kHeif:
       break;
   }
   return true;
