@@ -1,6 +1,7 @@
 #include "gld/base/child_process.h"
 
 #include "gld/base/error.h"
+#include "gld/base/interrupt.h"
 
 #include <cerrno>
 #include <csignal>
@@ -77,6 +78,16 @@ void ChildProcess::stop() {
   if (finished_ || stopping_) return;
   stopping_ = true;
   ::kill(process_, SIGTERM);
+}
+
+int run_program(const std::vector<std::string>& command, const std::filesystem::path& log,
+                const std::string& while_what) {
+  ChildProcess process(command, log, -1);
+  while (!process.poll()) {
+    stop_if_interrupted(while_what);
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  }
+  return process.poll()->status;
 }
 
 }  // namespace gld

@@ -43,4 +43,9 @@ class ChildProcess {
   std::optional<FinishedProcess> finished_;
 };
 
+// Runs a command to its end, its output appended to log; its exit status. Ctrl-C stops it and throws Interrupted, which
+// says `while_what` ("while COLMAP registered photographs"). Throws Error where it cannot be started.
+int run_program(const std::vector<std::string>& command, const std::filesystem::path& log,
+                const std::string& while_what);
+
 }  // namespace gld

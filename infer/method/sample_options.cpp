@@ -1,5 +1,6 @@
 #include "infer/method/sample_options.h"
 
+#include "datasets/video/video_frames.h"
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
@@ -94,10 +95,15 @@ void refuse_without_effect(const SampleOptions& options) {
       fail({flag_of(key), use.what + ", without which nothing looks at it", "none",
             "add it, or leave " + flag_of(key) + " out"});
     }
-    if ((key == "photo_lens" || key == "photo_cameras") && options.photos.files.empty()) {
+    if ((key == "photo_lens" || key == "photo_cameras" || key == "photo_frames") &&
+        options.photos.files.empty()) {
       fail({flag_of(key), "--photos, which it is an option of", "--scene", "leave out one of the two"});
     }
     const bool of_a_path =
+    if (key == "photo_frames" &&
+        std::none_of(options.photos.files.begin(), options.photos.files.end(), is_video_name)) {
+      fail({flag_of(key), "a video among --photos", "none", "add one, or leave " + flag_of(key) + " out"});
+    }
         begins_with(key, "views.") && key != "views.sources" && key != "views.targets" && key != "views.path";
     // Photographs without targets get a path, which these may shape.
     const bool has_path =
@@ -166,9 +172,13 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visit_scene(visitor, scene);
   visitor.texts(
       {"photos",
-       "instead of a scene: photographs without cameras, files or folders; --photo-cameras says what finds them"},
+       "instead of a scene: photographs without cameras, files or folders, or a video; --photo-cameras says what finds "
+       "them"},
       photos.files);
   visit_choice(
+  visitor.integer(
+      {"photo_frames", "how many pictures of a video among --photos: the sharpest of as many stretches"},
+      photos.frames, {1, 64});
       visitor,
       {"photo_lens",
        "which photographs have one lens: those of one size (upright or turned), all (shared), or none "

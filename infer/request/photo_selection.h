@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -20,9 +21,11 @@ enum class PhotoCameraWay {
   kRays,       // what the geometry model sees
 };
 
-// Photographs without cameras: files and folders.
+// Photographs without cameras: files and folders; and videos, of each of which so many frames are photographs
+// (datasets/video/video_frames.h).
 struct PhotoSelection {
   std::vector<std::string> files;
+  int64_t frames = 8;
   PhotoLens lens = PhotoLens::kBySize;
   PhotoCameraWay cameras = PhotoCameraWay::kAutomatic;
 };

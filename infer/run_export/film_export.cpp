@@ -11,9 +11,7 @@
 #include "infer/run_export/export_provenance.h"
 
 #include <algorithm>
-#include <chrono>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <fmt/format.h>
@@ -139,12 +137,8 @@ void export_mp4(const std::filesystem::path& file, const Film& film, const TextI
       "-movflags",
       "+faststart",
       std::filesystem::absolute(written.temporary()).string()};
-  ChildProcess process(command, folder.log(), -1);
-  while (!process.poll()) {
-    stop_if_interrupted("while ffmpeg made " + file.string());
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  }
-  if (const int status = process.poll()->status; status != 0) {
+  if (const int status = run_program(command, folder.log(), "while ffmpeg made " + file.string());
+      status != 0) {
     folder.keep();
     fail({"--as mp4", "ffmpeg to succeed",
           fmt::format("exit status {}; what it printed is in {}", status, folder.log().string()),

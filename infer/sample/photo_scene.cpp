@@ -8,6 +8,7 @@
 #include "datasets/registration/colmap_registration.h"
 #include "datasets/registration/feature_registration.h"
 #include "datasets/scenes/resize_crop.h"
+#include "datasets/video/video_frames.h"
 #include "gld/base/error.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
@@ -27,10 +28,16 @@
 namespace gld {
 namespace {
 
-std::vector<std::filesystem::path> photograph_files(const std::vector<std::string>& photos) {
+std::vector<std::filesystem::path> photograph_files(const PhotoSelection& selection,
+                                                    const std::filesystem::path& frames_folder) {
   std::vector<std::filesystem::path> files;
-  for (const std::string& photo : photos) {
+  for (const std::string& photo : selection.files) {
     const std::filesystem::path path = photo;
+    if (std::filesystem::is_regular_file(path) && is_video_name(path)) {
+      const auto frames = sharpest_frames(path, selection.frames, frames_folder);
+      files.insert(files.end(), frames.begin(), frames.end());
+      continue;
+    }
     if (std::filesystem::is_regular_file(path)) {
       files.push_back(path);
       continue;
@@ -175,10 +182,11 @@ void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords&
 
 }  // namespace
 
-std::vector<Photograph> list_photographs(const std::vector<std::string>& files_and_folders) {
+std::vector<Photograph> list_photographs(const PhotoSelection& selection,
+                                         const std::filesystem::path& frames_folder) {
   std::vector<Photograph> photographs;
   std::set<std::string> names;
-  for (const auto& file : photograph_files(files_and_folders)) {
+  for (const auto& file : photograph_files(selection, frames_folder)) {
     Photograph photograph;
     photograph.name = file.stem().string();
     photograph.file = file;

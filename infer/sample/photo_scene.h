@@ -30,9 +30,10 @@ struct Photograph {
   double focal_length = 0;        // by EXIF, over the longer side; 0 where nothing tells
 };
 
-// Image files, and folders whose image files are taken in natural order. Decodes nothing. Throws Error for no
-// photograph and for two of one name.
-std::vector<Photograph> list_photographs(const std::vector<std::string>& files_and_folders);
+// Image files, folders whose image files are taken in natural order, and videos, whose chosen pictures are put into
+// frames_folder. Decodes nothing but these. Throws Error for no photograph and for two of one name.
+std::vector<Photograph> list_photographs(const PhotoSelection& selection,
+                                         const std::filesystem::path& frames_folder);
 
 // What can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The cameras, side
 // by side, only stand in for those that follow; there are no pixels.

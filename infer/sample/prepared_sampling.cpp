@@ -181,7 +181,8 @@ PreparedSampling prepare(const SampleOptions& options) {
   if (options.photos.files.empty()) {
     prepared.found = open_scene(options.scene, options.reading);
   } else {
-    prepared.photographs = list_photographs(options.photos.files);
+    prepared.frames = std::make_shared<const WorkFolder>("frames");
+    prepared.photographs = list_photographs(options.photos, prepared.frames->path());
     if (only_rays(options.photos, prepared.photographs.size())) check_photo_model(prepared.camera_model());
     prepared.found = scene_before_cameras(prepared.photographs);
   }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "datasets/scenes/scene.h"
+#include "gld/base/work_folder.h"
 #include "gld/machine/stage_record.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sample_options.h"
@@ -8,6 +9,7 @@
 #include "infer/sample/photo_scene.h"
 #include "models/bundle/bundle.h"
 
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -20,7 +22,8 @@ namespace gld {
 struct PreparedSampling {
   torch::Device device;
   ModelBundle bundle;
-  std::vector<Photograph> photographs;  // instead of a scene with cameras
+  std::shared_ptr<const WorkFolder> frames;  // of the videos among the photographs, as files
+  std::vector<Photograph> photographs;       // instead of a scene with cameras
   std::optional<PhotoScene> photos;  // once their cameras are estimated; before, stand-ins are in the scene
   Scene found;
   ViewSelection selection;  // as asked for, completed for photographs
