@@ -79,6 +79,7 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
       {"guidance.guidance_batch_memory", guided, guidance},
       {"points.", options.requested().points, "points among --outputs"},
       {"page.", options.requested().page, "page among --outputs"},
+      {"preview", options.requested().image, "image among --outputs"},
       {"splats.", options.requested().splats, "splats among --outputs"},
       {"scale_from", geometry, "depth, rays or points among --outputs"},
       {"geometry_cameras", !options.geometry_model.empty(), "--geometry-model, which is told the cameras"},
@@ -99,11 +100,11 @@ void refuse_without_effect(const SampleOptions& options) {
         options.photos.files.empty()) {
       fail({flag_of(key), "--photos, which it is an option of", "--scene", "leave out one of the two"});
     }
-    const bool of_a_path =
     if (key == "photo_frames" &&
         std::none_of(options.photos.files.begin(), options.photos.files.end(), is_video_name)) {
       fail({flag_of(key), "a video among --photos", "none", "add one, or leave " + flag_of(key) + " out"});
     }
+    const bool of_a_path =
         begins_with(key, "views.") && key != "views.sources" && key != "views.targets" && key != "views.path";
     // Photographs without targets get a path, which these may shape.
     const bool has_path =
@@ -175,10 +176,10 @@ void SampleOptions::visit(FieldVisitor& visitor) {
        "instead of a scene: photographs without cameras, files or folders, or a video; --photo-cameras says what finds "
        "them"},
       photos.files);
-  visit_choice(
   visitor.integer(
       {"photo_frames", "how many pictures of a video among --photos: the sharpest of as many stretches"},
       photos.frames, {1, 64});
+  visit_choice(
       visitor,
       {"photo_lens",
        "which photographs have one lens: those of one size (upright or turned), all (shared), or none "
@@ -243,6 +244,11 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.real({"memory_limit", "gigabytes that sampling may take; 0: what is free"}, memory_limit,
                {0, 1'000'000});
   visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
+  visitor.integer(
+      {"preview",
+       "evaluations of a flow between two pictures preview.png of what it would end with; their decoder is "
+       "in memory beside the flow's model; 0: none"},
+      preview, {0, 1'000'000});
   visit_out(visitor, out, overwrite);
   visitor.boolean(
       {"resume", "go on with an interrupted run of the same options, from the levels it has made"}, resume);

@@ -66,6 +66,7 @@ struct SampleOptions : OptionsGroup {
   // Gigabytes that sampling may take; 0 for what is free.
   double memory_limit = 0;
   bool allow_mixed = false;
+  int64_t preview = 0;  // evaluations between two previews; 0: none
   std::string out;
   bool overwrite = false;
   bool resume = false;

@@ -162,8 +162,28 @@ std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const F
   return std::make_unique<DitField>(model, std::move(scene));
 }
 
+bool stop_asked(const PipelineRequest& request) {
+  return interrupt_requested() || (request.stop_requested && request.stop_requested());
+}
+
+// Says after which steps a preview is due: the first and then every so many evaluations.
+class PreviewTimes {
+ public:
+  explicit PreviewTimes(int64_t every) : every_(every), next_(every) {}
+  bool due(int64_t evaluations) {
+    if (every_ <= 0 || evaluations < next_) return false;
+    next_ += (evaluations - next_) / every_ * every_ + every_;
+    return true;
+  }
+
+ private:
+  int64_t every_, next_;
+};
+
+// preview: takes the flow's prediction.
 torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
-                       const PipelineRequest& request, PipelineResult& result) {
+                       const PipelineRequest& request,
+                       const std::function<void(const torch::Tensor&)>& preview, PipelineResult& result) {
   result.warnings.insert(result.warnings.end(), scene.warnings().begin(), scene.warnings().end());
   const auto branches = choose_branches(request.flow.guidance, model.options(), scene.grid);
   const auto field = make_field(model, std::move(scene), stage, request);
@@ -173,9 +193,12 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   if (!is_adaptive(stage.solver.solver)) field->prepare_times({times.begin(), times.end() - 1});
   SolveObserver observer;
   observer.stage = stage.name;
+  PreviewTimes previews(request.on_preview ? request.preview_every : 0);
   observer.on_step = [&](const SolveProgress& progress) {
     if (request.on_step) request.on_step(stage.name, progress);
-    return interrupt_requested() ? SolveDecision::kStop : SolveDecision::kGoOn;
+    if (stop_asked(request)) return SolveDecision::kStop;
+    if (progress.time > 0 && previews.due(progress.evaluations)) preview(progress.predicted_data());
+    return SolveDecision::kGoOn;
   };
   if (request.on_step) {
     SolveProgress start;
@@ -184,8 +207,10 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   }
   const auto solved = solve_on(guided, stage.noise.to(request.device), stage.solver, times, observer);
   if (solved.stopped) {
-    stop_if_interrupted(
-        fmt::format("{}: {} steps to flow time {:.4g}", stage.name, solved.accepted, solved.times.back()));
+    const auto done =
+        fmt::format("{}: {} steps to flow time {:.4g}", stage.name, solved.accepted, solved.times.back());
+    stop_if_interrupted(done);
+    throw Interrupted(done);
   }
   FlowReport report;
   report.stage = stage.name;
@@ -242,6 +267,51 @@ void check_request(const PipelineModels& models, const PipelineRequest& request,
   }
 }
 
+CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
+                                const LatentGrid& grid, const std::string& stage) {
+  const LatentSpace space(models.backbone(), models.levels.boundary);
+  std::map<int64_t, torch::Tensor> raw;
+  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
+    const int64_t level = models.levels.generators[i].level;
+    raw[level] = models.statistics[i].denormalise(state.latents.at(level));
+  }
+  auto levels = space.complete(raw, state.sources.leading, grid);
+  for (size_t level = 0; level < levels.patches.size(); ++level) {
+    if (levels.patches[level].defined())
+      require_finite(levels.patches[level], stage, fmt::format("level {} features", level));
+  }
+  return levels;
+}
+
+torch::Tensor decoded_images(const PipelineModels& models, const std::vector<torch::Tensor>& levels,
+                             const LatentGrid& grid, const std::string& stage) {
+  auto images =
+      models.rgb_decoder()->decode(image_features(levels, models.levels.decoded_levels()), grid).cpu();
+  require_finite(images, stage, "images");
+  return images;
+}
+
+// The target views as they would be if the flow of this level ended with this prediction.
+torch::Tensor preview_images(const PipelineModels& models, const PipelineRequest& request,
+                             const PipelineState& state, const LatentGrid& grid, int64_t level,
+                             const torch::Tensor& predicted) {
+  PipelineState present;
+  present.sources = state.sources;
+  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
+    const int64_t other = models.levels.generators[i].level;
+    const auto made = state.latents.find(other);
+    const bool known = made != state.latents.end() && made->second.defined();
+    present.latents[other] = known ? made->second : torch::zeros_like(request.noise[i]).to(request.device);
+  }
+  present.latents[level] = predicted;
+  const std::string stage = "preview";
+  PipelineResult completed;
+  completed.grid = grid;
+  completed.levels = complete_levels(models, present, grid, stage).patches;
+  const auto targets = select_views(completed, DecodedViews::kTargets, request.views.num_sources);
+  return decoded_images(models, targets.levels, targets.grid, stage);
+}
+
 void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
                     PipelineState& state, PipelineResult& result) {
   const LevelGenerator& generator = models.levels.generators[stage.generator];
@@ -268,27 +338,16 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   SolverOptions solver = request.flow.solvers[stage.generator];
   solver.schedule.shift =
       resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
+  const auto preview = [&](const torch::Tensor& predicted) {
+    request.on_preview(stage.name,
+                       preview_images(models, request, state, result.grid, generator.level, predicted));
+  };
   auto& latent = state.latents[generator.level];
-  latent = run_flow(*model, model->prepare_scene(shown, request.savings),
-                    {stage.name, generator, solver, request.noise[stage.generator]}, request, result);
+  latent =
+      run_flow(*model, model->prepare_scene(shown, request.savings),
+               {stage.name, generator, solver, request.noise[stage.generator]}, request, preview, result);
   result.latents[generator.level] = latent.cpu();
   if (request.on_latent) request.on_latent(generator.level, result.latents[generator.level]);
-}
-
-CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
-                                const LatentGrid& grid, const std::string& stage) {
-  const LatentSpace space(models.backbone(), models.levels.boundary);
-  std::map<int64_t, torch::Tensor> raw;
-  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
-    const int64_t level = models.levels.generators[i].level;
-    raw[level] = models.statistics[i].denormalise(state.latents.at(level));
-  }
-  auto levels = space.complete(raw, state.sources.leading, grid);
-  for (size_t level = 0; level < levels.patches.size(); ++level) {
-    if (levels.patches[level].defined())
-      require_finite(levels.patches[level], stage, fmt::format("level {} features", level));
-  }
-  return levels;
 }
 
 // Depth and rays as another model sees them in the source images and the generated ones.
@@ -435,9 +494,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       }
       case StageKind::kRgbDecoding: {
         const auto selected = select_views(result, request.image_views, num_sources);
-        const auto features = image_features(selected.levels, models.levels.decoded_levels());
-        result.images = models.rgb_decoder()->decode(features, selected.grid).cpu();
-        require_finite(result.images, stage.name, "images");
+        result.images = decoded_images(models, selected.levels, selected.grid, stage.name);
         return;
       }
       case StageKind::kComposition:

@@ -74,6 +74,13 @@ struct PipelineRequest {
   torch::Device device = torch::kCPU;
   // Called when a flow-matching stage starts (step 0) and after each accepted step.
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
+  // After so many evaluations of a flow, and again after as many: the target views that its present prediction decodes
+  // to, with what no flow has made yet at its mean and nothing of the photographs laid over; (target views, 3, height,
+  // width). The decoder, and a backbone that completes levels, are in memory beside the flow's model for it. 0: never.
+  int64_t preview_every = 0;
+  std::function<void(const std::string& stage, const torch::Tensor& images)> on_preview;
+  // Asked after each accepted step whether to stop, beside Ctrl-C; may be empty. Interrupted is thrown then.
+  std::function<bool()> stop_requested;
   // Levels that are there already, as PipelineResult::latents holds them: their flows are not run.
   std::map<int64_t, torch::Tensor> kept_latents;
   // Called when a flow has generated its level.

@@ -169,6 +169,18 @@ void choose_views(PreparedSampling& prepared, const ImageSize& size) {
   warnings.insert(warnings.end(), notes.begin(), notes.end());
 }
 
+void choose_size_and_views(PreparedSampling& prepared, const SampleOptions& options) {
+  const ImageSize size = choose_size(options.size, prepared.found, prepared.bundle.options().image_sizes(),
+                                     prepared.bundle.options().backbone.patch_side());
+  prepared.selection = options.views;
+  if (!prepared.photographs.empty()) {
+    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
+    const std::string& path = prepared.selection.path.path;
+    if (!path.empty()) refuse_orbit_options_of(options, path);
+  }
+  choose_views(prepared, size);
+}
+
 }  // namespace
 
 PreparedSampling::PreparedSampling(const SampleOptions& options)
@@ -176,8 +188,7 @@ PreparedSampling::PreparedSampling(const SampleOptions& options)
 
 PreparedSampling prepare(const SampleOptions& options) {
   PreparedSampling prepared(options);
-  const ModelBundle& bundle = prepared.bundle;
-  prepared.geometry_model = geometry_model_of(options, bundle);
+  prepared.geometry_model = geometry_model_of(options, prepared.bundle);
   if (options.photos.files.empty()) {
     prepared.found = open_scene(options.scene, options.reading);
   } else {
@@ -186,15 +197,15 @@ PreparedSampling prepare(const SampleOptions& options) {
     if (only_rays(options.photos, prepared.photographs.size())) check_photo_model(prepared.camera_model());
     prepared.found = scene_before_cameras(prepared.photographs);
   }
-  const ImageSize size = choose_size(options.size, prepared.found, bundle.options().image_sizes(),
-                                     bundle.options().backbone.patch_side());
-  prepared.selection = options.views;
-  if (!prepared.photographs.empty()) {
-    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
-    const std::string& path = prepared.selection.path.path;
-    if (!path.empty()) refuse_orbit_options_of(options, path);
-  }
-  choose_views(prepared, size);
+  choose_size_and_views(prepared, options);
+  return prepared;
+}
+
+PreparedSampling prepare(const SampleOptions& options, Scene scene) {
+  PreparedSampling prepared(options);
+  prepared.geometry_model = geometry_model_of(options, prepared.bundle);
+  prepared.found = std::move(scene);
+  choose_size_and_views(prepared, options);
   return prepared;
 }
 

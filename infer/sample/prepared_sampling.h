@@ -40,6 +40,8 @@ struct PreparedSampling {
 // Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the
 // model or the cameras, or does not fit, is said first, as an Error.
 PreparedSampling prepare(const SampleOptions& options);
+// The same of a scene that is at hand, in the place of the one that options.scene names.
+PreparedSampling prepare(const SampleOptions& options, Scene scene);
 
 // Of photographs: loads and runs the model that sees their cameras, and chooses the views anew.
 void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages);

@@ -1,5 +1,7 @@
 #include "infer/sample/sampling.h"
 
+#include "datasets/images/image_file.h"
+#include "datasets/loading/batching.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
@@ -21,13 +23,16 @@
 #include "infer/request/scene_request.h"
 #include "infer/sample/background_hash.h"
 #include "infer/sample/picture_verdict.h"
+#include "infer/sample/planned_sampling.h"
 #include "infer/sample/prepared_sampling.h"
+#include "infer/sample/sampling_evidence.h"
 #include "infer/sample/sampling_outputs.h"
 #include "infer/sample/unfinished_latents.h"
 #include "models/bundle/part_lineage.h"
 #include "models/bundle/seen_scenes.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <iostream>
 #include <memory>
 #include <optional>
@@ -37,22 +42,6 @@
 
 namespace gld {
 namespace {
-
-PipelineRequest make_request(const SampleOptions& options, const FlowSettings& settings,
-                             const ModelBundle& bundle, const SamplingScene& scene,
-                             const torch::Device& device) {
-  const RequestedOutputs requested = options.requested();
-  PipelineRequest request = scene_request(scene, bundle.options(), options.seed, device);
-  request.flow = settings;
-  request.savings = options.savings();
-  request.photographs = photograph_use_of(options.photograph_use, bundle);
-  request.all_latents = requested.latents;
-  request.image_views = requested.image_views();
-  request.geometry_views = requested.geometry_views();
-  request.geometry_maps = requested.geometry_maps();
-  request.geometry_cameras = options.geometry_cameras;
-  return request;
-}
 
 nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
   auto list = nlohmann::ordered_json::array();
@@ -85,50 +74,28 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
                      options.guidance.guidance_scale);
 }
 
+// The target views side by side as the flow would end now, as long as there are no others.
+constexpr const char* kPreviewFile = "preview.png";
+
 // One progress line a flow-matching stage.
 class FlowProgress {
  public:
+  explicit FlowProgress(std::filesystem::path run) : run_(std::move(run)) {}
+
   void update(const std::string& stage, const SolveProgress& solve) {
     if (stage != stage_) {
       stage_ = stage;
-      line_ = std::make_unique<Progress>(stage, solve.steps);
+      line_ = std::make_unique<Progress>(ProgressOf{stage, solve.steps, 0, run_});
     }
     line_->update(solve.step, fmt::format("t {:.4f}", solve.time));
     if (solve.step == solve.steps) line_->finish();
   }
 
  private:
+  std::filesystem::path run_;
   std::string stage_;
   std::unique_ptr<Progress> line_;
 };
-
-// The method and what it would take. model_hash is called where the bundle's measured errors are needed.
-struct PlannedSampling {
-  ChosenMethod choice;
-  FlowSettings settings;
-  SamplingPlan plan;
-  KnownSpeed speed;  // that the plan's times come from
-};
-
-PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
-                        const std::function<std::string()>& model_hash) {
-  const BundleOptions& bundle = prepared.bundle.options();
-  PlanRequest request = plan_request(prepared, options);
-  PlannedSampling planned;
-  const KnownSpeed known = timing == PlanTiming::kMeasured ? renew_machine_speed() : known_machine_speed();
-  planned.choice = choose_method(options, prepared.bundle, request, known.speed, model_hash);
-  planned.settings = flow_settings(planned.choice.method, options.guidance, bundle);
-  request.flow = planned.settings;
-  planned.plan = plan_sampling(bundle, request);
-  planned.speed = known;
-  if (timing == PlanTiming::kMeasured) {
-    measure_seconds(planned.plan, bundle, request, known.speed);
-  } else {
-    predict_seconds(planned.plan, known.speed);
-  }
-  time_splat_stage(planned.plan, request, bundle.backbone.patch_side(), static_cast<int>(thread_count()));
-  return planned;
-}
 
 // What was not computed because target views were left out of the flows: the plan's operations less those of a plan for
 // the others, or of flows and decoding where all were.
@@ -212,39 +179,6 @@ std::string photographs_text(const SamplingScene& scene, const PipelineResult& r
   return text;
 }
 
-// The source photographs as they are matched, with what the geometry head said of their depth.
-std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
-                                                    const PipelineResult& result) {
-  std::vector<PicturedView> views = scene.photographs.views;
-  for (size_t i = 0; i < std::min(views.size(), result.head_depth.size()); ++i) {
-    views[i].depth = result.head_depth[i];
-  }
-  LeaveOneOutOptions options;
-  options.stereo = use.stereo;
-  if (!views.empty()) options.block = views.front().width / scene.size.width;
-  KernelSettings settings;
-  settings.threads = static_cast<int>(thread_count());
-  return leave_one_out(views, scene.photographs.points_in_world, options, settings);
-}
-
-PictureEvidence verdict_evidence(const PreparedSampling& prepared, const PipelineResult& result) {
-  PictureEvidence evidence;
-  evidence.sources = prepared.scene.views.num_sources;
-  evidence.keeps_photographs = result.composed.has_value();
-  if (result.composed) evidence.kept = result.composed->shown.mean().item<double>();
-  if (result.stereo) evidence.prior = result.stereo->prior;
-  evidence.divergences = result.divergences;
-  const auto seen = read_seen_scenes(prepared.bundle);
-  if (!seen) return evidence;
-  evidence.drawn_rooms_only = seen->drawn;
-  for (const auto& part : prepared.bundle.options().generators) {
-    for (const SeenLevel& level : seen->levels) {
-      if (level.level == part.generator.level) evidence.usual.push_back(level);
-    }
-  }
-  return evidence;
-}
-
 // Words in lines of at most so many characters.
 std::vector<std::string> lines_of(const std::string& sentence, size_t most) {
   std::vector<std::string> lines(1);
@@ -257,16 +191,6 @@ std::vector<std::string> lines_of(const std::string& sentence, size_t most) {
     begin = end + 1;
   }
   return lines;
-}
-
-// What the page says of the run too.
-std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
-                                   const PictureEvidence& evidence,
-                                   const std::vector<std::string>& warnings) {
-  nlohmann::ordered_json report;
-  report["warnings"] = warnings;
-  if (verdict) report["verdict"] = verdict_json(*verdict, evidence);
-  return doubts_of_run(report);
 }
 
 SheetText sheet_text(const std::optional<PictureVerdict>& verdict, const std::vector<std::string>& doubts,
@@ -418,7 +342,7 @@ void sample(const SampleOptions& options) {
   }
   RunFolder run(options.out, "sample", options, earlier);
   const RequestedOutputs requested = options.requested();
-  PipelineRequest request = make_request(options, planned.settings, bundle, scene, prepared.device);
+  PipelineRequest request = pipeline_request(prepared, options, planned.settings);
   provenance.seed = options.seed;
   provenance.precision = precision_text(planned.choice.method.precision, planned.choice.device);
   const UnfinishedLatents kept(run.path());
@@ -430,20 +354,28 @@ void sample(const SampleOptions& options) {
     kept.write(level, latent, {hash->get(), method, inputs});  // inside a stage, which records no other one
   };
   SamplingOutputs outputs(run, scene, requested, options, provenance);
-  FlowProgress progress;
+  FlowProgress progress(run.path());
+  stages.on_start([&](const std::string& stage) { note_stage(run.path(), stage); });
   request.on_step = [&](const std::string& stage, const SolveProgress& solve) {
     progress.update(stage, solve);
+  };
+  const auto preview = run.path() / kPreviewFile;
+  request.preview_every = options.preview;
+  request.on_preview = [&](const std::string&, const torch::Tensor& images) {
+    write_png(preview, to_image(torch::cat(images.unbind(), 2)));
   };
   // Every file names the model's hash.
   request.on_images = [&](const torch::Tensor& images, const std::optional<ComposedViews>& composed) {
     wait_for_hash();
     outputs.write_images(images, composed);
+    std::error_code gone;
+    std::filesystem::remove(preview, gone);  // the pictures themselves are there
   };
   PipelineModels models = bundle_models(bundle, prepared.device, planned.choice.method.precision);
   if (prepared.geometry_model) take_geometry_from(models, *prepared.geometry_model, prepared.device);
   const PipelineResult result = run_pipeline(models, request, stages);
   wait_for_hash();
-  PictureEvidence evidence = verdict_evidence(prepared, result);
+  PictureEvidence evidence = sampling_evidence(prepared, result);
   const bool has_pictures = request.image_views != DecodedViews::kNone;
   if (has_pictures && scene.views.num_sources > 1) {
     stages.run("leave one out",

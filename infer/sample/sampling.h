@@ -2,12 +2,9 @@
 
 #include "gld/report/report_text.h"
 #include "infer/method/sample_options.h"
+#include "infer/sample/planned_sampling.h"
 
 namespace gld {
-
-// Where a plan's seconds come from: operations and the machine's kept or quickly estimated speed, or runs of the
-// model's parts, which takes seconds.
-enum class PlanTiming { kPredicted, kMeasured };
 
 // gld plan: which stages would run for this scene and why, with predicted work, time and memory. Computes and writes
 // nothing; options.out is not used.

@@ -46,11 +46,22 @@ SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
   first_geometry_view_ = requested.geometry_views() == DecodedViews::kAll ? 0 : scene.views.num_sources;
 }
 
-int64_t SamplingOutputs::magnification() const {
-  const auto& photographs = scene_.photographs.views;
-  return options_.size != kPhotographSize || photographs.empty()
+int64_t picture_magnification(const SamplingScene& scene, const SampleOptions& options) {
+  const auto& photographs = scene.photographs.views;
+  return options.size != kPhotographSize || photographs.empty()
              ? 1
-             : photographs.front().width / scene_.size.width;
+             : photographs.front().width / scene.size.width;
+}
+
+std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptions& options,
+                                   const torch::Tensor& images,
+                                   const std::optional<ComposedViews>& composed) {
+  const int64_t times = picture_magnification(scene, options);
+  torch::Tensor shown = images;
+  if (times > 1) shown = composed ? composed->large_images : enlarged(images, times);
+  std::vector<Image> pictures;
+  for (int64_t i = 0; i < images.size(0); ++i) pictures.push_back(to_image(shown[i]));
+  return pictures;
 }
 
 void SamplingOutputs::write_images(const torch::Tensor& images,
@@ -59,13 +70,10 @@ void SamplingOutputs::write_images(const torch::Tensor& images,
   compare_with_truth();
   if (!requested_.image) return;
   const auto folder = run_.subfolder("images");
-  const int64_t times = magnification();
-  torch::Tensor large;
-  if (times > 1) large = composed ? composed->large_images : enlarged(images, times);
-  for (size_t i = 0; i < images_.size(); ++i) {
+  const auto pictures = target_pictures(scene_, options_, images, composed);
+  for (size_t i = 0; i < pictures.size(); ++i) {
     const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
-    export_image(folder / (view_name(view, scene_.views.size()) + ".png"),
-                 times > 1 ? to_image(large[static_cast<int64_t>(i)]) : images_[i], provenance_);
+    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), pictures[i], provenance_);
   }
   run_.note("images", "images");
 }
@@ -334,7 +342,7 @@ void SamplingOutputs::write_splats() {
   KernelSettings settings;
   settings.threads = static_cast<int>(thread_count());
   const Scene scene = open_scene(run_.path());
-  Progress progress("splats", options.fit.steps);
+  Progress progress({"splats", options.fit.steps, 0, run_.path()});
   const SceneFit fitted =
       fit_scene(scene, options, run_.path().string(), settings, [&](const SplatFitStep& step) {
         stop_if_interrupted(fmt::format("{} of {} steps of the splats are done; --resume begins them anew",

@@ -18,6 +18,12 @@
 
 namespace gld {
 
+// How many times as large as the model's the pictures of views are, where they are asked for in the photographs' size.
+int64_t picture_magnification(const SamplingScene& scene, const SampleOptions& options);
+// The target views as they are written, of (targets, 3, height, width) and what was composed of them.
+std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptions& options,
+                                   const torch::Tensor& images, const std::optional<ComposedViews>& composed);
+
 // Writes what the pipeline made into a run folder (docs/FILES.md lists the files).
 class SamplingOutputs {
  public:
@@ -54,8 +60,7 @@ class SamplingOutputs {
   void write_true_images();
   // Cameras of the model's size as those of the pictures that are written, without depth where that has another size.
   CameraList of_pictures(CameraList list) const;
-  // How many times as large as the model's the pictures are that are written.
-  int64_t magnification() const;
+  int64_t magnification() const { return picture_magnification(scene_, options_); }
   // Fills placement_, with what is unusual about it among the warnings.
   void place(const PipelineResult& result);
   std::vector<Camera> geometry_cameras() const;

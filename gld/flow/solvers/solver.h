@@ -87,6 +87,8 @@ struct SolveProgress {
   int64_t steps = 0;        // of how many; 0 where an adaptive solver cannot know
   double time = 1;          // flow time reached
   int64_t evaluations = 0;  // so far
+  // The data that the last evaluation predicts; empty before the first.
+  std::function<torch::Tensor()> predicted_data;
 };
 
 enum class SolveDecision { kGoOn, kStop };

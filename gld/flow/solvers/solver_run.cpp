@@ -16,6 +16,7 @@ torch::Tensor SolverRun::velocity(const torch::Tensor& state, double time) {
   auto result = field_.velocity(state, time);
   ++report_.evaluations;
   if (!all_finite(result)) give_up(SolveFailureKind::kNonFinite, "velocity", time);
+  if (observer_.on_step) last_ = {state, result, time};
   return result;
 }
 
@@ -36,7 +37,8 @@ void SolverRun::accept(const torch::Tensor& state, double time) {
   report_.times.push_back(time);
   ++report_.accepted;
   if (!observer_.on_step) return;
-  const auto decision = observer_.on_step({report_.accepted, steps_, time, report_.evaluations});
+  const auto predicted = [this] { return data_from_velocity(last_.state, last_.velocity, last_.time); };
+  const auto decision = observer_.on_step({report_.accepted, steps_, time, report_.evaluations, predicted});
   if (decision == SolveDecision::kStop) throw SolveStopped{};
 }
 

@@ -41,6 +41,11 @@ class SolverRun {
   const SolveObserver& observer_;
   SolveReport report_;
   int64_t steps_ = 0;
+  struct Evaluation {
+    torch::Tensor state, velocity;
+    double time = 1;
+  };
+  Evaluation last_;
 };
 
 bool all_finite(const torch::Tensor& tensor);

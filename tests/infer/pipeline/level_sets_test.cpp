@@ -2,6 +2,7 @@
 // one after another here.
 
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/cameras/cameras_in_a_row.h"
 #include "gld/flow/flow.h"
 #include "gld/flow/schedule.h"
@@ -173,6 +174,48 @@ TEST(TimeShiftOfTheLatent, IsTakenWhereNoneIsGiven) {
     EXPECT_EQ(by_rule.flows[i].times, given.flows[i].times);
     EXPECT_NEAR(by_rule.flows[i].times.at(1), shifted_time(0.5, shift), 1e-12);
   }
+}
+
+// After the first of two Euler steps the prediction is what one step alone ends with.
+TEST(Preview, IsWhatTheFlowWouldEndWithNow) {
+  const auto options = options_of({"published", {level_model(1), cascade(1, 0)}, 1, {}, 0});
+  const test::TemporaryFolder folder;
+  write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
+  const auto models = bundle_models(ModelBundle::open(folder.path() / "model"), torch::kCPU);
+  auto request = request_of(options);
+  std::vector<std::string> stages_shown;
+  torch::Tensor shown;
+  request.preview_every = 1;
+  request.on_preview = [&](const std::string& stage, const torch::Tensor& images) {
+    stages_shown.push_back(stage);
+    shown = images;
+  };
+  StageRecords stages;
+  const auto whole = run_pipeline(models, request, stages);
+  ASSERT_EQ(stages_shown.size(), 2U) << "the end of a flow is no preview";
+  EXPECT_NE(stages_shown.front(), stages_shown.back());
+  request.on_preview = nullptr;
+  EXPECT_TRUE(torch::equal(run_pipeline(models, request, stages).images, whole.images));
+  request.flow.solvers[1].evaluations = 1;
+  const auto one_step = run_pipeline(models, request, stages);
+  EXPECT_LT((shown - one_step.images).abs().max().item<double>(), 1e-5);
+  EXPECT_GT((shown - whole.images).abs().max().item<double>(), 1e-3);
+}
+
+TEST(Pipeline, StopsBetweenStepsWhereItsCallerWishes) {
+  const auto options = options_of({"boundary_0", {level_model(0)}, 0, {}, 0});
+  const test::TemporaryFolder folder;
+  write_random_bundle(folder.path() / "model", options, 7, DType::kFloat32);
+  auto request = request_of(options);
+  request.flow.solvers[0].evaluations = 6;
+  int64_t steps = 0;
+  request.on_step = [&](const std::string&, const SolveProgress& progress) { steps = progress.step; };
+  request.stop_requested = [&] { return steps == 2; };
+  StageRecords stages;
+  EXPECT_THROW(
+      run_pipeline(bundle_models(ModelBundle::open(folder.path() / "model"), torch::kCPU), request, stages),
+      Interrupted);
+  EXPECT_EQ(steps, 2);
 }
 
 INSTANTIATE_TEST_SUITE_P(

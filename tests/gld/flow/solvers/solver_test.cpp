@@ -86,6 +86,28 @@ TEST(Solver, CountsEvaluationsAndVisitsTheSchedule) {
   }
 }
 
+TEST(Solver, TellsTheObserverWhatDataIsPredicted) {
+  int64_t told = 0;
+  for (const SolverKind solver : fixed_step_solvers()) {
+    auto field = constant_data_field(0.25);
+    SolverOptions options;
+    options.solver = solver;
+    options.evaluations = 6;
+    SolveObserver observer;
+    observer.on_step = [&](const SolveProgress& progress) {
+      // At t = 0 itself this field says nothing of the data.
+      if (progress.time > 0) {
+        EXPECT_LT((progress.predicted_data() - 0.25).abs().max().item<double>(), 1e-12)
+            << solver_names()[static_cast<size_t>(solver)];
+        ++told;
+      }
+      return SolveDecision::kGoOn;
+    };
+    solve(field, doubles({-3, 0.5, 40}), options, observer);
+  }
+  EXPECT_GT(told, 20) << "steps of all of them that do not end at 0";
+}
+
 // The published sampler: 50 times, 49 Euler steps, stopping above 0.
 TEST(Solver, PublishedSamplerIsFortyNineEulerSteps) {
   FunctionField field([](const torch::Tensor& x, double) { return torch::ones_like(x); });

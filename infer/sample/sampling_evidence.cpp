@@ -1,0 +1,52 @@
+#include "infer/sample/sampling_evidence.h"
+
+#include "gld/page/run_report.h"
+#include "gld/tensors/torch_version.h"
+#include "models/bundle/seen_scenes.h"
+
+#include <algorithm>
+
+namespace gld {
+
+std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
+                                                    const PipelineResult& result) {
+  std::vector<PicturedView> views = scene.photographs.views;
+  for (size_t i = 0; i < std::min(views.size(), result.head_depth.size()); ++i) {
+    views[i].depth = result.head_depth[i];
+  }
+  LeaveOneOutOptions options;
+  options.stereo = use.stereo;
+  if (!views.empty()) options.block = views.front().width / scene.size.width;
+  KernelSettings settings;
+  settings.threads = static_cast<int>(thread_count());
+  return leave_one_out(views, scene.photographs.points_in_world, options, settings);
+}
+
+PictureEvidence sampling_evidence(const PreparedSampling& prepared, const PipelineResult& result) {
+  PictureEvidence evidence;
+  evidence.sources = prepared.scene.views.num_sources;
+  evidence.keeps_photographs = result.composed.has_value();
+  if (result.composed) evidence.kept = result.composed->shown.mean().item<double>();
+  if (result.stereo) evidence.prior = result.stereo->prior;
+  evidence.divergences = result.divergences;
+  const auto seen = read_seen_scenes(prepared.bundle);
+  if (!seen) return evidence;
+  evidence.drawn_rooms_only = seen->drawn;
+  for (const auto& part : prepared.bundle.options().generators) {
+    for (const SeenLevel& level : seen->levels) {
+      if (level.level == part.generator.level) evidence.usual.push_back(level);
+    }
+  }
+  return evidence;
+}
+
+std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
+                                   const PictureEvidence& evidence,
+                                   const std::vector<std::string>& warnings) {
+  nlohmann::ordered_json report;
+  report["warnings"] = warnings;
+  if (verdict) report["verdict"] = verdict_json(*verdict, evidence);
+  return doubts_of_run(report);
+}
+
+}  // namespace gld
