@@ -24,7 +24,7 @@ endfunction()
 
 set(problems "")
 set(citations 0)
-foreach(folder gld models datasets train infer bench verify ablate cli tests configs docs .)
+foreach(folder gld models datasets train infer bench verify ablate library cli tests configs docs .)
   set(files "")
   if(folder STREQUAL ".")
     file(GLOB files RELATIVE ${ROOT} ${ROOT}/*.md)
@@ -38,7 +38,7 @@ foreach(folder gld models datasets train infer bench verify ablate cli tests con
     if(NOT file MATCHES "\\.yaml$|^docs/measured/")
       # A name begins where a path does: measured/train/x.md is none of train/.
       string(REGEX REPLACE "[][;]" " " named_text "${text}")  # what lists of CMake's may not hold
-      string(REGEX MATCHALL "(^|[^A-Za-z0-9_/])(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests|cmake|scripts|docs)/[A-Za-z0-9_/]*[A-Za-z0-9_]\\.(h|cpp|txt|cmake|sh|py|md)" named "${named_text}")
+      string(REGEX MATCHALL "(^|[^A-Za-z0-9_/])(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests|cmake|scripts|docs)/[A-Za-z0-9_/]*[A-Za-z0-9_]\\.(h|cpp|txt|cmake|sh|py|md)" named "${named_text}")
       list(TRANSFORM named REPLACE "^[^A-Za-z0-9_]" "")
       list(REMOVE_DUPLICATES named)
       # What CONTRIBUTING.md says of any room (tests/ROOM/x_test.cpp).

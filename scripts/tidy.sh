@@ -20,9 +20,9 @@ content_hashes() {
 }
 
 # Sources whose bytes are not those of the commit's file of that name.
-differing_from() { git diff --name-only --diff-filter=d "$1" -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests)/' || true; }
+differing_from() { git diff --name-only --diff-filter=d "$1" -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests)/' || true; }
 
-sources_of() { git ls-files -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests)/'; }
+sources_of() { git ls-files -- '*.cpp' '*.h' | grep -E '^(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests)/'; }
 
 at_commit() { git cat-file blob "$commit:$1"; }
 
@@ -91,7 +91,7 @@ tidy_one() {
   # clang does not know all of g++'s options and pragmas. The filter is .clang-tidy's and the sources that a unity file
   # includes.
   if ! clang-tidy -p "$build" --quiet --extra-arg=-Wno-unknown-warning-option --extra-arg=-Wno-unknown-pragmas \
-    --header-filter='(gld|models|datasets|train|infer|bench|verify|ablate|cli|tests)/.*\.(h|cpp)$' "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
+    --header-filter='(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests)/.*\.(h|cpp)$' "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
     echo "$1" >"$results/$name.failed"
     cat "$results/$name.log"
     grep -E '(error|fatal)' "$results/$name.stderr" || true
