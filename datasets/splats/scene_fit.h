@@ -4,6 +4,7 @@
 #include "datasets/splats/splat_fit.h"
 #include "gld/cameras/image_size.h"
 #include "gld/report/provenance.h"
+#include "gld/splatting/splat_ply.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -12,9 +13,6 @@
 #include <vector>
 
 namespace gld {
-
-// Where the Gaussians of a run folder are.
-constexpr const char* kSplatFile = "splats.ply";
 
 // All that the Gaussians of a scene depend on beside its pictures, depth and cameras.
 struct SceneFitOptions : OptionsGroup {

@@ -3,26 +3,6 @@
 // The point cloud: taken out of the page (infer/page/page_cloud.h says how it is put in), and drawn as discs that are as large
 // as the points are apart.
 
-// Differences of 16 bits with their sign in the lowest bit, low bytes first, back to values.
-function takeDifferences16(bytes, start, count, values, axis) {
-  let value = 0;
-  for (let i = 0; i < count; ++i) {
-    const folded = bytes[start + i] | (bytes[start + count + i] << 8);
-    value = (value + (folded & 1 ? -((folded + 1) >> 1) : folded >> 1)) & 65535;
-    values[3 * i + axis] = value;
-  }
-  return start + 2 * count;
-}
-
-function takeDifferences8(bytes, start, count, values, stride, offset) {
-  let value = 0;
-  for (let i = 0; i < count; ++i) {
-    value = (value + bytes[start + i]) & 255;
-    values[stride * i + offset] = value;
-  }
-  return start + count;
-}
-
 async function unpackedCloud(packed) {
   const bytes = await inflated(packed.bytes);
   const count = packed.count;

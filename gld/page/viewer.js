@@ -8,11 +8,12 @@ const kFlightSeconds = 0.9;
 const kReleaseSeconds = 0.4;
 
 class Viewer {
-  // Throws a sentence where the browser has no WebGL. `cloud` may be null.
-  constructor(holder, views, cloud) {
+  // Throws a sentence where the browser has no WebGL. `cloud` and `splats` may be null; with both, one of them is shown.
+  constructor(holder, views, cloud, splats) {
     this.holder = holder;
     this.views = views;
     this.cloud = cloud;
+    this.splats = splats;
     this.canvas = element("canvas", {tabIndex: 0, "aria-label": "The scene in 3D"});
     const attributes = {alpha: true, antialias: true, preserveDrawingBuffer: true};
     const context = this.canvas.getContext("webgl2", attributes) || this.canvas.getContext("webgl", attributes);
@@ -67,6 +68,11 @@ class Viewer {
     if (this.cloud) {
       this.points = makeCloudObject(this.cloud);
       this.scene.add(this.points);
+    }
+    if (this.splats) {
+      this.gaussians = new SplatObject(this.splats);
+      this.scene.add(this.gaussians.mesh);
+      if (this.points) this.points.visible = false;
     }
     const distance = frustumDepth(this.views, this.depth);
     this.frusta = this.views.map((view) => {
@@ -329,6 +335,9 @@ class Viewer {
     if (this.points) {
       this.points.material.uniforms.focal.value = Math.sqrt(pose.lens.fx * pose.lens.fy) * this.renderer.getPixelRatio();
     }
+    if (this.gaussians && this.gaussians.mesh.visible) {
+      this.gaussians.prepare(this.eye, pose.lens, width, height, this.renderer.getPixelRatio());
+    }
     this.frusta.forEach((frustum, i) => {
       const source = isSource(this.views[i]);
       const kind = source ? "source" : "generated";
@@ -362,6 +371,13 @@ class Viewer {
 
   show(kind, on) {
     this.shown[kind] = on;
+    this.changed();
+  }
+
+  // Points or Gaussians, where there are both.
+  showSplats(on) {
+    this.gaussians.mesh.visible = on;
+    this.points.visible = !on;
     this.changed();
   }
 

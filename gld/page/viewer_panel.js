@@ -121,6 +121,11 @@ function makePanel(viewer) {
     viewer.views.length > 1 ? play : null);
   const fade = slider("Picture over cloud", {min: 0, max: 1, step: 0.01, value: 1, id: "fade"}, shareText, (value) => viewer.setFade(value));
   const panel = element("div", {className: "panel"}, views, kinds, fade);
+  if (viewer.cloud && viewer.splats) {
+    const box = element("input", {type: "checkbox", checked: true, id: "show-splats"});
+    box.addEventListener("change", () => viewer.showSplats(box.checked));
+    panel.append(element("label", {title: "Gaussians fitted to all views, in the place of the points"}, box, "Splats"));
+  }
   if (viewer.cloud) {
     panel.append(
       slider("Point size", {min: -1.5, max: 2, step: 0.05, value: 0, id: "point-size"}, (value) => `× ${(2 ** value).toFixed(1)}`, (value) => viewer.setPointSize(2 ** value)),
@@ -139,10 +144,11 @@ async function showScene(main) {
   const place = element("div", {});
   main.append(section("In 3D", hint, place));
   const sentences = [];
-  let cloud = null;
-  if (page.cloud.count > 0) {
+  let cloud = null, splats = null;
+  if (page.cloud.count > 0 || (page.splats && page.splats.count > 0)) {
     try {
-      cloud = await unpackedCloud(page.cloud);
+      if (page.cloud.count > 0) cloud = await unpackedCloud(page.cloud);
+      if (page.splats && page.splats.count > 0) splats = await unpackedSplats(page.splats);
     } catch (error) {
       sentences.push("This browser cannot unpack the cloud (it has no DecompressionStream), so it is left out; everything else is here.");
     }
@@ -150,14 +156,15 @@ async function showScene(main) {
   if (page.cloud_note) sentences.push(page.cloud_note);
   const holder = element("div", {className: "viewer"});
   let viewer = null;
-  if (cloud !== null || page.views.length > 0) {
+  if (cloud !== null || splats !== null || page.views.length > 0) {
     place.append(holder);
     try {
-      viewer = new Viewer(holder, page.views, cloud);
-      if (cloud !== null) {
-        const of = page.cloud.of > cloud.count ? ` of ${countText(page.cloud.of)}` : "";
-        holder.append(element("div", {className: "count"}, `${countText(cloud.count)}${of} points`));
-      }
+      viewer = new Viewer(holder, page.views, cloud, splats);
+      const counted = (of, shown, what) => `${countText(shown)}${of > shown ? ` of ${countText(of)}` : ""} ${what}`;
+      const counts = [];
+      if (cloud !== null) counts.push(counted(page.cloud.of, cloud.count, "points"));
+      if (splats !== null) counts.push(counted(page.splats.of, splats.count, "Gaussians"));
+      if (counts.length > 0) holder.append(element("div", {className: "count"}, counts.join(", ")));
       place.append(makePanel(viewer));
     } catch (error) {
       holder.remove();

@@ -70,4 +70,6 @@ void spherical_harmonic_slopes(int64_t degree, const double direction[3], double
 
 double coefficient_of_colour(double colour) { return (colour - kHarmonicGrey) / kC0; }
 
+double colour_of_coefficient(double coefficient) { return kHarmonicGrey + kC0 * coefficient; }
+
 }  // namespace gld

@@ -21,5 +21,6 @@ constexpr double kHarmonicGrey = 0.5;
 
 // The coefficient 0 of a colour from 0 to 1 that is the same from everywhere.
 double coefficient_of_colour(double colour);
+double colour_of_coefficient(double coefficient);
 
 }  // namespace gld

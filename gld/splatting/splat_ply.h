@@ -9,6 +9,9 @@
 
 namespace gld {
 
+// Where the Gaussians of a run folder are.
+constexpr const char* kSplatFile = "splats.ply";
+
 // Gaussians in the PLY file that 3DGS writes and public viewers open: per vertex x y z, nx ny nz (0), f_dc_0 .. 2,
 // f_rest_* (all of red, then of green, then of blue), opacity (logit), scale_0 .. 2 (logarithms), rot_0 .. 3 (w x y z),
 // floats. Coordinates are the world's where floats hold them to 1e-5 of the scene's size, and else relative to the

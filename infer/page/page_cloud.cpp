@@ -1,6 +1,7 @@
 #include "infer/page/page_cloud.h"
 
 #include "gld/page/page_text.h"
+#include "infer/page/packed_planes.h"
 
 #include <algorithm>
 #include <array>
@@ -77,31 +78,6 @@ std::vector<uint8_t> ranks_of(const std::vector<float>& confidences) {
   return ranks;
 }
 
-// Neighbours in a row of a view are neighbours in the cloud: differences of 16 bits, small ones of both signs as small
-// numbers, the low bytes of all of them and then the high ones.
-void append_differences(std::string& bytes, const std::vector<uint16_t>& values) {
-  std::string high;
-  uint16_t before = 0;
-  for (const uint16_t value : values) {
-    const auto difference = static_cast<int16_t>(static_cast<uint16_t>(value - before));
-    const auto folded = static_cast<uint16_t>(difference < 0 ? -2 * (difference + 1) + 1 : 2 * difference);
-    bytes.push_back(static_cast<char>(folded & 255));
-    high.push_back(static_cast<char>(folded >> 8));
-    before = value;
-  }
-  bytes += high;
-}
-
-void append_differences(std::string& bytes, const std::vector<uint8_t>& values) {
-  uint8_t before = 0;
-  for (const uint8_t value : values) {
-    bytes.push_back(static_cast<char>(static_cast<uint8_t>(value - before)));
-    before = value;
-  }
-}
-
-nlohmann::ordered_json list_of(const Eigen::Vector3d& x) { return {x.x(), x.y(), x.z()}; }
-
 }  // namespace
 
 nlohmann::ordered_json page_cloud(PointCloud cloud, const std::vector<SeenDepth>& views,
@@ -110,32 +86,16 @@ nlohmann::ordered_json page_cloud(PointCloud cloud, const std::vector<SeenDepth>
   nlohmann::ordered_json json{{"count", 0}, {"of", all}};
   if (all == 0 || most_points == 0) return json;
   const double cell = thin_point_cloud(cloud, most_points);
-  Eigen::Vector3d low = cloud.x_in_world.front(), high = low;
-  for (const Eigen::Vector3d& point : cloud.x_in_world) {
-    low = low.cwiseMin(point);
-    high = high.cwiseMax(point);
-  }
-  // A flat cloud has a box without thickness.
-  const double smallest = std::max((high - low).maxCoeff(), 1e-30) / 65535;
-  const Eigen::Vector3d step = ((high - low) / 65535).cwiseMax(smallest * 1e-6);
   const auto count = cloud.x_in_world.size();
   std::string bytes;
-  for (int axis = 0; axis < 3; ++axis) {
-    std::vector<uint16_t> values;
-    values.reserve(count);
-    for (const Eigen::Vector3d& point : cloud.x_in_world) {
-      values.push_back(
-          static_cast<uint16_t>(std::clamp(std::lround((point[axis] - low[axis]) / step[axis]), 0L, 65535L)));
-    }
-    append_differences(bytes, values);
-  }
+  const PackedBox box = append_positions(bytes, cloud.x_in_world);
   for (size_t channel = 0; channel < 3; ++channel) {
     std::vector<uint8_t> values;
     values.reserve(count);
     for (const Rgb& colour : cloud.colours) values.push_back(colour[channel]);
     append_differences(bytes, values);
   }
-  const auto lengths = footprints_of(cloud, views, cell, (high - low).norm());
+  const auto lengths = footprints_of(cloud, views, cell, box.diagonal);
   const double shortest = std::max(*std::min_element(lengths.begin(), lengths.end()), 1e-30);
   std::vector<uint8_t> steps;
   steps.reserve(count);
@@ -146,8 +106,8 @@ nlohmann::ordered_json page_cloud(PointCloud cloud, const std::vector<SeenDepth>
   append_differences(bytes, steps);
   append_differences(bytes, ranks_of(cloud.confidences));
   json["count"] = count;
-  json["low"] = list_of(low - origin);
-  json["step"] = list_of(step);
+  json["low"] = vector_json(box.low - origin);
+  json["step"] = vector_json(box.step);
   json["footprint"] = shortest;
   json["bytes"] = base64_text(deflated(bytes));
   return json;

@@ -7,9 +7,11 @@
 #include "gld/base/error.h"
 #include "gld/cameras/relative_cameras.h"
 #include "gld/page/run_report.h"
+#include "gld/splatting/splat_ply.h"
 #include "infer/export/ply_file.h"
 #include "infer/page/page_cloud.h"
 #include "infer/page/page_pictures.h"
+#include "infer/page/page_splats.h"
 #include "infer/page/run_words.h"
 
 #include <algorithm>
@@ -281,6 +283,11 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   page.data["origin"] = {origin.x(), origin.y(), origin.z()};
   page.data["cloud_note"] = cloud_note(report, cloud, has_cloud, options);
   page.data["cloud"] = page_cloud(std::move(cloud), seen, origin, options.page_points);
+  if (parts.has(kSplatFile) && options.page_points > 0) {
+    parts.read(kSplatFile, [&](const auto& file) {
+      page.data["splats"] = page_splats(read_splat_ply(file), origin, options.page_points);
+    });
+  }
   page.data["facts"] = facts_json(report);
   page.data["stages"] = stages_json(report);
   page.data["command"] = report_text_at(report, "/command_line");

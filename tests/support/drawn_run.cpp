@@ -1,6 +1,8 @@
 #include "tests/support/drawn_run.h"
 
 #include "datasets/formats/cameras_json.h"
+#include "datasets/formats/scene_reader.h"
+#include "datasets/splats/scene_fit.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/json_text.h"
@@ -154,6 +156,12 @@ void write_drawn_run(const std::filesystem::path& folder, const DrawnRun& drawn)
   write_file_atomically(folder / "report.json", json_text(report, 2) + "\n");
   write_file_atomically(folder / "config.yaml",
                         "# gld sample: the options of this run, defaults included\nseed: 7\n");
+  if (!drawn.splats) return;
+  SceneFitOptions fit;
+  fit.fit.steps = 150;
+  const SceneFit fitted =
+      fit_scene(open_scene(folder), fit, drawn.scene_name, KernelSettings(), [](const auto&) {});
+  write_fitted_splats(folder / kSplatFile, fitted.fit.set, drawn.scene_name, fit);
 }
 
 }  // namespace gld::test

@@ -1,5 +1,5 @@
-// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd SCENE_NAME FRAME_NAME]: a run folder of a drawn room
-// with its page, for the test in a browser.
+// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd|splats SCENE_NAME FRAME_NAME]: a run folder of a drawn
+// room with its page, for the test in a browser.
 #include "gld/base/error.h"
 #include "infer/page/report_command.h"
 #include "tests/support/drawn_run.h"
@@ -24,6 +24,7 @@ int main(int count, char** words) {
     if (count > 3) drawn.sources = std::stol(words[3]);
     if (count > 4) drawn.targets = std::stol(words[4]);
     if (count > 5) drawn.odd_pixels = std::string(words[5]) == "odd";
+    if (count > 5) drawn.splats = std::string(words[5]) == "splats";
     if (count > 6) drawn.scene_name = words[6];
     if (count > 7) drawn.first_name = words[7];
     std::filesystem::create_directories(words[1]);

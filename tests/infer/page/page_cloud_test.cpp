@@ -1,12 +1,13 @@
 #include "infer/page/page_cloud.h"
 
+#include "tests/infer/page/unpacked_planes.h"
+
 #include <algorithm>
 #include <cmath>
 #include <string>
 #include <vector>
 
 #include <gtest/gtest.h>
-#include <zlib.h>
 
 namespace gld {
 namespace {
@@ -37,12 +38,6 @@ PointCloud plane_cloud() {
   return cloud;
 }
 
-uint8_t value_of(char digit) {
-  const std::string digits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  return static_cast<uint8_t>(digits.find(digit));
-}
-
-// Takes the bytes apart as docs/PAGE.md says, without the writer's code.
 struct Unpacked {
   std::vector<Eigen::Vector3d> points;
   std::vector<Rgb> colours;
@@ -51,43 +46,16 @@ struct Unpacked {
 
   explicit Unpacked(const nlohmann::ordered_json& json) {
     const auto count = json.at("count").get<size_t>();
-    const auto text = json.at("bytes").get<std::string>();
-    std::string packed;
-    for (size_t i = 0; i < text.size(); i += 4) {
-      uint32_t four = 0;
-      for (size_t k = 0; k < 4; ++k) four = four << 6 | (text[i + k] == '=' ? 0 : value_of(text[i + k]));
-      for (int shift = 16; shift >= 0; shift -= 8) packed.push_back(static_cast<char>(four >> shift & 255));
-    }
-    std::vector<uint8_t> bytes(11 * count);
-    uLongf size = bytes.size();
-    EXPECT_EQ(uncompress(bytes.data(), &size, reinterpret_cast<const Bytef*>(packed.data()), packed.size()),
-              Z_OK);
-    EXPECT_EQ(size, bytes.size());
-    points.resize(count);
+    test::UnpackedPlanes planes(json, 11);
+    points = planes.points();
     colours.resize(count);
-    size_t at = 0;
-    for (int axis = 0; axis < 3; ++axis, at += 2 * count) {
-      int value = 0;
-      for (size_t i = 0; i < count; ++i) {
-        const int folded = bytes[at + i] + 256 * bytes[at + count + i];
-        value = (value + (folded % 2 == 1 ? -(folded + 1) / 2 : folded / 2) + 65536) % 65536;
-        points[i][axis] = json.at("low")[axis].get<double>() + json.at("step")[axis].get<double>() * value;
-      }
-    }
-    const auto plane = [&] {
-      std::vector<uint8_t> values(count);
-      uint8_t value = 0;
-      for (size_t i = 0; i < count; ++i) values[i] = value = static_cast<uint8_t>(value + bytes[at + i]);
-      at += count;
-      return values;
-    };
     for (size_t c = 0; c < 3; ++c) {
-      const auto values = plane();
+      const auto values = planes.plane();
       for (size_t i = 0; i < count; ++i) colours[i][c] = values[i];
     }
-    for (const uint8_t steps : plane())
+    for (const uint8_t steps : planes.plane())
       footprints.push_back(json.at("footprint").get<double>() * std::exp2(steps / 16.0));
-    for (const uint8_t rank : plane()) ranks.push_back(rank);
+    for (const uint8_t rank : planes.plane()) ranks.push_back(rank);
   }
 };
 
