@@ -35,7 +35,8 @@ PinholeCamera camera_of(const Camera& camera) {
   made.centre_y = camera.intrinsics(1, 2);
   for (int row = 0; row < 4; ++row) {
     for (int column = 0; column < 4; ++column) {
-      made.world_from_camera[static_cast<size_t>(4 * row + column)] = camera.world_from_camera.matrix()(row, column);
+      made.world_from_camera[static_cast<size_t>(4 * row + column)] =
+          camera.world_from_camera.matrix()(row, column);
     }
   }
   return made;
@@ -51,7 +52,8 @@ Camera camera_of(const PinholeCamera& camera) {
   made.intrinsics(1, 2) = camera.centre_y;
   for (int row = 0; row < 4; ++row) {
     for (int column = 0; column < 4; ++column) {
-      made.world_from_camera.matrix()(row, column) = camera.world_from_camera[static_cast<size_t>(4 * row + column)];
+      made.world_from_camera.matrix()(row, column) =
+          camera.world_from_camera[static_cast<size_t>(4 * row + column)];
     }
   }
   return made;
@@ -80,7 +82,8 @@ Scene scene_of(const SampleRequest& request) {
     frame.camera = camera_of(request.sources[i].camera);
     Image image = image_of(request.sources[i].picture, frame.name);
     if (image.width != frame.camera.width || image.height != frame.camera.height) {
-      fail({frame.name, "a picture of the camera's size, " + size_text(frame.camera.width, frame.camera.height),
+      fail({frame.name,
+            "a picture of the camera's size, " + size_text(frame.camera.width, frame.camera.height),
             size_text(image.width, image.height), "give both the same"});
     }
     frame.load_image = [image = std::move(image)] { return image; };
@@ -136,7 +139,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   PreparedSampling prepared =
       request.photographs.empty() ? prepare(options, scene_of(request)) : prepare(options);
   require_parts(prepared, options);
-  if (const std::string problem = memory_problem(prepared, options); !problem.empty()) throw SamplerError(problem);
+  if (const std::string problem = memory_problem(prepared, options); !problem.empty())
+    throw SamplerError(problem);
   StageRecords stages;
   if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
   const PlannedSampling planned =
@@ -147,7 +151,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   pipeline.stop_requested = [&] { return stopped; };
   if (callbacks.progress) {
     pipeline.on_step = [&](const std::string& stage, const SolveProgress& solve) {
-      stopped = stopped || !callbacks.progress({stage, solve.step, solve.steps, solve.time, solve.evaluations});
+      stopped =
+          stopped || !callbacks.progress({stage, solve.step, solve.steps, solve.time, solve.evaluations});
     };
   }
   if (callbacks.preview) {
@@ -158,7 +163,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
       callbacks.preview(stage, views);
     };
   }
-  const PipelineModels models = bundle_models(prepared.bundle, prepared.device, planned.choice.method.precision);
+  const PipelineModels models =
+      bundle_models(prepared.bundle, prepared.device, planned.choice.method.precision);
   std::optional<PipelineResult> made;
   try {
     made = run_pipeline(models, pipeline, stages);
@@ -168,7 +174,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   }
   const SamplingScene& scene = prepared.scene;
   PictureEvidence evidence = sampling_evidence(prepared, *made);
-  if (scene.views.num_sources > 1) evidence.left_out = left_out_photographs(scene, pipeline.photographs, *made);
+  if (scene.views.num_sources > 1)
+    evidence.left_out = left_out_photographs(scene, pipeline.photographs, *made);
   SampleResult result;
   const PictureVerdict verdict = verdict_of(evidence);
   result.verdict = verdict.sentence;
@@ -178,8 +185,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   result.doubts = doubts_of(verdict, evidence, warnings);
   for (int64_t i = 0; i < scene.views.num_sources; ++i) {
     const auto view = static_cast<size_t>(i);
-    result.sources.push_back(
-        {scene.view_names[view], camera_of(scene.views.cameras[view]), picture_of(scene.source_images[view]), 1});
+    result.sources.push_back({scene.view_names[view], camera_of(scene.views.cameras[view]),
+                              picture_of(scene.source_images[view]), 1});
   }
   const auto pictures = target_pictures(scene, options, made->images, made->composed);
   const int64_t times = picture_magnification(scene, options);
@@ -189,7 +196,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
     SampledView shown{scene.view_names[view],
                       camera_of(resized_camera(camera, times * camera.width, times * camera.height)),
                       picture_of(pictures[i]), 0};
-    if (made->composed) shown.from_photographs = made->composed->shown[static_cast<int64_t>(i)].mean().item<double>();
+    if (made->composed)
+      shown.from_photographs = made->composed->shown[static_cast<int64_t>(i)].mean().item<double>();
     result.views.push_back(std::move(shown));
   }
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

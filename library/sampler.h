@@ -1,8 +1,8 @@
 #pragma once
 
 // Novel views for other programs: the sampler of gld as a library. Of CMake: find_package(gld), target gld::gld. It
-// prints nothing, installs no signal handler, and its pictures are those of `gld sample` to the byte. One call at a time
-// in a process: the number of threads belongs to all of it.
+// prints nothing, installs no signal handler, and its pictures are those of `gld sample` to the byte. One call at a
+// time in a process: the number of threads belongs to all of it.
 
 #include <array>
 #include <cstdint>
@@ -35,7 +35,7 @@ struct Picture {
 
 // A pinhole camera as OpenCV has it: x right, y down, z forward, and pixel (0, 0) has its centre at (0.5, 0.5).
 struct PinholeCamera {
-  int64_t width = 0, height = 0;  // pixels
+  int64_t width = 0, height = 0;                                // pixels
   double focal_x = 0, focal_y = 0, centre_x = 0, centre_y = 0;  // pixels
   // A rotation and a place, 4 x 4, row by row.
   std::array<double, 16> world_from_camera = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
@@ -62,10 +62,10 @@ struct SampleRequest {
 };
 
 struct SampleProgress {
-  std::string stage;       // "level 1"
-  int64_t step = 0;        // accepted so far; 0 as the stage begins
-  int64_t steps = 0;       // of how many; 0 where that is not known
-  double time = 1;         // of the flow: 1 is noise, 0 the view
+  std::string stage;        // "level 1"
+  int64_t step = 0;         // accepted so far; 0 as the stage begins
+  int64_t steps = 0;        // of how many; 0 where that is not known
+  double time = 1;          // of the flow: 1 is noise, 0 the view
   int64_t evaluations = 0;  // of the model so far
 };
 
@@ -80,7 +80,8 @@ struct SampleCallbacks {
 
 struct SampledView {
   std::string name;
-  PinholeCamera camera;  // of the picture; where cameras were found, in their own unit with the first photograph's in the world's origin
+  PinholeCamera
+      camera;  // of the picture; where cameras were found, in their own unit with the first photograph's in the world's origin
   Picture picture;
   double from_photographs = 0;  // the share of its pixels that photographs show
 };
@@ -94,7 +95,8 @@ struct SampleResult {
 };
 
 // Samples. Nothing where a callback stopped it. Throws SamplerError.
-GLD_SAMPLER_API std::optional<SampleResult> sample(const SampleRequest& request, const SampleCallbacks& callbacks = {});
+GLD_SAMPLER_API std::optional<SampleResult> sample(const SampleRequest& request,
+                                                   const SampleCallbacks& callbacks = {});
 
 // "0.1.0"
 GLD_SAMPLER_API std::string version();

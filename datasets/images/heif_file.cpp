@@ -36,8 +36,9 @@ OpenedHeif open_heif(std::string_view bytes, const std::string& where) {
   opened.context.reset(heif_context_alloc());
   // So that no tile of a damaged file asks for more; the whole is compared below.
   heif_context_set_maximum_image_size_limit(opened.context.get(), 16384);
-  require(heif_context_read_from_memory_without_copy(opened.context.get(), bytes.data(), bytes.size(), nullptr),
-          where);
+  require(
+      heif_context_read_from_memory_without_copy(opened.context.get(), bytes.data(), bytes.size(), nullptr),
+      where);
   heif_image_handle* handle = nullptr;
   require(heif_context_get_primary_image_handle(opened.context.get(), &handle), where);
   opened.handle.reset(handle);
@@ -52,11 +53,13 @@ std::string exif_of(const heif_image_handle& handle) {
   heif_item_id id = 0;
   if (heif_image_handle_get_list_of_metadata_block_IDs(&handle, "Exif", &id, 1) != 1) return {};
   std::vector<uint8_t> block(heif_image_handle_get_metadata_size(&handle, id));
-  if (block.size() < 4 || heif_image_handle_get_metadata(&handle, id, block.data()).code != heif_error_Ok) return {};
+  if (block.size() < 4 || heif_image_handle_get_metadata(&handle, id, block.data()).code != heif_error_Ok)
+    return {};
   size_t start = 0;
   for (size_t i = 0; i < 4; ++i) start = start << 8 | block[i];
   if (start > block.size() - 4) return {};
-  return std::string(kExifStart) + std::string(block.begin() + 4 + static_cast<std::ptrdiff_t>(start), block.end());
+  return std::string(kExifStart) +
+         std::string(block.begin() + 4 + static_cast<std::ptrdiff_t>(start), block.end());
 }
 
 }  // namespace

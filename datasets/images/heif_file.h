@@ -9,7 +9,8 @@
 namespace gld {
 
 struct HeifHeader {
-  int64_t width = 0;  // of the picture as it is shown: the file turns and mirrors it itself, whatever EXIF says
+  int64_t width =
+      0;  // of the picture as it is shown: the file turns and mirrors it itself, whatever EXIF says
   int64_t height = 0;
   std::string exif;  // metadata behind kExifStart; empty when there are none
 };

@@ -32,7 +32,9 @@ std::filesystem::path require_program(const std::string& name, const std::filesy
 }
 
 // FFmpeg takes a name with a colon for a protocol.
-std::string as_file(const std::filesystem::path& video) { return "file:" + std::filesystem::absolute(video).string(); }
+std::string as_file(const std::filesystem::path& video) {
+  return "file:" + std::filesystem::absolute(video).string();
+}
 
 void run(const std::vector<std::string>& command, WorkFolder& work, const std::filesystem::path& video) {
   const int status = run_program(command, work.log(), "while " + video.string() + " was read");
@@ -69,9 +71,9 @@ struct VideoStream {
 
 VideoStream stream_of(const std::filesystem::path& video, WorkFolder& work) {
   const auto answer = work.path() / "stream.json";
-  run({require_program("ffprobe", video).string(), "-v", "error", "-protocol_whitelist", "file", "-select_streams",
-       "v:0", "-show_entries", "stream=duration,avg_frame_rate:format=duration", "-of", "json", "-o", answer.string(),
-       as_file(video)},
+  run({require_program("ffprobe", video).string(), "-v", "error", "-protocol_whitelist", "file",
+       "-select_streams", "v:0", "-show_entries", "stream=duration,avg_frame_rate:format=duration", "-of",
+       "json", "-o", answer.string(), as_file(video)},
       work, video);
   const auto json = parse_ordered_json(read_file(answer), answer.string());
   const auto streams = json.find("streams");
@@ -143,8 +145,8 @@ std::vector<std::filesystem::path> sharpest_frames(const std::filesystem::path& 
   const VideoStream stream = stream_of(video, work);
   const double rate =
       std::min(stream.pictures_a_second, static_cast<double>(count * kLooksAStretch) / stream.seconds);
-  const auto looks =
-      pictures_of(video, rate, fmt::format("scale='min({},iw)':-2,format=gray", kLookWidth), work.path() / "looks", work);
+  const auto looks = pictures_of(video, rate, fmt::format("scale='min({},iw)':-2,format=gray", kLookWidth),
+                                 work.path() / "looks", work);
   if (looks.empty()) fail({video.string(), "a video", "one without a picture", "record it again"});
   const auto stretches = std::min(static_cast<size_t>(count), looks.size());
   std::vector<size_t> chosen;
@@ -165,8 +167,8 @@ std::vector<std::filesystem::path> sharpest_frames(const std::filesystem::path& 
   }
   const auto pictures = pictures_of(video, rate, "select='" + passing + "'", work.path() / "chosen", work);
   if (pictures.size() != chosen.size()) {
-    fail({video.string(), fmt::format("{} pictures of ffmpeg", chosen.size()), fmt::format("{}", pictures.size()),
-          "convert the video with ffmpeg, or give single pictures"});
+    fail({video.string(), fmt::format("{} pictures of ffmpeg", chosen.size()),
+          fmt::format("{}", pictures.size()), "convert the video with ffmpeg, or give single pictures"});
   }
   std::vector<std::filesystem::path> frames;
   for (size_t i = 0; i < chosen.size(); ++i) {

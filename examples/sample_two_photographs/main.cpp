@@ -11,7 +11,8 @@ namespace {
 void write_ppm(const std::string& file, const gld::sampler::Picture& picture) {
   std::ofstream stream(file, std::ios::binary);
   stream << "P6\n" << picture.width << " " << picture.height << "\n255\n";
-  stream.write(reinterpret_cast<const char*>(picture.rgb.data()), static_cast<std::streamsize>(picture.rgb.size()));
+  stream.write(reinterpret_cast<const char*>(picture.rgb.data()),
+               static_cast<std::streamsize>(picture.rgb.size()));
   stream.close();
   if (!stream) throw gld::sampler::SamplerError(file + " cannot be written");
 }

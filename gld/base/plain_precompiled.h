@@ -2,6 +2,8 @@
 
 // The precompiled header of sources without LibTorch (gld/tensors/torch_precompiled.h is the other's). Sources still
 // include what they use.
+#include "gld/base/json_instances.h"
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -17,5 +19,3 @@
 #include <Eigen/LU>
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
-
-#include "gld/base/json_instances.h"

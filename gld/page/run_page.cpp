@@ -5,8 +5,8 @@
 #include "gld/base/printable_text.h"
 #include "gld/base/run_journal.h"
 #include "gld/report/report_text.h"
+#include "gld/report/run_folder.h"
 
-#include <fstream>
 #include <system_error>
 
 namespace gld {
@@ -14,22 +14,18 @@ namespace {
 
 constexpr const char* kRemedy = "name the folder that the command wrote with --out";
 
-// "sample", of the first line of config.yaml.
-std::string command_of_run(const std::filesystem::path& run) {
+// "sample".
+std::string known_command_of_run(const std::filesystem::path& run) {
   std::error_code error;
   if (!std::filesystem::is_directory(run, error)) {
     fail({run.string(), "the folder of a run", std::filesystem::exists(run, error) ? "a file" : "nothing",
           kRemedy});
   }
-  std::ifstream stream(run / kRunConfiguration);
-  std::string line;
-  std::getline(stream, line);
-  const std::string start = "# gld ";
-  const auto end = line.find(": the options");
-  if (line.rfind(start, 0) != 0 || end == std::string::npos) {
+  std::string command = command_of_run(run);
+  if (command.empty()) {
     fail({run.string(), "the folder of a run, with config.yaml", "a folder without it", kRemedy});
   }
-  return line.substr(start.size(), end - start.size());
+  return command;
 }
 
 void require_report(const std::filesystem::path& run) {
@@ -45,7 +41,7 @@ bool makes(const PageMaker& maker, const std::string& command) {
 }
 
 const PageMaker& maker_of(const std::filesystem::path& run, const std::vector<PageMaker>& makers) {
-  const std::string command = command_of_run(run);
+  const std::string command = known_command_of_run(run);
   std::string known;
   for (const PageMaker& maker : makers) {
     if (makes(maker, command)) return maker;

@@ -30,13 +30,32 @@ async function unpackedSplats(packed) {
   return splats;
 }
 
-// The covariance on the screen is M S M^T with M the two rows of the lens's derivative times the turn into the camera, and 0.3 of a
-// pixel's square along both axes (docs/SPLATS.md). Pixels count from the middle, up.
+const kBlur = 0.3;  // of a pixel's square, that every Gaussian on a screen has beside its own covariance (docs/SPLATS.md)
+
+// What the blur of the pictures that Gaussians were fitted to is long in the world, at each of them: on a finer screen they would
+// leave gaps without it. From the view that is nearest in pixels; 0 where none has it before it.
+function blurLengths(splats, views, poses) {
+  const lengths = new Float32Array(splats.count).fill(Infinity);
+  poses.forEach((pose, k) => {
+    const e = new THREE.Matrix4().getInverse(pose.matrix).elements;
+    const pixel = Math.sqrt(kBlur) / Math.sqrt(views[k].fx * views[k].fy);
+    for (let i = 0; i < splats.count; ++i) {
+      const [x, y, z] = [splats.centres[3 * i], splats.centres[3 * i + 1], splats.centres[3 * i + 2]];
+      const depth = -(e[2] * x + e[6] * y + e[10] * z + e[14]);
+      if (depth > 0) lengths[i] = Math.min(lengths[i], depth * pixel);
+    }
+  });
+  return lengths.map((length) => Number.isFinite(length) ? length : 0);
+}
+
+// The covariance on the screen is M S M^T with M the two rows of the lens's derivative times the turn into the camera, and the blur
+// along both axes. Pixels count from the middle, up.
 const kSplatVertices = `
   attribute vec3 centre;
   attribute vec3 covariance_above;  // xx xy xz
   attribute vec3 covariance_below;  // yy yz zz
   attribute vec4 colour;
+  attribute float blur_length;
   uniform vec2 focal;   // in pixels of the screen
   uniform vec2 screen;  // its size in them
   varying vec4 seen;
@@ -58,9 +77,11 @@ const kSplatVertices = `
       covariance_above.x, covariance_above.y, covariance_above.z,
       covariance_above.y, covariance_below.x, covariance_below.y,
       covariance_above.z, covariance_below.y, covariance_below.z);
-    float xx = dot(row_x, covariance * row_x) + 0.3;
+    float of_pictures = sqrt(focal.x * focal.y) * blur_length / depth;
+    float blur = max(${kBlur}, of_pictures * of_pictures);
+    float xx = dot(row_x, covariance * row_x) + blur;
     float xy = dot(row_x, covariance * row_y);
-    float yy = dot(row_y, covariance * row_y) + 0.3;
+    float yy = dot(row_y, covariance * row_y) + blur;
     float determinant = xx * yy - xy * xy;
     if (determinant <= 0.0 || colour.a < 1.0 / 255.0) return;
     inverse_covariance = vec3(yy, -xy, xx) / determinant;
@@ -84,8 +105,9 @@ const kSplatFragments = `
   }`;
 
 class SplatObject {
-  constructor(splats) {
+  constructor(splats, views, poses) {
     this.splats = splats;
+    this.blurs = blurLengths(splats, views, poses);
     const geometry = new THREE.InstancedBufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array([-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0]), 3));
     geometry.setIndex([0, 1, 2, 0, 2, 3]);
@@ -100,6 +122,7 @@ class SplatObject {
       above: instanced("covariance_above", new Float32Array(3 * n), 3, false),
       below: instanced("covariance_below", new Float32Array(3 * n), 3, false),
       colour: instanced("colour", new Uint8Array(4 * n), 4, true),
+      blur: instanced("blur_length", new Float32Array(n), 1, false),
     };
     geometry.maxInstancedCount = geometry.instanceCount = n;  // older and newer three.js
     const material = new THREE.ShaderMaterial({
@@ -152,9 +175,10 @@ class SplatObject {
     }
     for (let key = 0; key < 65536; ++key) starts[key + 1] += starts[key];
     for (let i = 0; i < count; ++i) this.order[starts[this.keys[i]]++] = i;
-    const {centre, above, below, colour} = this.attributes;
+    const {centre, above, below, colour, blur} = this.attributes;
     for (let place = 0; place < count; ++place) {
       const i = this.order[place];
+      blur.array[place] = this.blurs[i];
       for (let k = 0; k < 3; ++k) {
         centre.array[3 * place + k] = centres[3 * i + k];
         above.array[3 * place + k] = covariances[6 * i + k];

@@ -70,7 +70,7 @@ class Viewer {
       this.scene.add(this.points);
     }
     if (this.splats) {
-      this.gaussians = new SplatObject(this.splats);
+      this.gaussians = new SplatObject(this.splats, this.views, this.poses);
       this.scene.add(this.gaussians.mesh);
       if (this.points) this.points.visible = false;
     }

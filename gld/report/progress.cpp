@@ -116,7 +116,7 @@ void Progress::write(bool last) {
   } else if (rate > 0 && what_.steps > 0) {
     json["seconds_left"] = std::llround(static_cast<double>(what_.steps - done_) / rate);
   }
-  json["note"] = note_;
+  if (!last) json["note"] = note_;  // of what was done last, which is not the same with several processes
   if (!write_progress_file(what_.run, json)) what_.run.clear();
 }
 

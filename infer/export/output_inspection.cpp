@@ -8,6 +8,7 @@
 #include "gld/base/run_journal.h"
 #include "gld/files/ply_vertices.h"
 #include "gld/files/weight_file.h"
+#include "gld/report/run_folder.h"
 
 #include <algorithm>
 #include <cctype>
@@ -26,17 +27,6 @@ using nlohmann::ordered_json;
 
 // Texts of files may be any bytes, JSON is UTF-8: what is not is replaced.
 std::string valid_text(const std::string& text) { return ordered_json::parse(json_text(ordered_json(text))); }
-
-// "train level" of "# gld train level: the options of this run, ..."; empty where it is no configuration of a run.
-std::string kind_of_run(const std::filesystem::path& folder) {
-  std::ifstream stream(folder / kRunConfiguration);
-  std::string line;
-  std::getline(stream, line);
-  const std::string before = "# gld ", behind = ": the options of this run";
-  const size_t end = line.find(behind);
-  if (line.rfind(before, 0) != 0 || end == std::string::npos) return "";
-  return line.substr(before.size(), end - before.size());
-}
 
 std::string state_of_run(const std::filesystem::path& folder) {
   try {
@@ -192,6 +182,43 @@ ordered_json inspect_cloud(ByteView bytes, const std::string& where) {
           {"texts", texts_json(texts_of_comments(vertices.comments))}};
 }
 
+uint32_t little_endian(const uint8_t* bytes) {
+  return bytes[0] | uint32_t{bytes[1]} << 8 | uint32_t{bytes[2]} << 16 | uint32_t{bytes[3]} << 24;
+}
+
+size_t size_of_list(const nlohmann::json& object, const char* key) {
+  const auto found = object.find(key);
+  return found != object.end() && found->is_array() ? found->size() : 0;
+}
+
+// glTF 2.0, binary: 12 bytes of header, then chunks of length, type and bytes, the first of which is JSON.
+ordered_json inspect_scene(ByteView bytes, const std::string& where) {
+  constexpr size_t kBeforeJson = 20;
+  constexpr uint32_t kJsonChunk = 0x4E4F534A;
+  if (bytes.size < kBeforeJson || little_endian(bytes.data + 16) != kJsonChunk ||
+      little_endian(bytes.data + 12) > bytes.size - kBeforeJson) {
+    fail({where, "a GLB file whose first chunk is JSON", "one that ends early or has none",
+          "export it again"});
+  }
+  const std::string text(reinterpret_cast<const char*>(bytes.data) + kBeforeJson,
+                         little_endian(bytes.data + 12));
+  const nlohmann::json scene = parse_json(text, where);
+  TextItems items;
+  const auto asset = scene.find("asset");
+  if (asset != scene.end() && asset->is_object()) {
+    if (const auto extras = asset->find("extras"); extras != asset->end() && extras->is_object()) {
+      for (const auto& [name, value] : extras->items()) {
+        items.emplace_back(name, value.is_string() ? value.get<std::string>() : json_text(value));
+      }
+    }
+  }
+  return {{"scene", valid_text(where)},
+          {"meshes", size_of_list(scene, "meshes")},
+          {"cameras", size_of_list(scene, "cameras")},
+          {"pictures", size_of_list(scene, "images")},
+          {"texts", texts_json(items)}};
+}
+
 bool begins_with(ByteView bytes, std::string_view beginning) {
   return std::string_view(reinterpret_cast<const char*>(bytes.data),
                           std::min(bytes.size, beginning.size())) == beginning;
@@ -235,7 +262,7 @@ std::string texts_text(const ordered_json& texts) {
 std::optional<ordered_json> inspect_output(const std::filesystem::path& file_or_folder) {
   std::error_code none;
   if (std::filesystem::is_directory(file_or_folder, none)) {
-    const std::string kind = kind_of_run(file_or_folder);
+    const std::string kind = command_of_run(file_or_folder);
     if (kind.empty() || std::filesystem::exists(file_or_folder / "model.yaml", none)) return std::nullopt;
     return inspect_run(file_or_folder, kind);
   }
@@ -245,6 +272,7 @@ std::optional<ordered_json> inspect_output(const std::filesystem::path& file_or_
   const ByteView bytes = file->bytes();
   if (begins_with(bytes, "\x89PNG\r\n\x1a\n")) return inspect_picture(bytes, file_or_folder.string());
   if (begins_with(bytes, "ply\n")) return inspect_cloud(bytes, file_or_folder.string());
+  if (begins_with(bytes, "glTF")) return inspect_scene(bytes, file_or_folder.string());
   return std::nullopt;
 }
 
@@ -254,6 +282,13 @@ std::string output_inspection_text(const ordered_json& inspection) {
     return fmt::format("{}: a PNG picture of {}x{} pixels\n",
                        printable_text(inspection["picture"].get<std::string>()),
                        inspection["width"].get<int64_t>(), inspection["height"].get<int64_t>()) +
+           texts_text(inspection["texts"]);
+  }
+  if (inspection.contains("scene")) {
+    return fmt::format("{}: a GLB scene of {} meshes, {} cameras and {} pictures\n",
+                       printable_text(inspection["scene"].get<std::string>()),
+                       inspection["meshes"].get<size_t>(), inspection["cameras"].get<size_t>(),
+                       inspection["pictures"].get<size_t>()) +
            texts_text(inspection["texts"]);
   }
   std::string properties;

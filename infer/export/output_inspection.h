@@ -14,8 +14,9 @@ namespace gld {
 //               known is null
 //   PNG:        {"picture", "width", "height", "texts": {name: text}}
 //   PLY:        {"cloud", "vertices", "properties": [...], "texts": {name: text}}
+//   GLB:        {"scene", "meshes", "cameras", "pictures", "texts": {name: text}}
 // Texts are those of the file, provenance among them (gld/report/provenance.h). None for anything else. Throws Error
-// for a damaged PNG or PLY file; a checkpoint that cannot be read is listed with its "problem".
+// for a damaged PNG, PLY or GLB file; a checkpoint that cannot be read is listed with its "problem".
 std::optional<nlohmann::ordered_json> inspect_output(const std::filesystem::path& file_or_folder);
 
 // The same for people. What is no printable text is written so that it is.

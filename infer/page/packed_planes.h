@@ -11,8 +11,8 @@ namespace gld {
 
 // Numbers of many things as planes of bytes, one number after another, as the page's script planes.js takes them apart.
 
-// Neighbours in a list are neighbours in space: differences of 16 bits, small ones of both signs as small numbers, the low
-// bytes of all of them and then the high ones.
+// Neighbours in a list are neighbours in space: differences of 16 bits, small ones of both signs as small numbers, the
+// low bytes of all of them and then the high ones.
 void append_differences(std::string& bytes, const std::vector<uint16_t>& values);
 // Differences of 8 bits.
 void append_differences(std::string& bytes, const std::vector<uint8_t>& values);

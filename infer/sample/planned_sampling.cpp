@@ -31,7 +31,8 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
 PipelineRequest pipeline_request(const PreparedSampling& prepared, const SampleOptions& options,
                                  const FlowSettings& settings) {
   const RequestedOutputs requested = options.requested();
-  PipelineRequest request = scene_request(prepared.scene, prepared.bundle.options(), options.seed, prepared.device);
+  PipelineRequest request =
+      scene_request(prepared.scene, prepared.bundle.options(), options.seed, prepared.device);
   request.flow = settings;
   request.savings = options.savings();
   request.photographs = photograph_use_of(options.photograph_use, prepared.bundle);

@@ -19,7 +19,7 @@ std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, 
                                                     const PipelineResult& result);
 
 // Every doubt in a sentence: what the page says of the run too.
-std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict, const PictureEvidence& evidence,
-                                   const std::vector<std::string>& warnings);
+std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
+                                   const PictureEvidence& evidence, const std::vector<std::string>& warnings);
 
 }  // namespace gld

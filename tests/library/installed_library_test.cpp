@@ -24,8 +24,8 @@ TEST(InstalledLibrary, SamplesTwoPhotographsAsTheProgramDoes) {
   };
   const auto prefix = folder.path() / "prefix", build = folder.path() / "build";
   run({CMAKE_PROGRAM, "--install", GLD_BINARY_DIR, "--component", "library", "--prefix", prefix.string()});
-  run({CMAKE_PROGRAM, "-G", "Ninja", "-S", (test::source_root() / "examples/sample_two_photographs").string(), "-B",
-       build.string(), "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror",
+  run({CMAKE_PROGRAM, "-G", "Ninja", "-S", (test::source_root() / "examples/sample_two_photographs").string(),
+       "-B", build.string(), "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror",
        "-DCMAKE_PREFIX_PATH=" + prefix.string()});
   run({CMAKE_PROGRAM, "--build", build.string()});
 

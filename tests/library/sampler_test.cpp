@@ -41,7 +41,8 @@ sampler::PinholeCamera camera_of(const Camera& camera) {
   made.centre_x = camera.intrinsics(0, 2);
   made.centre_y = camera.intrinsics(1, 2);
   for (size_t i = 0; i < 16; ++i) {
-    made.world_from_camera[i] = camera.world_from_camera.matrix()(static_cast<int>(i / 4), static_cast<int>(i % 4));
+    made.world_from_camera[i] =
+        camera.world_from_camera.matrix()(static_cast<int>(i / 4), static_cast<int>(i % 4));
   }
   return made;
 }
@@ -82,16 +83,18 @@ TEST(SamplerLibrary, MakesThePicturesOfTheProgram) {
   const test::TemporaryFolder folder;
   write_scene(scene, "cameras-json", folder.path() / "scene");
   const auto out = folder.path() / "out", log = folder.path() / "log";
-  ASSERT_EQ(run_program({GLD_PROGRAM, "sample", "--model", tiny_model(), "--scene", (folder.path() / "scene").string(),
-                         "--sources", "0,3", "--targets", "1", "--seed", "5", "--evaluations", "2",
-                         "--generate-complete", "--outputs", "image", "--out", out.string()},
-                        log, "test"),
-            0)
+  ASSERT_EQ(
+      run_program({GLD_PROGRAM, "sample", "--model", tiny_model(), "--scene",
+                   (folder.path() / "scene").string(), "--sources", "0,3", "--targets", "1", "--seed", "5",
+                   "--evaluations", "2", "--generate-complete", "--outputs", "image", "--out", out.string()},
+                  log, "test"),
+      0)
       << read_file(log);
   const Image by_program = read_image(out / "images/view_02.png");
   const sampler::Picture& picture = result->views[0].picture;
   ASSERT_EQ(picture.width, by_program.width);
-  EXPECT_TRUE(std::equal(picture.rgb.begin(), picture.rgb.end(), by_program.rgb.begin(), by_program.rgb.end()));
+  EXPECT_TRUE(
+      std::equal(picture.rgb.begin(), picture.rgb.end(), by_program.rgb.begin(), by_program.rgb.end()));
   EXPECT_NEAR(result->views[0].camera.focal_x, scene.frames[1].camera.intrinsics(0, 0), 1e-9);
 }
 
@@ -127,7 +130,8 @@ TEST(SamplerLibrary, ShowsWhatItWouldEndWith) {
 
 TEST(SamplerLibrary, SaysWhatIsWrongInASentence) {
   const Scene scene = drawn_room();
-  EXPECT_THAT(message_of(SampleRequest()), HasSubstr("expected either photographs, or sources and targets, found nothing"));
+  EXPECT_THAT(message_of(SampleRequest()),
+              HasSubstr("expected either photographs, or sources and targets, found nothing"));
   auto request = request_of(scene);
   request.photographs = {"a.jpg"};
   EXPECT_THAT(message_of(request), HasSubstr("found both"));
@@ -136,10 +140,12 @@ TEST(SamplerLibrary, SaysWhatIsWrongInASentence) {
   EXPECT_THAT(message_of(request), HasSubstr("/nowhere"));
   request = request_of(scene);
   request.sources[1].picture.rgb.pop_back();
-  EXPECT_THAT(message_of(request), HasSubstr("source_1: expected a picture of at least 2x2 pixels with 3 bytes for each"));
+  EXPECT_THAT(message_of(request),
+              HasSubstr("source_1: expected a picture of at least 2x2 pixels with 3 bytes for each"));
   request = request_of(scene);
   request.sources[0].camera.width = 64;
-  EXPECT_THAT(message_of(request), HasSubstr("source_0: expected a picture of the camera's size, 64x112, found 112x112"));
+  EXPECT_THAT(message_of(request),
+              HasSubstr("source_0: expected a picture of the camera's size, 64x112, found 112x112"));
   request = request_of(scene);
   request.options.emplace_back("solver.evaluatoins", "3");
   EXPECT_THAT(message_of(request), HasSubstr("solver.evaluations"));

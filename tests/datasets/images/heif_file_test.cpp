@@ -47,7 +47,8 @@ heif_error append(heif_context* /*context*/, const void* data, size_t size, void
 std::string encoded(const Image& image, heif_compression_format format, heif_orientation orientation,
                     const std::string& exif = "") {
   const auto check = [](const heif_error& error) { EXPECT_EQ(error.code, heif_error_Ok) << error.message; };
-  const std::unique_ptr<heif_context, void (*)(heif_context*)> context(heif_context_alloc(), heif_context_free);
+  const std::unique_ptr<heif_context, void (*)(heif_context*)> context(heif_context_alloc(),
+                                                                       heif_context_free);
   heif_encoder* encoder = nullptr;
   check(heif_context_get_encoder_for_format(context.get(), format, &encoder));
   check(heif_encoder_set_lossy_quality(encoder, 95));
@@ -87,7 +88,8 @@ Image turned_left(const Image& image) {
   for (int64_t y = 0; y < turned.height; ++y) {
     for (int64_t x = 0; x < turned.width; ++x) {
       for (int64_t c = 0; c < 3; ++c) {
-        turned.rgb[static_cast<size_t>(3 * (y * turned.width + x) + c)] = image.pixel(image.width - 1 - y, x)[c];
+        turned.rgb[static_cast<size_t>(3 * (y * turned.width + x) + c)] =
+            image.pixel(image.width - 1 - y, x)[c];
       }
     }
   }

@@ -41,7 +41,8 @@ Image frame(int i, bool sharp) {
 class VideoFrames : public testing::Test {
  protected:
   void ffmpeg(std::vector<std::string> arguments) const {
-    std::vector<std::string> command{found_program("ffmpeg").string(), "-nostdin", "-loglevel", "error", "-y"};
+    std::vector<std::string> command{found_program("ffmpeg").string(), "-nostdin", "-loglevel", "error",
+                                     "-y"};
     command.insert(command.end(), arguments.begin(), arguments.end());
     const auto log = folder_.path() / "ffmpeg.log";
     ASSERT_EQ(run_program(command, log, "test"), 0) << read_file(log);
@@ -101,14 +102,17 @@ TEST_F(VideoFrames, OfNoVideoAreRefusedInASentence) {
   const std::string whole = read_file(video("whole.mkv", {}));
   const auto cut = folder_.path() / "cut.mkv";
   write_file_atomically(cut, whole.substr(0, 200));
-  EXPECT_THAT(error_of([&] { sharpest_frames(cut, 3, frames_folder()); }), HasSubstr("cut.mkv: expected a video"));
+  EXPECT_THAT(error_of([&] { sharpest_frames(cut, 3, frames_folder()); }),
+              HasSubstr("cut.mkv: expected a video"));
 }
 
 // A play list names other files, of this machine or another: none of them is opened.
 TEST_F(VideoFrames, OpensNothingButTheFile) {
   const auto list = folder_.path() / "list.mp4";
-  write_file_atomically(list, "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n");
-  EXPECT_THAT(error_of([&] { sharpest_frames(list, 3, frames_folder()); }), HasSubstr("list.mp4: expected a video"));
+  write_file_atomically(
+      list, "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n");
+  EXPECT_THAT(error_of([&] { sharpest_frames(list, 3, frames_folder()); }),
+              HasSubstr("list.mp4: expected a video"));
 }
 
 TEST(VideoNames, EndLikeAVideo) {

@@ -166,5 +166,32 @@ TEST_F(OutputInspection, OfAnythingElseIsNothing) {
     EXPECT_EQ(text_of(name), "nothing") << name;
 }
 
+// A scene as gld export writes it, and what is not whole.
+TEST_F(OutputInspection, OfASceneSaysWhereItComesFrom) {
+  const std::string json =
+      R"({"asset":{"version":"2.0","extras":{"gld:command":"export","gld:seed":7}},"meshes":[{},{}],"cameras":[{}]})";
+  const auto word = [](size_t value) {
+    std::string bytes;
+    for (int shift = 0; shift < 32; shift += 8) bytes.push_back(static_cast<char>(value >> shift & 255));
+    return bytes;
+  };
+  const std::string whole = "glTF" + word(2) + word(20 + json.size()) + word(json.size()) + "JSON" + json;
+  const auto file = path("scene.glb");
+  write_file_atomically(file, whole);
+  const auto inspection = inspect_output(file).value();
+  EXPECT_EQ(inspection.at("meshes"), 2);
+  EXPECT_EQ(inspection.at("cameras"), 1);
+  EXPECT_EQ(inspection.at("texts").dump(), R"({"gld:command":"export","gld:seed":"7"})");
+  EXPECT_THAT(output_inspection_text(inspection),
+              testing::AllOf(HasSubstr("a GLB scene of 2 meshes, 1 cameras and 0 pictures"),
+                             HasSubstr("gld:seed: 7")));
+  write_file_atomically(file, whole.substr(0, whole.size() - 1));
+  EXPECT_THAT(
+      error_of([&] { inspect_output(file); }),
+      HasSubstr("scene.glb: expected a GLB file whose first chunk is JSON, found one that ends early"));
+  write_file_atomically(file, whole.substr(0, 20) + std::string(json.size(), '{'));
+  EXPECT_THAT(error_of([&] { inspect_output(file); }), HasSubstr("scene.glb"));
+}
+
 }  // namespace
 }  // namespace gld

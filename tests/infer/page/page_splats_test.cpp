@@ -53,8 +53,10 @@ TEST(PageSplats, AreTheGaussiansToTheirBits) {
     }
     for (size_t k = 0; k < 4; ++k) length += std::pow(set.rotations[4 * i + k], 2);
     EXPECT_GT(length, 0);
-    kept = Eigen::Quaterniond(rest[3][i] - 128.0, rest[4][i] - 128.0, rest[5][i] - 128.0, rest[6][i] - 128.0).normalized();
-    given = Eigen::Quaterniond(set.rotations[4 * i], set.rotations[4 * i + 1], set.rotations[4 * i + 2], set.rotations[4 * i + 3])
+    kept = Eigen::Quaterniond(rest[3][i] - 128.0, rest[4][i] - 128.0, rest[5][i] - 128.0, rest[6][i] - 128.0)
+               .normalized();
+    given = Eigen::Quaterniond(set.rotations[4 * i], set.rotations[4 * i + 1], set.rotations[4 * i + 2],
+                               set.rotations[4 * i + 3])
                 .normalized();
     EXPECT_LT(kept.angularDistance(given), 0.02);
     EXPECT_NEAR(rest[10][i] / 255.0, 1 / (1 + std::exp(-set.logit_opacities[i])), 0.51 / 255);
@@ -67,7 +69,8 @@ TEST(PageSplats, WhereThereAreTooManyThoseThatCoverMostStay) {
   std::fill(set.log_scales.begin(), set.log_scales.end(), -5.F);
   for (const size_t i : {2, 7}) {
     set.log_scales[3 * i] = set.log_scales[3 * i + 1] = -2;
-    for (size_t k = 0; k < 3; ++k) set.colours[3 * i + k] = static_cast<float>(coefficient_of_colour(0.08 * static_cast<double>(i)));
+    for (size_t k = 0; k < 3; ++k)
+      set.colours[3 * i + k] = static_cast<float>(coefficient_of_colour(0.08 * static_cast<double>(i)));
   }
   set.log_scales[3 * 4] = -1;  // a needle covers less
   const auto json = page_splats(set, set.origin, 2);

@@ -26,7 +26,8 @@ class UnpackedPlanes {
       for (int shift = 16; shift >= 0; shift -= 8) packed.push_back(static_cast<char>(four >> shift & 255));
     }
     uLongf size = bytes_.size();
-    EXPECT_EQ(uncompress(bytes_.data(), &size, reinterpret_cast<const Bytef*>(packed.data()), packed.size()), Z_OK);
+    EXPECT_EQ(uncompress(bytes_.data(), &size, reinterpret_cast<const Bytef*>(packed.data()), packed.size()),
+              Z_OK);
     EXPECT_EQ(size, bytes_.size());
   }
 
