@@ -15,7 +15,7 @@ struct HeifHeader {
   std::string exif;  // metadata behind kExifStart; empty when there are none
 };
 
-// HEIC, which telephones write, and AVIF: the one picture of a file that is shown first. Reads what stands beside the
+// HEIC, which telephones write: the one picture of a file that is shown first. Reads what stands beside the
 // pixels. Throws Error with libheif's words where the bytes are no such file.
 HeifHeader read_heif_header(std::string_view bytes, const std::string& where);
 

@@ -21,7 +21,7 @@ std::optional<ImageFormat> image_format(std::string_view bytes) {
     if (starts_with(bytes, start)) return ImageFormat::kTiff;
   }
   if (bytes.size() >= 12 && bytes.substr(4, 4) == "ftyp"sv) {
-    for (const auto brand : {"heic"sv, "heix"sv, "heim"sv, "heis"sv, "mif1"sv, "avif"sv}) {
+    for (const auto brand : {"heic"sv, "heix"sv, "heim"sv, "heis"sv, "mif1"sv}) {
       if (bytes.substr(8, 4) == brand) return ImageFormat::kHeif;
     }
   }
@@ -29,13 +29,13 @@ std::optional<ImageFormat> image_format(std::string_view bytes) {
 }
 
 const std::string& image_format_names() {
-  static const std::string names = "PNG, JPEG, WebP, TIFF, HEIC or AVIF";
+  static const std::string names = "PNG, JPEG, WebP, TIFF or HEIC";
   return names;
 }
 
 const std::vector<std::string>& image_extensions() {
-  static const std::vector<std::string> extensions{".png", ".jpg",  ".jpeg", ".webp", ".tiff",
-                                                   ".tif", ".heic", ".heif", ".avif"};
+  static const std::vector<std::string> extensions{".png",  ".jpg", ".jpeg", ".webp",
+                                                   ".tiff", ".tif", ".heic", ".heif"};
   return extensions;
 }
 

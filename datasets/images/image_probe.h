@@ -26,7 +26,7 @@ struct ImageFileInfo {
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
 // The same, and an Error where the file ends early, as far as that can be told without decoding: a PNG or JPEG file has
-// a mark at its end, a WebP file its length at the start. Of TIFF, HEIC and AVIF
+// a mark at its end, a WebP file its length at the start. Of TIFF and HEIC
 // files it looks at the header.
 void check_image_end(const std::filesystem::path& file);
 

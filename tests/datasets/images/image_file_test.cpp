@@ -214,19 +214,19 @@ TEST(ImageFile, RefusesWhatIsNoPicture) {
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected a file, found nothing; check the path.");
   write_file_atomically(file, "hello");
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() +
-                ": expected a PNG, JPEG, WebP, TIFF, HEIC or AVIF image, found something else; convert it.");
+  EXPECT_EQ(
+      error_of([&] { read_image(file); }),
+      file.string() + ": expected a PNG, JPEG, WebP, TIFF or HEIC image, found something else; convert it.");
   std::vector<uint8_t> bmp;
   ASSERT_TRUE(cv::imencode(".bmp", cv::Mat(4, 4, CV_8UC3, cv::Scalar(1, 2, 3)), bmp));
   write_file_atomically(file, {bmp.begin(), bmp.end()});
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() +
-                ": expected a PNG, JPEG, WebP, TIFF, HEIC or AVIF image, found something else; convert it.");
+  EXPECT_EQ(
+      error_of([&] { read_image(file); }),
+      file.string() + ": expected a PNG, JPEG, WebP, TIFF or HEIC image, found something else; convert it.");
   write_file_atomically(file, "");
-  EXPECT_EQ(error_of([&] { read_image(file); }),
-            file.string() +
-                ": expected a PNG, JPEG, WebP, TIFF, HEIC or AVIF image, found an empty file; convert it.");
+  EXPECT_EQ(
+      error_of([&] { read_image(file); }),
+      file.string() + ": expected a PNG, JPEG, WebP, TIFF or HEIC image, found an empty file; convert it.");
   write_png(file, Image(1, 5));
   EXPECT_EQ(error_of([&] { read_image(file); }),
             file.string() + ": expected an image at least 2 pixels wide and high, found 1x5; leave it out.");
