@@ -181,6 +181,8 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   result.verdict = verdict.sentence;
   std::vector<std::string> warnings = scene.warnings;
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
+  const auto of_generated = doubts_of_generated(prepared, *made);
+  warnings.insert(warnings.end(), of_generated.begin(), of_generated.end());
   warnings.insert(warnings.end(), made->warnings.begin(), made->warnings.end());
   result.doubts = doubts_of(verdict, evidence, warnings);
   for (int64_t i = 0; i < scene.views.num_sources; ++i) {

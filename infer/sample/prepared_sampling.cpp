@@ -159,14 +159,12 @@ void leave_out_unregistered(PreparedSampling& prepared, const SampleOptions& opt
 // The views with the cameras that are known now, and what is unusual about them.
 void choose_views(PreparedSampling& prepared, const ImageSize& size) {
   prepared.scene = sampling_views(prepared.found, prepared.selection, size);
-  std::vector<std::string>& warnings = prepared.scene.warnings;
   if (!prepared.cameras_known()) {
     prepared.scene.path_note =
         "gld sample estimates the cameras of the photographs; what is said here takes their number and sizes";
-    warnings.clear();
+    prepared.scene.warnings.clear();
   }
-  const auto notes = unlike_training(prepared.scene, prepared.bundle);
-  warnings.insert(warnings.end(), notes.begin(), notes.end());
+  prepared.unlike_training = unlike_training(prepared.scene, prepared.bundle);
 }
 
 void choose_size_and_views(PreparedSampling& prepared, const SampleOptions& options) {

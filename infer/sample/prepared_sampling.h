@@ -28,6 +28,9 @@ struct PreparedSampling {
   Scene found;
   ViewSelection selection;  // as asked for, completed for photographs
   SamplingScene scene;      // without its images
+  // Where more or other views are asked for than the model was trained on, a sentence each: doubts of what is
+  // generated.
+  std::vector<std::string> unlike_training;
   std::optional<ModelBundle> geometry_model;
 
   explicit PreparedSampling(const SampleOptions& options);  // device and bundle alone

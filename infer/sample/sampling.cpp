@@ -283,6 +283,7 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
   std::vector<std::string> warnings = thread_warnings(options.threads);
   warnings.insert(warnings.end(), planned.choice.notes.begin(), planned.choice.notes.end());
   warnings.insert(warnings.end(), prepared.scene.warnings.begin(), prepared.scene.warnings.end());
+  warnings.insert(warnings.end(), prepared.unlike_training.begin(), prepared.unlike_training.end());
   if (!problem.empty()) warnings.push_back(problem);
   warnings.insert(warnings.end(), planned.speed.doubts.begin(), planned.speed.doubts.end());
   if (options.json) {
@@ -343,6 +344,11 @@ void sample(const SampleOptions& options) {
   RunFolder run(options.out, "sample", options, earlier);
   const RequestedOutputs requested = options.requested();
   PipelineRequest request = pipeline_request(prepared, options, planned.settings);
+  // Otherwise it may turn out that nothing is generated.
+  if (!request.photographs.leaves_out_complete) {
+    print_warnings(prepared.unlike_training);
+    add_new(scene.warnings, prepared.unlike_training);
+  }
   provenance.seed = options.seed;
   provenance.precision = precision_text(planned.choice.method.precision, planned.choice.device);
   const UnfinishedLatents kept(run.path());
@@ -391,6 +397,7 @@ void sample(const SampleOptions& options) {
     outputs.write_rest(result);
   });
   if (requested.splats) stages.run(kSplatStage, [&] { outputs.write_splats(); });
+  add_new(warnings, doubts_of_generated(prepared, result));
   add_new(warnings, result.warnings);
   add_new(warnings, outputs.warnings());
   const std::vector<std::string> doubts = doubts_of(verdict, evidence, warnings);

@@ -49,4 +49,10 @@ std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
   return doubts_of_run(report);
 }
 
+std::vector<std::string> doubts_of_generated(const PreparedSampling& prepared, const PipelineResult& result) {
+  const bool all_carried =
+      static_cast<int64_t>(result.carried_only.size()) == prepared.scene.views.num_targets();
+  return all_carried ? std::vector<std::string>() : prepared.unlike_training;
+}
+
 }  // namespace gld

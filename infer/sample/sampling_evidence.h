@@ -18,6 +18,10 @@ PictureEvidence sampling_evidence(const PreparedSampling& prepared, const Pipeli
 std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
                                                     const PipelineResult& result);
 
+// That what was generated is unlike what the model was trained on, a sentence each; nothing where all target views come
+// from photographs alone.
+std::vector<std::string> doubts_of_generated(const PreparedSampling& prepared, const PipelineResult& result);
+
 // Every doubt in a sentence: what the page says of the run too.
 std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
                                    const PictureEvidence& evidence, const std::vector<std::string>& warnings);

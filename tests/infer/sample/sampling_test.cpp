@@ -339,6 +339,8 @@ TEST_F(Sampling, WhatPhotographsShowWholeIsNotGenerated) {
   const auto report = run(asked);
   ASSERT_EQ(report.at("photographs").at("carried_only").size(), 1U) << report.at("photographs").dump();
   EXPECT_THAT(printed_, HasSubstr("that saved "));
+  const std::string more_views = "The model was trained on scenes of 4 views, this one has 5.";
+  EXPECT_THAT(report.at("warnings").dump(), HasSubstr(more_views));
   // Pictures have the photographs' size, and cameras.json describes them.
   const Scene made = open_scene(asked.out);
   for (const Frame& frame : made.frames) EXPECT_EQ(frame.camera.width, 224);
@@ -348,6 +350,16 @@ TEST_F(Sampling, WhatPhotographsShowWholeIsNotGenerated) {
   all.out = (folder_->path() / "whole_generated").string();
   all.photograph_use.generate_complete = true;
   EXPECT_EQ(run(all).at("photographs").at("carried_only").size(), 0U);
+
+  // Nothing is generated, so that it does not matter what the model was trained on.
+  list.records[1] = list.records[0];
+  list.records[1].name = "nearer";
+  write_cameras_json(path, list);
+  auto carried = asked;
+  carried.out = (folder_->path() / "whole_carried").string();
+  const auto of_photographs = run(carried);
+  EXPECT_EQ(of_photographs.at("photographs").at("carried_only").size(), 2U);
+  EXPECT_THAT(of_photographs.at("warnings").dump(), testing::Not(HasSubstr(more_views)));
 }
 
 TEST_F(Sampling, PhotographsAreBlendedByTheModelOrByRule) {
