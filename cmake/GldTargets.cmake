@@ -42,6 +42,10 @@ endfunction()
 # (scripts/tidy.sh).
 function(gld_use_headers name target)
   target_link_libraries(${target} PUBLIC gld_${name}_headers)
+  # A LibTorch with an fmt of its own hides the one that the plain header has from those that are linked with both.
+  if(name STREQUAL "plain" AND GLD_TORCH_FMT)
+    return()
+  endif()
   if(NOT CMAKE_DISABLE_PRECOMPILE_HEADERS)
     target_precompile_headers(${target} REUSE_FROM gld_${name}_headers)
   endif()

@@ -12,6 +12,7 @@
 #include "infer/sample/prepared_sampling.h"
 #include "infer/sample/sampling_evidence.h"
 #include "infer/sample/sampling_outputs.h"
+#include "models/bundle/part_lineage.h"
 
 #include <algorithm>
 #include <chrono>
@@ -98,6 +99,17 @@ Scene scene_of(const SampleRequest& request) {
   return scene;
 }
 
+// What the request says otherwise, and what writes files.
+void refuse_fixed(const std::string& key) {
+  static const std::vector<std::string> fixed{"model",  "scene",   "photos", "views.sources", "views.targets",
+                                              "seed",   "threads", "out",    "outputs",       "overwrite",
+                                              "resume", "json",    "preview"};
+  if (std::find(fixed.begin(), fixed.end(), key) == fixed.end() && key.rfind("page.", 0) != 0) return;
+  fail({"SampleRequest::options",
+        "options that the request has no member or callback for, and that write no file", key,
+        "leave it out; gld sample writes files"});
+}
+
 SampleOptions options_of(const SampleRequest& request) {
   const bool with_cameras = !request.sources.empty() || !request.targets.empty();
   if (with_cameras != request.photographs.empty() || (with_cameras && request.sources.empty()) ||
@@ -127,7 +139,10 @@ SampleOptions options_of(const SampleRequest& request) {
     set("views.frames", std::to_string(request.path_views));
   }
   set("outputs", "[image]");
-  for (const auto& [key, value] : request.options) set(key, value);
+  for (const auto& [key, value] : request.options) {
+    refuse_fixed(key);
+    set(key, value);
+  }
   check_options(options, "SampleRequest::options");
   return options;
 }
@@ -138,11 +153,14 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   use_threads(options.threads);
   PreparedSampling prepared =
       request.photographs.empty() ? prepare(options, scene_of(request)) : prepare(options);
-  require_parts(prepared, options);
+  const std::vector<BundlePart> parts = require_parts(prepared, options);
   if (const std::string problem = memory_problem(prepared, options); !problem.empty())
     throw SamplerError(problem);
   StageRecords stages;
   if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
+  for (auto& note : mixed_parts(prepared.bundle, parts, options.allow_mixed)) {
+    prepared.scene.warnings.push_back(std::move(note));
+  }
   const PlannedSampling planned =
       plan_of(prepared, options, PlanTiming::kPredicted, [&] { return prepared.bundle.content_hash(); });
   load_pixels(prepared, options);

@@ -21,7 +21,7 @@ std::optional<ImageFormat> image_format(std::string_view bytes) {
     if (starts_with(bytes, start)) return ImageFormat::kTiff;
   }
   if (bytes.size() >= 12 && bytes.substr(4, 4) == "ftyp"sv) {
-    for (const auto brand : {"heic"sv, "heix"sv, "heim"sv, "heis"sv, "mif1"sv}) {
+    for (const auto brand : {"heic"sv, "heix"sv, "heim"sv, "heis"sv}) {
       if (bytes.substr(8, 4) == brand) return ImageFormat::kHeif;
     }
   }

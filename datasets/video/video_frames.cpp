@@ -19,6 +19,8 @@
 namespace gld {
 namespace {
 
+// No list of other files that calls itself a video.
+constexpr const char* kContainers = "mov,matroska,avi";
 // Sharpness is told at this size as well as at any, and sooner.
 constexpr int kLookWidth = 480;
 
@@ -72,8 +74,9 @@ struct VideoStream {
 VideoStream stream_of(const std::filesystem::path& video, WorkFolder& work) {
   const auto answer = work.path() / "stream.json";
   run({require_program("ffprobe", video).string(), "-v", "error", "-protocol_whitelist", "file",
-       "-select_streams", "v:0", "-show_entries", "stream=duration,avg_frame_rate:format=duration", "-of",
-       "json", "-o", answer.string(), as_file(video)},
+       "-format_whitelist", kContainers, "-select_streams", "v:0", "-show_entries",
+       "stream=duration,avg_frame_rate:format=duration", "-of", "json", "-o", answer.string(),
+       as_file(video)},
       work, video);
   const auto json = parse_ordered_json(read_file(answer), answer.string());
   const auto streams = json.find("streams");
@@ -98,9 +101,26 @@ std::vector<std::filesystem::path> pictures_of(const std::filesystem::path& vide
                                                const std::string& filter, const std::filesystem::path& folder,
                                                WorkFolder& work) {
   std::filesystem::create_directories(folder);
-  run({require_program("ffmpeg", video).string(), "-nostdin", "-hide_banner", "-loglevel", "error", "-y",
-       "-protocol_whitelist", "file", "-i", as_file(video), "-map", "0:v:0", "-vf",
-       fmt::format("fps={:.9g},{}", rate, filter), "-fps_mode", "passthrough", "-f", "image2",
+  run({require_program("ffmpeg", video).string(),
+       "-nostdin",
+       "-hide_banner",
+       "-loglevel",
+       "error",
+       "-y",
+       "-protocol_whitelist",
+       "file",
+       "-format_whitelist",
+       kContainers,
+       "-i",
+       as_file(video),
+       "-map",
+       "0:v:0",
+       "-vf",
+       fmt::format("fps={:.9g},{}", rate, filter),
+       "-fps_mode",
+       "passthrough",
+       "-f",
+       "image2",
        (folder / "%06d.png").string()},
       work, video);
   std::vector<std::filesystem::path> pictures;

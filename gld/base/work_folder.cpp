@@ -19,11 +19,12 @@ WorkFolder::WorkFolder(const std::string& name) : name_(name) {
           "check the temporary folder ($TMPDIR)"});
   }
   path_ = place;
+  unfinished_ = std::make_unique<Unfinished>(path_);
 }
 
 WorkFolder::~WorkFolder() {
   std::error_code ignored;
-  if (!kept_) std::filesystem::remove_all(path_, ignored);
+  if (unfinished_) std::filesystem::remove_all(path_, ignored);
 }
 
 std::filesystem::path found_program(const std::string& name) {

@@ -1,6 +1,9 @@
 #pragma once
 
+#include "gld/base/interrupt.h"
+
 #include <filesystem>
+#include <memory>
 #include <string>
 
 namespace gld {
@@ -18,12 +21,12 @@ class WorkFolder {
   const std::filesystem::path& path() const { return path_; }
   // Where what the program prints goes: NAME.log.
   std::filesystem::path log() const { return path_ / (name_ + ".log"); }
-  void keep() { kept_ = true; }
+  void keep() { unfinished_.reset(); }
 
  private:
   std::string name_;
   std::filesystem::path path_;
-  bool kept_ = false;
+  std::unique_ptr<Unfinished> unfinished_;  // a deadline that ends the process removes it too
 };
 
 // The program of that name on the PATH; empty where there is none.

@@ -291,6 +291,16 @@ torch::Tensor decoded_images(const PipelineModels& models, const std::vector<tor
   return images;
 }
 
+// The same models with a backbone and a decoder that stay in memory once they are asked for.
+PipelineModels loaded_once(const PipelineModels& models) {
+  PipelineModels kept = models;
+  const auto backbone = std::make_shared<std::shared_ptr<Backbone>>();
+  kept.backbone = [backbone, load = models.backbone] { return *backbone ? *backbone : *backbone = load(); };
+  const auto decoder = std::make_shared<std::shared_ptr<ImageDecoder>>();
+  kept.rgb_decoder = [decoder, load = models.rgb_decoder] { return *decoder ? *decoder : *decoder = load(); };
+  return kept;
+}
+
 // The target views as they would be if the flow of this level ended with this prediction.
 torch::Tensor preview_images(const PipelineModels& models, const PipelineRequest& request,
                              const PipelineState& state, const LatentGrid& grid, int64_t level,
@@ -338,9 +348,10 @@ void run_flow_stage(const PipelineModels& models, const PipelineRequest& request
   SolverOptions solver = request.flow.solvers[stage.generator];
   solver.schedule.shift =
       resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
+  const PipelineModels kept = loaded_once(models);
   const auto preview = [&](const torch::Tensor& predicted) {
     request.on_preview(stage.name,
-                       preview_images(models, request, state, result.grid, generator.level, predicted));
+                       preview_images(kept, request, state, result.grid, generator.level, predicted));
   };
   auto& latent = state.latents[generator.level];
   latent =
@@ -422,7 +433,13 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
   ComposedViews composed = carried_views(carried, photographs_of(request, state), *state.depth,
                                          blending_of(models, request).get());
   if (!others.empty()) {
-    PipelineResult rest = run_pipeline(models, without_targets(request, complete, *state.depth), stages);
+    PipelineRequest of_others = without_targets(request, complete, *state.depth);
+    if (request.on_preview) {
+      of_others.on_preview = [&](const std::string& stage, const torch::Tensor& images) {
+        request.on_preview(stage, merged(composed.images, complete, images));
+      };
+    }
+    PipelineResult rest = run_pipeline(models, of_others, stages);
     composed.images = merged(composed.images, complete, rest.composed->images);
     composed.shown = merged(composed.shown, complete, rest.composed->shown);
     composed.large_images = merged(composed.large_images, complete, rest.composed->large_images);

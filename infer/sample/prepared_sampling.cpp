@@ -1,6 +1,7 @@
 #include "infer/sample/prepared_sampling.h"
 
 #include "datasets/formats/scene_reader.h"
+#include "datasets/video/video_frames.h"
 #include "gld/base/error.h"
 #include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
@@ -9,6 +10,7 @@
 #include "models/bundle/trained_views.h"
 
 #include <algorithm>
+#include <filesystem>
 #include <memory>
 #include <utility>
 
@@ -190,8 +192,12 @@ PreparedSampling prepare(const SampleOptions& options) {
   if (options.photos.files.empty()) {
     prepared.found = open_scene(options.scene, options.reading);
   } else {
-    prepared.frames = std::make_shared<const WorkFolder>("frames");
-    prepared.photographs = list_photographs(options.photos, prepared.frames->path());
+    const auto& files = options.photos.files;
+    if (std::any_of(files.begin(), files.end(), is_video_name)) {
+      prepared.frames = std::make_shared<const WorkFolder>("frames");
+    }
+    prepared.photographs =
+        list_photographs(options.photos, prepared.frames ? prepared.frames->path() : std::filesystem::path());
     if (only_rays(options.photos, prepared.photographs.size())) check_photo_model(prepared.camera_model());
     prepared.found = scene_before_cameras(prepared.photographs);
   }

@@ -88,7 +88,7 @@ class FlowProgress {
       line_ = std::make_unique<Progress>(ProgressOf{stage, solve.steps, 0, run_});
     }
     line_->update(solve.step, fmt::format("t {:.4f}", solve.time));
-    if (solve.step == solve.steps) line_->finish();
+    if (solve.steps > 0 && solve.step == solve.steps) line_->finish();
   }
 
  private:
@@ -417,7 +417,7 @@ void sample(const SampleOptions& options) {
   kept.remove();
   const bool all_computed = std::none_of(result.flows.begin(), result.flows.end(),
                                          [](const FlowReport& flow) { return flow.kept; });
-  if (planned.speed.kept && all_computed && prepared.device.is_cpu()) {
+  if (planned.speed.kept && all_computed && options.preview == 0 && prepared.device.is_cpu()) {
     learn_from_run(machine_rates_file(), present_rate_key(), timed_stages(planned.plan, stages.records()));
   }
   run.note("report", "report.json");

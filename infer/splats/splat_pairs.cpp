@@ -82,26 +82,26 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   const auto folder = run.subfolder(kPairsFolder);
   Table table({"scene", "fitted_views", "held_out_views", "latent_error"});
   std::vector<double> errors;
-  const auto made_before = [&] {
-    int64_t made = 0;
-    for (const auto& entry : std::filesystem::directory_iterator(folder))
-      made += entry.path().extension() == ".safetensors" ? 1 : 0;
-    return made;
-  };
-  Progress progress({"scenes", dataset->size(), options.resume ? made_before() : 0, run.path()});
+  int64_t made = 0;
+  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
+    if (options.resume && entry.path().extension() == ".safetensors") ++made;
+  }
+  Progress progress({"scenes", dataset->size(), made, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(
         fmt::format("{} of {} scenes are in {}; --resume goes on", index, dataset->size(), folder.string()));
     const Scene drawn = dataset->scene(index);
     // Names of scenes in several folders may be the same.
     const auto file = folder / fmt::format("{:06}_{}.safetensors", index, drawn.name);
-    if (!options.resume || !std::filesystem::is_regular_file(file))
+    if (!options.resume || !std::filesystem::is_regular_file(file)) {
       save_splatted_scene(file, splatted_scene(drawn, bundle, options, settings));
+      ++made;
+    }
     const SplattedScene scene = read_splatted_scene(file);
     require_same_normalisation(scene.tag, bundle, file.string());
     errors.push_back(error_of(scene));
     table.add_row({scene.name, scene.fitted, scene.held_out(), errors.back()});
-    progress.update(index + 1);
+    progress.update(made);
   }
   progress.finish();
   write_file_atomically(run.path() / "pairs.csv", table.csv());

@@ -147,7 +147,9 @@ TEST(SamplerLibrary, SaysWhatIsWrongInASentence) {
   EXPECT_THAT(message_of(request),
               HasSubstr("source_0: expected a picture of the camera's size, 64x112, found 112x112"));
   request = request_of(scene);
-  request.options.emplace_back("solver.evaluatoins", "3");
+  request.options = {{"outputs", "[depth]"}};
+  EXPECT_THAT(message_of(request), HasSubstr("that write no file, found outputs; leave it out"));
+  request.options = {{"solver.evaluatoins", "3"}};
   EXPECT_THAT(message_of(request), HasSubstr("solver.evaluations"));
 }
 

@@ -205,9 +205,9 @@ Page unfinished_training_page(const std::filesystem::path& run, UnfinishedTraini
   if (done.is_number_integer() && total.is_number_integer())
     steps = done.dump() + " of " + total.dump() + " steps";
   if (state == UnfinishedTraining::kStopped) {
-    page.verdict =
-        steps.empty() ? "The training was stopped." : "The training was stopped after " + steps + ".";
-    page.verdict += " The same command with --resume goes on with it.";
+    page.verdict = "The training ended before its last step";
+    if (!steps.empty()) page.verdict += "; what it said last was at " + steps;
+    page.verdict += ". The same command with --resume goes on from its last checkpoint.";
   } else {
     page.reload_seconds = kTrainingPageSeconds;
     page.verdict = steps.empty() ? "The training has begun." : steps + " are done";

@@ -106,13 +106,19 @@ TEST_F(VideoFrames, OfNoVideoAreRefusedInASentence) {
               HasSubstr("cut.mkv: expected a video"));
 }
 
-// A play list names other files, of this machine or another: none of them is opened.
+// A list names another file: it is not opened, though it is there and would do.
 TEST_F(VideoFrames, OpensNothingButTheFile) {
+  const auto there = video("there.mkv", {});
+  EXPECT_EQ(sharpest_frames(there, 2, frames_folder()).size(), 2U);
   const auto list = folder_.path() / "list.mp4";
-  write_file_atomically(
-      list, "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n#EXT-X-ENDLIST\n");
-  EXPECT_THAT(error_of([&] { sharpest_frames(list, 3, frames_folder()); }),
-              HasSubstr("list.mp4: expected a video"));
+  for (const std::string& text :
+       {std::string("#EXTM3U\n#EXT-X-TARGETDURATION:3\n#EXTINF:3,\nthere.mkv\n#EXT-X-ENDLIST\n"),
+        std::string("ffconcat version 1.0\nfile there.mkv\n")}) {
+    write_file_atomically(list, text);
+    EXPECT_THAT(error_of([&] { sharpest_frames(list, 3, frames_folder()); }),
+                HasSubstr("list.mp4: expected a video that ffmpeg reads"))
+        << text;
+  }
 }
 
 TEST(VideoNames, EndLikeAVideo) {

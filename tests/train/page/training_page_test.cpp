@@ -116,10 +116,11 @@ TEST(LiveTrainingPage, IsOfARunThatGoesOnThenOfAStoppedOrFinishedOne) {
     page.follow();
     EXPECT_FALSE(std::filesystem::exists(file)) << "written again within the minute";
   }
-  EXPECT_THAT(read_file(file),
-              testing::AllOf(HasSubstr("The training was stopped after 40 of 100 steps. The same "
-                                       "command with --resume goes on with it."),
-                             testing::Not(HasSubstr("http-equiv=\"refresh\""))));
+  EXPECT_THAT(
+      read_file(file),
+      testing::AllOf(HasSubstr("The training ended before its last step; what it said last was at 40 of "
+                               "100 steps. The same command with --resume goes on from its last checkpoint."),
+                     testing::Not(HasSubstr("http-equiv=\"refresh\""))));
   {
     LiveTrainingPage page(run.path());
     page.follow();
