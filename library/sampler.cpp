@@ -36,7 +36,7 @@ PinholeCamera camera_of(const Camera& camera) {
   made.centre_y = camera.intrinsics(1, 2);
   for (int row = 0; row < 4; ++row) {
     for (int column = 0; column < 4; ++column) {
-      made.world_from_camera[static_cast<size_t>(4 * row + column)] =
+      made.world_from_camera[4 * static_cast<size_t>(row) + static_cast<size_t>(column)] =
           camera.world_from_camera.matrix()(row, column);
     }
   }
@@ -54,7 +54,7 @@ Camera camera_of(const PinholeCamera& camera) {
   for (int row = 0; row < 4; ++row) {
     for (int column = 0; column < 4; ++column) {
       made.world_from_camera.matrix()(row, column) =
-          camera.world_from_camera[static_cast<size_t>(4 * row + column)];
+          camera.world_from_camera[4 * static_cast<size_t>(row) + static_cast<size_t>(column)];
     }
   }
   return made;

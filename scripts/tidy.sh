@@ -91,7 +91,7 @@ tidy_one() {
   # clang does not know all of g++'s options and pragmas. The filter is .clang-tidy's and the sources that a unity file
   # includes.
   if ! clang-tidy -p "$build" --quiet --extra-arg=-Wno-unknown-warning-option --extra-arg=-Wno-unknown-pragmas \
-    --header-filter='(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests)/.*\.(h|cpp)$' "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
+    --extra-arg=-Wno-unused-command-line-argument --header-filter='(gld|models|datasets|train|infer|bench|verify|ablate|library|cli|tests)/.*\.(h|cpp)$' "$1" >"$results/$name.log" 2>"$results/$name.stderr"; then
     echo "$1" >"$results/$name.failed"
     cat "$results/$name.log"
     grep -E '(error|fatal)' "$results/$name.stderr" || true
