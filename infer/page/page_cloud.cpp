@@ -46,6 +46,7 @@ double pixel_length(const SeenDepth& view, const Eigen::Isometry3d& camera_from_
 std::vector<double> footprints_of(const PointCloud& cloud, const std::vector<SeenDepth>& views, double cell,
                                   double size) {
   std::vector<Eigen::Isometry3d> cameras_from_world;
+  cameras_from_world.reserve(views.size());
   for (const SeenDepth& view : views) cameras_from_world.push_back(view.camera.camera_from_world());
   std::vector<double> lengths;
   lengths.reserve(cloud.x_in_world.size());
