@@ -29,7 +29,7 @@ Image drawn() {
   Image image(kWidth, kHeight);
   for (int y = 0; y < kHeight; ++y) {
     for (int x = 0; x < kWidth; ++x) {
-      uint8_t* pixel = &image.rgb[static_cast<size_t>(3 * (y * kWidth + x))];
+      uint8_t* pixel = image.pixel(x, y);
       pixel[0] = static_cast<uint8_t>(5 * x);
       pixel[1] = static_cast<uint8_t>(7 * y);
       pixel[2] = static_cast<uint8_t>(60 + x + y);
@@ -57,7 +57,7 @@ std::string encoded(const Image& image, heif_orientation orientation, const std:
   int stride = 0;
   uint8_t* rows = heif_image_get_plane(picture, heif_channel_interleaved, &stride);
   for (int y = 0; y < kHeight; ++y) {
-    std::copy_n(&image.rgb[static_cast<size_t>(3 * y * kWidth)], 3 * kWidth, rows + y * stride);
+    std::copy_n(image.pixel(0, y), 3 * kWidth, rows + y * stride);
   }
   heif_encoding_options* options = heif_encoding_options_alloc();
   options->image_orientation = orientation;
@@ -111,7 +111,7 @@ std::string exif_of_a_telephone() {
 class HeifFile : public testing::Test {
  protected:
   std::filesystem::path written(const std::string& bytes) const {
-    const auto file = folder_.path() / "photo.heic";
+    auto file = folder_.path() / "photo.heic";
     write_file_atomically(file, bytes);
     return file;
   }

@@ -31,7 +31,7 @@ Image frame(int i, bool sharp) {
     for (int x = 0; x < kWidth; ++x) {
       const int value = 20 + 8 * i + (sharp && (x / 2 + y / 2) % 2 == 0 ? 12 : 0);
       for (int c = 0; c < 3; ++c) {
-        image.rgb[static_cast<size_t>(3 * (y * kWidth + x) + c)] = static_cast<uint8_t>(value);
+        image.pixel(x, y)[c] = static_cast<uint8_t>(value);
       }
     }
   }
