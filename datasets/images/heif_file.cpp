@@ -16,6 +16,10 @@ using Handle = std::unique_ptr<heif_image_handle, void (*)(heif_image_handle*)>;
 using DecodedPicture = std::unique_ptr<heif_image, void (*)(heif_image*)>;
 using DecodingOptions = std::unique_ptr<heif_decoding_options, void (*)(heif_decoding_options*)>;
 
+// libheif takes the side of a square.
+constexpr int kSideOfMostPixels = 16384;
+static_assert(int64_t{kSideOfMostPixels} * kSideOfMostPixels == kMostPixels);
+
 void release_handle(heif_image_handle* handle) { heif_image_handle_release(handle); }
 void release_picture(heif_image* picture) { heif_image_release(picture); }
 
@@ -35,7 +39,7 @@ OpenedHeif open_heif(std::string_view bytes, const std::string& where) {
   OpenedHeif opened;
   opened.context.reset(heif_context_alloc());
   // So that no tile of a damaged file asks for more; the whole is compared below.
-  heif_context_set_maximum_image_size_limit(opened.context.get(), 16384);
+  heif_context_set_maximum_image_size_limit(opened.context.get(), kSideOfMostPixels);
   require(
       heif_context_read_from_memory_without_copy(opened.context.get(), bytes.data(), bytes.size(), nullptr),
       where);

@@ -1,6 +1,7 @@
 #include "datasets/video/video_frames.h"
 
 #include "datasets/images/image_file.h"
+#include "datasets/video/ffmpeg.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/child_process.h"
 #include "gld/base/error.h"
@@ -101,28 +102,22 @@ std::vector<std::filesystem::path> pictures_of(const std::filesystem::path& vide
                                                const std::string& filter, const std::filesystem::path& folder,
                                                WorkFolder& work) {
   std::filesystem::create_directories(folder);
-  run({require_program("ffmpeg", video).string(),
-       "-nostdin",
-       "-hide_banner",
-       "-loglevel",
-       "error",
-       "-y",
-       "-protocol_whitelist",
-       "file",
-       "-format_whitelist",
-       kContainers,
-       "-i",
-       as_file(video),
-       "-map",
-       "0:v:0",
-       "-vf",
-       fmt::format("fps={:.9g},{}", rate, filter),
-       "-fps_mode",
-       "passthrough",
-       "-f",
-       "image2",
-       (folder / "%06d.png").string()},
-      work, video);
+  std::vector<std::string> command = ffmpeg_command(require_program("ffmpeg", video));
+  const std::vector<std::string> rest{"-format_whitelist",
+                                      kContainers,
+                                      "-i",
+                                      as_file(video),
+                                      "-map",
+                                      "0:v:0",
+                                      "-vf",
+                                      fmt::format("fps={:.9g},{}", rate, filter),
+                                      "-fps_mode",
+                                      "passthrough",
+                                      "-f",
+                                      "image2",
+                                      (folder / "%06d.png").string()};
+  command.insert(command.end(), rest.begin(), rest.end());
+  run(command, work, video);
   std::vector<std::filesystem::path> pictures;
   for (const auto& entry : std::filesystem::directory_iterator(folder)) pictures.push_back(entry.path());
   std::sort(pictures.begin(), pictures.end());

@@ -142,11 +142,6 @@ std::optional<RunJournal::Found> RunJournal::find(const std::filesystem::path& f
       found.written.push_back(*name);
     }
   }
-  // Not noted, since it is written again and again, when the clock says so.
-  std::error_code error;
-  if (std::filesystem::exists(std::filesystem::symlink_status(folder / kRunProgress, error))) {
-    found.written.emplace_back(kRunProgress);
-  }
   return found;
 }
 
@@ -265,9 +260,7 @@ void forget_earlier(const std::filesystem::path& folder) {
   std::string lines;
   const auto left = RunJournal::find(folder);
   if (!left) return;
-  for (const auto& name : left->written) {
-    if (name != kRunProgress) lines += line_of(name) + "\n";
-  }
+  for (const auto& name : left->written) lines += line_of(name) + "\n";
   const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_CLOEXEC);
   if (journal < 0) return;
   const auto written = ::pwrite(journal, lines.data(), lines.size(), kHeaderLength);
@@ -296,7 +289,6 @@ void note_written(const std::filesystem::path& file) {
     return;  // an earlier run's folder, into which this process puts something of its own
   }
   const std::string name = target.lexically_relative(folder).string();
-  if (name == kRunProgress) return;  // RunJournal::find knows it
   const std::string line = line_of(name) + "\n";
   const int journal = ::open((folder / kJournalName).c_str(), O_WRONLY | O_APPEND | O_CLOEXEC);
   if (journal < 0) return;
@@ -307,6 +299,14 @@ void note_written(const std::filesystem::path& file) {
   }
   const std::lock_guard<std::mutex> lock(notes_mutex());
   if (is_result_of_run(name) && RunJournal::has_earlier_aside(folder)) forget_earlier(folder);
+  // What is written again and again, progress.json for one, is noted once.
+  if (std::filesystem::exists(target, error)) {
+    const auto noted = RunJournal::find(folder);
+    if (noted && std::find(noted->written.begin(), noted->written.end(), name) != noted->written.end()) {
+      ::close(journal);
+      return;
+    }
+  }
   const auto written = ::write(journal, line.data(), line.size());  // one call: lines of threads do not mix
   ::close(journal);
   if (written != static_cast<ssize_t>(line.size())) {

@@ -2,13 +2,13 @@
 
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
-#include "gld/flow/flow.h"
 #include "gld/latents/latent_divergence.h"
+#include "infer/pipeline/flow_stage.h"
 #include "infer/pipeline/geometry_of_pictures.h"
+#include "infer/pipeline/level_decoding.h"
+#include "infer/pipeline/pipeline_state.h"
 #include "models/conditioning/decoder_inputs.h"
-#include "models/conditioning/level_conditioning.h"
 #include "models/conditioning/source_conditioning.h"
-#include "models/dit/node_field.h"
 #include "models/latent_spaces/latent_space.h"
 #include "models/scene_geometry/source_warp.h"
 #include "models/scene_geometry/tensor_pictures.h"
@@ -22,20 +22,6 @@
 
 namespace gld {
 namespace {
-
-void require_finite(const torch::Tensor& tensor, const std::string& stage, const std::string& what) {
-  if (tensor.isfinite().all().item<bool>()) return;
-  fail({stage, "finite numbers", "NaN or infinity in the " + what,
-        "check the input images and cameras, and verify the weights with gld verify"});
-}
-
-// What the stages hand on to each other.
-struct PipelineState {
-  SourceConditioning sources;
-  std::optional<SourceDepth> depth;
-  SourcePhotographs photographs;             // where the request has none
-  std::map<int64_t, torch::Tensor> latents;  // normalised, on the device
-};
 
 void run_source_encoding(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                          const std::string& stage) {
@@ -143,105 +129,6 @@ void run_composition(const PipelineModels& models, const PipelineRequest& reques
   result.images = torch::cat({result.images.slice(0, 0, sources), result.composed->images});
 }
 
-struct FlowStage {
-  std::string name;
-  LevelGenerator generator;
-  SolverOptions solver;
-  torch::Tensor noise;
-};
-
-// The field that the approximate savings ask for; with none of them the exact one.
-std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const FlowStage& stage,
-                                     const PipelineRequest& request) {
-  const auto& savings = request.flow.approximate;
-  const bool cascade = model.options().conditioning == DitConditioning::kDeeperLevel;
-  if (cascade && savings.cascade_encoder_nodes > 0) {
-    auto nodes = encoder_nodes(stage.solver, request.flow.guidance, savings.cascade_encoder_nodes);
-    return std::make_unique<NodeField>(model, std::move(scene), std::move(nodes));
-  }
-  return std::make_unique<DitField>(model, std::move(scene));
-}
-
-bool stop_asked(const PipelineRequest& request) {
-  return interrupt_requested() || (request.stop_requested && request.stop_requested());
-}
-
-// Says after which steps a preview is due: the first and then every so many evaluations.
-class PreviewTimes {
- public:
-  explicit PreviewTimes(int64_t every) : every_(every), next_(every) {}
-  bool due(int64_t evaluations) {
-    if (every_ <= 0 || evaluations < next_) return false;
-    next_ += (evaluations - next_) / every_ * every_ + every_;
-    return true;
-  }
-
- private:
-  int64_t every_, next_;
-};
-
-// preview: takes the flow's prediction.
-torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
-                       const PipelineRequest& request,
-                       const std::function<void(const torch::Tensor&)>& preview, PipelineResult& result) {
-  result.warnings.insert(result.warnings.end(), scene.warnings().begin(), scene.warnings().end());
-  const auto branches = choose_branches(request.flow.guidance, model.options(), scene.grid);
-  const auto field = make_field(model, std::move(scene), stage, request);
-  field->set_batched(branches.batched);
-  GuidedField guided(*field, request.flow.guidance);
-  const auto times = solver_times(stage.solver);
-  if (!is_adaptive(stage.solver.solver)) field->prepare_times({times.begin(), times.end() - 1});
-  SolveObserver observer;
-  observer.stage = stage.name;
-  PreviewTimes previews(request.on_preview ? request.preview_every : 0);
-  observer.on_step = [&](const SolveProgress& progress) {
-    if (request.on_step) request.on_step(stage.name, progress);
-    if (stop_asked(request)) return SolveDecision::kStop;
-    if (progress.time > 0 && previews.due(progress.evaluations)) preview(progress.predicted_data());
-    return SolveDecision::kGoOn;
-  };
-  if (request.on_step) {
-    SolveProgress start;
-    start.steps = is_adaptive(stage.solver.solver) ? 0 : static_cast<int64_t>(times.size()) - 1;
-    request.on_step(stage.name, start);
-  }
-  const auto solved = solve_on(guided, stage.noise.to(request.device), stage.solver, times, observer);
-  if (solved.stopped) {
-    const auto done =
-        fmt::format("{}: {} steps to flow time {:.4g}", stage.name, solved.accepted, solved.times.back());
-    stop_if_interrupted(done);
-    throw Interrupted(done);
-  }
-  FlowReport report;
-  report.stage = stage.name;
-  report.generator = stage.generator;
-  report.times = solved.times;
-  report.evaluations = solved.evaluations;
-  report.rejected = solved.rejected;
-  report.guidance = guided.report();
-  report.branches = branches;
-  report.counts = field->counts();
-  result.flows.push_back(std::move(report));
-  return solved.state;
-}
-
-// The views to decode: their levels by number, and their grid.
-struct DecodableViews {
-  std::vector<torch::Tensor> levels;
-  LatentGrid grid;
-};
-
-DecodableViews select_views(const PipelineResult& result, DecodedViews which, int64_t num_sources) {
-  const int64_t first = which == DecodedViews::kTargets ? num_sources : 0;
-  DecodableViews selected;
-  selected.grid = result.grid;
-  selected.grid.views = result.grid.views - first;
-  for (const torch::Tensor& level : result.levels) {
-    selected.levels.push_back(level.defined() ? level.slice(0, first).contiguous() : level);
-  }
-  return selected;
-}
-
 void require_all_levels(const std::vector<torch::Tensor>& levels, const std::string& stage) {
   for (size_t level = 0; level < levels.size(); ++level) {
     if (levels[level].defined()) continue;
@@ -265,100 +152,6 @@ void check_request(const PipelineModels& models, const PipelineRequest& request,
           fmt::format("noise of shape ({}, {}, channels)", grid.views, tokens), c10::str(noise.sizes()),
           "draw it for these views"});
   }
-}
-
-CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
-                                const LatentGrid& grid, const std::string& stage) {
-  const LatentSpace space(models.backbone(), models.levels.boundary);
-  std::map<int64_t, torch::Tensor> raw;
-  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
-    const int64_t level = models.levels.generators[i].level;
-    raw[level] = models.statistics[i].denormalise(state.latents.at(level));
-  }
-  auto levels = space.complete(raw, state.sources.leading, grid);
-  for (size_t level = 0; level < levels.patches.size(); ++level) {
-    if (levels.patches[level].defined())
-      require_finite(levels.patches[level], stage, fmt::format("level {} features", level));
-  }
-  return levels;
-}
-
-torch::Tensor decoded_images(const PipelineModels& models, const std::vector<torch::Tensor>& levels,
-                             const LatentGrid& grid, const std::string& stage) {
-  auto images =
-      models.rgb_decoder()->decode(image_features(levels, models.levels.decoded_levels()), grid).cpu();
-  require_finite(images, stage, "images");
-  return images;
-}
-
-// The same models with a backbone and a decoder that stay in memory once they are asked for.
-PipelineModels loaded_once(const PipelineModels& models) {
-  PipelineModels kept = models;
-  const auto backbone = std::make_shared<std::shared_ptr<Backbone>>();
-  kept.backbone = [backbone, load = models.backbone] { return *backbone ? *backbone : *backbone = load(); };
-  const auto decoder = std::make_shared<std::shared_ptr<ImageDecoder>>();
-  kept.rgb_decoder = [decoder, load = models.rgb_decoder] { return *decoder ? *decoder : *decoder = load(); };
-  return kept;
-}
-
-// The target views as they would be if the flow of this level ended with this prediction.
-torch::Tensor preview_images(const PipelineModels& models, const PipelineRequest& request,
-                             const PipelineState& state, const LatentGrid& grid, int64_t level,
-                             const torch::Tensor& predicted) {
-  PipelineState present;
-  present.sources = state.sources;
-  for (size_t i = 0; i < models.levels.generators.size(); ++i) {
-    const int64_t other = models.levels.generators[i].level;
-    const auto made = state.latents.find(other);
-    const bool known = made != state.latents.end() && made->second.defined();
-    present.latents[other] = known ? made->second : torch::zeros_like(request.noise[i]).to(request.device);
-  }
-  present.latents[level] = predicted;
-  const std::string stage = "preview";
-  PipelineResult completed;
-  completed.grid = grid;
-  completed.levels = complete_levels(models, present, grid, stage).patches;
-  const auto targets = select_views(completed, DecodedViews::kTargets, request.views.num_sources);
-  return decoded_images(models, targets.levels, targets.grid, stage);
-}
-
-void run_flow_stage(const PipelineModels& models, const PipelineRequest& request, const SamplingStage& stage,
-                    PipelineState& state, PipelineResult& result) {
-  const LevelGenerator& generator = models.levels.generators[stage.generator];
-  const LevelStatistics& statistics = models.statistics[stage.generator];
-  if (const auto kept = request.kept_latents.find(generator.level); kept != request.kept_latents.end()) {
-    const auto& noise = request.noise[stage.generator];
-    if (kept->second.sizes() != noise.sizes()) {
-      fail({stage.name, "kept latents of shape " + c10::str(noise.sizes()), c10::str(kept->second.sizes()),
-            "begin the run again with --overwrite"});
-    }
-    state.latents[generator.level] = kept->second.to(request.device);
-    result.latents[generator.level] = kept->second;
-    FlowReport report;
-    report.stage = stage.name;
-    report.generator = generator;
-    report.kept = true;
-    result.flows.push_back(std::move(report));
-    return;
-  }
-  const auto model = models.generator(stage.generator);
-  DitSceneInputs shown = condition_on_source_level({generator.level, model->options(), statistics},
-                                                   request.views, state.sources);
-  if (generator.is_cascade()) condition_on_deeper_level(shown, state.latents.at(*generator.deeper));
-  SolverOptions solver = request.flow.solvers[stage.generator];
-  solver.schedule.shift =
-      resolved_time_shift(solver.schedule.shift, result.grid, model->options().in_channels);
-  const PipelineModels kept = loaded_once(models);
-  const auto preview = [&](const torch::Tensor& predicted) {
-    request.on_preview(stage.name,
-                       preview_images(kept, request, state, result.grid, generator.level, predicted));
-  };
-  auto& latent = state.latents[generator.level];
-  latent =
-      run_flow(*model, model->prepare_scene(shown, request.savings),
-               {stage.name, generator, solver, request.noise[stage.generator]}, request, preview, result);
-  result.latents[generator.level] = latent.cpu();
-  if (request.on_latent) request.on_latent(generator.level, result.latents[generator.level]);
 }
 
 // Depth and rays as another model sees them in the source images and the generated ones.
@@ -510,8 +303,8 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         return;
       }
       case StageKind::kRgbDecoding: {
-        const auto selected = select_views(result, request.image_views, num_sources);
-        result.images = decoded_images(models, selected.levels, selected.grid, stage.name);
+        const auto selected = select_views(result.levels, result.grid, request.image_views, num_sources);
+        result.images = decoded_images(models, selected, stage.name);
         return;
       }
       case StageKind::kComposition:
@@ -525,7 +318,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
           return;
         }
         require_all_levels(result.levels, stage.name);
-        const auto selected = select_views(result, request.geometry_views, num_sources);
+        const auto selected = select_views(result.levels, result.grid, request.geometry_views, num_sources);
         result.geometry = models.geometry_head()->forward(GeometryInputs{selected.levels, result.leading},
                                                           selected.grid, request.geometry_maps);
         require_finite_geometry(result.geometry, stage.name);

@@ -2,6 +2,7 @@
 
 #include "datasets/images/image_file.h"
 #include "datasets/images/webp_animation.h"
+#include "datasets/video/ffmpeg.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/child_process.h"
 #include "gld/base/error.h"
@@ -90,16 +91,8 @@ void export_mp4(const std::filesystem::path& file, const Film& film, const TextI
   WorkFolder folder("ffmpeg");
   put_pictures(film, folder.path());
   AtomicFile written(file);
-  // Nothing but files is opened, whatever a picture may hold.
-  const std::vector<std::string> command{
-      ffmpeg.string(),
-      "-nostdin",
-      "-hide_banner",
-      "-loglevel",
-      "error",
-      "-y",
-      "-protocol_whitelist",
-      "file",
+  std::vector<std::string> command = ffmpeg_command(ffmpeg);
+  const std::vector<std::string> film_options{
       "-f",
       "image2",
       "-framerate",
@@ -137,6 +130,7 @@ void export_mp4(const std::filesystem::path& file, const Film& film, const TextI
       "-movflags",
       "+faststart",
       std::filesystem::absolute(written.temporary()).string()};
+  command.insert(command.end(), film_options.begin(), film_options.end());
   if (const int status = run_program(command, folder.log(), "while ffmpeg made " + file.string());
       status != 0) {
     folder.keep();

@@ -141,6 +141,28 @@ TEST(RunJournal, PutsTheEarlierRunBackUnlessThereIsAResult) {
   EXPECT_THAT(there, testing::UnorderedElementsAre(".gld-run", "images", "notes.txt", "table.csv"));
 }
 
+// Its lines do not depend on how often the clock had a file written again.
+TEST(RunJournal, NotesAFileOnce) {
+  test::TemporaryFolder temporary;
+  const auto& folder = temporary.path();
+  {
+    const RunJournal journal(folder);
+    for (const char* name : {kRunProgress, "a.txt", kRunProgress, "b.txt", kRunProgress}) {
+      write_file_atomically(folder / name, "x");
+    }
+  }
+  const std::string journal = read_file(folder / ".gld-run");
+  EXPECT_EQ(journal.substr(journal.find('\n')), "\n\"progress.json\"\n\"a.txt\"\n\"b.txt\"\n");
+  // One that somebody else put there is noted when a run writes it.
+  write_file_atomically(folder / "mine.txt", "mine");
+  {
+    const RunJournal again(folder);
+    write_file_atomically(folder / "mine.txt", "the run's");
+  }
+  EXPECT_THAT(RunJournal::find(folder)->written,
+              testing::ElementsAre(kRunProgress, "a.txt", "b.txt", "mine.txt"));
+}
+
 // Killed before its first result, a run leaves the earlier one aside, where the next that begins anew finds it whole.
 TEST(RunJournal, KeepsTheEarlierRunThroughAKill) {
   test::TemporaryFolder temporary;
