@@ -21,8 +21,8 @@ constexpr auto kGrace = std::chrono::milliseconds(500);
 
 }  // namespace
 
-CheckpointOnStop::CheckpointOnStop(const CheckpointFolder& folder)
-    : folder_(folder), watcher_([this] { watch(); }) {}
+CheckpointOnStop::CheckpointOnStop(const CheckpointFolder& folder, std::function<void()> stopped)
+    : folder_(folder), stopped_(std::move(stopped)), watcher_([this] { watch(); }) {}
 
 CheckpointOnStop::~CheckpointOnStop() {
   {
@@ -58,6 +58,7 @@ void CheckpointOnStop::watch() {
     } catch (const std::exception& error) {
       done += "; its checkpoint was not written: " + std::string(error.what());
     }
+    if (stopped_) stopped_();
     end_interrupted_process(done);
   }
 }

@@ -3,6 +3,7 @@
 #include "train/loop/checkpoint.h"
 
 #include <condition_variable>
+#include <functional>
 #include <mutex>
 #include <optional>
 #include <thread>
@@ -16,7 +17,9 @@ namespace gld {
 // again, to the same bits.
 class CheckpointOnStop {
  public:
-  explicit CheckpointOnStop(const CheckpointFolder& folder);
+  // stopped: called by the thread when the checkpoint is written or could not be, before the process ends; may be
+  // empty, and must not throw.
+  CheckpointOnStop(const CheckpointFolder& folder, std::function<void()> stopped);
   ~CheckpointOnStop();
   CheckpointOnStop(const CheckpointOnStop&) = delete;
   CheckpointOnStop& operator=(const CheckpointOnStop&) = delete;
@@ -38,6 +41,7 @@ class CheckpointOnStop {
   void watch();
 
   const CheckpointFolder& folder_;
+  std::function<void()> stopped_;
   std::mutex mutex_;
   std::condition_variable changed_;
   std::optional<Checkpoint> state_;  // while a Steady lives

@@ -421,7 +421,7 @@ void Session::validate(const OptimiserState& state) {
 
 TrainingSummary Session::run() {
   const int64_t first_step = step_;
-  stop_.emplace(checkpoints_);
+  stop_.emplace(checkpoints_, run_.on_stop);
   std::optional<Progress> progress;
   if (!leads()) {
     // Rank 0 speaks for all.

@@ -52,6 +52,9 @@ struct TrainingRun {
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
   // Called after lines of metrics.jsonl; may be empty.
   std::function<void()> on_log;
+  // Called where a stop ends the process in the middle of a step, by another thread, after the checkpoint; may be
+  // empty, and must not throw. A stop between two steps throws Interrupted.
+  std::function<void()> on_stop;
   // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are
   // spread over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
   ProcessTeam* team = nullptr;

@@ -16,7 +16,11 @@ void write_page(const std::filesystem::path& run, const Page& page) {
 }  // namespace
 
 LiveTrainingPage::~LiveTrainingPage() {
-  if (ended_ || !written_) return;
+  if (!ended_) stop();
+}
+
+void LiveTrainingPage::stop() noexcept {
+  if (!written_) return;
   try {
     write_page(run_, unfinished_training_page(run_, UnfinishedTraining::kStopped));
   } catch (const std::exception&) {

@@ -19,6 +19,8 @@ class LiveTrainingPage {
 
   // Something is new in metrics.jsonl.
   void follow();
+  // The training is stopped, and this object's end will not come. Does not throw.
+  void stop() noexcept;
   // report.json is written. Throws Error where the page cannot be.
   void end();
 

@@ -245,6 +245,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   }
   LiveTrainingPage page(folder.path());
   run.on_log = [&page] { page.follow(); };
+  run.on_stop = [&page] { page.stop(); };
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);
   const auto trained = ModelBundle::open(folder.path() / "model");

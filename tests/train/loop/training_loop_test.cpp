@@ -404,7 +404,9 @@ TEST(TrainingLoop, AStopDoesNotWaitForTheEndOfALongStep) {
     install_interrupt_handler(StopDeadline::kSafePoint);
     test::ToyObjective objective;
     objective.slow_step = 7;
-    train(test::toy_run(stopped.path(), objective), short_run(), TrainingStart::kFresh);
+    auto run = test::toy_run(stopped.path(), objective);
+    run.on_stop = [&] { write_file_atomically(stopped.path() / "told", "of the stop"); };
+    train(run, short_run(), TrainingStart::kFresh);
     _exit(0);
   }
   // The step before it has been logged when the slow one runs.
@@ -420,6 +422,7 @@ TEST(TrainingLoop, AStopDoesNotWaitForTheEndOfALongStep) {
   EXPECT_LT(std::chrono::steady_clock::now() - asked, std::chrono::seconds(2));
   ASSERT_TRUE(WIFEXITED(status));
   EXPECT_EQ(WEXITSTATUS(status), kInterruptedStatus);
+  EXPECT_TRUE(std::filesystem::exists(stopped.path() / "told"));
   EXPECT_EQ(CheckpointFolder(stopped.path() / "checkpoints", {}).steps().back(), 7);
 
   test::ToyObjective objective;

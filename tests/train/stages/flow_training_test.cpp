@@ -420,11 +420,14 @@ TEST_F(TrainedChain, CtrlCWritesACheckpoint) {
   auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("interrupted"));
   options.loop.checkpoint_every = 1000;
   options.loop.steps = 50;
+  options.loop.log_every = 1;
   EXPECT_THROW(
       train_level(options, [](const Validation&, const std::filesystem::path&) { std::raise(SIGINT); }),
       Interrupted);
   std::signal(SIGINT, SIG_DFL);
   EXPECT_TRUE(std::filesystem::exists(path("interrupted/checkpoints/step_000000001.safetensors")));
+  EXPECT_THAT(read_file(path("interrupted/report.html")),
+              testing::HasSubstr("The training ended before its last step"));
 }
 
 TEST_F(TrainedChain, TheHeadGoesOnAlone) {
