@@ -13,6 +13,7 @@
 #include "gld/base/option_differences.h"
 #include "gld/base/sha256.h"
 #include "gld/distributed/shared_work.h"
+#include "gld/report/distinct_names.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -377,8 +378,10 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
 void write_sheets(const EvaluationOptions& options, const RunFolder& folder, const SceneRecords& records,
                   const std::vector<SceneEvaluation>& results) {
   const auto sheets = folder.subfolder("sheets");
+  DistinctNames names;
   for (size_t i = 0; i < results.size() && static_cast<int64_t>(i) < options.pictures; ++i) {
-    copy_file_atomically(records.sheet(static_cast<int64_t>(i)), sheets / (results[i].scene + ".png"));
+    copy_file_atomically(records.sheet(static_cast<int64_t>(i)),
+                         sheets / (names.of(results[i].scene) + ".png"));
   }
   for (const auto& [name, index] : chosen_scenes(results)) {
     copy_file_atomically(records.sheet(static_cast<int64_t>(index)), folder.path() / (name + "_scene.png"));

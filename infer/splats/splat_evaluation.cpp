@@ -12,6 +12,7 @@
 #include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"
 #include "gld/metrics/sharpness.h"
+#include "gld/report/distinct_names.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
@@ -227,13 +228,14 @@ Table scene_table(const std::vector<SplatScores>& scenes, const std::vector<Scor
 
 // The first held-out view: truth, colours, decoded latents, what the refiner makes of them where there is one, and what
 // decoding alone loses.
-void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const Provenance& provenance) {
+void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const std::string& name,
+                    const Provenance& provenance) {
   const HeldOutPictures& pictures = scene.pictures;
   std::vector<torch::Tensor> row = {pictures.truth[0], pictures.rgb[0], pictures.decoded[0]};
   if (pictures.refined.defined()) row.push_back(pictures.refined[0]);
   row.push_back(pictures.autoencoded[0]);
-  export_image(run.subfolder("pictures") / (scene.scores.scene + ".png"),
-               to_image(torch::cat(row, 2).clamp(0, 1)), provenance);
+  export_image(run.subfolder("pictures") / (name + ".png"), to_image(torch::cat(row, 2).clamp(0, 1)),
+               provenance);
 }
 
 }  // namespace
@@ -255,11 +257,12 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   RunFolder run(options.out, "splat eval", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat eval", options);
   std::vector<SplatScores> scenes;
+  DistinctNames names;
   Progress progress({"scenes", dataset->size(), 0, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
     const EvaluatedScene scene = evaluated(dataset->scene(index), bundle, refiner.get(), options, settings);
-    write_pictures(run, scene, provenance);
+    write_pictures(run, scene, names.of(scene.scores.scene), provenance);
     scenes.push_back(scene.scores);
     progress.update(index + 1);
   }

@@ -8,6 +8,7 @@
 #include "gld/machine/timing.h"
 #include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"
+#include "gld/report/distinct_names.h"
 #include "gld/report/plot.h"
 #include "gld/report/progress.h"
 #include "gld/report/provenance.h"
@@ -20,7 +21,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <iostream>
-#include <map>
 #include <set>
 
 #include <fmt/format.h>
@@ -66,12 +66,6 @@ std::vector<SceneLocation> locations_of(const SplatSpectrumOptions& options) {
     }
   }
   return locations;
-}
-
-// A scene's name in tables and files; one that another scene has too gets a number.
-std::string name_of(const std::string& scene, std::map<std::string, int64_t>& times) {
-  const int64_t number = ++times[scene];
-  return number == 1 ? scene : fmt::format("{}_{}", scene, number);
 }
 
 // The band of which the headline is: rings 8 to 15 of 32 pixels, and the same share of others.
@@ -264,7 +258,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
   RunFolder run(options.out, "splat spectrum", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat spectrum", options);
   std::vector<SceneSpectrum> scenes;
-  std::map<std::string, int64_t> names;
+  DistinctNames names;  // in tables and files
   Progress progress({"scenes", static_cast<int64_t>(locations.size()), 0, run.path()});
   const double seconds = seconds_of([&] {
     for (const SceneLocation& location : locations) {
@@ -272,7 +266,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
       SceneReading reading = options.reading;
       reading.part = location.part;
       scenes.push_back(scene_spectrum(open_scene(location.path, reading), settings));
-      scenes.back().scene = name_of(scenes.back().scene, names);
+      scenes.back().scene = names.of(scenes.back().scene);
       write_pictures(run, scenes.back(), provenance);
       // What there is of it if the run ends here.
       write_file_atomically(run.path() / "rings.csv", ring_table(scenes).csv());

@@ -1,0 +1,17 @@
+#pragma once
+
+#include <string>
+#include <unordered_set>
+
+namespace gld {
+
+// Names of files for things of which two may have one name: the second "room" is "room_2".
+class DistinctNames {
+ public:
+  std::string of(const std::string& name);
+
+ private:
+  std::unordered_set<std::string> taken_;
+};
+
+}  // namespace gld
