@@ -120,5 +120,19 @@ TEST_F(SplattedScenes, AreRepairedBesideAsManyViewsAsThereAre) {
   EXPECT_FALSE(has_refiner(bundle_));
 }
 
+TEST_F(SplattedScenes, AreNotRepairedWhereTheyDoNotFitIntoMemory) {
+  const auto scene = read_splatted_scene(file_);
+  const auto unet = bundle_.load_refiner();
+  const int64_t side = int64_t{1} << 18;
+  // Views of that size that take no memory themselves.
+  const auto huge = torch::zeros({1, 1, 1, 1}).expand({4, scene.encoded.size(1), side, side});
+  const auto said = error_of([&] {
+    LatentRefining(*unet, {scene.cameras.begin(), scene.cameras.begin() + 4}, huge);
+  });
+  EXPECT_THAT(said, HasSubstr("refining latents: expected at most "));
+  EXPECT_THAT(said,
+              HasSubstr(" for 4 views of 262144x262144 latent pixels by the forecast; take smaller views."));
+}
+
 }  // namespace
 }  // namespace gld
