@@ -43,18 +43,20 @@ Command stage_command(const std::string& name, const std::string& summary,
 Command make_train_command() {
   Command command;
   command.name = "train";
-  command.summary = "Train a part of a model: backbone, decoder, blending, level, cascade or refiner";
+  command.summary = "Train a part of a model: backbone, decoder, depth, blending, level, cascade or refiner";
   command.description =
       "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
       "runs/backbone\n"
       "Each kind reads a bundle (--model) and writes one with the trained part (model/ in the run folder), "
-      "which the next kind takes. Order: backbone, decoder, blending, then gld stats, level, cascade. "
+      "which the next kind takes. Order: backbone, decoder, depth, blending, then gld stats, level, cascade. "
       "--resume continues a run.";
   command.subcommands = {
       stage_command("backbone",
                     "A geometric backbone and its DPT head on scenes with depth, or the head alone",
                     train_backbone, {"objective.training"}),
       stage_command("decoder", "The RGB decoder on the features of a frozen backbone", train_decoder,
+                    {"objective.start"}),
+      stage_command("depth", "The network that mends the depth of source views", train_depth,
                     {"objective.start"}),
       stage_command("blending", "How photographs are laid together in target views, by which depth",
                     train_blending, {"objective.start"}),

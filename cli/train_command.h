@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// gld train backbone|decoder|blending|level|cascade.
+// gld train backbone|decoder|depth|blending|level|cascade.
 Command make_train_command();
 
 }  // namespace gld

@@ -10,7 +10,7 @@ recipe=$tiny
 if [ -f "$tiny/next/model.yaml" ]; then recipe=$tiny/next; fi
 most_bytes=$((24 * 1024 * 1024)) # 24 MiB
 
-for needed in model/{backbone,level1,cascade,rgb_decoder,blending,dpt_head,statistics_level0,statistics_level1}.safetensors eval/report.json; do
+for needed in model/{backbone,level1,cascade,rgb_decoder,depth_refinement,blending,dpt_head,statistics_level0,statistics_level1}.safetensors eval/report.json; do
   if [ ! -f "$runs/$needed" ]; then
     echo "ship_tiny: expected $runs/$needed, found none; run scripts/train_tiny.sh ship $runs first." >&2
     exit 1
@@ -43,7 +43,7 @@ if [ "$recipe" != "$tiny" ]; then
   if [ -d "$recipe/training" ]; then cp -r "$recipe/training" "$tiny/"; fi
   cp "$recipe"/*.yaml "$tiny/"
 fi
-for stage in backbone decoder blending level cascade head; do
+for stage in backbone decoder depth blending level cascade head; do
   from=$runs/$stage
   if [ "$stage" = level ] && [ -d "$runs/level_ship" ]; then from=$runs/level_ship; fi
   if [ ! -f "$from/metrics.jsonl" ]; then continue; fi  # taken over from another machine as it was

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Trains the small model: backbone; latent statistics; the depth head, which carries photographs into target views for M1;
-# then M1 for as long as it is left running, while the RGB decoder, the blending of photographs and the cascade train beside it. Every stage goes on
-# where it was interrupted: run it again.
+# then M1 for as long as it is left running, while the RGB decoder, the mending of depth, the blending of photographs and the cascade train
+# beside it. Every stage goes on where it was interrupted: run it again.
 #   scripts/train_tiny.sh [RUNS [DEVICE]]        trains; Ctrl-C or SIGTERM writes checkpoints and stops
 #   scripts/train_tiny.sh ship [RUNS [DEVICE]]   branches a falling learning rate off what M1 has learnt so far, puts the
 #                                                parts together in RUNS/model and measures it; the run itself is unharmed
@@ -121,7 +121,7 @@ branch() {
 }
 
 if [ "$action" = ship ]; then
-  for needed in decoder blending cascade; do
+  for needed in decoder depth blending cascade; do
     if [ ! -f "$runs/$needed/report.json" ]; then
       echo "train_tiny: expected $runs/$needed to be done before shipping, found no report.json;" \
         "let scripts/train_tiny.sh $runs run on." >&2
@@ -132,7 +132,7 @@ if [ "$action" = ship ]; then
   branch level level "$level_base" "$step" $((step / 6 < 100 ? 100 : step / 6 > 3000 ? 3000 : step / 6)) --set loop.workers=2
   rm -rf "$runs/model" "$runs/level_ship" "$runs/eval"
   cp -r "$runs/cascade/model" "$runs/model"
-  cp "$runs/level_$step/model/level1.safetensors" "$runs/blending/model/blending.safetensors" "$level_base/dpt_head.safetensors" \
+  cp "$runs/level_$step/model/level1.safetensors" "$runs/blending/model"/{depth_refinement,blending}.safetensors "$level_base/dpt_head.safetensors" \
     "$recipe/model.yaml" "$runs/model/"
   cp -r "$runs/level_$step" "$runs/level_ship"
   "$gld" eval --model "$runs/model" --synthetic 64 --out "$runs/eval" --device "$device"
@@ -168,6 +168,7 @@ if [ "$action" = keep ]; then
   fi
   if [ -f "$runs/decoder/report.json" ]; then part decoder "$runs/decoder" rgb_decoder; fi
   if [ -f "$runs/blending/report.json" ]; then part blending "$runs/blending" blending; fi
+  if [ -f "$runs/depth/report.json" ]; then part depth "$runs/depth" depth_refinement; fi
   if [ -f "$runs/cascade/report.json" ]; then part cascade "$runs/cascade" cascade; fi
   if [ -f "$runs/head/report.json" ]; then part head "$runs/head" dpt_head; fi
   exit 0
@@ -179,7 +180,8 @@ level() { stage level level "$level_base" "$level_start" "$@"; }
 beside_level() {
   stage decoder decoder "$base" "$(start_of rgb_decoder objective.start=bundle)" --threads 1
   # Photographs are matched on the CPU.
-  device=cpu stage blending blending "$level_base" "$(start_of blending objective.start=bundle)" --threads 1
+  device=cpu stage depth depth "$level_base" "$(start_of depth_refinement objective.start=bundle)" --threads 1
+  device=cpu stage blending blending "$runs/depth/model" "$(start_of blending objective.start=bundle)" --threads 1
   # The head that carries photographs into target views is M1's.
   rm -rf "$runs/cascade_base"
   cp -r "$runs/decoder/model" "$runs/cascade_base"
@@ -187,7 +189,7 @@ beside_level() {
   stage cascade cascade "$runs/cascade_base" "$(start_of cascade objective.flow.start=bundle)" --threads 1
 }
 level_is_alone() {
-  [ -f "$runs/decoder/report.json" ] && [ -f "$runs/blending/report.json" ] && [ -f "$runs/cascade/report.json" ]
+  [ -f "$runs/decoder/report.json" ] && [ -f "$runs/depth/report.json" ] && [ -f "$runs/blending/report.json" ] && [ -f "$runs/cascade/report.json" ]
 }
 
 running=()
@@ -208,7 +210,7 @@ if ! level_is_alone; then
   level --threads 1 &
   running=("$beside" $!)
   if ! wait "$beside"; then
-    echo "train_tiny: expected decoder, blending and cascade to train, found a failure; see $runs/beside_level.log." >&2
+    echo "train_tiny: expected decoder, depth, blending and cascade to train, found a failure; see $runs/beside_level.log." >&2
     exit 1
   fi
   stop_running

@@ -302,13 +302,10 @@ bool PhotographView::complete() const {
          sum <= static_cast<double>(kVarianceOfOne) * count;
 }
 
-PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
-                                    const std::vector<ColourGains>& gains, const Camera& target,
-                                    const PhotographViewOptions& options) {
-  PlacedPhotographs placed{sources, target, {}, options.carry};
-  if (sources.empty()) return placed;
-  // Photographs of one brightness, that of the target: its neighbours' in time and space are the best guess of it.
-  std::vector<PicturedView>& even = placed.photographs;
+std::vector<PicturedView> evened_photographs(const std::vector<PicturedView>& sources,
+                                             const std::vector<ColourGains>& gains, const Camera& target) {
+  std::vector<PicturedView> even = sources;
+  // The target's neighbours in time and space are the best guess of its brightness.
   ColourGains aim{0, 0, 0};
   double nearness = 0;
   for (size_t i = 0; i < sources.size(); ++i) {
@@ -327,10 +324,20 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
       for (size_t p = c; p < even[i].rgb.size(); p += 3) even[i].rgb[p] *= factor;
     }
   }
+  return even;
+}
+
+PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
+                                    const std::vector<ColourGains>& gains, const Camera& target,
+                                    const PhotographViewOptions& options) {
+  PlacedPhotographs placed{{}, target, {}, options.carry};
+  if (sources.empty()) return placed;
+  placed.photographs = evened_photographs(sources, gains, target);
   const auto [width, height] = image_within(target.width, target.height, options.matched_side);
   std::vector<PicturedView> small;
-  small.reserve(even.size());
-  for (const PicturedView& source : even) small.push_back(reduced_view(source, options.matched_side));
+  small.reserve(placed.photographs.size());
+  for (const PicturedView& source : placed.photographs)
+    small.push_back(reduced_view(source, options.matched_side));
   placed.depth =
       resized_depth(matched_target_depth(small, resized_camera(target, width, height), options.carry),
                     target.width, target.height);

@@ -21,6 +21,10 @@ using ColourGains = std::array<float, 3>;
 // median ratio counts; exactly 1 where photographs share too little, or differ by less than they scatter.
 std::vector<ColourGains> exposure_gains(const std::vector<PicturedView>& sources);
 
+// The photographs in the brightness that the target view has; gains: one a source.
+std::vector<PicturedView> evened_photographs(const std::vector<PicturedView>& sources,
+                                             const std::vector<ColourGains>& gains, const Camera& target);
+
 struct PhotographViewOptions {
   CarryOptions carry;
   // Pixels of the longer side at which the depth of the target view is matched; colours are carried at the size of the

@@ -48,10 +48,15 @@ CarriedPictures carried_pictures(const EvaluationModels& models, const SamplingS
     return {{}, {}, kNoCameraHead, kNoCameraHead, {}};
   }
   const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
-  const SourceDepth depth = use.matches() ? photograph_depth(scene.views, pictures, photographs,
-                                                             asks_head && head ? &*head : nullptr, use.stereo)
-                                                .depth
-                                          : source_depth_of_head(scene.views, pictures, *head);
+  SourceDepth depth;
+  if (use.matches()) {
+    PhotographDepth found = photograph_depth(scene.views, pictures, photographs,
+                                             asks_head && head ? &*head : nullptr, use.stereo);
+    if (use.refines()) refine(*models.models.depth_refinement(), photographs, found);
+    depth = std::move(found.depth);
+  } else {
+    depth = source_depth_of_head(scene.views, pictures, *head);
+  }
   const SourceWarp warp = warp_sources(scene.views, pictures, depth, 1);
   const NearestSourceDepth nearest = nearest_source_depth(scene.views, depth);
   CarriedPictures carried{warp.completed, nearest.depth, warp.doubt, nearest.doubt, {}};

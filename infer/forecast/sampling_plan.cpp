@@ -9,6 +9,7 @@
 #include "infer/forecast/stage_speed.h"
 #include "models/blending/photograph_blending.h"
 #include "models/cost/branch_choice.h"
+#include "models/depth_refinement/depth_refinement.h"
 #include "models/dit/encoder_nodes.h"
 
 #include <algorithm>
@@ -98,6 +99,7 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
     case StageKind::kSourceDepth: {
       StageNeeds needs{{}, 2 * generated + 1};
       if (uses_source_depth(bundle.level_set(), request)) needs.parts = {BundlePart::geometry_head()};
+      if (request.photographs.refines()) needs.parts.push_back(BundlePart::depth_refinement());
       return needs;
     }
     case StageKind::kSourceWarp: {
@@ -214,10 +216,20 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       }
       return cost;
     }
-    case StageKind::kSourceDepth:
-      return uses_source_depth(bundle.level_set(), stages)
-                 ? bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays)
-                 : Cost();
+    case StageKind::kSourceDepth: {
+      if (!uses_source_depth(bundle.level_set(), stages)) return Cost();
+      Cost cost = bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays);
+      if (stages.photographs.refines()) {
+        const int64_t side = bundle.backbone.patch_side();
+        Cost mending = depth_refinement_cost(bundle.depth_refinement, side * request.grid.height,
+                                             side * request.grid.width);
+        // All views at once.
+        mending.convolution_flop *= static_cast<double>(stages.num_sources);
+        cost.add_operations_of(mending);
+        cost.working_bytes = std::max(cost.working_bytes, mending.working_bytes * stages.num_sources);
+      }
+      return cost;
+    }
     case StageKind::kSourceWarp: {
       const LevelSet levels = bundle.level_set();
       if (!needs_source_depth(levels, stages)) return Cost();

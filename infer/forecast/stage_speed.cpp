@@ -6,6 +6,7 @@
 #include "models/backbones/backbone.h"
 #include "models/blending/photograph_blending.h"
 #include "models/decoders/rgb_decoder.h"
+#include "models/depth_refinement/depth_refinement.h"
 
 #include <algorithm>
 #include <cmath>
@@ -88,12 +89,17 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
   return seconds_of([&] { decoder.decode(features, grid); });
 }
 
+// Pictures as a network over pixels looks at them.
+ImageSize seen_by(const PixelUnetOptions& network, const BundleOptions& bundle, const PlanRequest& request) {
+  const int64_t side = bundle.backbone.patch_side();
+  return image_within(side * request.grid.width, side * request.grid.height, network.side);
+}
+
 // Of the network alone; what photographs are carried by is found when it runs.
 double blending_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   PhotographBlending blending(bundle.blending, ParameterPlacement{});
   fill(blending);
-  const int64_t side = bundle.backbone.patch_side();
-  const auto seen = image_within(side * request.grid.width, side * request.grid.height, bundle.blending.side);
+  const ImageSize seen = seen_by(bundle.blending, bundle, request);
   const auto inputs = torch::randn({1, PhotographBlending::kInputs, seen.height, seen.width});
   const auto targets = static_cast<double>(request.grid.views - request.num_sources);
   return targets * seconds_of([&] { blending.forward(inputs); });
@@ -112,6 +118,22 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
 // What the head takes to say how deep the source views are.
 double source_geometry_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   return geometry_seconds(bundle, with_views(request.grid, request.num_sources), GeometryMaps::kDepthAndRays);
+}
+
+// Of the network alone, likewise.
+double depth_refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+  DepthRefinement refinement(bundle.depth_refinement, ParameterPlacement{});
+  fill(refinement);
+  const ImageSize seen = seen_by(bundle.depth_refinement, bundle, request);
+  const auto map = [&](std::vector<int64_t> channels) {
+    channels.insert(channels.begin(), request.num_sources);
+    channels.insert(channels.end(), {seen.height, seen.width});
+    return torch::rand(channels);
+  };
+  const auto hypotheses = static_cast<int64_t>(kDepthFactors.size());
+  const DepthEvidence evidence{map({3}),         map({1}), map({1}), map({1}), map({hypotheses, 3}),
+                               map({hypotheses})};
+  return seconds_of([&] { refinement.forward(evidence); });
 }
 
 // Of another backbone and its head, which look at the generated images.
@@ -136,7 +158,9 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
     case StageKind::kSourceEncoding:
       return encoding_seconds(bundle, request);
     case StageKind::kSourceDepth:
-      return uses_source_depth(bundle.level_set(), stages) ? source_geometry_seconds(bundle, request) : 0;
+      if (!uses_source_depth(bundle.level_set(), stages)) return 0;
+      return source_geometry_seconds(bundle, request) +
+             (stages.photographs.refines() ? depth_refinement_seconds(bundle, request) : 0);
     case StageKind::kSourceWarp:
       if (!needs_source_depth(bundle.level_set(), stages)) return 0;
       return (has_source_depth_stage(bundle.level_set(), stages) ? 0

@@ -34,6 +34,8 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   models.geometry_head = [=] { return shared->load_geometry_head(placement); };
   // On the CPU, where photographs are.
   if (bundle.options().blending.exists()) models.blending = [=] { return shared->load_blending(); };
+  if (bundle.options().depth_refinement.exists())
+    models.depth_refinement = [=] { return shared->load_depth_refinement(); };
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
   }
@@ -45,6 +47,8 @@ PhotographUse photograph_use_of(const PhotographOptions& options, const ModelBun
   model.warped_sources = bundle.options().level_set().warped_sources;
   model.has_geometry_head = bundle.options().geometry_head.predicts_rays();
   model.has_blending = bundle.options().blending.exists() && bundle.has(BundlePart::blending());
+  model.has_depth_refinement =
+      bundle.options().depth_refinement.exists() && bundle.has(BundlePart::depth_refinement());
   return options.use(model);
 }
 
@@ -84,6 +88,7 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
   models.rgb_decoder = keep(models.rgb_decoder);
   models.geometry_head = keep(models.geometry_head);
   if (models.blending) models.blending = keep(models.blending);
+  if (models.depth_refinement) models.depth_refinement = keep(models.depth_refinement);
   return models;
 }
 

@@ -9,8 +9,9 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
       visitor,
       {"source_depth",
        "who says how deep the source views are: the model, the photographs where they agree (stereo), or "
-       "both (fused); automatic: fused for models that are shown photographs in target views, or blend them"},
-      source_depth, {"automatic", "model", "stereo", "fused"});
+       "both (fused), or both mended by the model's own network (refined); automatic: refined where the model "
+       "has such a network, fused for other models that are shown photographs in target views, or blend them"},
+      source_depth, {"automatic", "model", "stereo", "fused", "refined"});
   visit_choice(
       visitor,
       {"compose",
@@ -32,8 +33,11 @@ PhotographUse PhotographOptions::use(const PhotographModel& model) const {
   use.stereo = stereo;
   switch (source_depth) {
     case DepthChoice::kAutomatic:
-      use.depth = trained_with_photographs || model.has_blending ? SourceDepthOrigin::kFused
-                                                                 : SourceDepthOrigin::kHead;
+      if (model.has_depth_refinement) {
+        use.depth = SourceDepthOrigin::kRefined;
+      } else if (trained_with_photographs || model.has_blending) {
+        use.depth = SourceDepthOrigin::kFused;
+      }
       break;
     case DepthChoice::kModel:
       break;
@@ -42,6 +46,13 @@ PhotographUse PhotographOptions::use(const PhotographModel& model) const {
       break;
     case DepthChoice::kFused:
       use.depth = SourceDepthOrigin::kFused;
+      break;
+    case DepthChoice::kRefined:
+      if (!model.has_depth_refinement) {
+        fail({"--source-depth", "model, stereo or fused for a model without a depth_refinement part",
+              "refined", "choose one of them, or train the part with gld train depth"});
+      }
+      use.depth = SourceDepthOrigin::kRefined;
       break;
   }
   if (!model.has_geometry_head && use.depth != SourceDepthOrigin::kHead)

@@ -9,7 +9,12 @@
 namespace gld {
 
 // Who says how deep the source views are.
-enum class SourceDepthOrigin { kHead, kStereo, kFused };
+enum class SourceDepthOrigin {
+  kHead,
+  kStereo,  // the photographs
+  kFused,   // both
+  kRefined  // both, mended by the model's network
+};
 
 // Whether what photographs show of a target view is kept in its picture.
 enum class Composition {
@@ -24,9 +29,10 @@ struct PhotographUse {
   Composition composition = Composition::kNone;
   // Target views that photographs show whole are not generated (complete_targets()), unless latents are asked for.
   bool leaves_out_complete = false;
-  StereoOptions stereo;  // of kStereo and kFused
+  StereoOptions stereo;  // of all but kHead
 
   bool matches() const { return depth != SourceDepthOrigin::kHead; }
+  bool refines() const { return depth == SourceDepthOrigin::kRefined; }
   bool composes() const { return composition != Composition::kNone; }
   bool blends() const { return composition == Composition::kBlended; }
 };
@@ -37,12 +43,13 @@ struct PhotographModel {
   // published unless the options say otherwise.
   int64_t warped_sources = 0;
   bool has_geometry_head = false;
-  bool has_blending = false;  // trained, and on the depth of photographs and head together
+  bool has_blending = false;          // trained, and on the depth of photographs and head together
+  bool has_depth_refinement = false;  // likewise
 };
 
 // The same as options; what is automatic, the model decides.
 struct PhotographOptions : OptionsGroup {
-  enum class DepthChoice { kAutomatic, kModel, kStereo, kFused };
+  enum class DepthChoice { kAutomatic, kModel, kStereo, kFused, kRefined };
   enum class ComposeChoice { kAutomatic, kPhotographs, kBlended, kNone };
 
   DepthChoice source_depth = DepthChoice::kAutomatic;

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/latents/latent_divergence.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "infer/pipeline/flow_stage.h"
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/level_decoding.h"
@@ -11,7 +12,6 @@
 #include "models/conditioning/source_conditioning.h"
 #include "models/latent_spaces/latent_space.h"
 #include "models/scene_geometry/source_warp.h"
-#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <map>
@@ -58,16 +58,6 @@ std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const 
   return source_geometry(*models.geometry_head(), state.sources);
 }
 
-// The head's maps times the length of its unit in that of the cameras.
-std::vector<PlanarDepth> scaled_depth(const GeometryOutput& head, double unit) {
-  std::vector<PlanarDepth> depth;
-  for (int64_t i = 0; i < head.depth.size(0); ++i) {
-    const auto map = head.depth[i];
-    depth.push_back({map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * unit)});
-  }
-  return depth;
-}
-
 void run_source_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                       PipelineResult& result) {
   if (state.depth) return;
@@ -80,12 +70,11 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
   PhotographDepth found =
       photograph_depth(request.views, request.source_images, photographs_of(request, state),
                        head ? &*head : nullptr, request.photographs.stereo);
+  if (request.photographs.refines())
+    refine(*models.depth_refinement(), photographs_of(request, state), found);
   state.depth = std::move(found.depth);
   result.stereo = std::move(found.stereo);
-  if (!head) return;
-  const auto& prior = result.stereo->prior;
-  // Where photographs do not tell the head's unit, photograph_depth() had it placed.
-  result.head_depth = prior && prior->pixels > 0 ? scaled_depth(*head, prior->scale) : state.depth->views;
+  result.head_depth = std::move(found.head);
 }
 
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,

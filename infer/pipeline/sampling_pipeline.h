@@ -38,7 +38,8 @@ struct PipelineModels {
   std::function<std::shared_ptr<DitDh>(size_t generator)> generator;  // by its number in levels.generators
   std::function<std::shared_ptr<ImageDecoder>()> rgb_decoder;
   std::function<std::shared_ptr<GeometryHead>()> geometry_head;
-  std::function<std::shared_ptr<PhotographBlending>()> blending;  // empty where the model has none
+  std::function<std::shared_ptr<PhotographBlending>()> blending;       // empty where the model has none
+  std::function<std::shared_ptr<DepthRefinement>()> depth_refinement;  // likewise
   // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read
   // off the model's own levels by geometry_head.
   std::function<std::shared_ptr<Backbone>()> geometry_model_backbone;

@@ -58,6 +58,8 @@ std::string source_depth_reason(const StageRequest& request) {
       return "what the photographs agree on";
     case SourceDepthOrigin::kFused:
       return "what the photographs agree on, with the geometry head's depth as prior";
+    case SourceDepthOrigin::kRefined:
+      return "what the photographs agree on, with the geometry head's depth as prior, mended by a network";
     case SourceDepthOrigin::kHead:
       break;
   }

@@ -10,6 +10,7 @@
 #include "gld/cameras/resized_camera.h"
 #include "gld/metrics/image_metrics.h"
 #include "gld/report/progress.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "gld/tensors/torch_version.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/depth_export.h"
@@ -21,7 +22,6 @@
 #include "infer/pipeline/placed_cloud.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/predicted_cameras.h"
-#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <cmath>

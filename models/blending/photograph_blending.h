@@ -1,15 +1,14 @@
 #pragma once
 
 #include "gld/photogrammetry/depth_hypotheses.h"
-#include "models/blending/blending_options.h"
 #include "models/layers/convolution.h"
 #include "models/layers/layers.h"
 #include "models/layers/operation_cost.h"
+#include "models/layers/pixel_unet.h"
 
 #include <array>
 #include <cstdint>
 #include <memory>
-#include <string>
 #include <vector>
 
 #include <torch/nn/module.h>
@@ -19,15 +18,13 @@ namespace gld {
 
 // What a pixel of a target view is made of: a share of the picture that a rule laid together from the photographs, and
 // one of the colour that they show at each of kDepthFactors. Shares are positive and add up to 1, so that no colour is
-// drawn that photographs do not have. A network of convolutions that halve the picture and double it again, with GELU
-// between them, sees colours and disagreement of all of these and chooses; it begins with the rule's picture alone.
-// Parameters "encoder.I.first", "encoder.I.second", "decoder.I.first", "decoder.I.second", "choice", weight and bias
-// each.
+// drawn that photographs do not have. A U-Net sees colours and disagreement of all of these and chooses; it begins with
+// the rule's picture alone. Parameters: PixelUnet's, and "choice", weight and bias.
 class PhotographBlending : public torch::nn::Module {
  public:
-  PhotographBlending(const BlendingOptions& options, const ParameterPlacement& placement);
+  PhotographBlending(const PixelUnetOptions& options, const ParameterPlacement& placement);
 
-  const BlendingOptions& options() const { return options_; }
+  const PixelUnetOptions& options() const { return options_; }
 
   // Channels of an input: colours of the rule's picture, whether it is shown, its depth, and of every hypothesis its
   // colours, disagreement and share of photographs.
@@ -40,23 +37,13 @@ class PhotographBlending : public torch::nn::Module {
   void initialise(const torch::Generator& generator);
 
  private:
-  struct Pair {
-    std::shared_ptr<Convolution> first, second;
-    torch::Tensor operator()(const torch::Tensor& x) const;
-  };
-  struct Widths {
-    int64_t inputs = 0, outputs = 0;
-  };
-  static Pair make_pair(torch::nn::Module& parent, const std::string& name, const Widths& widths,
-                        const ParameterPlacement& placement);
-
-  BlendingOptions options_;
-  std::vector<Pair> encoder_, decoder_;
+  PixelUnetOptions options_;
+  PixelUnet pixels_;
   std::shared_ptr<Convolution> choice_;
 };
 
 // Of one view with pictures of that size, in pixels.
-Cost blending_cost(const BlendingOptions& options, int64_t height, int64_t width);
+Cost blending_cost(const PixelUnetOptions& options, int64_t height, int64_t width);
 
 // What the colours of target views are chosen from, with a first dimension of views or without.
 struct BlendingCandidates {

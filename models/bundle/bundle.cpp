@@ -67,6 +67,7 @@ std::vector<BundlePart> bundle_parts(const BundleOptions& options) {
   if (options.geometry_head.exists()) parts.push_back(BundlePart::geometry_head());
   if (options.has_rgb_decoder()) parts.push_back(BundlePart::rgb_decoder());
   if (options.blending.exists()) parts.push_back(BundlePart::blending());
+  if (options.depth_refinement.exists()) parts.push_back(BundlePart::depth_refinement());
   if (options.refiner.exists()) parts.push_back(BundlePart::refiner());
   std::vector<int64_t> levels, special;
   for (const auto& part : options.generators) {
@@ -91,6 +92,8 @@ std::string bundle_part_name(const BundlePart& part) {
       return "rgb_decoder";
     case BundlePart::Kind::kBlending:
       return "blending";
+    case BundlePart::Kind::kDepthRefinement:
+      return "depth_refinement";
     case BundlePart::Kind::kRefiner:
       return "refiner";
     case BundlePart::Kind::kGenerator:
@@ -114,6 +117,8 @@ std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, co
       return std::make_shared<RgbDecoder>(options.rgb_decoder, placement);
     case BundlePart::Kind::kBlending:
       return std::make_shared<PhotographBlending>(options.blending, placement);
+    case BundlePart::Kind::kDepthRefinement:
+      return std::make_shared<DepthRefinement>(options.depth_refinement, placement);
     case BundlePart::Kind::kRefiner:
       return std::make_shared<DenoisingUnet>(options.refiner, placement);
     case BundlePart::Kind::kGenerator:
@@ -200,6 +205,12 @@ std::shared_ptr<RgbDecoder> ModelBundle::load_rgb_decoder(const ParameterPlaceme
 
 std::shared_ptr<PhotographBlending> ModelBundle::load_blending(const ParameterPlacement& placement) const {
   return loaded(std::make_shared<PhotographBlending>(options_.blending, placement), BundlePart::blending());
+}
+
+std::shared_ptr<DepthRefinement> ModelBundle::load_depth_refinement(
+    const ParameterPlacement& placement) const {
+  return loaded(std::make_shared<DepthRefinement>(options_.depth_refinement, placement),
+                BundlePart::depth_refinement());
 }
 
 std::shared_ptr<DenoisingUnet> ModelBundle::load_refiner(const ParameterPlacement& placement) const {

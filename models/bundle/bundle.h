@@ -4,6 +4,7 @@
 #include "gld/latents/level_statistics.h"
 #include "models/blending/photograph_blending.h"
 #include "models/bundle/bundle_options.h"
+#include "models/depth_refinement/depth_refinement.h"
 #include "models/dit/dit_dh.h"
 #include "models/refiner/denoising_unet.h"
 #include "models/weights/weight_loading.h"
@@ -27,6 +28,7 @@ struct BundlePart {
     kGeometryHead,
     kRgbDecoder,
     kBlending,
+    kDepthRefinement,
     kRefiner,
     kGenerator,
     kStatistics,
@@ -40,6 +42,7 @@ struct BundlePart {
   static BundlePart geometry_head() { return {Kind::kGeometryHead, {}, 0}; }
   static BundlePart rgb_decoder() { return {Kind::kRgbDecoder, {}, 0}; }
   static BundlePart blending() { return {Kind::kBlending, {}, 0}; }
+  static BundlePart depth_refinement() { return {Kind::kDepthRefinement, {}, 0}; }
   static BundlePart refiner() { return {Kind::kRefiner, {}, 0}; }
   static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
   static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
@@ -84,6 +87,7 @@ class ModelBundle {
   std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<PhotographBlending> load_blending(const ParameterPlacement& placement = {}) const;
+  std::shared_ptr<DepthRefinement> load_depth_refinement(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DenoisingUnet> load_refiner(const ParameterPlacement& placement = {}) const;
   // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
   std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;

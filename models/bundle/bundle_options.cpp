@@ -89,6 +89,7 @@ void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"dpt_head", "frozen geometry head"}, geometry_head);
   visitor.group({"rgb_decoder", "RGB decoder"}, rgb_decoder);
   visitor.group({"blending", "network that lays photographs together in target views"}, blending);
+  visitor.group({"depth_refinement", "network that mends the depth of source views"}, depth_refinement);
   visitor.group(
       {"refiner", "network that repairs a degraded view's latents beside its nearest views in one call"},
       refiner);
@@ -186,12 +187,14 @@ void BundleOptions::check() const {
     require_equal("refiner.latent_channels", refiner.latent_channels, channels / (pixels * pixels),
                   "the channels of a pixel of the backbone's latents");
   }
-  if (blending.exists() && !geometry_head.exists()) {
-    fail({"blending.channels",
-          "none for a model without a geometry head, whose depth carries the photographs",
-          std::to_string(blending.channels.size()) + " numbers",
+  const auto require_head_for = [&](const std::string& key, const PixelUnetOptions& network) {
+    if (!network.exists() || geometry_head.exists()) return;
+    fail({key + ".channels", "none for a model without a geometry head, whose depth carries the photographs",
+          std::to_string(network.channels.size()) + " numbers",
           "leave them out, or give the model a dpt_head"});
-  }
+  };
+  require_head_for("blending", blending);
+  require_head_for("depth_refinement", depth_refinement);
   if (!backbone.architecture().propagates()) {
     require_equal(
         "boundary_level", boundary_level, set.levels - 1,

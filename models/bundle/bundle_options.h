@@ -3,12 +3,12 @@
 #include "gld/base/options.h"
 #include "gld/cameras/image_size.h"
 #include "models/backbones/backbone_registry.h"
-#include "models/blending/blending_options.h"
 #include "models/decoders/dpt_head.h"
 #include "models/decoders/geometry_head_registry.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"
 #include "models/latent_spaces/level_set.h"
+#include "models/layers/pixel_unet_options.h"
 #include "models/refiner/refiner_options.h"
 
 #include <cstdint>
@@ -45,7 +45,8 @@ struct BundleOptions : OptionsGroup {
   BackboneOptions backbone;
   GeometryHeadOptions geometry_head;
   RgbDecoderOptions rgb_decoder;
-  BlendingOptions blending;
+  PixelUnetOptions blending;
+  PixelUnetOptions depth_refinement;
   RefinerOptions refiner;
   std::vector<GeneratorOptions> generators;  // in the order of sampling
   int64_t boundary_level = 1;                // level that propagation starts from

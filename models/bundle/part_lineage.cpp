@@ -37,7 +37,10 @@ class PartHashes {
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options) {
   if (part.kind == BundlePart::Kind::kBackbone) return {};
   std::vector<BundlePart> parts = {BundlePart::backbone()};
-  if (part.kind == BundlePart::Kind::kBlending) parts.push_back(BundlePart::geometry_head());
+  if (part.kind == BundlePart::Kind::kBlending || part.kind == BundlePart::Kind::kDepthRefinement)
+    parts.push_back(BundlePart::geometry_head());
+  if (part.kind == BundlePart::Kind::kBlending && options.depth_refinement.exists())
+    parts.push_back(BundlePart::depth_refinement());
   if (part.kind == BundlePart::Kind::kRefiner) {
     for (const auto& statistics : bundle_parts(options)) {
       if (statistics.kind == BundlePart::Kind::kStatistics) parts.push_back(statistics);

@@ -2,8 +2,8 @@
 
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/photograph_composition.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "models/blending/blended_view.h"
-#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <utility>

@@ -3,15 +3,28 @@
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/fused_view_depth.h"
 #include "gld/photogrammetry/matched_source_depth.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "gld/tensors/torch_version.h"
 #include "models/scene_geometry/source_warp.h"
-#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
 namespace gld {
+namespace {
+
+// The head's maps times the length of its unit in that of the cameras.
+std::vector<PlanarDepth> scaled_depth(const GeometryOutput& head, double unit) {
+  std::vector<PlanarDepth> depth;
+  for (int64_t i = 0; i < head.depth.size(0); ++i) {
+    const auto map = head.depth[i];
+    depth.push_back({map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * unit)});
+  }
+  return depth;
+}
+
+}  // namespace
 
 SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor& source_images) {
   SourcePhotographs photographs;
@@ -49,11 +62,31 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
   const bool open_unit = head != nullptr && (!result.stereo.prior || result.stereo.prior->pixels == 0);
   if (open_unit) {
     depth = source_depth_of_head(views, source_images, *head);
+    result.head = depth.views;
     return result;
   }
   depth = matched_source_depth(result.stereo);
   depth.from = head != nullptr ? "photographs and geometry head" : "photographs";
+  if (head != nullptr) result.head = scaled_depth(*head, result.stereo.prior->scale);
   return result;
+}
+
+std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found) {
+  if (!found.depth.known() || found.head.empty()) return std::nullopt;
+  ToldDepth told{photographs.views, {}, found.head};
+  for (size_t i = 0; i < told.photographs.size(); ++i) {
+    told.photographs[i].depth = found.depth.views[i];
+    // Not of the depth's size where photographs left the unit open: then they confirm nothing.
+    const ConfidenceMap& confidence = found.stereo.views[i].confidence;
+    const bool of_this = confidence.values.size() == found.depth.views[i].values.size();
+    told.confidence.push_back(of_this ? confidence : ConfidenceMap());
+  }
+  return told;
+}
+
+void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found) {
+  const auto told = told_depth(photographs, found);
+  if (told) found.depth.views = refined_depths(refinement, *told);
 }
 
 std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,

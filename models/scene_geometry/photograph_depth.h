@@ -4,6 +4,7 @@
 #include "gld/photogrammetry/plane_sweep_stereo.h"
 #include "gld/photogrammetry/source_depth.h"
 #include "models/decoders/geometry_head.h"
+#include "models/depth_refinement/refined_source_depth.h"
 
 #include <optional>
 #include <vector>
@@ -28,6 +29,7 @@ SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor&
 struct PhotographDepth {
   SourceDepth depth;
   StereoScene stereo;
+  std::vector<PlanarDepth> head;  // the geometry head's alone, in the unit of the cameras; none without it
 };
 
 // Depth of the source views that their photographs agree on. head: what a geometry head says of the source views alone,
@@ -36,6 +38,12 @@ struct PhotographDepth {
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const StereoOptions& options);
+
+// What a network that mends this depth is shown; nothing where it is not known or no head was asked.
+std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found);
+
+// Has the network mend found.depth.
+void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found);
 
 // The depth of views in the unit of their cameras: what photographs agree on, as far as they show a view, and what a
 // geometry head sees in the pictures of all views for the rest (gld/photogrammetry/fused_view_depth.h). predicted:

@@ -3,8 +3,8 @@
 #include "gld/base/error.h"
 #include "gld/cameras/relative_cameras.h"
 #include "gld/photogrammetry/picture_warp.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "models/scene_geometry/geometry_placement.h"
-#include "models/scene_geometry/tensor_pictures.h"
 
 #include <algorithm>
 #include <cmath>

@@ -75,7 +75,7 @@ TEST_F(Completion, OfCommands) {
   EXPECT_THAT(names, Contains("help"));
   EXPECT_THAT(offered({"gld", "sam"}), ElementsAre("sample"));
   EXPECT_THAT(offered({"gld", "train", ""}),
-              ElementsAre("backbone", "decoder", "blending", "level", "cascade", "refiner"));
+              ElementsAre("backbone", "decoder", "depth", "blending", "level", "cascade", "refiner"));
   EXPECT_THAT(offered({"gld", "help", "train", "l"}), ElementsAre("level"));
   EXPECT_THAT(offered({"gld", "completion", ""}), ElementsAre("bash", "zsh", "fish"));
 }

@@ -62,6 +62,7 @@ std::map<std::string, Words> usual_words(const std::filesystem::path& folder) {
           {"stats", {"--model", model, "--data.synthetic.scene-count", "1", "--scene-count", "1"}},
           {"train backbone", training},
           {"train decoder", training},
+          {"train depth", training},
           {"train blending", training},
           {"train level", training},
           {"train cascade", training},

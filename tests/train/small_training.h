@@ -58,6 +58,12 @@ inline TrainingDataOptions small_data() {
   return data;
 }
 
+inline TrainingDataOptions scenes_of_two_sources() {
+  TrainingDataOptions data = small_data();
+  data.views.fewest_sources = data.views.most_sources = 2;
+  return data;
+}
+
 inline TrainingLoopOptions two_steps() {
   TrainingLoopOptions options;
   options.steps = 2;

@@ -1,11 +1,11 @@
 #include "train/objectives/blending_objective.h"
 
 #include "gld/metrics/metric_list.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "models/conditioning/source_conditioning.h"
 #include "models/layers/layer_precision.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/photograph_depth.h"
-#include "models/scene_geometry/tensor_pictures.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/scene_pixels.h"
 
@@ -54,12 +54,11 @@ void BlendingObjectiveOptions::visit(FieldVisitor& visitor) {
 }
 
 BlendingObjective::BlendingObjective(const BundleOptions& model, const BlendingObjectiveOptions& options,
-                                     std::shared_ptr<const Backbone> backbone,
-                                     std::shared_ptr<const GeometryHead> head, int64_t seed)
+                                     const BlendingDepthModels& depth_models, int64_t seed)
     : model_(model),
       options_(options),
-      space_(std::move(backbone), model.boundary_level),
-      head_(std::move(head)),
+      space_(depth_models.backbone, model.boundary_level),
+      depth_models_(depth_models),
       kept_(options.kept_gib) {
   model_.check();
   auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
@@ -83,8 +82,10 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   } else {
     ConditioningNeeds needs;
     needs.head_depth = true;
-    const auto head = source_geometry(*head_, encode_sources(space_, pictures, needs));
-    depth = photograph_depth(scene.views, pictures, photographs, &head, StereoOptions()).depth;
+    const auto head = source_geometry(*depth_models_.head, encode_sources(space_, pictures, needs));
+    PhotographDepth found = photograph_depth(scene.views, pictures, photographs, &head, StereoOptions());
+    if (depth_models_.refinement) refine(*depth_models_.refinement, photographs, found);
+    depth = std::move(found.depth);
   }
   if (!depth.known()) return {};
   const CarriableSources sources(photographs, depth);

@@ -2,6 +2,7 @@
 
 #include "models/blending/photograph_blending.h"
 #include "models/bundle/bundle.h"
+#include "models/depth_refinement/depth_refinement.h"
 #include "models/latent_spaces/latent_space.h"
 #include "models/losses/perceptual_standin.h"
 #include "train/loop/objective.h"
@@ -30,14 +31,20 @@ struct BlendingObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// Trains the blending of photographs (models/blending) on the depth that frozen backbone and geometry head, and the
-// photographs themselves, say of scenes with two sources or more: 2 mean |off| + logarithmic_weight log(mean off^2)
+// What is frozen while the blending learns.
+struct BlendingDepthModels {
+  std::shared_ptr<const Backbone> backbone;
+  std::shared_ptr<const GeometryHead> head;
+  std::shared_ptr<const DepthRefinement> refinement;  // null for a model without
+};
+
+// Trains the blending of photographs (models/blending) on the depth that frozen networks, and the photographs
+// themselves, say of scenes with two sources or more: 2 mean |off| + logarithmic_weight log(mean off^2)
 // + perceptual_weight perceptual_standin(), over the target views.
 class BlendingObjective : public Objective {
  public:
   BlendingObjective(const BundleOptions& model, const BlendingObjectiveOptions& options,
-                    std::shared_ptr<const Backbone> backbone, std::shared_ptr<const GeometryHead> head,
-                    int64_t seed);
+                    const BlendingDepthModels& depth_models, int64_t seed);
   // Goes on with a trained network of the same architecture.
   void start_from(std::shared_ptr<PhotographBlending> trained) { blending_ = std::move(trained); }
 
@@ -59,7 +66,7 @@ class BlendingObjective : public Objective {
   BundleOptions model_;
   BlendingObjectiveOptions options_;
   LatentSpace space_;
-  std::shared_ptr<const GeometryHead> head_;
+  BlendingDepthModels depth_models_;
   std::shared_ptr<PhotographBlending> blending_;
   KeptScenes kept_;
 };

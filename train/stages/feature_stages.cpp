@@ -28,7 +28,7 @@ void TrainDecoderOptions::visit(FieldVisitor& visitor) {
   visitor.group({"objective", "losses"}, objective);
 }
 
-TrainBlendingOptions::TrainBlendingOptions() {
+TrainPhotographOptions::TrainPhotographOptions() {
   // One source alone leaves its depth without a unit: nothing is carried.
   data.views.fewest_sources = 2;
   loop.optimiser.clip_norm = 1.0;
@@ -37,6 +37,11 @@ TrainBlendingOptions::TrainBlendingOptions() {
   loop.learning_rate.peak = 1.5e-3;
   loop.learning_rate.final = 1e-5;
   loop.learning_rate.warmup_steps = 100;
+}
+
+void TrainDepthOptions::visit(FieldVisitor& visitor) {
+  TrainOptions::visit(visitor);
+  visitor.group({"objective", "losses"}, objective);
 }
 
 void TrainBlendingOptions::visit(FieldVisitor& visitor) {
@@ -94,11 +99,14 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
   return run_training_stage(options, options, stage, draw);
 }
 
-std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw) {
-  const BundleOptions model = ModelBundle::open(options.model).options();
-  if (!model.blending.exists()) {
-    fail({options.model + "/model.yaml", "a blending part", "none",
-          "add for example blending: {channels: [24, 32, 48, 64]}"});
+namespace {
+
+// What trains networks on the depth that photographs and geometry head tell.
+void require_photograph_part(const TrainOptions& options, const PixelUnetOptions& network,
+                             const std::string& part) {
+  if (!network.exists()) {
+    fail({options.model + "/model.yaml", "a " + part + " part", "none",
+          "add for example " + part + ": {channels: [24, 32, 48, 64]}"});
   }
   if (options.data.views.fewest_sources < 2) {
     fail({"--fewest-sources", "at least 2, which tell the unit of depth",
@@ -107,18 +115,45 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
   if (options.data.validation_sources == 1) {
     fail({"--validation-sources", "0 or at least 2, which tell the unit of depth", "1", "raise it"});
   }
+}
+
+void require_cpu(const ParameterPlacement& placement, const std::string& command) {
+  if (placement.device.is_cpu()) return;
+  fail({"--device", "cpu for " + command + ", which matches photographs there", placement.device.str(),
+        "leave it out"});
+}
+
+}  // namespace
+
+std::string train_depth(const TrainDepthOptions& options, const DrawValidation& draw) {
+  const BundleOptions model = ModelBundle::open(options.model).options();
+  require_photograph_part(options, model.depth_refinement, "depth_refinement");
+  TrainingStage stage = scene_stage("train depth", options, FrameParts::kImageAndDepth);
+  stage.made = {BundlePart::depth_refinement()};
+  stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
+    require_cpu(placement, "train depth");
+    auto objective = std::make_unique<DepthRefinementObjective>(
+        bundle.options(), options.objective, bundle.load_backbone(placement),
+        bundle.load_geometry_head(placement), options.loop.seed);
+    if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_depth_refinement());
+    return objective;
+  };
+  return run_training_stage(options, options, stage, draw);
+}
+
+std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw) {
+  const BundleOptions model = ModelBundle::open(options.model).options();
+  require_photograph_part(options, model.blending, "blending");
   const bool with_depth = options.objective.true_depth > 0;
   TrainingStage stage =
       scene_stage("train blending", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::blending()};
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
-    if (!placement.device.is_cpu()) {
-      fail({"--device", "cpu for train blending, which matches photographs there", placement.device.str(),
-            "leave it out"});
-    }
-    auto objective = std::make_unique<BlendingObjective>(
-        bundle.options(), options.objective, bundle.load_backbone(placement),
-        bundle.load_geometry_head(placement), options.loop.seed);
+    require_cpu(placement, "train blending");
+    BlendingDepthModels depth{bundle.load_backbone(placement), bundle.load_geometry_head(placement), nullptr};
+    if (bundle.options().depth_refinement.exists()) depth.refinement = bundle.load_depth_refinement(placement);
+    auto objective =
+        std::make_unique<BlendingObjective>(bundle.options(), options.objective, depth, options.loop.seed);
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());
     return objective;
   };

@@ -4,6 +4,7 @@
 #include "train/objectives/backbone_objective.h"
 #include "train/objectives/blending_objective.h"
 #include "train/objectives/decoder_objective.h"
+#include "train/objectives/depth_refinement_objective.h"
 #include "train/stages/training_stage.h"
 
 #include <string>
@@ -23,15 +24,25 @@ struct TrainDecoderOptions : TrainOptions {
   void visit(FieldVisitor& visitor) override;
 };
 
-struct TrainBlendingOptions : TrainOptions {
-  BlendingObjectiveOptions objective;
-  TrainBlendingOptions();
+// Of small networks over the pixels of photographs, for scenes of two sources or more.
+struct TrainPhotographOptions : TrainOptions {
+  TrainPhotographOptions();
+};
+
+struct TrainDepthOptions : TrainPhotographOptions {
+  DepthRefinementObjectiveOptions objective;
   void visit(FieldVisitor& visitor) override;
 };
 
-// gld train backbone, decoder and blending; see run_training_stage.
+struct TrainBlendingOptions : TrainPhotographOptions {
+  BlendingObjectiveOptions objective;
+  void visit(FieldVisitor& visitor) override;
+};
+
+// gld train backbone, decoder, depth and blending; see run_training_stage.
 std::string train_backbone(const TrainBackboneOptions& options, const DrawValidation& draw);
 std::string train_decoder(const TrainDecoderOptions& options, const DrawValidation& draw);
+std::string train_depth(const TrainDepthOptions& options, const DrawValidation& draw);
 std::string train_blending(const TrainBlendingOptions& options, const DrawValidation& draw);
 
 }  // namespace gld

@@ -90,6 +90,31 @@ TEST_F(StageMemoryPrediction, IsWhatTensorsOfEveryStageTake) {
   }
 }
 
+PlannedStage stage_of(const BundleOptions& bundle, const PlanRequest& request, StageKind kind) {
+  for (const PlannedStage& stage : plan_sampling(bundle, request).stages) {
+    if (stage.kind == kind) return stage;
+  }
+  ADD_FAILURE() << "no such stage";
+  return {};
+}
+
+// All source views at once, where the head has gone.
+TEST_F(StageMemoryPrediction, MendingDepthTakesWhatIsSaid) {
+  BundleOptions bundle = middling_bundle();
+  bundle.depth_refinement.channels = {24, 32, 48};
+  bundle.depth_refinement.side = 4096;
+  PlanRequest request = request_of(16);
+  request.photographs_used.composition = Composition::kPhotographs;
+  request.photographs_used.depth = SourceDepthOrigin::kFused;
+  const PlannedStage fused = stage_of(bundle, request, StageKind::kSourceDepth);
+  request.photographs_used.depth = SourceDepthOrigin::kRefined;
+  const PlannedStage refined = stage_of(bundle, request, StageKind::kSourceDepth);
+  EXPECT_GT(refined.cost.flop(), fused.cost.flop());
+  const int64_t taken = tensor_bytes_of([&] { measure_stage_seconds(refined, bundle, request); });
+  const auto predicted = static_cast<double>(refined.memory.weights + refined.memory.working);
+  EXPECT_NEAR(static_cast<double>(taken) / predicted, 1, 0.25);
+}
+
 TEST_F(StageMemoryPrediction, ConvertedWeightsAreThereBeforeTheyArePacked) {
   const BundleOptions bundle = middling_bundle();
   PlanRequest request = request_of(2);

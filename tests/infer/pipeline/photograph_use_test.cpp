@@ -13,6 +13,11 @@ using Compose = PhotographOptions::ComposeChoice;
 PhotographModel published() { return {0, true, false}; }
 PhotographModel shown_photographs() { return {2, true, false}; }
 PhotographModel with_blending() { return {2, true, true}; }
+PhotographModel with_refinement() {
+  PhotographModel model = with_blending();
+  model.has_depth_refinement = true;
+  return model;
+}
 
 TEST(PhotographUse, WhatIsAutomaticTheModelDecides) {
   const PhotographOptions automatic;
@@ -25,6 +30,8 @@ TEST(PhotographUse, WhatIsAutomaticTheModelDecides) {
   EXPECT_TRUE(automatic.use(with_blending()).composes());
   EXPECT_TRUE(automatic.use(with_blending()).leaves_out_complete);
   EXPECT_EQ(automatic.use({0, true, true}).depth, SourceDepthOrigin::kFused);
+  EXPECT_EQ(automatic.use(with_refinement()).depth, SourceDepthOrigin::kRefined);
+  EXPECT_TRUE(automatic.use(with_refinement()).refines());
 }
 
 TEST(PhotographUse, OptionsComeBeforeTheModel) {
@@ -40,12 +47,24 @@ TEST(PhotographUse, OptionsComeBeforeTheModel) {
   options.generate_complete = true;
   EXPECT_EQ(options.use(with_blending()).depth, SourceDepthOrigin::kHead);
   EXPECT_FALSE(options.use(with_blending()).leaves_out_complete);
+  options.source_depth = Depth::kFused;
+  EXPECT_EQ(options.use(with_refinement()).depth, SourceDepthOrigin::kFused);
+  options.source_depth = Depth::kRefined;
+  EXPECT_TRUE(options.use(with_refinement()).refines());
 }
 
 TEST(PhotographUse, WithoutAHeadOnlyPhotographsSayHowDeepTheyAre) {
   PhotographOptions options;
   options.compose = Compose::kPhotographs;
   EXPECT_EQ(options.use({0, false, false}).depth, SourceDepthOrigin::kStereo);
+}
+
+TEST(PhotographUse, AModelWithoutTheNetworkCannotMendDepth) {
+  PhotographOptions options;
+  options.source_depth = Depth::kRefined;
+  EXPECT_EQ(test::error_of([&] { options.use(with_blending()); }),
+            "--source-depth: expected model, stereo or fused for a model without a depth_refinement part, found "
+            "refined; choose one of them, or train the part with gld train depth.");
 }
 
 TEST(PhotographUse, AModelWithoutBlendingCannotBlend) {

@@ -26,14 +26,14 @@ using test::camera_between;
 using test::TexturedPlane;
 using test::two_views_of_plane;
 
-BlendingOptions small_blending() {
-  BlendingOptions options;
+PixelUnetOptions small_blending() {
+  PixelUnetOptions options;
   options.channels = {6, 8, 10};
   options.side = 96;
   return options;
 }
 
-std::shared_ptr<PhotographBlending> blending_of(const BlendingOptions& options) {
+std::shared_ptr<PhotographBlending> blending_of(const PixelUnetOptions& options) {
   auto blending = std::make_shared<PhotographBlending>(options, ParameterPlacement{});
   blending->initialise(at::detail::createCPUGenerator(3));
   return blending;
@@ -212,11 +212,11 @@ TEST(PhotographBlending, HasItsNamesAndItsCost) {
   // Four times the pixels; beyond the side that it looks at no more.
   EXPECT_DOUBLE_EQ(blending_cost(small_blending(), 64, 96).flop(), 4 * cost.flop());
   EXPECT_DOUBLE_EQ(blending_cost(small_blending(), 640, 960).flop(), 4 * cost.flop());
-  EXPECT_EQ(blending_cost(BlendingOptions(), 32, 48).flop(), 0);
+  EXPECT_EQ(blending_cost(PixelUnetOptions(), 32, 48).flop(), 0);
 }
 
 TEST(PhotographBlending, RefusesANetworkOfOneSize) {
-  BlendingOptions options;
+  PixelUnetOptions options;
   options.channels = {8};
   EXPECT_EQ(
       test::error_of([&] { blending_of(options); }),

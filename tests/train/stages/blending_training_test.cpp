@@ -19,6 +19,7 @@ namespace gld {
 namespace {
 
 using test::error_of;
+using test::scenes_of_two_sources;
 using test::TemporaryFolder;
 
 BundleOptions blending_model() {
@@ -28,12 +29,6 @@ BundleOptions blending_model() {
   return model;
 }
 
-TrainingDataOptions scenes_of_two_sources() {
-  TrainingDataOptions data = test::small_data();
-  data.views.fewest_sources = data.views.most_sources = 2;
-  return data;
-}
-
 BlendingObjective random_objective(const BlendingObjectiveOptions& options) {
   const BundleOptions model = blending_model();
   auto generator = at::detail::createCPUGenerator(3);
@@ -41,7 +36,7 @@ BlendingObjective random_objective(const BlendingObjectiveOptions& options) {
   backbone->initialise(generator);
   auto head = model.geometry_head.make(ParameterPlacement{});
   head->initialise(generator);
-  return {model, options, backbone, head, 1};
+  return {model, options, {backbone, head, nullptr}, 1};
 }
 
 // By true depth, which is there in every scene; what random weights of a backbone say may be nothing.

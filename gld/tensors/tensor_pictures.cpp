@@ -1,4 +1,4 @@
-#include "models/scene_geometry/tensor_pictures.h"
+#include "gld/tensors/tensor_pictures.h"
 
 namespace gld {
 
@@ -8,8 +8,12 @@ std::vector<float> numbers_of(const torch::Tensor& tensor) {
   return {first, first + values.numel()};
 }
 
+torch::Tensor planes_of(const std::vector<float>& values, int64_t channels, int64_t width, int64_t height) {
+  return torch::tensor(at::ArrayRef<float>(values)).view({height, width, channels}).permute({2, 0, 1});
+}
+
 torch::Tensor picture_of(const std::vector<float>& rgb, int64_t width, int64_t height) {
-  return torch::tensor(at::ArrayRef<float>(rgb)).view({height, width, 3}).permute({2, 0, 1});
+  return planes_of(rgb, 3, width, height);
 }
 
 std::vector<float> pixels_of(const torch::Tensor& picture) { return numbers_of(picture.permute({1, 2, 0})); }

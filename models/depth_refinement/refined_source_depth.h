@@ -1,0 +1,27 @@
+#pragma once
+
+#include "gld/photogrammetry/photo_consistency.h"
+#include "gld/photogrammetry/planar_depth.h"
+#include "gld/photogrammetry/view_maps.h"
+#include "models/depth_refinement/depth_refinement.h"
+
+#include <cstdint>
+#include <vector>
+
+namespace gld {
+
+// Source views with their depth in the unit of the cameras, and who says it.
+struct ToldDepth {
+  std::vector<PicturedView> photographs;
+  // How far the photographs confirm it, one a view and of its depth's size; an empty map: not at all.
+  std::vector<ConfidenceMap> confidence;
+  std::vector<PlanarDepth> head;  // what the geometry head says, in the same unit, of any size; one a view
+};
+
+// As the network sees it, in pictures of at most `side` pixels on the longer side. All views have one size.
+DepthEvidence depth_evidence(const ToldDepth& told, int64_t side);
+
+// The depth of each view, mended by the network; as large as it was, and not known where it was not.
+std::vector<PlanarDepth> refined_depths(const DepthRefinement& refinement, const ToldDepth& told);
+
+}  // namespace gld

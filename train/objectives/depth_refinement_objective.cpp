@@ -1,0 +1,222 @@
+#include "train/objectives/depth_refinement_objective.h"
+
+#include "gld/metrics/metric_list.h"
+#include "gld/tensors/tensor_pictures.h"
+#include "models/conditioning/source_conditioning.h"
+#include "models/layers/layer_precision.h"
+#include "models/scene_geometry/composed_views.h"
+#include "models/weights/weight_loading.h"
+#include "train/objectives/scene_pixels.h"
+
+#include <utility>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+namespace gld {
+namespace {
+
+torch::Tensor known_depth(const torch::Tensor& depth) {
+  return torch::isfinite(depth).logical_and(depth > 0);
+}
+
+// (sources, 1, height, width), of the photographs' size.
+torch::Tensor stacked(const std::vector<PlanarDepth>& maps) {
+  std::vector<torch::Tensor> planes;
+  planes.reserve(maps.size());
+  for (const PlanarDepth& map : maps) planes.push_back(planes_of(map.values, 1, map.width, map.height));
+  return torch::stack(planes);
+}
+
+// True depth of source views at another size, each pixel that of the one in its middle: (sources, 1, height, width).
+torch::Tensor true_depth_of(const TrainingScene& scene, int64_t height, int64_t width) {
+  const auto depth = scene.depth.slice(0, 0, scene.views.num_sources).unsqueeze(1);
+  if (depth.size(2) == height && depth.size(3) == width) return depth;
+  return torch::upsample_nearest2d(depth, {height, width});
+}
+
+torch::Tensor mean_where(const torch::Tensor& values, const torch::Tensor& known) {
+  return (values * known).sum() / known.sum().clamp_min(1);
+}
+
+}  // namespace
+
+void DepthRefinementObjectiveOptions::visit(FieldVisitor& visitor) {
+  visit_start(visitor, start);
+  visitor.real({"logarithmic_weight", "weight of the logarithm of a pixel's error"}, logarithmic_weight,
+               {0.0, 1e6});
+  visitor.real({"edge_weight", "weight of errors of the steps between neighbouring pixels"}, edge_weight,
+               {0.0, 1e6});
+  visitor.real({"kept_gib", "memory, in GiB, for what the network is shown of scenes that were seen before"},
+               kept_gib, {0.0, 1e6});
+}
+
+DepthRefinementObjective::DepthRefinementObjective(const BundleOptions& model,
+                                                   const DepthRefinementObjectiveOptions& options,
+                                                   std::shared_ptr<const Backbone> backbone,
+                                                   std::shared_ptr<const GeometryHead> head, int64_t seed)
+    : model_(model),
+      options_(options),
+      space_(std::move(backbone), model.boundary_level),
+      head_(std::move(head)),
+      kept_(options.kept_gib) {
+  model_.check();
+  auto generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed));
+  refinement_ = std::make_shared<DepthRefinement>(model_.depth_refinement, ParameterPlacement{});
+  refinement_->initialise(generator);
+}
+
+int64_t DepthRefinementObjective::learn_in(ComputePrecision precision) {
+  return gld::learn_in(*refinement_, precision);
+}
+
+std::vector<NamedParameter> DepthRefinementObjective::parameters() const {
+  return named_parameters(*refinement_);
+}
+
+PhotographDepth DepthRefinementObjective::depth_of(const TrainingScene& scene) const {
+  const torch::NoGradGuard no_grad;
+  const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
+  ConditioningNeeds needs;
+  needs.head_depth = true;
+  const auto head = source_geometry(*head_, encode_sources(space_, pictures, needs));
+  return photograph_depth(scene.views, pictures, photographs_of_images(scene.views, pictures), &head,
+                          StereoOptions());
+}
+
+std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::lesson_of(
+    const TrainingScene& scene) const {
+  const torch::NoGradGuard no_grad;
+  const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
+  const auto told = told_depth(photographs_of_images(scene.views, pictures), depth_of(scene));
+  if (!told) return std::nullopt;
+  Lesson lesson;
+  lesson.evidence = depth_evidence(*told, model_.depth_refinement.side);
+  const int64_t height = lesson.evidence.colours.size(2), width = lesson.evidence.colours.size(3);
+  std::vector<PlanarDepth> maps;
+  for (const PicturedView& view : told->photographs) maps.push_back(view.depth);
+  auto depth = stacked(maps);
+  if (depth.size(2) != height || depth.size(3) != width)
+    depth = torch::upsample_nearest2d(depth, {height, width});
+  const auto truth = true_depth_of(scene, height, width);
+  lesson.known = known_depth(depth).logical_and(known_depth(truth));
+  const auto one = torch::ones({});
+  lesson.off = (torch::where(lesson.known, depth, one) / torch::where(lesson.known, truth, one)).log();
+  return lesson;
+}
+
+std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::kept_lesson_of(
+    const TrainingScene& scene) {
+  const auto made = kept_.get(scene, "depth", [&] {
+    auto lesson = std::make_shared<std::optional<Lesson>>(lesson_of(scene));
+    KeptScenes::Made result{lesson, 0};
+    if (!*lesson) return result;
+    for (torch::Tensor* part : (*lesson)->evidence.parts()) {
+      *part = part->to(torch::kFloat16);
+      result.bytes += part->numel() * part->element_size();
+    }
+    // Five bytes a pixel of the error and where it is known.
+    result.bytes += 5 * (*lesson)->off.numel();
+    return result;
+  });
+  auto lesson = *static_cast<const std::optional<Lesson>*>(made.get());
+  if (lesson) {
+    for (torch::Tensor* part : lesson->evidence.parts()) *part = part->to(torch::kFloat32);
+  }
+  return lesson;
+}
+
+Losses DepthRefinementObjective::losses(const TrainingBatch& batch, const StepContext& context) {
+  torch::Generator generator = context.generator;
+  Losses losses;
+  PartMeans parts;
+  // Where no scene says anything the gradient is 0, not missing.
+  losses.total = 0 * parameters().front().parameter.sum();
+  const double share = 1.0 / static_cast<double>(batch.scenes.size());
+  for (const TrainingScene& scene : batch.scenes) {
+    const bool mirrored = torch::rand({1}, generator, torch::kFloat64).item<double>() < 0.5;
+    auto lesson = kept_lesson_of(scene);
+    if (!lesson) continue;
+    if (mirrored) {
+      for (torch::Tensor* part : lesson->evidence.parts()) *part = part->flip(-1);
+      lesson->off = lesson->off.flip(-1);
+      lesson->known = lesson->known.flip(-1);
+    }
+    const auto network = refinement_->forward(lesson->evidence);
+    const auto off = lesson->off + depth_correction(lesson->evidence.confidence, network);
+    const auto absolute = mean_where(off.abs(), lesson->known);
+    const auto logarithm = mean_where((off.abs() + 0.01).log(), lesson->known);
+    torch::Tensor edges = torch::zeros({});
+    for (const int64_t along : {2, 3}) {
+      const int64_t last = off.size(along) - 1;
+      const auto both =
+          lesson->known.narrow(along, 0, last).logical_and(lesson->known.narrow(along, 1, last));
+      edges = edges + mean_where((off.narrow(along, 1, last) - off.narrow(along, 0, last)).abs(), both) / 2;
+    }
+    losses.total = losses.total + share * (absolute + options_.logarithmic_weight * logarithm +
+                                           options_.edge_weight * edges);
+    parts.add("absolute", absolute.detach());
+    parts.add("edges", edges.detach());
+    parts.add("absolute_before", mean_where(lesson->off.abs(), lesson->known));
+  }
+  losses.parts = parts.take();
+  return losses;
+}
+
+Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& scenes) {
+  const torch::NoGradGuard no_grad;
+  Validation validation;
+  double error = 0, error_before = 0, psnr = 0, psnr_before = 0, count = 0;
+  const auto error_of = [](const std::vector<PlanarDepth>& maps, const TrainingScene& scene) {
+    const auto depth = stacked(maps);
+    const auto truth = true_depth_of(scene, depth.size(2), depth.size(3));
+    const auto known = known_depth(depth).logical_and(known_depth(truth));
+    const auto relative = (depth - truth).abs() / torch::where(known, truth, torch::ones({}));
+    return mean_where(torch::where(known, relative, torch::zeros({})), known).item<double>();
+  };
+  for (const TrainingScene& scene : scenes) {
+    const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
+    const auto photographs = photographs_of_images(scene.views, pictures);
+    const PhotographDepth before = depth_of(scene);
+    if (!before.depth.known()) continue;
+    PhotographDepth after = before;
+    refine(*refinement_, photographs, after);
+    const auto truth = scene.images.slice(0, scene.views.num_sources);
+    const auto carried = [&](const SourceDepth& depth) {
+      return filled_views(scene.views, photographs, depth).images;
+    };
+    const auto picture = carried(after.depth), picture_before = carried(before.depth);
+    error += error_of(after.depth.views, scene);
+    error_before += error_of(before.depth.views, scene);
+    psnr += measure_images(metric_named("psnr"), truth, picture).mean();
+    psnr_before += measure_images(metric_named("psnr"), truth, picture_before).mean();
+    count += 1;
+    if (validation.rows.size() < 4) {
+      const auto range = scene.depth[0];
+      const auto drawn = [&](const PhotographDepth& found) {
+        const PlanarDepth& map = found.depth.views.front();
+        return depth_picture(planes_of(map.values, 1, map.width, map.height)[0], range);
+      };
+      PictureRow row;
+      row.name = scene.name;
+      row.pictures = {{"source", pictures[0]},  {"true depth", depth_picture(range, range)},
+                      {"told", drawn(before)},  {"mended", drawn(after)},
+                      {"target", truth[0]},     {"carried by told", picture_before[0]},
+                      {"by mended", picture[0]}};
+      validation.rows.push_back(std::move(row));
+    }
+  }
+  // Without a scene that tells its depth no number is one.
+  validation.values = {{"abs_rel", error / count},
+                       {"abs_rel_before", error_before / count},
+                       {"carried_psnr", psnr / count},
+                       {"carried_psnr_before", psnr_before / count}};
+  return validation;
+}
+
+void DepthRefinementObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
+  save_bundle_options(folder, model_);
+  save_bundle_part(folder, BundlePart::depth_refinement(), named_tensors(*refinement_), dtype);
+}
+
+}  // namespace gld
