@@ -173,6 +173,26 @@ Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& 
   return cost;
 }
 
+Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const PlanRequest& request);
+
+// What completes levels and what decodes them stay in memory beside a flow's model, and all levels are there while a
+// preview is made, between two evaluations.
+void add_preview_memory(PlannedStage& flow, const BundleOptions& bundle, const PlanRequest& request) {
+  const StageRequest stages = request.stage_request();
+  for (const StageKind kind : {StageKind::kPropagation, StageKind::kRgbDecoding}) {
+    SamplingStage stage;
+    stage.kind = kind;
+    const StageNeeds needs = needs_of(stage, bundle, stages);
+    const LayerPrecision precision = layer_precision(request.flow.precision, model_kind_of(kind));
+    for (const BundlePart& part : needs.parts)
+      flow.memory.weights += packed_bytes(weight_bytes_of(part, bundle), precision.linear);
+    flow.memory.working = std::max(flow.memory.working, single_cost(stage, bundle, request).working_bytes);
+    if (kind == StageKind::kRgbDecoding)
+      flow.memory.held += needs.latents * latent_bytes(bundle.backbone.level_channels(), request.grid);
+  }
+  flow.peak_bytes = predicted_peak_bytes(flow.memory);
+}
+
 PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest& request) {
   const BundleOptions& geometry = request.geometry_model ? *request.geometry_model : bundle;
   const LatentGrid pictures = with_views(request.grid, request.photographs);
@@ -335,6 +355,8 @@ SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& reque
         stage.memory.working = stage.cost.working_bytes;
       }
       predict_memory(stage, bundle, request);
+      if (stage.kind == StageKind::kFlow && request.preview_every > 0)
+        add_preview_memory(stage, bundle, request);
     }
     plan.stages.push_back(std::move(stage));
   }

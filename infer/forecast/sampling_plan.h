@@ -39,6 +39,7 @@ struct PlanRequest {
   int64_t photographs = 0;
   int64_t photograph_pixels = 0;          // of the largest, as it was taken
   std::optional<SceneFitOptions> splats;  // where Gaussians are fitted to the run's pictures
+  int64_t preview_every = 0;              // PipelineRequest::preview_every
   // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.
   std::map<std::string, int64_t> converted_bytes;
 

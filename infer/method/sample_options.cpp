@@ -246,8 +246,8 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.boolean({"allow_mixed", "take parts that were not trained on each other"}, allow_mixed);
   visitor.integer(
       {"preview",
-       "evaluations of a flow between two pictures preview.png of what it would end with; their decoder is "
-       "in memory beside the flow's model; 0: none"},
+       "evaluations of a flow between two pictures preview.png of what it would end with; their decoder "
+       "stays in memory beside the flow's model; 0: none"},
       preview, {0, 1'000'000});
   visit_out(visitor, out, overwrite);
   visitor.boolean(

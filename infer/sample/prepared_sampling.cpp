@@ -252,6 +252,7 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
   for (const Photograph& photograph : prepared.photographs) {
     request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
   }
+  request.preview_every = options.preview;
   if (options.requested().splats) request.splats = options.splats.scene_fit(options.seed);
   for (const BundlePart& part : needed_parts(prepared.bundle.options(), request.stage_request()))
     request.converted_bytes[bundle_part_name(part)] = prepared.bundle.converted_bytes(part);

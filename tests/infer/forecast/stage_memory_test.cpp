@@ -115,6 +115,28 @@ TEST_F(StageMemoryPrediction, MendingDepthTakesWhatIsSaid) {
   EXPECT_NEAR(static_cast<double>(taken) / predicted, 1, 0.25);
 }
 
+TEST_F(StageMemoryPrediction, APreviewKeepsWhatDrawsItBesideTheFlow) {
+  const BundleOptions bundle = middling_bundle();
+  PlanRequest request = request_of(16);
+  const SamplingPlan without = plan_sampling(bundle, request);
+  request.preview_every = 4;
+  const SamplingPlan with = plan_sampling(bundle, request);
+  const int64_t kept =
+      weight_bytes_of(BundlePart::backbone(), bundle) + weight_bytes_of(BundlePart::rgb_decoder(), bundle);
+  ASSERT_EQ(with.stages.size(), without.stages.size());
+  for (size_t i = 0; i < with.stages.size(); ++i) {
+    const StageMemory &more = with.stages[i].memory, &less = without.stages[i].memory;
+    if (with.stages[i].kind != StageKind::kFlow) {
+      EXPECT_EQ(with.stages[i].peak_bytes, without.stages[i].peak_bytes) << with.stages[i].name;
+      continue;
+    }
+    EXPECT_EQ(more.weights, less.weights + kept) << with.stages[i].name;
+    EXPECT_GT(more.held, less.held);
+    EXPECT_GE(more.working, stage_of(bundle, request, StageKind::kRgbDecoding).memory.working);
+    EXPECT_GT(with.stages[i].peak_bytes, without.stages[i].peak_bytes + kept / 2);
+  }
+}
+
 TEST_F(StageMemoryPrediction, ConvertedWeightsAreThereBeforeTheyArePacked) {
   const BundleOptions bundle = middling_bundle();
   PlanRequest request = request_of(2);
