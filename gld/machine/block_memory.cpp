@@ -20,13 +20,6 @@ constexpr size_t kSmallestKept = size_t{64} << 10;  // below it malloc is fast
 constexpr size_t kHugePage = size_t{2} << 20;
 constexpr size_t kWorthTrimming = size_t{64} << 20;
 
-// glibc keeps freed memory for itself: 1.8 of M1's 2.1 GB stayed with the process.
-void trim_heap() {
-#ifdef __GLIBC__
-  malloc_trim(0);
-#endif
-}
-
 // Before every block, so that the deleter knows what it gives back.
 struct alignas(kAlignment) BlockHeader {
   size_t capacity = 0;  // of the whole allocation, header included
@@ -175,6 +168,13 @@ KeptBlocks& kept_blocks() {
 }
 
 }  // namespace
+
+// glibc keeps freed memory for itself: 1.8 of M1's 2.1 GB stayed with the process.
+void trim_heap() {
+#ifdef __GLIBC__
+  malloc_trim(0);
+#endif
+}
 
 void set_most_kept_bytes(int64_t bytes) {
   kept_blocks().set_limit(static_cast<size_t>(std::max<int64_t>(bytes, 0)));

@@ -22,6 +22,9 @@ void set_most_kept_bytes(int64_t bytes);
 // Gives the kept blocks back to the system: between stages whose tensors differ in size.
 void release_kept_blocks();
 
+// The same of what malloc keeps for itself: after the work of libraries that take theirs there, as OpenCV does.
+void trim_heap();
+
 // Bytes of freed blocks that are kept at this moment.
 int64_t kept_block_bytes();
 

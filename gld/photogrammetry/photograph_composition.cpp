@@ -49,17 +49,6 @@ std::vector<float> area_means(const PicturedView& view, int64_t width, int64_t h
   return reduced;
 }
 
-PicturedView reduced_view(const PicturedView& view, int64_t side) {
-  const auto [width, height] = image_within(view.width, view.height, side);
-  PicturedView reduced;
-  reduced.camera = resized_camera(view.camera, width, height);
-  reduced.depth = view.depth;
-  reduced.width = width;
-  reduced.height = height;
-  reduced.rgb = width == view.width && height == view.height ? view.rgb : area_means(view, width, height);
-  return reduced;
-}
-
 // Of one colour in two photographs: the median of log(first / second) over what both show, and its weight in the
 // adjustment, 0 where it says nothing.
 struct LogRatio {
@@ -300,6 +289,17 @@ bool PhotographView::complete() const {
   }
   return count > 0 && count >= (1 - kUnshown) * pixels && confirmed >= kConfirmed * pixels &&
          sum <= static_cast<double>(kVarianceOfOne) * count;
+}
+
+PicturedView reduced_view(const PicturedView& view, int64_t side) {
+  const auto [width, height] = image_within(view.width, view.height, side);
+  PicturedView reduced;
+  reduced.camera = resized_camera(view.camera, width, height);
+  reduced.depth = view.depth;
+  reduced.width = width;
+  reduced.height = height;
+  reduced.rgb = width == view.width && height == view.height ? view.rgb : area_means(view, width, height);
+  return reduced;
 }
 
 std::vector<PicturedView> evened_photographs(const std::vector<PicturedView>& sources,

@@ -69,6 +69,9 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
                                     const std::vector<ColourGains>& gains, const Camera& target,
                                     const PhotographViewOptions& options = {});
 
+// The photograph with at most `side` pixels on the longer side, each the mean of what it covers; depth stays as it is.
+PicturedView reduced_view(const PicturedView& view, int64_t side);
+
 // The same with target and photographs of at most `side` pixels on the longer side.
 PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side);
 

@@ -98,7 +98,8 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
       return {{BundlePart::backbone()}, generated};
     case StageKind::kSourceDepth: {
       StageNeeds needs{{}, 2 * generated + 1};
-      if (uses_source_depth(bundle.level_set(), request)) needs.parts = {BundlePart::geometry_head()};
+      if (!uses_source_depth(bundle.level_set(), request)) return needs;
+      needs.parts = {BundlePart::geometry_head()};
       if (request.photographs.refines()) needs.parts.push_back(BundlePart::depth_refinement());
       return needs;
     }
@@ -240,9 +241,8 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       if (!uses_source_depth(bundle.level_set(), stages)) return Cost();
       Cost cost = bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays);
       if (stages.photographs.refines()) {
-        const int64_t side = bundle.backbone.patch_side();
-        Cost mending = depth_refinement_cost(bundle.depth_refinement, side * request.grid.height,
-                                             side * request.grid.width);
+        const ImageSize matched = largest_matched_size(bundle, request);
+        Cost mending = depth_refinement_cost(bundle.depth_refinement, matched.height, matched.width);
         // All views at once.
         mending.convolution_flop *= static_cast<double>(stages.num_sources);
         cost.add_operations_of(mending);
@@ -335,6 +335,14 @@ int64_t SamplingPlan::peak_bytes() const {
   int64_t largest = 0;
   for (const auto& stage : stages) largest = std::max(largest, stage.peak_bytes);
   return largest;
+}
+
+ImageSize largest_matched_size(const BundleOptions& bundle, const PlanRequest& request) {
+  const int64_t side = bundle.backbone.patch_side();
+  const ImageSize shown{side * request.grid.width, side * request.grid.height};
+  const int64_t longer = std::max(shown.width, shown.height);
+  const int64_t matched = std::max(longer, request.photographs_used.stereo.largest_side);
+  return {shown.width * matched / longer, shown.height * matched / longer};
 }
 
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request) {

@@ -51,6 +51,10 @@ struct PlanRequest {
 LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
                                const LatentGrid& pictures);
 
+// The most pixels that depth which photographs are matched for may have: they may have been taken larger than the model
+// sees them.
+ImageSize largest_matched_size(const BundleOptions& bundle, const PlanRequest& request);
+
 // How often each part of a model runs in a flow, over both branches of guidance.
 struct PlannedRuns {
   int64_t condition_encoder = 0;

@@ -89,17 +89,13 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
   return seconds_of([&] { decoder.decode(features, grid); });
 }
 
-// Pictures as a network over pixels looks at them.
-ImageSize seen_by(const PixelUnetOptions& network, const BundleOptions& bundle, const PlanRequest& request) {
-  const int64_t side = bundle.backbone.patch_side();
-  return image_within(side * request.grid.width, side * request.grid.height, network.side);
-}
-
 // Of the network alone; what photographs are carried by is found when it runs.
 double blending_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   PhotographBlending blending(bundle.blending, ParameterPlacement{});
   fill(blending);
-  const ImageSize seen = seen_by(bundle.blending, bundle, request);
+  const int64_t side = bundle.backbone.patch_side();
+  const ImageSize seen =
+      image_within(side * request.grid.width, side * request.grid.height, bundle.blending.side);
   const auto inputs = torch::randn({1, PhotographBlending::kInputs, seen.height, seen.width});
   const auto targets = static_cast<double>(request.grid.views - request.num_sources);
   return targets * seconds_of([&] { blending.forward(inputs); });
@@ -124,7 +120,8 @@ double source_geometry_seconds(const BundleOptions& bundle, const PlanRequest& r
 double depth_refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   DepthRefinement refinement(bundle.depth_refinement, ParameterPlacement{});
   fill(refinement);
-  const ImageSize seen = seen_by(bundle.depth_refinement, bundle, request);
+  const ImageSize matched = largest_matched_size(bundle, request);
+  const ImageSize seen = image_within(matched.width, matched.height, bundle.depth_refinement.side);
   const auto map = [&](std::vector<int64_t> channels) {
     channels.insert(channels.begin(), request.num_sources);
     channels.insert(channels.end(), {seen.height, seen.width});

@@ -167,6 +167,8 @@ void fuse_depth(const PipelineRequest& request, const PipelineState& state, Pipe
   if (!result.stereo || !state.depth || !state.depth->known() || !result.geometry.depth.defined()) return;
   result.view_depth = fused_view_depths(request.views, request.source_images, *state.depth, *result.stereo,
                                         result.geometry.depth);
+  result.view_depth_from = "photographs and geometry head";
+  if (request.photographs.refines()) result.view_depth_from += ", mended by a network";
 }
 
 // The request without some of its target views (numbers from 0), for what is generated of the others: their pictures.

@@ -135,6 +135,7 @@ struct PipelineResult {
   // Of the views of geometry.depth, in the unit of their cameras, where photographs were matched and tell it: what they
   // agree on, and the head's depth for the rest (fused_view_depths()).
   std::vector<PlanarDepth> view_depth;
+  std::string view_depth_from;  // who says it, for people
   std::vector<FlowReport> flows;
   std::vector<std::string> warnings;
 };

@@ -10,6 +10,7 @@
 #include "datasets/scenes/resize_crop.h"
 #include "datasets/video/video_frames.h"
 #include "gld/base/error.h"
+#include "gld/machine/block_memory.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -238,6 +239,7 @@ PhotoScene photo_scene(const std::vector<Photograph>& taken, const PhotoSceneReq
   }
   if (!only_rays(request.selection, taken.size())) {
     stages.run("registering photographs", [&] { register_photographs(made, request); });
+    trim_heap();  // of pyramids of pictures, which are larger than a small model
   }
   made.scene = scene_before_cameras(taken);
   if (made.registration) {

@@ -138,7 +138,7 @@ void SamplingOutputs::write_depth(const PipelineResult& result) {
                  provenance_);
   }
   findings_["depth_unit"] = depth_unit_;
-  findings_["depth_from"] = result.view_depth.empty() ? "geometry head" : "photographs and geometry head";
+  findings_["depth_from"] = result.view_depth.empty() ? "geometry head" : result.view_depth_from;
   run_.note("depth", "depth");
 }
 

@@ -91,8 +91,12 @@ std::vector<std::string> mixed_parts(const ModelBundle& bundle, const std::vecto
     const auto made_of = nlohmann::json::parse(noted->second, nullptr, /*allow_exceptions=*/false);
     for (const auto& other : trained_on(part, bundle.options())) {
       const std::string other_name = bundle_part_name(other);
-      if (!made_of.is_object() || !made_of.contains(other_name) || !bundle.has(other)) continue;
-      if (made_of[other_name] == hashes.of(other)) continue;
+      if (!made_of.is_object() || !bundle.has(other)) continue;
+      // What mends depth may have been trained after what was trained on depth that was not mended; of other parts an
+      // earlier program noted fewer.
+      const bool came_later = other.kind == BundlePart::Kind::kDepthRefinement;
+      if (!made_of.contains(other_name) && !came_later) continue;
+      if (made_of.value(other_name, "") == hashes.of(other)) continue;
       if (!allow_mixed) {
         fail({bundle.file(part).string(), "a part that was trained on the " + other_name + " beside it",
               "one of another " + other_name,

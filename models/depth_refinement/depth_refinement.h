@@ -17,7 +17,7 @@ namespace gld {
 
 // What is known of source views and their depth, of several views at once: what the network sees, and what it mends.
 struct DepthEvidence {
-  torch::Tensor colours;  // (views, 3, height, width) in [0, 1]
+  torch::Tensor colours;  // (views, 3, height, width), from 0 to about 1: as bright as the view
   torch::Tensor
       log_depth;  // (views, 1, height, width): log(depth / its median in the view); 0 where not known
   torch::Tensor
@@ -58,9 +58,10 @@ class DepthRefinement : public torch::nn::Module {
   std::shared_ptr<Convolution> correction_;
 };
 
-// log(mended depth / depth): what photographs confirm stays as it is.
+// log(mended depth / depth), at most kLargestCorrection: what photographs confirm stays as it is.
+constexpr double kLargestCorrection = 1.5;
 inline torch::Tensor depth_correction(const torch::Tensor& confidence, const torch::Tensor& network) {
-  return (1 - confidence) * network;
+  return (1 - confidence) * network.clamp(-kLargestCorrection, kLargestCorrection);
 }
 
 // Of one view with pictures of that size, in pixels.

@@ -1,5 +1,6 @@
 #include "models/depth_refinement/refined_source_depth.h"
 
+#include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/depth_hypotheses.h"
 #include "gld/tensors/tensor_pictures.h"
@@ -107,6 +108,9 @@ DepthEvidence depth_evidence(const ToldDepth& told, int64_t side) {
 std::vector<PlanarDepth> refined_depths(const DepthRefinement& refinement, const ToldDepth& told) {
   const torch::NoGradGuard no_gradients;
   const auto network = refinement.forward(depth_evidence(told, refinement.options().side));
+  if (!network.isfinite().all().item<bool>())
+    fail({"mending depth", "finite corrections", "NaN or infinity",
+          "check the depth_refinement with gld inspect"});
   std::vector<PlanarDepth> refined;
   for (size_t view = 0; view < told.photographs.size(); ++view) {
     PlanarDepth depth = told.photographs[view].depth;

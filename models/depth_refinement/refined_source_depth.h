@@ -10,18 +10,19 @@
 
 namespace gld {
 
-// Source views with their depth in the unit of the cameras, and who says it.
+// Two source views or more with their depth in the unit of the cameras, and who says it.
 struct ToldDepth {
-  std::vector<PicturedView> photographs;
+  std::vector<PicturedView> photographs;  // of one size
   // How far the photographs confirm it, one a view and of its depth's size; an empty map: not at all.
   std::vector<ConfidenceMap> confidence;
   std::vector<PlanarDepth> head;  // what the geometry head says, in the same unit, of any size; one a view
 };
 
-// As the network sees it, in pictures of at most `side` pixels on the longer side. All views have one size.
+// As the network sees it, in pictures of at most `side` pixels on the longer side.
 DepthEvidence depth_evidence(const ToldDepth& told, int64_t side);
 
-// The depth of each view, mended by the network; as large as it was, and not known where it was not.
+// The depth of each view, mended by the network; as large as it was, and not known where it was not. Throws Error where the
+// network's output is not finite.
 std::vector<PlanarDepth> refined_depths(const DepthRefinement& refinement, const ToldDepth& told);
 
 }  // namespace gld

@@ -3,6 +3,7 @@
 #include "gld/cameras/resized_camera.h"
 #include "gld/photogrammetry/fused_view_depth.h"
 #include "gld/photogrammetry/matched_source_depth.h"
+#include "gld/photogrammetry/photograph_composition.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "gld/tensors/torch_version.h"
 #include "models/scene_geometry/source_warp.h"
@@ -14,14 +15,9 @@
 namespace gld {
 namespace {
 
-// The head's maps times the length of its unit in that of the cameras.
-std::vector<PlanarDepth> scaled_depth(const GeometryOutput& head, double unit) {
-  std::vector<PlanarDepth> depth;
-  for (int64_t i = 0; i < head.depth.size(0); ++i) {
-    const auto map = head.depth[i];
-    depth.push_back({map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * unit)});
-  }
-  return depth;
+// How far photographs confirm that depth of a view; empty where it is of another size, which is not what was matched.
+ConfidenceMap confirmation(const StereoDepth& matched, const PlanarDepth& depth) {
+  return matched.confidence.values.size() == depth.values.size() ? matched.confidence : ConfidenceMap();
 }
 
 }  // namespace
@@ -67,26 +63,28 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
   }
   depth = matched_source_depth(result.stereo);
   depth.from = head != nullptr ? "photographs and geometry head" : "photographs";
-  if (head != nullptr) result.head = scaled_depth(*head, result.stereo.prior->scale);
+  if (head != nullptr) result.head = depth_in_unit(*head, views.num_sources, result.stereo.prior->scale);
   return result;
 }
 
-std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found) {
+std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
+                                    int64_t side) {
   if (!found.depth.known() || found.head.empty()) return std::nullopt;
-  ToldDepth told{photographs.views, {}, found.head};
-  for (size_t i = 0; i < told.photographs.size(); ++i) {
-    told.photographs[i].depth = found.depth.views[i];
-    // Not of the depth's size where photographs left the unit open: then they confirm nothing.
-    const ConfidenceMap& confidence = found.stereo.views[i].confidence;
-    const bool of_this = confidence.values.size() == found.depth.views[i].values.size();
-    told.confidence.push_back(of_this ? confidence : ConfidenceMap());
+  ToldDepth told;
+  told.head = found.head;
+  for (size_t i = 0; i < photographs.views.size(); ++i) {
+    told.photographs.push_back(reduced_view(photographs.views[i], side));
+    told.photographs.back().depth = found.depth.views[i];
+    told.confidence.push_back(confirmation(found.stereo.views[i], found.depth.views[i]));
   }
   return told;
 }
 
 void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found) {
-  const auto told = told_depth(photographs, found);
-  if (told) found.depth.views = refined_depths(refinement, *told);
+  const auto told = told_depth(photographs, found, refinement.options().side);
+  if (!told) return;
+  found.depth.views = refined_depths(refinement, *told);
+  found.depth.from += ", mended by a network";
 }
 
 std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,
@@ -101,11 +99,8 @@ std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tens
   const SourcePhotographs pictures = photographs_of_images(views, source_images);
   std::vector<ConfirmedDepth> sources;
   for (size_t i = 0; i < depth.views.size(); ++i) {
-    ConfirmedDepth source{pictures.views[i], {}};
+    ConfirmedDepth source{pictures.views[i], confirmation(stereo.views[i], depth.views[i])};
     source.view.depth = depth.views[i];
-    // Not of the depth's size where photographs left the unit open: then they confirm nothing.
-    const ConfidenceMap& confidence = stereo.views[i].confidence;
-    if (confidence.values.size() == depth.views[i].values.size()) source.confidence = confidence;
     sources.push_back(std::move(source));
   }
   std::vector<FusedViewDepth> fused;

@@ -39,8 +39,10 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const StereoOptions& options);
 
-// What a network that mends this depth is shown; nothing where it is not known or no head was asked.
-std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found);
+// What a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is not known
+// or no head was asked.
+std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
+                                    int64_t side);
 
 // Has the network mend found.depth.
 void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found);

@@ -134,6 +134,15 @@ SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& 
 
 }  // namespace
 
+std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t views, double unit) {
+  std::vector<PlanarDepth> maps;
+  for (int64_t i = 0; i < views; ++i) {
+    const auto map = geometry.depth[i];
+    maps.push_back({map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * unit)});
+  }
+  return maps;
+}
+
 SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
                                  const GeometryOutput& source_geometry) {
   SourceDepth depth;
@@ -147,11 +156,7 @@ SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source
     depth.doubt = unknown_unit(placement);
     return depth;
   }
-  for (int64_t i = 0; i < views.num_sources; ++i) {
-    const auto map = source_geometry.depth[i];
-    depth.views.push_back(
-        {map.size(1), map.size(0), numbers_of(map.to(torch::kFloat64) * placement.scale->scale)});
-  }
+  depth.views = depth_in_unit(source_geometry, views.num_sources, placement.scale->scale);
   return depth;
 }
 

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include <torch/types.h>
 
@@ -23,6 +24,9 @@ struct SourceWarp {
   torch::Tensor completed;
   std::string doubt;  // why nothing was carried; empty where something was
 };
+
+// A geometry head's depth, one map a view, times the length of its unit in that of the cameras.
+std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t views, double unit);
 
 // What a geometry head says of the source views alone, brought to the unit of the cameras by its rays, or where they
 // leave it open by the photographs (geometry_placement.h). Not known where these do not tell it either, as with one

@@ -1,13 +1,16 @@
 #include "train/objectives/depth_refinement_objective.h"
 
+#include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "models/conditioning/source_conditioning.h"
 #include "models/layers/layer_precision.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/weights/weight_loading.h"
+#include "train/objectives/geometry_targets.h"
 #include "train/objectives/scene_pixels.h"
 
+#include <cmath>
 #include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
@@ -28,11 +31,19 @@ torch::Tensor stacked(const std::vector<PlanarDepth>& maps) {
   return torch::stack(planes);
 }
 
-// True depth of source views at another size, each pixel that of the one in its middle: (sources, 1, height, width).
-torch::Tensor true_depth_of(const TrainingScene& scene, int64_t height, int64_t width) {
-  const auto depth = scene.depth.slice(0, 0, scene.views.num_sources).unsqueeze(1);
-  if (depth.size(2) == height && depth.size(3) == width) return depth;
-  return torch::upsample_nearest2d(depth, {height, width});
+// (views, 1, height, width) at another size: the pixels under the middles of its own. A mean would lie between surfaces.
+torch::Tensor picked(const torch::Tensor& maps, int64_t height, int64_t width) {
+  return maps.index_select(2, pixel_under_cell(height, maps.size(2)))
+      .index_select(3, pixel_under_cell(width, maps.size(3)));
+}
+
+// True depth of source views at that size: (sources, 1, height, width).
+torch::Tensor true_source_depth(const TrainingScene& scene, int64_t height, int64_t width) {
+  if (!scene.depth.defined()) {
+    fail({"scene " + scene.name, "depth to train its mending with", "none",
+          "use scenes with depth, such as those of gld synth"});
+  }
+  return picked(scene.depth.slice(0, 0, scene.views.num_sources).unsqueeze(1), height, width);
 }
 
 torch::Tensor mean_where(const torch::Tensor& values, const torch::Tensor& known) {
@@ -88,17 +99,16 @@ std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::lesson
     const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
   const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
-  const auto told = told_depth(photographs_of_images(scene.views, pictures), depth_of(scene));
+  const auto told =
+      told_depth(photographs_of_images(scene.views, pictures), depth_of(scene), model_.depth_refinement.side);
   if (!told) return std::nullopt;
   Lesson lesson;
   lesson.evidence = depth_evidence(*told, model_.depth_refinement.side);
   const int64_t height = lesson.evidence.colours.size(2), width = lesson.evidence.colours.size(3);
   std::vector<PlanarDepth> maps;
   for (const PicturedView& view : told->photographs) maps.push_back(view.depth);
-  auto depth = stacked(maps);
-  if (depth.size(2) != height || depth.size(3) != width)
-    depth = torch::upsample_nearest2d(depth, {height, width});
-  const auto truth = true_depth_of(scene, height, width);
+  const auto depth = picked(stacked(maps), height, width);
+  const auto truth = true_source_depth(scene, height, width);
   lesson.known = known_depth(depth).logical_and(known_depth(truth));
   const auto one = torch::ones({});
   lesson.off = (torch::where(lesson.known, depth, one) / torch::where(lesson.known, truth, one)).log();
@@ -167,18 +177,20 @@ Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& 
   const torch::NoGradGuard no_grad;
   Validation validation;
   double error = 0, error_before = 0, psnr = 0, psnr_before = 0, count = 0;
+  // Not a number where no pixel is known.
   const auto error_of = [](const std::vector<PlanarDepth>& maps, const TrainingScene& scene) {
     const auto depth = stacked(maps);
-    const auto truth = true_depth_of(scene, depth.size(2), depth.size(3));
+    const auto truth = true_source_depth(scene, depth.size(2), depth.size(3));
     const auto known = known_depth(depth).logical_and(known_depth(truth));
-    const auto relative = (depth - truth).abs() / torch::where(known, truth, torch::ones({}));
-    return mean_where(torch::where(known, relative, torch::zeros({})), known).item<double>();
+    return ((depth - truth).abs() / truth).masked_select(known).mean().item<double>();
   };
   for (const TrainingScene& scene : scenes) {
     const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
     const auto photographs = photographs_of_images(scene.views, pictures);
     const PhotographDepth before = depth_of(scene);
     if (!before.depth.known()) continue;
+    const double off_before = error_of(before.depth.views, scene);
+    if (!std::isfinite(off_before)) continue;
     PhotographDepth after = before;
     refine(*refinement_, photographs, after);
     const auto truth = scene.images.slice(0, scene.views.num_sources);
@@ -187,7 +199,7 @@ Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& 
     };
     const auto picture = carried(after.depth), picture_before = carried(before.depth);
     error += error_of(after.depth.views, scene);
-    error_before += error_of(before.depth.views, scene);
+    error_before += off_before;
     psnr += measure_images(metric_named("psnr"), truth, picture).mean();
     psnr_before += measure_images(metric_named("psnr"), truth, picture_before).mean();
     count += 1;

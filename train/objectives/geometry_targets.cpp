@@ -29,7 +29,8 @@ torch::Tensor ray_directions(const Camera& camera, const Eigen::Matrix3d& first_
   return directions;
 }
 
-// The middle of cell i of `cells` lies in this pixel of `pixels`.
+}  // namespace
+
 torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels) {
   torch::Tensor index = torch::empty({cells}, torch::kInt64);
   for (int64_t i = 0; i < cells; ++i) {
@@ -37,8 +38,6 @@ torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels) {
   }
   return index;
 }
-
-}  // namespace
 
 GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid) {
   if (!scene.depth.defined()) {

@@ -26,6 +26,9 @@ struct RayGrid {
   int64_t columns = 0;
 };
 
+// Of each of `cells` that cover so many pixels evenly, the pixel under its middle.
+torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels);
+
 // Throws Error when the scene has no depth or no pixel with a known one.
 GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid);
 

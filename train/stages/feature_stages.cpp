@@ -151,7 +151,8 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     require_cpu(placement, "train blending");
     BlendingDepthModels depth{bundle.load_backbone(placement), bundle.load_geometry_head(placement), nullptr};
-    if (bundle.options().depth_refinement.exists()) depth.refinement = bundle.load_depth_refinement(placement);
+    if (bundle.has(BundlePart::depth_refinement()))
+      depth.refinement = bundle.load_depth_refinement(placement);
     auto objective =
         std::make_unique<BlendingObjective>(bundle.options(), options.objective, depth, options.loop.seed);
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());

@@ -390,6 +390,22 @@ TEST_F(Sampling, PhotographsAreBlendedByTheModelOrByRule) {
   EXPECT_NE(picture(blended), picture(by_rule));
 }
 
+TEST_F(Sampling, DepthIsMendedByTheModelOrAsPhotographsAndHeadSayIt) {
+  auto mended = with_shipped_model(options("mended"));
+  mended.outputs = {"image", "depth"};
+  mended.solver.evaluations = 2;
+  auto fused = mended;
+  fused.out = (folder_->path() / "fused").string();
+  fused.photograph_use.source_depth = PhotographOptions::DepthChoice::kFused;
+  const auto first = run(mended), second = run(fused);
+  EXPECT_EQ(first.at("depth_from"), "photographs and geometry head, mended by a network");
+  EXPECT_EQ(second.at("depth_from"), "photographs and geometry head");
+  const auto picture = [](const SampleOptions& of) {
+    return read_image(std::filesystem::path(of.out) / "images" / "view_02.png").rgb;
+  };
+  EXPECT_NE(picture(mended), picture(fused));
+}
+
 TEST_F(Sampling, TheSameCommandGivesTheSameBytes) {
   auto first = options("first"), second = options("second"), other = options("other");
   other.seed = 1;

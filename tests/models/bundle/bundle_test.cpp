@@ -189,6 +189,12 @@ TEST_F(Bundles, PartsMustFitEachOther) {
        },
        "warped_sources: expected 0 for a model without a geometry head, whose depth carries the photographs, found 2; "
        "set it to 0, or give the model a dpt_head."},
+      {[](BundleOptions& options) {
+         options.geometry_head = GeometryHeadOptions::none();
+         options.depth_refinement.channels = {24, 32};
+       },
+       "depth_refinement.channels: expected none for a model without a geometry head, whose depth carries the "
+       "photographs, found 2 numbers; leave them out, or give the model a dpt_head."},
       {[](BundleOptions& options) { options.boundary_level = 4; },
        "boundary_level: expected a level below 4, found 4; choose one of the backbone's levels."},
       {[](BundleOptions& options) { options.trained_sizes = {}; },

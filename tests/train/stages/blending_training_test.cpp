@@ -1,3 +1,5 @@
+#include "gld/tensors/weight_tensors.h"
+#include "models/bundle/part_lineage.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -9,6 +11,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -29,14 +32,15 @@ BundleOptions blending_model() {
   return model;
 }
 
-BlendingObjective random_objective(const BlendingObjectiveOptions& options) {
+BlendingObjective random_objective(const BlendingObjectiveOptions& options,
+                                   const std::shared_ptr<DepthRefinement>& refinement = nullptr) {
   const BundleOptions model = blending_model();
   auto generator = at::detail::createCPUGenerator(3);
   auto backbone = model.backbone.make(ParameterPlacement{});
   backbone->initialise(generator);
   auto head = model.geometry_head.make(ParameterPlacement{});
   head->initialise(generator);
-  return {model, options, {backbone, head, nullptr}, 1};
+  return {model, options, {backbone, head, refinement}, 1};
 }
 
 // By true depth, which is there in every scene; what random weights of a backbone say may be nothing.
@@ -79,6 +83,27 @@ TEST(BlendingTraining, WhatIsKeptIsWhatWouldBeMadeAgain) {
   const double loss = loss_after(again, 6);
   EXPECT_NE(loss, 0);
   EXPECT_EQ(loss, loss_after(kept, 6));
+}
+
+// What photographs are carried by is mended where the model has a network for it.
+TEST(BlendingTraining, LearnsOnMendedDepth) {
+  PixelUnetOptions network;
+  network.channels = {4, 6};
+  network.side = 56;
+  const auto refinement = std::make_shared<DepthRefinement>(network, ParameterPlacement{});
+  refinement->initialise(at::detail::createCPUGenerator(3));
+  BlendingObjectiveOptions options;
+  options.true_depth = 0;
+  auto without = random_objective(options), unchanged = random_objective(options, refinement);
+  const double loss = loss_after(without, 1);
+  EXPECT_NE(loss, 0);
+  EXPECT_EQ(loss_after(unchanged, 1), loss);
+  {
+    const torch::NoGradGuard no_grad;
+    refinement->named_parameters()["correction.bias"].fill_(0.4);
+  }
+  auto deeper = random_objective(options, refinement);
+  EXPECT_NE(loss_after(deeper, 1), loss);
 }
 
 // Nothing is learnt from it, and nothing breaks.
@@ -143,6 +168,32 @@ TEST_F(BlendingStage, StepsInOneCallEqualStepsInSeveral) {
   EXPECT_FALSE(torch::equal(whole.front().parameter, start.front().parameter));
   for (size_t i = 0; i < whole.size(); ++i)
     EXPECT_TRUE(torch::equal(whole[i].parameter, parts[i].parameter)) << whole[i].name;
+}
+
+// It belongs to what mends depth, also where that came later.
+TEST_F(BlendingStage, BelongsToTheNetworkThatMendsDepth) {
+  BundleOptions model = blending_model();
+  model.depth_refinement.channels = {4, 6};
+  const auto bundle = folder_.path() / "mending";
+  write_random_bundle(bundle, model, 5);
+  const auto trained = [&](const std::string& out) {
+    auto asked = options(out);
+    asked.model = bundle.string();
+    train_blending(asked, {});
+    return ModelBundle::open(folder_.path() / out / "model");
+  };
+  const ModelBundle with = trained("with");
+  EXPECT_EQ(mixed_parts(with, {BundlePart::blending()}, false), std::vector<std::string>());
+  const auto file = ModelBundle::open(bundle).file(BundlePart::depth_refinement());
+  const auto network = read_all(file);
+  std::filesystem::remove(file);
+  const ModelBundle later = trained("later");
+  EXPECT_EQ(mixed_parts(later, {BundlePart::blending()}, false), std::vector<std::string>());
+  save_safetensors(later.file(BundlePart::depth_refinement()), network);
+  EXPECT_EQ(error_of([&] { mixed_parts(later, {BundlePart::blending()}, false); }),
+            later.file(BundlePart::blending()).string() +
+                ": expected a part that was trained on the depth_refinement beside it, found one of another "
+                "depth_refinement; train blending again, or take it as it is with --allow-mixed.");
 }
 
 TEST_F(BlendingStage, RefusesScenesOfOneSourceAndModelsWithoutBlending) {

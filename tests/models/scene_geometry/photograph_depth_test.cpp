@@ -1,0 +1,103 @@
+#include "models/scene_geometry/photograph_depth.h"
+
+#include "gld/tensors/tensor_pictures.h"
+#include "tests/support/textured_plane.h"
+
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include <ATen/CPUGeneratorImpl.h>
+#include <torch/autograd.h>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+// Two photographs of a plane, and what a geometry head of another unit says of them: the truth.
+struct PhotographedPlane {
+  Views views;
+  torch::Tensor images;
+  GeometryOutput head;
+
+  PhotographedPlane() {
+    constexpr double kHeadUnit = 2.5;
+    std::vector<torch::Tensor> pictures, depths;
+    for (const PicturedView& view : test::two_views_of_plane()) {
+      views.cameras.push_back(view.camera);
+      pictures.push_back(picture_of(view.rgb, view.width, view.height));
+      depths.push_back(planes_of(view.depth.values, 1, view.width, view.height)[0] / kHeadUnit);
+    }
+    views.num_sources = 2;
+    images = torch::stack(pictures);
+    head.depth = torch::stack(depths);
+  }
+  PhotographDepth found() const {
+    return photograph_depth(views, images, photographs_of_images(views, images), &head, StereoOptions());
+  }
+};
+
+// exp(.2) times as deep, whatever it sees.
+std::shared_ptr<DepthRefinement> deepening_network() {
+  PixelUnetOptions options;
+  options.channels = {4, 6};
+  auto refinement = std::make_shared<DepthRefinement>(options, ParameterPlacement{});
+  refinement->initialise(at::detail::createCPUGenerator(3));
+  const torch::NoGradGuard no_grad;
+  refinement->named_parameters()["correction.bias"].fill_(0.2);
+  return refinement;
+}
+
+TEST(PhotographDepth, TheHeadsDepthIsToldInTheUnitOfTheCameras) {
+  const PhotographedPlane plane;
+  const PhotographDepth found = plane.found();
+  ASSERT_TRUE(found.depth.known()) << found.depth.doubt;
+  ASSERT_EQ(found.head.size(), 2U);
+  const auto truth = test::two_views_of_plane();
+  for (size_t i = 0; i < truth[0].depth.values.size(); ++i)
+    ASSERT_NEAR(found.head[0].values[i] / truth[0].depth.values[i], 1, 0.03) << i;
+}
+
+TEST(PhotographDepth, WhatPhotographsDoNotConfirmIsMended) {
+  const PhotographedPlane plane;
+  const PhotographDepth found = plane.found();
+  ASSERT_TRUE(found.depth.known()) << found.depth.doubt;
+  PhotographDepth mended = found;
+  refine(*deepening_network(), photographs_of_images(plane.views, plane.images), mended);
+  EXPECT_EQ(mended.depth.from, "photographs and geometry head, mended by a network");
+  double confirmed = 0, open = 0;
+  for (size_t view = 0; view < 2; ++view) {
+    const auto& confidence = found.stereo.views[view].confidence.values;
+    const auto &before = found.depth.views[view].values, &after = mended.depth.views[view].values;
+    for (size_t i = 0; i < before.size(); ++i) {
+      const double factor = std::exp(0.2 * (1 - static_cast<double>(confidence[i])));
+      ASSERT_NEAR(after[i], factor * static_cast<double>(before[i]), 1e-4) << i;
+      (confidence[i] > 0.9F ? confirmed : open) += 1;
+    }
+  }
+  EXPECT_GT(confirmed, 1000);
+  EXPECT_GT(open, 100);
+}
+
+TEST(PhotographDepth, ADepthThatNobodyKnowsIsNotMended) {
+  PhotographedPlane plane;
+  plane.views.num_sources = 1;
+  PhotographDepth found = plane.found();
+  EXPECT_FALSE(found.depth.known());
+  refine(*deepening_network(), photographs_of_images(plane.views, plane.images), found);
+  EXPECT_FALSE(found.depth.known());
+  EXPECT_FALSE(told_depth(photographs_of_images(plane.views, plane.images), found, 112));
+}
+
+// Photographs are looked at reduced, however large they are.
+TEST(PhotographDepth, TheNetworkIsToldInItsOwnSize) {
+  const PhotographedPlane plane;
+  const auto told = told_depth(photographs_of_images(plane.views, plane.images), plane.found(), 48);
+  ASSERT_TRUE(told);
+  for (const PicturedView& view : told->photographs) EXPECT_EQ(view.width, 48);
+  EXPECT_EQ(told->photographs[0].depth.width, 96);
+}
+
+}  // namespace
+}  // namespace gld
