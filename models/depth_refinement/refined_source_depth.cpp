@@ -107,7 +107,8 @@ DepthEvidence depth_evidence(const ToldDepth& told, int64_t side) {
 
 std::vector<PlanarDepth> refined_depths(const DepthRefinement& refinement, const ToldDepth& told) {
   const torch::NoGradGuard no_gradients;
-  const auto network = refinement.forward(depth_evidence(told, refinement.options().side));
+  const double strength = (1 + told.belief) / 2;
+  const auto network = strength * refinement.forward(depth_evidence(told, refinement.options().side));
   if (!network.isfinite().all().item<bool>())
     fail({"mending depth", "finite corrections", "NaN or infinity",
           "check the depth_refinement with gld inspect"});

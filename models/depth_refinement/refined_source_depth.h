@@ -16,6 +16,9 @@ struct ToldDepth {
   // How far the photographs confirm it, one a view and of its depth's size; an empty map: not at all.
   std::vector<ConfidenceMap> confidence;
   std::vector<PlanarDepth> head;  // what the geometry head says, in the same unit, of any size; one a view
+  // From 0 to 1: how far photographs bear the head out here (belief_in_prior()). Where they do not, this place is none of
+  // those that head and network have learnt, and half of a correction is taken: the mean of both opinions.
+  double belief = 1;
 };
 
 // As the network sees it, in pictures of at most `side` pixels on the longer side.

@@ -72,6 +72,7 @@ std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const 
   if (!found.depth.known() || found.head.empty()) return std::nullopt;
   ToldDepth told;
   told.head = found.head;
+  told.belief = belief_in_prior(found.stereo.prior);
   for (size_t i = 0; i < photographs.views.size(); ++i) {
     told.photographs.push_back(reduced_view(photographs.views[i], side));
     told.photographs.back().depth = found.depth.views[i];

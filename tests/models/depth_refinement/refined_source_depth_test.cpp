@@ -35,7 +35,8 @@ std::shared_ptr<DepthRefinement> refinement_of(const PixelUnetOptions& options) 
 }
 
 // Says exp(correction) everywhere, whatever it sees.
-std::shared_ptr<DepthRefinement> always(double correction, const PixelUnetOptions& options = small_network()) {
+std::shared_ptr<DepthRefinement> always(double correction,
+                                        const PixelUnetOptions& options = small_network()) {
   auto refinement = refinement_of(options);
   const torch::NoGradGuard no_grad;
   refinement->named_parameters()["correction.bias"].fill_(correction);
@@ -90,6 +91,17 @@ TEST(RefinedSourceDepth, WhatPhotographsConfirmStaysAsItIs) {
               1e-5);
 }
 
+TEST(RefinedSourceDepth, HalfIsTakenWhereTheHeadIsNotBorneOut) {
+  ToldDepth told = told_of_plane(1);
+  const auto mended_at = [&](double belief) {
+    told.belief = belief;
+    return static_cast<double>(refined_depths(*always(0.2), told)[0].values[0]);
+  };
+  const auto before = static_cast<double>(told.photographs[0].depth.values[0]);
+  EXPECT_NEAR(mended_at(1), std::exp(0.2) * before, 1e-5);
+  EXPECT_NEAR(mended_at(0), std::exp(0.1) * before, 1e-5);
+}
+
 TEST(RefinedSourceDepth, TheNetworkSeesWhichDepthPhotographsAgreeAt) {
   ToldDepth told = told_of_plane(1 / 0.82);
   const DepthEvidence evidence = depth_evidence(told, 96);
@@ -114,7 +126,8 @@ TEST(RefinedSourceDepth, ADarkPhotographIsBrightened) {
 
 TEST(RefinedSourceDepth, DepthThatIsNotKnownIsNoEvidence) {
   ToldDepth told = told_of_plane(1);
-  for (PicturedView& view : told.photographs) std::fill(view.depth.values.begin(), view.depth.values.end(), 0);
+  for (PicturedView& view : told.photographs)
+    std::fill(view.depth.values.begin(), view.depth.values.end(), 0);
   const DepthEvidence evidence = depth_evidence(told, 96);
   EXPECT_EQ(evidence.shown.max().item<double>(), 0);
   EXPECT_EQ(evidence.differences.abs().max().item<double>(), 0);
@@ -173,14 +186,12 @@ TEST(DepthRefinement, TakesPicturesOfAnySize) {
   const auto refinement = refinement_of(small_network());
   const torch::NoGradGuard no_grad;
   const auto factors = static_cast<int64_t>(kDepthFactors.size());
-  for (const auto& [height, width] : std::vector<std::pair<int64_t, int64_t>>{{1, 1}, {1, 9}, {7, 5}, {30, 41}}) {
+  for (const auto& [height, width] :
+       std::vector<std::pair<int64_t, int64_t>>{{1, 1}, {1, 9}, {7, 5}, {30, 41}}) {
     const auto map = torch::zeros({2, 1, height, width});
-    const DepthEvidence evidence{torch::zeros({2, 3, height, width}),
-                                 map,
-                                 map,
-                                 map,
-                                 torch::zeros({2, factors, 3, height, width}),
-                                 torch::zeros({2, factors, height, width})};
+    const DepthEvidence evidence{
+        torch::zeros({2, 3, height, width}),      map, map, map, torch::zeros({2, factors, 3, height, width}),
+        torch::zeros({2, factors, height, width})};
     EXPECT_EQ(refinement->forward(evidence).sizes(), map.sizes());
   }
 }
