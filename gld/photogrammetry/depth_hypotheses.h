@@ -9,8 +9,8 @@
 namespace gld {
 
 // A target view as photographs would show it were its depth so many times what was matched: where the match is wrong,
-// one of these is nearer to the truth. models/blending chooses between them, and models/depth_refinement sees in a source
-// view how the others show it.
+// one of these is nearer to the truth. models/blending chooses between them, and models/depth_refinement sees in a
+// source view how the others show it.
 
 // Close together about 1, where most errors of a match are.
 constexpr std::array<double, 11> kDepthFactors = {0.74, 0.82, 0.89, 0.94, 0.97, 1.0,

@@ -13,8 +13,6 @@
 namespace gld {
 namespace {
 
-constexpr auto kHypotheses = static_cast<int64_t>(kDepthFactors.size());
-
 // (1, height, width) brought to another size, each pixel the mean of those that it covers.
 torch::Tensor resized(const torch::Tensor& map, int64_t height, int64_t width) {
   if (map.size(1) == height && map.size(2) == width) return map;

@@ -39,8 +39,8 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const StereoOptions& options);
 
-// What a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is not known
-// or no head was asked.
+// What a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is not
+// known or no head was asked.
 std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
                                     int64_t side);
 

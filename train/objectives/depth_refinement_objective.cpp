@@ -31,7 +31,8 @@ torch::Tensor stacked(const std::vector<PlanarDepth>& maps) {
   return torch::stack(planes);
 }
 
-// (views, 1, height, width) at another size: the pixels under the middles of its own. A mean would lie between surfaces.
+// (views, 1, height, width) at another size: the pixels under the middles of its own. A mean would lie between
+// surfaces.
 torch::Tensor picked(const torch::Tensor& maps, int64_t height, int64_t width) {
   return maps.index_select(2, pixel_under_cell(height, maps.size(2)))
       .index_select(3, pixel_under_cell(width, maps.size(3)));

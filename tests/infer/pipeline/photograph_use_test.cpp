@@ -62,9 +62,10 @@ TEST(PhotographUse, WithoutAHeadOnlyPhotographsSayHowDeepTheyAre) {
 TEST(PhotographUse, AModelWithoutTheNetworkCannotMendDepth) {
   PhotographOptions options;
   options.source_depth = Depth::kRefined;
-  EXPECT_EQ(test::error_of([&] { options.use(with_blending()); }),
-            "--source-depth: expected model, stereo or fused for a model without a depth_refinement part, found "
-            "refined; choose one of them, or train the part with gld train depth.");
+  EXPECT_EQ(
+      test::error_of([&] { options.use(with_blending()); }),
+      "--source-depth: expected model, stereo or fused for a model without a depth_refinement part, found "
+      "refined; choose one of them, or train the part with gld train depth.");
 }
 
 TEST(PhotographUse, AModelWithoutBlendingCannotBlend) {
