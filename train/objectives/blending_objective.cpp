@@ -2,12 +2,11 @@
 
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/tensor_pictures.h"
-#include "models/conditioning/source_conditioning.h"
 #include "models/layers/layer_precision.h"
 #include "models/scene_geometry/composed_views.h"
-#include "models/scene_geometry/photograph_depth.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/scene_pixels.h"
+#include "train/objectives/source_view_depth.h"
 
 #include <utility>
 
@@ -80,10 +79,7 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   if (origin == DepthOf::kTruth) {
     depth = true_depth_of(scene);
   } else {
-    ConditioningNeeds needs;
-    needs.head_depth = true;
-    const auto head = source_geometry(*depth_models_.head, encode_sources(space_, pictures, needs));
-    PhotographDepth found = photograph_depth(scene.views, pictures, photographs, &head, StereoOptions());
+    PhotographDepth found = source_view_depth(space_, *depth_models_.head, scene, photographs);
     if (depth_models_.refinement) refine(*depth_models_.refinement, photographs, found);
     depth = std::move(found.depth);
   }

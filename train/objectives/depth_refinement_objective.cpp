@@ -3,12 +3,12 @@
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/tensor_pictures.h"
-#include "models/conditioning/source_conditioning.h"
 #include "models/layers/layer_precision.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/weights/weight_loading.h"
 #include "train/objectives/geometry_targets.h"
 #include "train/objectives/scene_pixels.h"
+#include "train/objectives/source_view_depth.h"
 
 #include <cmath>
 #include <utility>
@@ -86,22 +86,13 @@ std::vector<NamedParameter> DepthRefinementObjective::parameters() const {
   return named_parameters(*refinement_);
 }
 
-PhotographDepth DepthRefinementObjective::depth_of(const TrainingScene& scene) const {
-  const torch::NoGradGuard no_grad;
-  const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
-  ConditioningNeeds needs;
-  needs.head_depth = true;
-  const auto head = source_geometry(*head_, encode_sources(space_, pictures, needs));
-  return photograph_depth(scene.views, pictures, photographs_of_images(scene.views, pictures), &head,
-                          StereoOptions());
-}
-
 std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::lesson_of(
     const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
-  const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
-  const auto told =
-      told_depth(photographs_of_images(scene.views, pictures), depth_of(scene), model_.depth_refinement.side);
+  const auto photographs =
+      photographs_of_images(scene.views, scene.images.slice(0, 0, scene.views.num_sources));
+  const auto told = told_depth(photographs, source_view_depth(space_, *head_, scene, photographs),
+                               model_.depth_refinement.side);
   if (!told) return std::nullopt;
   Lesson lesson;
   lesson.evidence = depth_evidence(*told, model_.depth_refinement.side);
@@ -188,7 +179,7 @@ Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& 
   for (const TrainingScene& scene : scenes) {
     const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
     const auto photographs = photographs_of_images(scene.views, pictures);
-    const PhotographDepth before = depth_of(scene);
+    const PhotographDepth before = source_view_depth(space_, *head_, scene, photographs);
     if (!before.depth.known()) continue;
     const double off_before = error_of(before.depth.views, scene);
     if (!std::isfinite(off_before)) continue;

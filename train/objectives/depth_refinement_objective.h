@@ -3,7 +3,6 @@
 #include "models/bundle/bundle.h"
 #include "models/depth_refinement/refined_source_depth.h"
 #include "models/latent_spaces/latent_space.h"
-#include "models/scene_geometry/photograph_depth.h"
 #include "train/loop/objective.h"
 #include "train/objectives/kept_scenes.h"
 
@@ -59,7 +58,6 @@ class DepthRefinementObjective : public Objective {
     torch::Tensor off;    // (sources, 1, height, width): log(depth / true depth); 0 where either is not known
     torch::Tensor known;  // (sources, 1, height, width), bool
   };
-  PhotographDepth depth_of(const TrainingScene& scene) const;
   // Nothing where the depth is not known.
   std::optional<Lesson> lesson_of(const TrainingScene& scene) const;
   std::optional<Lesson> kept_lesson_of(const TrainingScene& scene);

@@ -1,0 +1,15 @@
+#pragma once
+
+#include "models/decoders/geometry_head.h"
+#include "models/latent_spaces/latent_space.h"
+#include "models/scene_geometry/photograph_depth.h"
+#include "train/data/training_scene.h"
+
+namespace gld {
+
+// The depth of a scene's source views as sampling finds it, without the network that mends it: what frozen backbone and
+// geometry head and the photographs themselves say. photographs: of the source views, as large as the scene's images.
+PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& head,
+                                  const TrainingScene& scene, const SourcePhotographs& photographs);
+
+}  // namespace gld
