@@ -11,6 +11,7 @@
 #include "gld/tensors/process_libraries.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/machine_rates.h"
+#include "infer/forecast/plan_report.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sampling_method.h"
 #include "models/bundle/bundle.h"

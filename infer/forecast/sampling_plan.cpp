@@ -2,8 +2,6 @@
 
 #include "gld/cameras/latent_grid.h"
 #include "gld/flow/flow.h"
-#include "gld/machine/stage_record.h"
-#include "gld/report/progress.h"
 #include "infer/forecast/dit_speed.h"
 #include "infer/forecast/splat_forecast.h"
 #include "infer/forecast/stage_speed.h"
@@ -415,102 +413,6 @@ void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const Plan
     }
     stage.seconds += static_cast<double>(stage.read_bytes) / speed.loading;
   }
-}
-
-std::string plan_text(const SamplingPlan& plan) {
-  std::string text =
-      fmt::format("{:<16} {:>10} {:>14} {:>10}  {}\n", "stage", "TFLOP", "time", "memory", "why");
-  for (const auto& stage : plan.stages) {
-    if (!stage.runs) {
-      text +=
-          fmt::format("{:<16} {:>10} {:>14} {:>10}  {}\n", stage.name, "-", "left out", "-", stage.reason);
-      continue;
-    }
-    text += fmt::format("{:<16} {:>10.4g} {:>14} {:>10}  {}\n", stage.name, stage.cost.flop() / 1e12,
-                        stage.seconds > 0 ? duration_text(stage.seconds) : "-", bytes_text(stage.peak_bytes),
-                        stage.reason);
-  }
-  text +=
-      fmt::format("{:<16} {:>10.4g} {:>14} {:>10}\n", "together", plan.flop() / 1e12,
-                  plan.seconds() > 0 ? duration_text(plan.seconds()) : "-", bytes_text(plan.peak_bytes()));
-  return text;
-}
-
-namespace {
-
-const StageRecord* record_of(const std::vector<StageRecord>& records, const std::string& stage) {
-  for (const auto& record : records) {
-    if (record.name == stage) return &record;
-  }
-  return nullptr;
-}
-
-nlohmann::ordered_json ratio(double actual, double predicted) {
-  if (predicted <= 0) return nullptr;
-  return actual / predicted;
-}
-
-nlohmann::ordered_json stage_json(const PlannedStage& stage) {
-  return {{"stage", stage.name},
-          {"runs", stage.runs},
-          {"reason", stage.reason},
-          {"evaluations", stage.evaluations},
-          {"with_unconditional_branch", stage.with_unconditional},
-          {"condition_encoder_runs", stage.parts.condition_encoder},
-          {"velocity_decoder_runs", stage.parts.velocity_decoder},
-          {"tflop", stage.cost.flop() / 1e12},
-          {"linear_layers_in", compute_precision_name(stage.precision.linear)},
-          {"attention_in", compute_precision_name(stage.precision.attention)},
-          {"predicted_seconds", stage.seconds},
-          {"predicted_peak_bytes", stage.peak_bytes}};
-}
-
-}  // namespace
-
-nlohmann::ordered_json plan_json(const SamplingPlan& plan) {
-  auto list = nlohmann::ordered_json::array();
-  for (const auto& stage : plan.stages) list.push_back(stage_json(stage));
-  return list;
-}
-
-nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
-  auto list = nlohmann::ordered_json::array();
-  for (const auto& stage : plan.stages) {
-    auto object = stage_json(stage);
-    if (const StageRecord* record = record_of(records, stage.name)) {
-      object["seconds"] = record->seconds;
-      object["seconds_over_predicted"] = ratio(record->seconds, stage.seconds);
-      object["peak_bytes"] = record->peak_bytes;
-      object["peak_over_predicted"] =
-          ratio(static_cast<double>(record->peak_bytes), static_cast<double>(stage.peak_bytes));
-    }
-    list.push_back(std::move(object));
-  }
-  return list;
-}
-
-std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
-  std::vector<TimedStage> timed;
-  for (const auto& stage : plan.stages) {
-    const StageRecord* record = record_of(records, stage.name);
-    if (record == nullptr || !stage.of_products || !(stage.seconds > 0)) continue;
-    timed.push_back({stage.precision.linear, stage.seconds, record->seconds});
-  }
-  return timed;
-}
-
-std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
-  double seconds = 0;
-  int64_t peak = 0;
-  for (const auto& stage : plan.stages) {
-    const StageRecord* record = record_of(records, stage.name);
-    if (record == nullptr) continue;
-    seconds += record->seconds;
-    peak = std::max(peak, record->peak_bytes);
-  }
-  return fmt::format("the planned stages took {} (predicted {}) and at most {} (predicted {})\n",
-                     duration_text(seconds), duration_text(plan.seconds()), bytes_text(peak),
-                     bytes_text(plan.peak_bytes()));
 }
 
 }  // namespace gld

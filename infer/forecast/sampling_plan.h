@@ -3,7 +3,6 @@
 #include "datasets/splats/scene_fit.h"
 #include "gld/flow/guidance.h"
 #include "gld/flow/solvers/solver.h"
-#include "gld/machine/stage_record.h"
 #include "infer/forecast/machine_rates.h"
 #include "infer/forecast/stage_memory.h"
 #include "infer/pipeline/sampling_pipeline.h"
@@ -20,8 +19,6 @@
 #include <optional>
 #include <string>
 #include <vector>
-
-#include <nlohmann/json.hpp>
 
 namespace gld {
 
@@ -101,16 +98,5 @@ void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
 // they are short from a run (infer/forecast/stage_speed.h). Takes a few seconds at full size: for gld plan --measure.
 void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed);
-
-// A table, one line a stage, for people.
-std::string plan_text(const SamplingPlan& plan);
-nlohmann::ordered_json plan_json(const SamplingPlan& plan);
-
-// The same with what every stage took: seconds, peak memory, and both over what was predicted.
-nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
-// What learn_from_run() (infer/forecast/machine_rates.h) takes.
-std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector<StageRecord>& records);
-// One line: the planned stages' seconds and peak memory together, as they were and as predicted.
-std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 
 }  // namespace gld

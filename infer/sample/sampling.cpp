@@ -16,6 +16,7 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
+#include "infer/forecast/plan_report.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/forecast/splat_forecast.h"
 #include "infer/page/report_command.h"

@@ -3,6 +3,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "gld/machine/precision_option.h"
+#include "infer/forecast/plan_report.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/method/sample_options.h"
 #include "models/bundle/random_bundle.h"
