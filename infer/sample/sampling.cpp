@@ -66,6 +66,7 @@ nlohmann::ordered_json flows_json(const std::vector<FlowReport>& flows) {
 
 std::string one_line_summary(const SampleOptions& options, const PipelineResult& result,
                              const std::string& model) {
+  if (result.flows.empty()) return fmt::format("model {}, nothing generated", model);
   int64_t evaluations = 0;  // of a flow that was run now
   for (const auto& flow : result.flows) evaluations = std::max(evaluations, flow.evaluations);
   // None was: all levels were made before --resume.
