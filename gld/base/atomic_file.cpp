@@ -83,14 +83,18 @@ std::string read_file(const std::filesystem::path& file, uint64_t limit) {
     fail({file.string(), "a file",
           std::filesystem::exists(file, error) ? "something that is no file" : "nothing", "check the path"});
   }
-  const uint64_t size = std::filesystem::file_size(file, error);
-  if (error || size > limit) {
-    fail({file.string(), "at most " + std::to_string(limit) + " bytes",
-          error ? "an error: " + error.message() : std::to_string(size) + " bytes",
+  // The size of what is open: the name may stand for a newer file by then, since writers rename.
+  std::ifstream stream(file, std::ios::binary | std::ios::ate);
+  const auto end = stream ? static_cast<std::streamoff>(stream.tellg()) : std::streamoff{-1};
+  if (end < 0)
+    fail({file.string(), "a file that can be read", "an error: " + system_reason(), "check the permissions"});
+  const auto size = static_cast<uint64_t>(end);
+  if (size > limit) {
+    fail({file.string(), "at most " + std::to_string(limit) + " bytes", std::to_string(size) + " bytes",
           "check that it is the right file"});
   }
   std::string bytes(size, '\0');
-  std::ifstream stream(file, std::ios::binary);
+  stream.seekg(0);
   stream.read(bytes.data(), static_cast<std::streamsize>(size));
   if (!stream || static_cast<uint64_t>(stream.gcount()) != size) {
     fail({file.string(), "to read " + std::to_string(size) + " bytes", std::to_string(stream.gcount()),

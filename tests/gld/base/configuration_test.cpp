@@ -7,7 +7,11 @@
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
+#include <atomic>
 #include <cmath>
+#include <cstdint>
+#include <string>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -240,6 +244,30 @@ TEST(AtomicFile, AppearsWholeOrNotAtAll) {
                 (folder.path() / "no").string() + "; create it or choose another output.");
   EXPECT_EQ(test::error_of([&] { read_file(target, 2); }),
             target.string() + ": expected at most 2 bytes, found 3 bytes; check that it is the right file.");
+}
+
+// A reader sees the one or the other, not the length of one and the bytes of the other.
+TEST(AtomicFile, IsReadWholeWhileItIsReplaced) {
+  test::TemporaryFolder folder;
+  const auto target = folder.path() / "result.txt";
+  const std::string longer(100, 'a'), shorter(30, 'b');
+  write_file_atomically(target, longer);
+  std::atomic<bool> ended{false};
+  std::thread writer([&] {
+    for (int i = 0; !ended; ++i) write_file_atomically(target, i % 2 == 0 ? shorter : longer);
+  });
+  int64_t mixed = 0;
+  for (int i = 0; i < 2000; ++i) {
+    try {
+      const std::string read = read_file(target);
+      mixed += read == longer || read == shorter ? 0 : 1;
+    } catch (const Error&) {
+      ++mixed;
+    }
+  }
+  ended = true;
+  writer.join();
+  EXPECT_EQ(mixed, 0);
 }
 
 }  // namespace
