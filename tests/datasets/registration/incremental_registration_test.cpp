@@ -44,12 +44,13 @@ struct Cloud {
     BundleLens lens;
     lens.focal_length = kFocalLength;
     for (int n = 0; n < count; ++n) {
-      const Eigen::Vector3d point(2 * unit(random), 1.5 * unit(random), 6 + 2 * unit(random));
+      // Braces, in which one number is drawn after the other: the order of a call's arguments is the compiler's own.
+      const Eigen::Vector3d point{2 * unit(random), 1.5 * unit(random), 6 + 2 * unit(random)};
       std::vector<SeenPlace> track;
       for (size_t view = first; view < last; ++view) {
         Eigen::Vector2d place = projected(lens, camera_from_world[view], point);
-        place += Eigen::Vector2d(noise(random), noise(random));
-        if (unit(random) < 2 * wrong_share - 1) place = 0.3 * Eigen::Vector2d(unit(random), unit(random));
+        place += Eigen::Vector2d{noise(random), noise(random)};
+        if (unit(random) < 2 * wrong_share - 1) place = 0.3 * Eigen::Vector2d{unit(random), unit(random)};
         track.push_back({view, place});
       }
       seen.tracks.push_back(track);
@@ -63,14 +64,14 @@ TEST(IncrementalRegistration, FindsViewsAndTheLensOfACloud) {
   cloud.add_points(300, 0, 6, 0.1);
   const auto found = register_incrementally(cloud.seen, {});
   ASSERT_THAT(found.registered, Each(1));
-  // A ray is off by 0.3 of 960 pixels, 0.02 degrees; a camera by what 270 of them leave, and by how the lens trades
-  // with it: a tenth of a degree is five times the former.
-  EXPECT_NEAR(found.bundle.lenses[0].focal_length, kFocalLength, 0.01 * kFocalLength);
+  // A ray is off by 0.3 of 960 pixels, 0.02 degrees. The focal length, and the turn between the views that trades with it, are
+  // known less well: over 24 seeds the last view's turn has a deviation of .073 degrees, the focal length one of .44 %.
+  EXPECT_NEAR(found.bundle.lenses[0].focal_length, kFocalLength, 3 * 0.0044 * kFocalLength);
   for (size_t i = 1; i < 6; ++i) {
     const Eigen::Isometry3d a =
         found.bundle.views[i].camera_from_world * found.bundle.views[0].camera_from_world.inverse();
     const Eigen::Isometry3d b = cloud.camera_from_world[i] * cloud.camera_from_world[0].inverse();
-    EXPECT_LT(rotation_angle(a.linear(), b.linear()), 0.1) << i;
+    EXPECT_LT(rotation_angle(a.linear(), b.linear()), 3 * 0.073) << i;
     const double along = a.translation().normalized().dot(b.translation().normalized());
     EXPECT_LT(std::acos(std::min(1.0, along)) * kDegreesPerRadian, 0.5) << i;
   }

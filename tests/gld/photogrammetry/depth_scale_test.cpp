@@ -27,7 +27,7 @@ ArcPair arc(double noise, uint64_t seed) {
     pair.in_model.push_back(camera);
     camera.world_from_camera.translation() *= 2.5;
     camera.world_from_camera.translation() +=
-        noise * Vector3d(normal(generator), normal(generator), normal(generator)) + Vector3d(7, 8, 9);
+        noise * Vector3d{normal(generator), normal(generator), normal(generator)} + Vector3d(7, 8, 9);
     pair.in_world.push_back(camera);
   }
   return pair;
@@ -138,7 +138,7 @@ TEST(DepthScale, ScatteredCentresDoNotTellTheScale) {
     std::normal_distribution<double> normal;
     for (Camera& camera : pair.in_model) {
       camera.world_from_camera.translation() =
-          1e-4 * Vector3d(normal(generator), normal(generator), normal(generator));
+          1e-4 * Vector3d{normal(generator), normal(generator), normal(generator)};
     }
     const auto scale = depth_scale_from_poses(align_poses(pair.in_model, pair.in_world));
     if (scale && doubt_about(*scale).empty()) ++believed;

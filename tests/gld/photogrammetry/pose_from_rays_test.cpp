@@ -50,7 +50,8 @@ CameraErrors camera_errors_of(const Camera& found, const Camera& truth) {
 void disturb(RayMap& rays, double degrees, double shift, uint64_t seed) {
   std::mt19937_64 generator(seed);
   std::normal_distribution<double> normal;
-  const auto random = [&] { return Vector3d(normal(generator), normal(generator), normal(generator)); };
+  // In braces one is drawn after the other; the order of a call's arguments is the compiler's own.
+  const auto random = [&] { return Vector3d{normal(generator), normal(generator), normal(generator)}; };
   for (int64_t y = 0; y < rays.height; ++y) {
     for (int64_t x = 0; x < rays.width; ++x) {
       float* ray = rays.ray(x, y);
@@ -99,11 +100,13 @@ TEST(CameraFromRays, AveragesNoise) {
   disturb(rays, 1.0, 0.05, 3);
   const RecoveredCamera found = camera_from_rays(rays, {}, {504, 280});
   const CameraErrors errors = camera_errors_of(found.camera, truth);
-  // 2880 rays: errors far below the noise of one ray (1 degree, 0.05).
-  EXPECT_LT(errors.rotation, 0.3);
+  // A turn e about the horizontal axis moves the ray at height y by e (1 + y^2), a shift of the principal point all alike:
+  // only y^2, whose deviation over the picture (|y| < .35) is .036, tells them apart. With 2880 rays of 1 degree the turn has a
+  // deviation of 1 / (sqrt(2880) .036) = .5 degrees, the principal point one of 405 tan(.5 degrees) = 3.6 pixels; 3 of each.
+  EXPECT_LT(errors.rotation, 1.6);
+  EXPECT_LT(errors.principal, 11);
   EXPECT_LT(errors.centre, 0.005);
   EXPECT_LT(errors.focal, 0.01);
-  EXPECT_LT(errors.principal, 3);
   EXPECT_NEAR(found.direction_error, 1.18, 0.1);  // median of a two-dimensional normal of 1 degree
   EXPECT_GT(found.inliers, 0.95);
 }

@@ -265,6 +265,8 @@ TEST(StageRecords, KeepTimeAndMemoryAlsoOfAFailedStage) {
   constexpr auto kSlept = std::chrono::milliseconds(20);
   stages.run("allocate", [&] {
     std::vector<char> block(64 << 20, 1);
+    char* volatile read = block.data();  // or the compiler may leave the block out
+    EXPECT_EQ(read[1 << 20], 1);
     EXPECT_GT(test::resident_bytes(), 64 << 20);
     std::this_thread::sleep_for(kSlept);
   });
