@@ -7,7 +7,8 @@ configuration=()
 rest=()
 while [ $# -gt 0 ]; do
   if [ "$1" = --quick ]; then
-    configuration+=("-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG")
+    # clang reads a precompiled header of LibTorch's in a tenth of a second, g++ in three.
+    configuration+=(-DCMAKE_CXX_COMPILER=clang++-14 "-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG")
     shift
     continue
   fi

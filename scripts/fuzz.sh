@@ -3,7 +3,7 @@
 #   scripts/fuzz.sh                    # all, 10 seconds each, as CI does
 #   scripts/fuzz.sh 600 hdf5 image     # these two, 10 minutes each
 #   scripts/fuzz.sh --seed 7 60        # with libFuzzer's random numbers from a seed of one's own
-# A run that takes more than 1 GiB, or 10 seconds for one file, fails like a crash. What was found lies in build/fuzz/found;
+# A run that takes more than 1 GiB, or 10 seconds for one file, fails like a crash. What was found lies in build/fuzz_found;
 # put the smallest such file into tests/fuzz/corpus, which every build replays.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -18,23 +18,26 @@ seconds=${1:-10}
 kinds=("$@")
 [ ${#kinds[@]} -gt 0 ] || kinds=(safetensors torch_archive npy hdf5 json yaml image colmap re10k)
 
-for compiler in "${CLANGXX:-}" clang++ clang++-14 clang++-15 clang++-16; do
-  if [ -n "$compiler" ] && command -v "$compiler" >/dev/null; then break; fi
-done
-cmake -S . -B build/fuzz -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo -DCMAKE_CXX_COMPILER="$compiler" \
-  -DGLD_FUZZ=ON -DGLD_SANITIZE=ON >/dev/null
-cmake --build build/fuzz --target "${kinds[@]/#/fuzz_}"
+# For seconds they are taken from the build of scripts/test.sh, which is not optimised; for longer they are worth their own.
+if [ "$seconds" -le 10 ]; then
+  build=build/asan
+  cmake --preset asan >/dev/null
+else
+  build=build/fuzz
+  cmake --preset asan -B "$build" -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g -DNDEBUG" >/dev/null
+fi
+cmake --build "$build" --target "${kinds[@]/#/fuzz_}"
 
 export LSAN_OPTIONS=suppressions=$PWD/tests/leak_suppressions.txt:print_suppressions=0
 # libFuzzer's limit counts what AddressSanitizer keeps of freed memory as well: it is told to keep little.
 export ASAN_OPTIONS=quarantine_size_mb=16:detect_odr_violation=0
-found=$PWD/build/fuzz/found
+found=$PWD/build/fuzz_found
 failed=()
 for kind in "${kinds[@]}"; do
   mkdir -p "$found/$kind"
   new=$(mktemp -d)
   log=$found/$kind.log
-  if build/fuzz/tests/fuzz/fuzz_"$kind" -seed="$seed" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
+  if "$build"/tests/fuzz/fuzz_"$kind" -seed="$seed" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
     -artifact_prefix="$found/$kind/" "$new" "tests/fuzz/corpus/$kind" >"$log" 2>&1; then
     echo "fuzz: $kind: $(grep -o 'number_of_executed_units: .*' "$log"), peak $(grep -o 'peak_rss_mb: .*' "$log")"
   else

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
-#   --testing                 also the programs that tests run: what we write is read by others, pages are looked at in a browser
+#   --testing                 also what tests need: clang for its sanitizers, and programs that read what we write, a browser among them
 #   --development             also all of --testing and what checks the sources
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
@@ -41,10 +41,13 @@ packages=(
   libssl-dev libtinygltf-dev libjs-three
 )
 if [ -n "$testing" ]; then
-  packages+=(python3 colmap ffmpeg assimp-utils chromium chromium-driver python3-selenium)
+  packages+=(
+    python3 colmap ffmpeg assimp-utils chromium chromium-driver python3-selenium
+    clang-14 libclang-rt-14-dev libomp-dev
+  )
 fi
 if [ -n "$development" ]; then
-  packages+=(git clang-format clang-tidy clang-14 libclang-rt-14-dev libomp-dev)
+  packages+=(git clang-format clang-tidy)
 fi
 if [ -n "$libtorch_version" ]; then
   packages+=(python3-venv)

@@ -38,7 +38,7 @@ run() {
     echo "test_openblas_kernels: failed with $1 (${*:2})." >&2
     exit 1
   fi
-  echo "$1: $(sed -n 's/.*tests passed, .* out of \([0-9]*\)$/\1 tests passed/p' "$log") ($((SECONDS - begun)) s)"
+  echo "$1: $(sed -n 's/.*tests passed.* out of \([0-9]*\)$/\1 tests passed/p' "$log") ($((SECONDS - begun)) s)"
   rm -f "$log"
 }
 
