@@ -64,8 +64,9 @@ TEST(IncrementalRegistration, FindsViewsAndTheLensOfACloud) {
   cloud.add_points(300, 0, 6, 0.1);
   const auto found = register_incrementally(cloud.seen, {});
   ASSERT_THAT(found.registered, Each(1));
-  // A ray is off by 0.3 of 960 pixels, 0.02 degrees. The focal length, and the turn between the views that trades with it, are
-  // known less well: over 24 seeds the last view's turn has a deviation of .073 degrees, the focal length one of .44 %.
+  // A ray is off by 0.3 of 960 pixels, 0.02 degrees. The focal length, and the turn between the views that trades
+  // with it, are known less well: over 24 seeds the last view's turn has a deviation of .073 degrees, the focal
+  // length one of .44 %.
   EXPECT_NEAR(found.bundle.lenses[0].focal_length, kFocalLength, 3 * 0.0044 * kFocalLength);
   for (size_t i = 1; i < 6; ++i) {
     const Eigen::Isometry3d a =
