@@ -69,6 +69,10 @@ endif()
 # One OpenMP runtime in the process, LibTorch's where it brings one: a second would have a pool of threads of its own.
 file(GLOB gld_openmp_runtimes ${TORCH_INSTALL_PREFIX}/lib/libgomp*.so* ${TORCH_INSTALL_PREFIX}/lib/libiomp5.so
      ${TORCH_INSTALL_PREFIX}/lib/libomp.so*)
+# clang's code calls what no libgomp has; its own runtime answers to libgomp's names too.
+if(CMAKE_CXX_COMPILER_ID MATCHES "Clang")
+  list(FILTER gld_openmp_runtimes EXCLUDE REGEX "/libgomp[^/]*$")
+endif()
 if(gld_openmp_runtimes)
   list(GET gld_openmp_runtimes 0 gld_openmp_runtime)
   set_target_properties(OpenMP::OpenMP_CXX PROPERTIES INTERFACE_LINK_LIBRARIES ${gld_openmp_runtime})
