@@ -32,7 +32,9 @@ SplatImage picture_of_places(const SplatPicture& picture, int64_t channels, doub
   SplatImage image(channels, picture.camera.width, picture.camera.height);
   const Eigen::Matrix3d rays = picture.camera.intrinsics.inverse();
   for (int64_t c = 0; c < channels; ++c) {
-    const Eigen::Vector3d wave = Eigen::Vector3d{normal(engine), normal(engine), normal(engine)} * 6 / extent;
+    // One after the other: the order in which a call's arguments are drawn is the compiler's own.
+    Eigen::Vector3d wave;
+    for (const int axis : {2, 1, 0}) wave[axis] = normal(engine) * 6 / extent;
     const double phase = normal(engine);
     for (int64_t y = 0; y < image.height; ++y) {
       for (int64_t x = 0; x < image.width; ++x) {

@@ -1,7 +1,12 @@
 #!/usr/bin/env python3
-"""What the program makes of real photographs: gld eval on the scenes in ../shared, and one table of all.
+"""What the program makes of real photographs: gld eval on scenes of real places, and one table of all.
 
-    scripts/bench/photographs.py [--gld build/release/cli/gld] [--shared ../shared] [--out docs/measured/photographs]
+    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known] [--scenes ../shared/scenes]
+                                 [--out docs/measured/photographs]
+
+known: those of ../shared, on which the matching's settings were chosen. fresh: three places on which nothing was chosen, not ours
+to hand on: --scenes is a folder of registered_scene.py's scenes of openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary
+OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree, those 17 that were at hand: images 1036 to 1057).
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
 depth, with gaps filled smoothly and nothing generated; "generated" is the sample before photographs were kept in it.
@@ -12,7 +17,7 @@ import pathlib
 import shutil
 import subprocess
 
-SETTINGS = [
+KNOWN = [
     ("lund_door_2", "colmap_lund_door", "3,6", "4,5"),
     ("lund_door_4", "colmap_lund_door", "2,4,6,8", "3,5,7"),
     ("tartanair_2", "tartanair_hospital", "0,3", "1,2"),
@@ -20,6 +25,17 @@ SETTINGS = [
     ("re10k_4", "gld_layout_5e040cd0758dcc96", "0,2,4,6", "1,3,5"),
     ("re10k_2", "gld_layout_5e040cd0758dcc96", "1,4", "2,3"),
 ]
+# Written down before the first of them was run.
+FRESH = [
+    ("sceaux_2", "sceaux", "4,6", "5"),
+    ("sceaux_2_first", "sceaux", "0,2", "1"),
+    ("sceaux_4", "sceaux", "2,4,6,8", "3,5,7"),
+    ("berlin_2", "berlin", "0,2", "1"),
+    ("monstree_2", "monstree", "0,2", "1"),
+    ("monstree_3", "monstree", "8,10,12", "9,11"),
+    ("monstree_4", "monstree", "0,2,4,6", "1,3,5"),
+]
+SETTINGS = {"known": KNOWN, "fresh": FRESH}
 COLUMNS = [
     ("nearest source", "psnr_nearest_source", "ssim_nearest_source"),
     ("generated", "generated_psnr", "generated_ssim"),
@@ -46,18 +62,21 @@ def cell(row, psnr, ssim):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gld", default="build/release/cli/gld")
-    parser.add_argument("--shared", default="../shared")
+    parser.add_argument("--places", choices=SETTINGS, default="known")
+    parser.add_argument("--scenes", default="../shared/scenes")
+    parser.add_argument("--source-depth", help="of gld eval, where not the default is measured")
     parser.add_argument("--out", default="docs/measured/photographs")
     arguments = parser.parse_args()
     out = pathlib.Path(arguments.out)
+    also = ["--photograph-use.source-depth", arguments.source_depth] if arguments.source_depth else []
     lines = ["| setting | " + " | ".join(name for name, _, _ in COLUMNS) + " | sharpness |",
              "|---|" + "---|" * (len(COLUMNS) + 1)]
-    for name, scene, sources, targets in SETTINGS:
+    for name, scene, sources, targets in SETTINGS[arguments.places]:
         # A folder out of git is no run that --overwrite would replace: it has no .gld-run.
         shutil.rmtree(out / name, ignore_errors=True)
         subprocess.run([arguments.gld, "eval", "--model", "configs/tiny", "--scenes",
-                        f"{arguments.shared}/scenes/{scene}", "--source-frames", sources, "--target-frames", targets,
-                        "--pictures", "0", "--out", str(out / name)], check=True)
+                        f"{arguments.scenes}/{scene}", "--source-frames", sources, "--target-frames", targets,
+                        "--pictures", "0", *also, "--out", str(out / name)], check=True)
         shutil.rmtree(out / name / "scenes", ignore_errors=True)
         with open(out / name / "eval.csv", newline="") as file:
             row = next(csv.DictReader(file))
