@@ -18,7 +18,7 @@ seconds=${1:-10}
 kinds=("$@")
 [ ${#kinds[@]} -gt 0 ] || kinds=(safetensors torch_archive npy hdf5 json yaml image colmap re10k)
 
-# For seconds they are taken from the build of scripts/test.sh, which is not optimised; for longer they are worth their own.
+# For seconds they are taken from the build of scripts/test.sh, which is optimised a little; for longer they are worth their own.
 if [ "$seconds" -le 10 ]; then
   build=build/asan
   cmake --preset asan >/dev/null

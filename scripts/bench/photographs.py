@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """What the program makes of real photographs: gld eval on scenes of real places, and one table of all.
 
-    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known] [--scenes ../shared/scenes]
-                                 [--out docs/measured/photographs]
+    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known|fresh] [--source-depth fused]
 
-known: those of ../shared, on which the matching's settings were chosen. fresh: three places on which nothing was chosen, not ours
-to hand on: --scenes is a folder of registered_scene.py's scenes of openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary
-OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree, those 17 that were at hand: images 1036 to 1057).
+known: ../shared/scenes, on which the matching's settings were chosen, into docs/measured/photographs. fresh: three places on which
+nothing was chosen, not ours to hand on, into docs/measured/photographs_fresh: ../fresh_places holds registered_scene.py's scenes of
+openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree,
+those 17 that were at hand: images 1036 to 1057). Another depth than the default's goes into a folder DEPTH_depth of these.
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
 depth, with gaps filled smoothly and nothing generated; "generated" is the sample before photographs were kept in it.
@@ -35,7 +35,8 @@ FRESH = [
     ("monstree_3", "monstree", "8,10,12", "9,11"),
     ("monstree_4", "monstree", "0,2,4,6", "1,3,5"),
 ]
-SETTINGS = {"known": KNOWN, "fresh": FRESH}
+PLACES = {"known": ("../shared/scenes", "docs/measured/photographs", KNOWN),
+          "fresh": ("../fresh_places", "docs/measured/photographs_fresh", FRESH)}
 COLUMNS = [
     ("nearest source", "psnr_nearest_source", "ssim_nearest_source"),
     ("generated", "generated_psnr", "generated_ssim"),
@@ -62,21 +63,23 @@ def cell(row, psnr, ssim):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gld", default="build/release/cli/gld")
-    parser.add_argument("--places", choices=SETTINGS, default="known")
-    parser.add_argument("--scenes", default="../shared/scenes")
+    parser.add_argument("--places", choices=PLACES, default="known")
     parser.add_argument("--source-depth", help="of gld eval, where not the default is measured")
-    parser.add_argument("--out", default="docs/measured/photographs")
     arguments = parser.parse_args()
-    out = pathlib.Path(arguments.out)
-    also = ["--photograph-use.source-depth", arguments.source_depth] if arguments.source_depth else []
+    scenes, folder, settings = PLACES[arguments.places]
+    out = pathlib.Path(folder)
+    depth = []
+    if arguments.source_depth:
+        depth = ["--photograph-use.source-depth", arguments.source_depth]
+        out = out / f"{arguments.source_depth}_depth"
     lines = ["| setting | " + " | ".join(name for name, _, _ in COLUMNS) + " | sharpness |",
              "|---|" + "---|" * (len(COLUMNS) + 1)]
-    for name, scene, sources, targets in SETTINGS[arguments.places]:
+    for name, scene, sources, targets in settings:
         # A folder out of git is no run that --overwrite would replace: it has no .gld-run.
         shutil.rmtree(out / name, ignore_errors=True)
         subprocess.run([arguments.gld, "eval", "--model", "configs/tiny", "--scenes",
-                        f"{arguments.scenes}/{scene}", "--source-frames", sources, "--target-frames", targets,
-                        "--pictures", "0", *also, "--out", str(out / name)], check=True)
+                        f"{scenes}/{scene}", "--source-frames", sources, "--target-frames", targets,
+                        "--pictures", "0", *depth, "--out", str(out / name)], check=True)
         shutil.rmtree(out / name / "scenes", ignore_errors=True)
         with open(out / name / "eval.csv", newline="") as file:
             row = next(csv.DictReader(file))
