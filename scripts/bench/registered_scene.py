@@ -23,7 +23,7 @@ def main():
     arguments = parser.parse_args()
     if arguments.scene.exists():
         parser.error(f"expected no folder {arguments.scene}, found one; choose another or remove it")
-    files = sorted(arguments.photographs.iterdir())
+    files = sorted(arguments.photographs.iterdir()) if arguments.photographs.is_dir() else []
     if len(files) < 3:
         parser.error(f"expected at least 3 photographs in {arguments.photographs}, found {len(files)}")
 
