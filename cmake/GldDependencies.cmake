@@ -41,7 +41,14 @@ gld_require_module(EXIF libexif libexif-dev libexif)
 gld_require_module(HEIF libheif libheif-dev libheif>=1.15)
 gld_require_module(WEBP libwebp libwebp-dev libwebp libwebpdemux libwebpmux)
 gld_require(OpenCV libopencv-dev 4 COMPONENTS core imgproc imgcodecs features2d calib3d)
+# Debian's Ceres names ATLAS, and CMake would find it. It would come before the libblas.so.3 of Debian's alternatives in every
+# program that registers photographs, and LibTorch would multiply by it, five times slower than by OpenBLAS.
+set(BLA_VENDOR Generic)
 gld_require(Ceres libceres-dev 2.1)
+unset(BLA_VENDOR)
+get_target_property(gld_ceres_libraries Ceres::ceres INTERFACE_LINK_LIBRARIES)
+list(FILTER gld_ceres_libraries EXCLUDE REGEX "/lib(f77blas|atlas)\\.so$")
+set_target_properties(Ceres::ceres PROPERTIES INTERFACE_LINK_LIBRARIES "${gld_ceres_libraries}")
 
 # A header alone, compiled in one place without what it has for images: no library of Debian's is linked.
 find_path(GLD_TINYGLTF_FOLDER tiny_gltf.h)

@@ -5,6 +5,8 @@
 #include "gld/tensors/process_libraries.h"
 
 #include <cstdlib>
+#include <filesystem>
+#include <system_error>
 
 #include <ATen/Context.h>
 #include <ATen/Parallel.h>
@@ -74,20 +76,18 @@ std::string torch_version() {
 std::string blas_name() {
   // PyTorch's packages hold MKL inside LibTorch, and another BLAS may be in the process for other libraries.
   if (at::show_config().find("BLAS_INFO=mkl") != std::string::npos) return "mkl";
-  struct Pattern {
-    const char* fragment;
-    const char* name;
-  };
-  // libblas.so.3 is whatever Debian's alternatives point at, so the more specific names come first.
-  const auto libraries = loaded_libraries();
-  for (const Pattern& pattern :
-       {Pattern{"openblas", "openblas"}, Pattern{"blis", "blis"}, Pattern{"mkl", "mkl"},
-        Pattern{"atlas", "atlas"}, Pattern{"/blas/", "reference"}}) {
-    for (const std::string& path : libraries) {
-      if (path.find(pattern.fragment) != std::string::npos) return pattern.name;
-    }
+  // What LibTorch calls is the first library of the process that has such a function, whichever others are there.
+  Dl_info found = {};
+  void* product = dlsym(RTLD_DEFAULT, "sgemm_");
+  if (product == nullptr || dladdr(product, &found) == 0 || found.dli_fname == nullptr) return "unknown";
+  // libblas.so.3 is whatever Debian's alternatives point at.
+  std::error_code unresolved;
+  const std::string path = std::filesystem::canonical(found.dli_fname, unresolved).string();
+  if (unresolved) return "unknown";
+  for (const char* name : {"openblas", "blis", "mkl", "atlas", "f77blas"}) {
+    if (path.find(name) != std::string::npos) return std::string(name) == "f77blas" ? "atlas" : name;
   }
-  return "unknown";
+  return path.find("blas") != std::string::npos ? "reference" : "unknown";
 }
 
 std::string blas_text() {
