@@ -34,4 +34,12 @@ class SeededRandom {
   uint64_t state_ = 0x6A09E667F3BCC909ULL;
 };
 
+// Numbers that are drawn evenly between two.
+struct DrawRange {
+  double low = 0;
+  double high = 1;
+
+  double draw(SeededRandom& random) const { return random.uniform(low, high); }
+};
+
 }  // namespace gld

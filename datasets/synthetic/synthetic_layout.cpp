@@ -49,9 +49,15 @@ Solid cylinder(const Vector3d& bottom, double radius, double height, const Mater
   return solid;
 }
 
+// Several draws of one call are drawn from the last to the first; why: synthetic_material.cpp.
+Vector3d draw_size(SeededRandom& random, const DrawRange& x, const DrawRange& y, const DrawRange& z) {
+  const double height = z.draw(random), depth = y.draw(random), width = x.draw(random);
+  return {width, depth, height};
+}
+
 Thing draw_table(SeededRandom& random) {
   Thing table;
-  const Vector3d size(random.uniform(0.8, 1.4), random.uniform(0.6, 0.9), random.uniform(0.6, 0.8));
+  const Vector3d size = draw_size(random, {0.8, 1.4}, {0.6, 0.9}, {0.6, 0.8});
   const Material wood = draw_object(random);
   Material legs = wood;
   legs.pattern = Pattern::kPlain;
@@ -65,8 +71,9 @@ Thing draw_table(SeededRandom& random) {
   }
   const double radius = random.uniform(0.1, 0.2);
   if (random.chance(0.7)) {
-    table.solids.push_back(sphere({random.uniform(-0.2, 0.2), random.uniform(-0.1, 0.1), size.z() + radius},
-                                  radius, draw_object(random)));
+    const Material ball = draw_object(random);
+    table.solids.push_back(
+        sphere({random.uniform(-0.2, 0.2), random.uniform(-0.1, 0.1), size.z() + radius}, radius, ball));
   }
   table.radius = 0.5 * std::hypot(size.x(), size.y());
   return table;
@@ -80,8 +87,9 @@ Thing draw_stack(SeededRandom& random) {
   const int64_t floors = random.integer(2, 3);
   for (int64_t i = 0; i < floors; ++i) {
     const double height = random.uniform(0.25, 0.5);
-    Solid block = box({0, 0, top + 0.5 * height}, {width, width * random.uniform(0.7, 1.0), height},
-                      draw_object(random));
+    const Material material = draw_object(random);
+    Solid block =
+        box({0, 0, top + 0.5 * height}, {width, width * random.uniform(0.7, 1.0), height}, material);
     block.turn = random.uniform(-0.3, 0.3);
     stack.solids.push_back(block);
     top += height;
@@ -98,7 +106,7 @@ Thing draw_thing(SeededRandom& random) {
   Thing thing;
   const double kind = random.uniform();
   if (kind < 0.28) {
-    const Vector3d size(random.uniform(0.4, 1.0), random.uniform(0.4, 0.8), random.uniform(0.4, 1.3));
+    const Vector3d size = draw_size(random, {0.4, 1.0}, {0.4, 0.8}, {0.4, 1.3});
     thing.solids.push_back(box({0, 0, 0.5 * size.z()}, size, draw_object(random)));
     thing.radius = 0.5 * std::hypot(size.x(), size.y());
   } else if (kind < 0.50) {
@@ -130,6 +138,12 @@ void place(Thing& thing, const Vector2d& position, double turn) {
   }
 }
 
+// Within those reaches of the middle.
+Vector2d draw_position(SeededRandom& random, const Vector2d& reach) {
+  const double y = random.uniform(-reach.y(), reach.y()), x = random.uniform(-reach.x(), reach.x());
+  return {x, y};
+}
+
 void furnish(SeededRandom& random, const ObjectCount& objects, SyntheticWorld& world) {
   struct Footprint {
     Vector2d centre;
@@ -143,7 +157,7 @@ void furnish(SeededRandom& random, const ObjectCount& objects, SyntheticWorld& w
     const double spread = random.chance(0.65) ? 0.6 : 0.98;  // most things stand in the middle of the room
     const double reach_x = std::min(spread * world.room.half_x, world.room.half_x - margin);
     const double reach_y = std::min(spread * world.room.half_y, world.room.half_y - margin);
-    const Vector2d centre(random.uniform(-reach_x, reach_x), random.uniform(-reach_y, reach_y));
+    const Vector2d centre = draw_position(random, {reach_x, reach_y});
     const double turn = random.uniform(0, 2 * kPi);
     const bool free = std::none_of(taken.begin(), taken.end(), [&](const Footprint& other) {
       return (other.centre - centre).norm() < other.radius + margin;
@@ -162,7 +176,8 @@ void hang_pictures(SeededRandom& random, SyntheticWorld& world) {
     for (int64_t i = 0; i < count; ++i) {
       Decal picture;
       picture.face = face;
-      const Vector2d size(random.uniform(0.7, 1.3), random.uniform(0.6, 1.0));
+      const double height = random.uniform(0.6, 1.0), width = random.uniform(0.7, 1.3);
+      const Vector2d size(width, height);
       // Each picture keeps to its own part of the wall.
       const double part = 2 * half / static_cast<double>(count);
       const double middle = -half + part * (static_cast<double>(i) + random.uniform(0.4, 0.6));
@@ -225,8 +240,9 @@ Thing draw_sofa(SeededRandom& random) {
   for (double x : {-0.47, 0.47}) {
     sofa.solids.push_back(box({x * width, 0, 0.5}, {0.08 * width, depth, 0.22}, cloth));
   }
+  const Material cushion = draw_object(random);
   sofa.solids.push_back(
-      box({random.uniform(-0.25, 0.25) * width, 0.2 * depth, 0.55}, {0.35, 0.12, 0.3}, draw_object(random)));
+      box({random.uniform(-0.25, 0.25) * width, 0.2 * depth, 0.55}, {0.35, 0.12, 0.3}, cushion));
   sofa.radius = 0.5 * std::hypot(width, depth);
   return sofa;
 }
@@ -243,9 +259,11 @@ Thing draw_shelf(SeededRandom& random) {
   for (int64_t i = 0; i < boards; ++i) {
     const double z = height * (static_cast<double>(i) + 0.5) / static_cast<double>(boards);
     shelf.solids.push_back(box({0, 0, z}, {width, kDepth, 0.04}, wood));
-    const Vector3d size(random.uniform(0.15, 0.6) * width, 0.2, random.uniform(0.12, 0.28));
+    const double tall = random.uniform(0.12, 0.28), wide = random.uniform(0.15, 0.6);
+    const Vector3d size(wide * width, 0.2, tall);
+    const Material material = draw_object(random);
     shelf.solids.push_back(
-        box({random.uniform(-0.15, 0.15) * width, 0, z + 0.02 + 0.5 * size.z()}, size, draw_object(random)));
+        box({random.uniform(-0.15, 0.15) * width, 0, z + 0.02 + 0.5 * size.z()}, size, material));
   }
   shelf.radius = 0.5 * std::hypot(width, kDepth);
   return shelf;
@@ -268,7 +286,8 @@ Thing draw_tall(SeededRandom& random) {
   Material leaves;
   leaves.seed = random.bits();
   leaves.pattern = Pattern::kMarble;
-  leaves.first = colour_from_hsv(random.uniform(0.25, 0.4), 0.6, random.uniform(0.45, 0.7));
+  const double value = random.uniform(0.45, 0.7);
+  leaves.first = colour_from_hsv(random.uniform(0.25, 0.4), 0.6, value);
   leaves.second = 0.5 * leaves.first;
   leaves.period = 0.12;
   for (int64_t i = 0; i < 4; ++i) {
@@ -402,7 +421,7 @@ void vary_world(SeededRandom& random, SyntheticWorld& world) {
                                : draw_tall(random);
     const double reach_x = world.room.half_x - thing.radius - 0.05;
     const double reach_y = world.room.half_y - thing.radius - 0.05;
-    const Vector2d centre(random.uniform(-reach_x, reach_x), random.uniform(-reach_y, reach_y));
+    const Vector2d centre = draw_position(random, {reach_x, reach_y});
     const double turn = random.uniform(0, 2 * kPi);
     const bool free = std::none_of(world.solids.begin(), world.solids.end(), [&](const Solid& other) {
       return (other.centre.head<2>() - centre).norm() < other.bounding_radius() + thing.radius;

@@ -106,6 +106,19 @@ Vector3d painting(const Material& m, double u, double v) {
   return colour;
 }
 
+// Here and in synthetic_layout.cpp several draws of one call are drawn from the last to the first: as g++ evaluated its
+// arguments, and so as in every scene that was drawn before this order was written down.
+Vector3d draw_shade(SeededRandom& random, double hue, const DrawRange& saturation, const DrawRange& value) {
+  const double v = value.draw(random), s = saturation.draw(random);
+  return colour_from_hsv(hue, s, v);
+}
+
+Vector3d draw_colour(SeededRandom& random, const DrawRange& hue, const DrawRange& saturation,
+                     const DrawRange& value) {
+  const double v = value.draw(random), s = saturation.draw(random), h = hue.draw(random);
+  return colour_from_hsv(h, s, v);
+}
+
 }  // namespace
 
 Vector3d albedo(const Material& m, double surface_u, double surface_v, double surface_footprint) {
@@ -163,24 +176,23 @@ Material draw_floor(SeededRandom& random) {
   const double kind = random.uniform();
   if (kind < 0.4) {
     m.pattern = Pattern::kWood;
-    m.first =
-        colour_from_hsv(random.uniform(0.05, 0.1), random.uniform(0.35, 0.6), random.uniform(0.6, 0.85));
+    m.first = draw_colour(random, {0.05, 0.1}, {0.35, 0.6}, {0.6, 0.85});
     m.second = 0.55 * m.first;
     m.period = random.uniform(0.25, 0.45);
   } else if (kind < 0.7) {
     m.pattern = Pattern::kChecker;
     const double hue = random.uniform();
-    m.first = colour_from_hsv(hue, random.uniform(0.02, 0.25), random.uniform(0.8, 0.95));
-    m.second = colour_from_hsv(hue, random.uniform(0.1, 0.5), random.uniform(0.3, 0.55));
+    m.first = draw_shade(random, hue, {0.02, 0.25}, {0.8, 0.95});
+    m.second = draw_shade(random, hue, {0.1, 0.5}, {0.3, 0.55});
     m.period = random.uniform(0.9, 1.6);
   } else if (kind < 0.88) {
     m.pattern = Pattern::kTiles;
-    m.first = colour_from_hsv(random.uniform(), random.uniform(0.05, 0.35), random.uniform(0.55, 0.85));
+    m.first = draw_colour(random, {}, {0.05, 0.35}, {0.55, 0.85});
     m.second = 0.45 * m.first;
     m.period = random.uniform(0.5, 0.9);
   } else {
     m.pattern = Pattern::kMarble;
-    m.first = colour_from_hsv(random.uniform(), random.uniform(0.02, 0.15), random.uniform(0.8, 0.95));
+    m.first = draw_colour(random, {}, {0.02, 0.15}, {0.8, 0.95});
     m.second = 0.5 * m.first;
     m.period = random.uniform(0.8, 1.5);
   }
@@ -190,8 +202,8 @@ Material draw_floor(SeededRandom& random) {
 Material draw_wall(SeededRandom& random, double hue) {
   Material m;
   m.seed = random.bits();
-  m.first = colour_from_hsv(hue + random.uniform(-0.06, 0.06), random.uniform(0.08, 0.4),
-                            random.uniform(0.72, 0.95));
+  const double value = random.uniform(0.72, 0.95), saturation = random.uniform(0.08, 0.4);
+  m.first = colour_from_hsv(hue + random.uniform(-0.06, 0.06), saturation, value);
   m.second = m.first * random.uniform(0.6, 0.8);
   m.period = random.uniform(0.5, 1.1);
   const double kind = random.uniform();
@@ -201,8 +213,7 @@ Material draw_wall(SeededRandom& random, double hue) {
     m.pattern = Pattern::kStripes;
   } else if (kind < 0.75) {
     m.pattern = Pattern::kBricks;
-    m.first =
-        colour_from_hsv(random.uniform(0.0, 0.08), random.uniform(0.3, 0.55), random.uniform(0.55, 0.8));
+    m.first = draw_colour(random, {0.0, 0.08}, {0.3, 0.55}, {0.55, 0.8});
     m.second = Vector3d::Constant(0.55);
     m.period = random.uniform(0.45, 0.7);
   } else if (kind < 0.88) {
@@ -219,18 +230,19 @@ Material draw_object(SeededRandom& random) {
   Material m;
   m.seed = random.bits();
   const double hue = random.uniform();
-  m.first = colour_from_hsv(hue, random.uniform(0.55, 0.9), random.uniform(0.6, 0.95));
-  m.second = random.chance(0.5)
-                 ? colour_from_hsv(hue + random.uniform(0.3, 0.7), random.uniform(0.4, 0.8), 0.85)
-                 : Vector3d(0.85, 0.84, 0.8);
+  m.first = draw_shade(random, hue, {0.55, 0.9}, {0.6, 0.95});
+  m.second = {0.85, 0.84, 0.8};
+  if (random.chance(0.5)) {
+    const double saturation = random.uniform(0.4, 0.8);
+    m.second = colour_from_hsv(hue + random.uniform(0.3, 0.7), saturation, 0.85);
+  }
   m.period = random.uniform(0.25, 0.5);
   m.angle = random.chance(0.5) ? 0 : random.uniform(0, 3.1415926);
   const Pattern patterns[] = {Pattern::kPlain,   Pattern::kPlain, Pattern::kPlain,  Pattern::kChecker,
                               Pattern::kStripes, Pattern::kDots,  Pattern::kMarble, Pattern::kWood};
   m.pattern = patterns[random.integer(0, 7)];
   if (m.pattern == Pattern::kWood) {
-    m.first =
-        colour_from_hsv(random.uniform(0.05, 0.1), random.uniform(0.4, 0.6), random.uniform(0.55, 0.85));
+    m.first = draw_colour(random, {0.05, 0.1}, {0.4, 0.6}, {0.55, 0.85});
     m.second = 0.55 * m.first;
     m.angle = 0;
   }
