@@ -1,5 +1,8 @@
 #include "datasets/synthetic/synthetic_material.h"
 
+#include "datasets/synthetic/photographic_material.h"
+#include "datasets/synthetic/surface_noise.h"
+
 #include <algorithm>
 #include <cmath>
 
@@ -9,45 +12,6 @@ namespace {
 using Eigen::Vector3d;
 
 double fraction(double x) { return x - std::floor(x); }
-
-double smooth_step(double low, double high, double x) {
-  const double t = std::clamp((x - low) / (high - low), 0.0, 1.0);
-  return t * t * (3 - 2 * t);
-}
-
-// In [0, 1), for a cell of a lattice.
-double cell_value(int64_t x, int64_t y, uint64_t seed) {
-  const uint64_t bits =
-      mixed_bits(seed ^ mixed_bits(static_cast<uint64_t>(x) ^ mixed_bits(static_cast<uint64_t>(y))));
-  return static_cast<double>(bits >> 11) * 0x1.0p-53;
-}
-
-double value_noise(double x, double y, uint64_t seed) {
-  const double floor_x = std::floor(x);
-  const double floor_y = std::floor(y);
-  const auto ix = static_cast<int64_t>(floor_x);
-  const auto iy = static_cast<int64_t>(floor_y);
-  const double tx = smooth_step(0, 1, x - floor_x);
-  const double ty = smooth_step(0, 1, y - floor_y);
-  const double top = cell_value(ix, iy, seed) * (1 - tx) + cell_value(ix + 1, iy, seed) * tx;
-  const double bottom = cell_value(ix, iy + 1, seed) * (1 - tx) + cell_value(ix + 1, iy + 1, seed) * tx;
-  return top * (1 - ty) + bottom * ty;
-}
-
-// Three octaves about 0.5; those finer than the footprint fade out.
-double layered_noise(double x, double y, uint64_t seed, double footprint) {
-  double sum = 0.5;
-  double amplitude = 0.5;
-  double frequency = 1;
-  for (int octave = 0; octave < 3; ++octave) {
-    const double visible = 1 - smooth_step(0.4, 1.2, footprint * frequency);
-    if (visible > 0)
-      sum += visible * amplitude * (value_noise(x * frequency, y * frequency, seed + octave) - 0.5);
-    amplitude *= 0.5;
-    frequency *= 2;
-  }
-  return sum;
-}
 
 // A square wave of period 2 in [-1, 1], averaged over width (its integral is a triangle wave).
 double square_wave(double x, double width) {
@@ -113,17 +77,11 @@ Vector3d draw_shade(SeededRandom& random, double hue, const DrawRange& saturatio
   return colour_from_hsv(hue, s, v);
 }
 
-Vector3d draw_colour(SeededRandom& random, const DrawRange& hue, const DrawRange& saturation,
-                     const DrawRange& value) {
-  const double v = value.draw(random), s = saturation.draw(random), h = hue.draw(random);
-  return colour_from_hsv(h, s, v);
-}
-
-}  // namespace
-
-Vector3d albedo(const Material& m, double surface_u, double surface_v, double surface_footprint) {
+// Without stains.
+Vector3d clean_albedo(const Material& m, double surface_u, double surface_v, double surface_footprint) {
   if (m.pattern == Pattern::kPlain) return m.first;
   if (m.pattern == Pattern::kPainting) return painting(m, surface_u, surface_v);
+  if (m.pattern == Pattern::kCollage) return photographic_pattern(m, surface_u, surface_v, 0);
   const double cosine = std::cos(m.angle);
   const double sine = std::sin(m.angle);
   const double u = (cosine * surface_u - sine * surface_v) / m.period;
@@ -155,8 +113,15 @@ Vector3d albedo(const Material& m, double surface_u, double surface_v, double su
     case Pattern::kWood:
       return wood(m, u, v, footprint);
     default:
-      return m.first;
+      return photographic_pattern(m, u, v, footprint);
   }
+}
+
+}  // namespace
+
+Vector3d albedo(const Material& m, double u, double v, double footprint) {
+  const Vector3d clean = clean_albedo(m, u, v, footprint);
+  return m.stains == 0 ? clean : clean * stain(m, u, v, footprint);
 }
 
 Vector3d colour_from_hsv(double hue, double saturation, double value) {
@@ -167,6 +132,12 @@ Vector3d colour_from_hsv(double hue, double saturation, double value) {
     colour[channel] = std::pow(value * (1 - saturation * (1 - ramp)), 2.2);
   }
   return colour;
+}
+
+Vector3d draw_colour(SeededRandom& random, const DrawRange& hue, const DrawRange& saturation,
+                     const DrawRange& value) {
+  const double v = value.draw(random), s = saturation.draw(random), h = hue.draw(random);
+  return colour_from_hsv(h, s, v);
 }
 
 Material draw_floor(SeededRandom& random) {

@@ -8,9 +8,26 @@
 
 namespace gld {
 
-enum class Pattern { kPlain, kChecker, kStripes, kBricks, kTiles, kDots, kMarble, kWood, kPainting };
+enum class Pattern {
+  kPlain,
+  kChecker,
+  kStripes,
+  kBricks,
+  kTiles,
+  kDots,
+  kMarble,
+  kWood,
+  kPainting,
+  // Of photographic_material.h.
+  kMottled,
+  kStone,
+  kFoliage,
+  kText,
+  kFacade,
+  kCollage
+};
 
-// A procedural texture over surface coordinates in metres (a painting: over [0, 1] x [0, 1]).
+// A procedural texture over surface coordinates in metres (a painting and a collage: over [0, 1] x [0, 1]).
 struct Material {
   Pattern pattern = Pattern::kPlain;
   Eigen::Vector3d first = Eigen::Vector3d::Ones();   // linear RGB in [0, 1]
@@ -19,6 +36,7 @@ struct Material {
   double angle = 0;                                  // radians, turns the pattern
   uint64_t seed = 0;                                 // of the irregularities
   double gloss = 0;                                  // strength of the lamps' reflections, 0 is matte
+  double stains = 0;  // from 0 to 1: how much darker and lighter patches of it are
 };
 
 // Linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.
@@ -26,6 +44,10 @@ Eigen::Vector3d albedo(const Material& material, double u, double v, double foot
 
 // Linear RGB from hue in [0, 1), saturation and value in [0, 1] (the latter as seen on a screen).
 Eigen::Vector3d colour_from_hsv(double hue, double saturation, double value);
+
+// The same of drawn numbers.
+Eigen::Vector3d draw_colour(SeededRandom& random, const DrawRange& hue, const DrawRange& saturation,
+                            const DrawRange& value);
 
 // Draws of materials that suit a part of a room.
 Material draw_floor(SeededRandom& random);

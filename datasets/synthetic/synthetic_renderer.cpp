@@ -82,7 +82,8 @@ class Shader {
     if (decal != nullptr && decal->glow > 0) return decal->material.first * decal->glow;
     const double facing = std::abs(hit.normal.dot(ray.direction)) / ray.direction.norm();
     const double footprint = hit.distance * pixel_size / std::max(facing, 0.2);
-    const Vector3d surface = decal != nullptr ? decal_colour(*decal, hit) : surface_colour(hit, footprint);
+    const Vector3d surface =
+        decal != nullptr ? decal_colour(*decal, hit, footprint) : surface_colour(hit, footprint);
     Vector3d light = world_.ambient * ((0.8 + 0.2 * hit.normal.z()) * openness(hit));
     for (const Lamp& lamp : world_.lamps) light += from_lamp(lamp, hit);
     Vector3d colour = surface.cwiseProduct(light);
@@ -113,9 +114,10 @@ class Shader {
     return lamp.power * (std::pow(aligned, kSharpness) * visible_part(lamp, hit, towards));
   }
 
-  static Vector3d decal_colour(const Decal& decal, const Hit& hit) {
+  static Vector3d decal_colour(const Decal& decal, const Hit& hit, double footprint) {
     const Vector2d size = decal.high - decal.low;
-    return albedo(decal.material, (hit.u - decal.low.x()) / size.x(), (hit.v - decal.low.y()) / size.y(), 0);
+    return albedo(decal.material, (hit.u - decal.low.x()) / size.x(), (hit.v - decal.low.y()) / size.y(),
+                  footprint / size.minCoeff());
   }
 
   // How much of the surroundings a point sees, roughly: less in corners and next to solids.

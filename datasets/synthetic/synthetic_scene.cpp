@@ -1,20 +1,26 @@
 #include "datasets/synthetic/synthetic_scene.h"
 
+#include "datasets/synthetic/photographic_look.h"
+#include "datasets/synthetic/photographic_world.h"
 #include "datasets/synthetic/synthetic_layout.h"
 #include "datasets/synthetic/synthetic_renderer.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 
 #include <memory>
+#include <optional>
 
 #include <fmt/format.h>
 
 namespace gld {
 
 void SyntheticOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor,
-               {"rooms", "tidy ones (first), or also cluttered, glossy and dark ones and hand-held cameras"},
-               rooms, {"first", "varied"});
+  visit_choice(
+      visitor,
+      {"rooms",
+       "tidy ones (first), also cluttered, glossy and dark ones and hand-held cameras (varied), also rough "
+       "and stained surfaces, yards and the faults of cameras (photographic)"},
+      rooms, {"first", "varied", "photographic"});
   visit_seed(visitor, seed, "the generator (training and held-out scenes use different ones)");
   visitor.integer({"first_scene", "number of the first scene"}, first_scene,
                   {0, 1'000'000'000'000'000});  // no sum with scene_count overflows
@@ -48,7 +54,7 @@ Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index) {
   auto drawn = std::make_shared<SyntheticWorld>(
       draw_world(world_random, {options.fewest_objects, options.most_objects}));
   PathDraw draw;
-  if (options.rooms == SyntheticRooms::kVaried) {
+  if (options.rooms != SyntheticRooms::kFirst) {
     // A stream of its own: the room that is varied is the one of that number in kFirst.
     SeededRandom variety({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 3});
     const double kind = variety.uniform();
@@ -57,6 +63,14 @@ Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index) {
       draw.hand.sway = variety.uniform(0.0, 0.08);
       draw.hand.aim = variety.uniform(0.0, 4.0);
       draw.hand.roll = variety.uniform(0.0, 8.0);
+    }
+  }
+  std::optional<PhotographicLook> look;
+  if (options.rooms == SyntheticRooms::kPhotographic) {
+    SeededRandom photographic({static_cast<uint64_t>(options.seed), static_cast<uint64_t>(number), 4});
+    if (photographic.chance(0.5)) {
+      make_photographic(photographic, *drawn);
+      look = draw_photographic_look(photographic);
     }
   }
   const std::shared_ptr<const SyntheticWorld> world = drawn;
@@ -74,7 +88,11 @@ Scene make_synthetic_scene(const SyntheticOptions& options, int64_t index) {
     Frame frame;
     frame.name = fmt::format("frame_{:05}", scene.frames.size());
     frame.camera = camera;
-    frame.load_image = [world, camera] { return render_image(*world, camera); };
+    const auto number_of_frame = static_cast<int64_t>(scene.frames.size());
+    frame.load_image = [world, camera, look, number_of_frame] {
+      const Image seen = render_image(*world, camera);
+      return look ? photographed(seen, *look, number_of_frame) : seen;
+    };
     frame.load_depth = [world, camera] { return render_depth(*world, camera); };
     scene.frames.push_back(std::move(frame));
   }

@@ -51,6 +51,22 @@ torch::Tensor mean_where(const torch::Tensor& values, const torch::Tensor& known
   return (values * known).sum() / known.sum().clamp_min(1);
 }
 
+// What is kept of a scene takes a third of the memory: colours had no more than eight bits.
+constexpr double kDifferenceSteps = 127, kShownSteps = 255;
+
+void pack(DepthEvidence& evidence) {
+  evidence.differences = (kDifferenceSteps * evidence.differences.clamp(-1, 1)).round().to(torch::kInt8);
+  evidence.shown = (kShownSteps * evidence.shown).round().to(torch::kUInt8);
+  for (torch::Tensor* part : {&evidence.colours, &evidence.log_depth, &evidence.confidence, &evidence.head})
+    *part = part->to(torch::kFloat16);
+}
+
+void unpack(DepthEvidence& evidence) {
+  for (torch::Tensor* part : evidence.parts()) *part = part->to(torch::kFloat32);
+  evidence.differences = evidence.differences / kDifferenceSteps;
+  evidence.shown = evidence.shown / kShownSteps;
+}
+
 }  // namespace
 
 void DepthRefinementObjectiveOptions::visit(FieldVisitor& visitor) {
@@ -113,18 +129,15 @@ std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::kept_l
     auto lesson = std::make_shared<std::optional<Lesson>>(lesson_of(scene));
     KeptScenes::Made result{lesson, 0};
     if (!*lesson) return result;
-    for (torch::Tensor* part : (*lesson)->evidence.parts()) {
-      *part = part->to(torch::kFloat16);
+    pack((*lesson)->evidence);
+    for (const torch::Tensor* part : (*lesson)->evidence.parts())
       result.bytes += part->numel() * part->element_size();
-    }
     // Five bytes a pixel of the error and where it is known.
     result.bytes += 5 * (*lesson)->off.numel();
     return result;
   });
   auto lesson = *static_cast<const std::optional<Lesson>*>(made.get());
-  if (lesson) {
-    for (torch::Tensor* part : lesson->evidence.parts()) *part = part->to(torch::kFloat32);
-  }
+  if (lesson) unpack(lesson->evidence);
   return lesson;
 }
 

@@ -2,6 +2,7 @@
 
 #include "datasets/check/depth_warp.h"
 #include "datasets/scenes/frame_checks.h"
+#include "datasets/synthetic/photographic_world.h"
 #include "datasets/synthetic/synthetic_layout.h"
 #include "datasets/synthetic/synthetic_renderer.h"
 #include "gld/base/configuration.h"
@@ -272,6 +273,116 @@ TEST(SyntheticScene, OptionsThatContradictAreRefused) {
             "most_objects: expected at least fewest_objects (3), found 2; raise it.");
   SyntheticOptions narrow;
   EXPECT_EQ(test::error_of([&] { apply_setting(narrow, "width=4"); }).substr(0, 5), "--set");
+}
+
+// What differs from room to room, as one number: where things stand and what colours they have.
+double content_of(const SyntheticWorld& world) {
+  double sum = 0, weight = 1;
+  const auto add = [&](double value) {
+    sum += weight * value;
+    weight = weight < 7 ? weight + 0.37 : 1;  // numbers that change places do not go unseen
+  };
+  const auto add_material = [&](const Material& material) {
+    for (const Vector3d& colour : {material.first, material.second}) {
+      for (int channel = 0; channel < 3; ++channel) add(colour[channel]);
+    }
+    add(material.period);
+    add(material.angle);
+    add(static_cast<double>(material.pattern));
+    add(material.stains);
+  };
+  for (const Material& face : world.room.faces) add_material(face);
+  for (const Solid& solid : world.solids) {
+    for (int axis = 0; axis < 3; ++axis) add(solid.centre[axis] + 2 * solid.half_size[axis]);
+    add(solid.turn);
+    add_material(solid.material);
+  }
+  for (const Decal& decal : world.decals) {
+    add(decal.low.x() + 2 * decal.low.y() + 3 * decal.high.x() + 4 * decal.high.y());
+    add_material(decal.material);
+  }
+  return sum;
+}
+
+// g++ and clang evaluate a call's arguments in other orders: numbers are never drawn there.
+TEST(SyntheticScene, EveryCompilerDrawsTheSameRooms) {
+  double first = 0, varied = 0, photographic = 0;
+  for (uint64_t number = 0; number < 20; ++number) {
+    SeededRandom random({5, number, 1}), variety({5, number, 3}), photographs({5, number, 4});
+    SyntheticWorld world = draw_world(random, {3, 8});
+    first += content_of(world);
+    vary_world(variety, world);
+    varied += content_of(world);
+    make_photographic(photographs, world);
+    photographic += content_of(world);
+  }
+  EXPECT_NEAR(first, 18988.777824968, 1e-6);
+  EXPECT_NEAR(varied, 31085.842684974, 1e-6);
+  EXPECT_NEAR(photographic, 52163.050943110, 1e-6);
+}
+
+// The share of neighbouring pixels that have the same colour to one step of 255.
+double share_of_flat_pixels(const Image& image) {
+  int64_t flat = 0;
+  for (int64_t y = 0; y < image.height; ++y) {
+    for (int64_t x = 1; x < image.width; ++x) {
+      int largest = 0;
+      for (int channel = 0; channel < 3; ++channel)
+        largest = std::max(largest, std::abs(image.pixel(x, y)[channel] - image.pixel(x - 1, y)[channel]));
+      flat += largest <= 1 ? 1 : 0;
+    }
+  }
+  return static_cast<double>(flat) / static_cast<double>(image.height * (image.width - 1));
+}
+
+TEST(SyntheticScene, PhotographicRoomsKeepHalfAsTheyWereAndRoughenTheRest) {
+  SyntheticOptions varied = small_options(), photographic = small_options();
+  varied.rooms = SyntheticRooms::kVaried;
+  photographic.rooms = SyntheticRooms::kPhotographic;
+  int same = 0;
+  double flat_before = 0, flat = 0;
+  for (int64_t index = 0; index < 40; ++index) {
+    const Image a = make_synthetic_scene(varied, index).frames[2].image();
+    const Image b = make_synthetic_scene(photographic, index).frames[2].image();
+    if (a.rgb == b.rgb) {
+      ++same;
+    } else {
+      flat_before += share_of_flat_pixels(a);
+      flat += share_of_flat_pixels(b);
+    }
+  }
+  EXPECT_NEAR(same, 20, 8);
+  EXPECT_LT(flat, 0.5 * flat_before);
+}
+
+TEST(SyntheticScene, PhotographicRoomsAreExactToo) {
+  SyntheticOptions options = small_options();
+  options.rooms = SyntheticRooms::kPhotographic;
+  options.frames = 24;
+  for (int64_t index = 0; index < 8; ++index) {
+    const Scene scene = make_synthetic_scene(options, index);
+    const Frame& a = scene.frames[8];
+    const Frame& b = scene.frames[11];
+    const WarpResult warp = warp_depth({a.camera, a.depth()}, {b.camera, b.depth()}, 0.01);
+    EXPECT_GT(warp.share_agreeing, 0.6) << index;
+    EXPECT_LT(warp.median_error, 2e-3) << index;
+    EXPECT_EQ(make_synthetic_scene(options, index).frames[8].image().rgb, a.image().rgb);
+  }
+  for (uint64_t seed = 0; seed < 40; ++seed) {
+    SeededRandom random({seed, 1}), photographs({seed, 4}), path_random({seed, 2});
+    SyntheticWorld world = draw_world(random, {3, 8});
+    make_photographic(photographs, world);
+    for (const Solid& solid : world.solids) {
+      EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
+      EXPECT_LT(std::abs(solid.centre.x()), world.room.half_x);
+      EXPECT_LT(std::abs(solid.centre.y()), world.room.half_y);
+      EXPECT_LT(solid.centre.z() + solid.half_size.z(), world.room.height);
+    }
+    for (const Decal& decal : world.decals)
+      EXPECT_LT(decal.high.y(), std::max(world.room.height, world.room.half_y + 1e-9));
+    for (const Camera& camera : draw_camera_path(path_random, world, {}))
+      EXPECT_GT(clearance(world, camera.world_from_camera.translation()), 0.1) << seed;
+  }
 }
 
 }  // namespace
