@@ -12,6 +12,7 @@
 #include "models/dit/flow_matching_loss.h"
 #include "models/layers/layer_precision.h"
 #include "train/objectives/scene_pixels.h"
+#include "train/objectives/source_view_depth.h"
 
 #include <algorithm>
 #include <limits>
@@ -30,6 +31,12 @@ constexpr uint64_t kValidationSeed = 20240607;
 
 void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_start(visitor, start);
+  visit_choice(
+      visitor,
+      {"carried_by",
+       "whose depth carries photographs into target views: the geometry head's alone, or what gld sample "
+       "takes, which photographs agree on"},
+      carried_by, {"head", "photographs"});
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
@@ -66,6 +73,10 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
       fail({"objective.correspondence_blocks", fmt::format("blocks from 0 to {}", blocks - 1),
             std::to_string(block), "choose others"});
     }
+  }
+  if (options_.carried_by == CarryingDepth::kPhotographs && !placement_.device.is_cpu()) {
+    fail({"objective.carried_by", "head on a GPU: photographs are matched on the CPU", "photographs",
+          "train with --device cpu, or leave it out"});
   }
   if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
     fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
@@ -111,7 +122,14 @@ torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t level
 
 DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
-  const SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
+  SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
+  if (options_.carried_by == CarryingDepth::kPhotographs &&
+      carries_by_head_depth(scene.views.num_sources, dit_->options().warped_sources)) {
+    const auto photographs = photographs_of_images(given.views, given.images);
+    PhotographDepth found = source_view_depth(*frozen_.space, *frozen_.geometry_head, scene, photographs);
+    if (frozen_.depth_refinement) refine(*frozen_.depth_refinement, photographs, found);
+    if (found.depth.known()) given.depth = std::move(found.depth);
+  }
   const auto needs = conditioning_needs(given, generator_.level, dit_->options().warped_sources);
   const auto sources = condition_on_sources(*frozen_.space, frozen_.geometry_head.get(), given, needs);
   return condition_on_source_level({generator_.level, dit_->options(), frozen_.statistics}, scene.views,

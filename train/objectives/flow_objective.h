@@ -2,6 +2,7 @@
 
 #include "gld/latents/level_statistics.h"
 #include "models/bundle/bundle.h"
+#include "models/depth_refinement/depth_refinement.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/latent_spaces/latent_space.h"
 #include "train/loop/objective.h"
@@ -17,8 +18,15 @@
 
 namespace gld {
 
+// Whose depth of the source views carries their photographs into target views.
+enum class CarryingDepth {
+  kHead,        // the geometry head's, brought to the cameras' unit
+  kPhotographs  // what gld sample takes: the photographs' match with the head as prior, mended where a bundle can
+};
+
 struct FlowObjectiveOptions : OptionsGroup {
   ModelStart start = ModelStart::kRandom;
+  CarryingDepth carried_by = CarryingDepth::kHead;  // for models with warped_sources
   double camera_dropout = 0.1;
   int64_t validation_evaluations = 8;
   bool checkpoint_blocks = false;
@@ -32,10 +40,11 @@ struct FlowObjectiveOptions : OptionsGroup {
 // What a diffusion objective needs beside the model it trains; nothing here is changed.
 struct FrozenParts {
   std::shared_ptr<const LatentSpace> space;
-  LevelStatistics statistics;                       // of the level to generate
-  LevelStatistics deeper_statistics;                // of the level that a cascade starts from
-  std::shared_ptr<const ImageDecoder> rgb_decoder;  // for validation pictures; may be null
-  std::shared_ptr<GeometryHead> geometry_head;      // for warped_sources; null for models that take none
+  LevelStatistics statistics;                         // of the level to generate
+  LevelStatistics deeper_statistics;                  // of the level that a cascade starts from
+  std::shared_ptr<const ImageDecoder> rgb_decoder;    // for validation pictures; may be null
+  std::shared_ptr<GeometryHead> geometry_head;        // for warped_sources; null for models that take none
+  std::shared_ptr<DepthRefinement> depth_refinement;  // for CarryingDepth::kPhotographs; null without one
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and

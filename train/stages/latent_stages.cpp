@@ -100,8 +100,11 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
       frozen.deeper_statistics = bundle.load_statistics(part.generator).to(placement.device);
     }
   }
-  if (model.generator(generator).dit.warped_sources > 0)
+  if (model.generator(generator).dit.warped_sources > 0) {
     frozen.geometry_head = bundle.load_geometry_head(placement);
+    if (bundle.has(BundlePart::depth_refinement()) && placement.device.is_cpu())
+      frozen.depth_refinement = bundle.load_depth_refinement(placement);
+  }
   if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
   return frozen;
 }

@@ -9,9 +9,11 @@
 #include "tests/support/temporary_folder.h"
 #include "tests/train/small_training.h"
 #include "train/objectives/level_objective.h"
+#include "train/objectives/source_view_depth.h"
 
 #include <cmath>
 #include <memory>
+#include <tuple>
 #include <vector>
 
 #include <ATen/CPUGeneratorImpl.h>
@@ -116,21 +118,31 @@ TEST(FlowObjective, ShowsThePhotographsInTheTargetViews) {
   const auto geometry = frozen.geometry_head->forward(geometry_inputs(*space, encoded),
                                                       space->grid_of(2, sources.size(2), sources.size(3)),
                                                       GeometryMaps::kDepthAndRays);
-  const auto warp =
-      warp_sources(scene.views, sources, source_depth_of_head(scene.views, sources, geometry), 2);
-  ASSERT_EQ(warp.doubt, "");
   const auto normalised = [&](const torch::Tensor& level) {
     return frozen.statistics.normalise(level.slice(1, space->leading_tokens()));
   };
-  DitSceneInputs inputs;
-  inputs.views = scene.views;
-  inputs.source_features = normalised(encoded[1]);
-  inputs.warp_agreement = warp.agreement;
-  inputs.warped_features =
-      normalised(space->encode(torch::cat({sources, warp.completed}), 1)[1].slice(0, sources.size(0)));
+  const auto inputs_by = [&](const SourceDepth& depth) {
+    const auto warp = warp_sources(scene.views, sources, depth, 2);
+    EXPECT_EQ(warp.doubt, "");
+    DitSceneInputs inputs;
+    inputs.views = scene.views;
+    inputs.source_features = normalised(encoded[1]);
+    inputs.warp_agreement = warp.agreement;
+    inputs.warped_features =
+        normalised(space->encode(torch::cat({sources, warp.completed}), 1)[1].slice(0, sources.size(0)));
+    return inputs;
+  };
+  const DitSceneInputs by_head = inputs_by(source_depth_of_head(scene.views, sources, geometry));
+  const DitSceneInputs by_photographs = inputs_by(
+      source_view_depth(*space, *frozen.geometry_head, scene, photographs_of_images(scene.views, sources))
+          .depth);
+  EXPECT_FALSE(torch::equal(by_head.warped_features, by_photographs.warped_features));
   for (const bool dropped : {false, true}) {
-    for (const double kept_gib : {0.0, 1.0}) {
+    for (const auto& [carried_by, inputs, kept_gib] :
+         {std::tuple(CarryingDepth::kHead, by_head, 0.0), std::tuple(CarryingDepth::kHead, by_head, 1.0),
+          std::tuple(CarryingDepth::kPhotographs, by_photographs, 0.0)}) {
       FlowObjectiveOptions options;
+      options.carried_by = carried_by;
       options.camera_dropout = dropped ? 1 : 0;
       options.kept_latents_gib = kept_gib;
       LevelObjective objective(bundle.options(), 1, options, frozen, {}, 1);
