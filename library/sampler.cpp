@@ -209,6 +209,7 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
                               picture_of(scene.source_images[view]), 1});
   }
   const auto pictures = target_pictures(scene, options, made->images, made->composed);
+  const auto expected = expected_views(evidence);
   const int64_t times = picture_magnification(scene, options);
   for (size_t i = 0; i < pictures.size(); ++i) {
     const size_t view = static_cast<size_t>(scene.views.num_sources) + i;
@@ -218,6 +219,7 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
                       picture_of(pictures[i]), 0};
     if (made->composed)
       shown.from_photographs = made->composed->shown[static_cast<int64_t>(i)].mean().item<double>();
+    if (!expected.empty()) shown.expected_psnr = expected[i].psnr;
     result.views.push_back(std::move(shown));
   }
   result.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();

@@ -7,6 +7,7 @@
 #include <array>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -84,6 +85,8 @@ struct SampledView {
       camera;  // of the picture; where cameras were found, in their own unit with the first photograph's in the world's origin
   Picture picture;
   double from_photographs = 0;  // the share of its pixels that photographs show
+  // dB of PSNR that can be expected of it, by what photographs predict of each other; not a number where they tell none.
+  double expected_psnr = std::numeric_limits<double>::quiet_NaN();
 };
 
 struct SampleResult {

@@ -18,6 +18,7 @@ function counterparts(view) {
 function factsOf(view) {
   const facts = [["Kind", isSource(view) ? "photograph, given" : view.carried ? "carried, nothing generated" : "generated"]];
   if (view.psnr !== undefined) facts.push(["PSNR", decibelsText(view.psnr)]);
+  if (view.psnr === undefined && view.expected !== undefined) facts.push(["PSNR expected", `about ${view.expected.toFixed(0)} dB`]);
   if (view.ssim !== undefined) facts.push(["SSIM", view.ssim.toFixed(3)]);
   if (view.kept !== undefined) facts.push(["From photographs", shareText(view.kept)]);
   if (view.nearest !== undefined) facts.push(["Nearest photograph", page.views[view.nearest].name]);

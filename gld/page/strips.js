@@ -4,6 +4,7 @@
 
 function noteOf(view) {
   if (view.psnr !== undefined) return decibelsText(view.psnr);
+  if (view.expected !== undefined) return `about ${view.expected.toFixed(0)} dB expected`;
   if (view.carried) return "carried";
   return view.kept !== undefined ? `${shareText(view.kept)} photographs` : "";
 }

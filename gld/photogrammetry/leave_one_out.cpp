@@ -140,6 +140,7 @@ LeftOutPhotograph compared(const std::vector<PicturedView>& views, size_t view, 
   result.psnr_covered = psnr_of(truth, made, block_means(shown, predicted.width, predicted.height, 1, block));
   result.psnr_nearest = psnr_of(truth, reduced(views[from.front()].rgb), {});
   result.psnr_mean = psnr_of(truth, mean, {});
+  result.expected = -10 * std::log10(expected_variance(predicted, std::numeric_limits<double>::infinity()));
   result.from = std::move(from);
   return result;
 }
@@ -173,6 +174,7 @@ LeftOutPhotograph mean_of(const std::vector<LeftOutPhotograph>& left_out) {
     mean.psnr += one.psnr / count;
     mean.psnr_nearest += one.psnr_nearest / count;
     mean.psnr_mean += one.psnr_mean / count;
+    mean.expected += one.expected / count;
     if (std::isnan(one.psnr_covered)) continue;
     covered_ones += 1;
     psnr_covered += one.psnr_covered;

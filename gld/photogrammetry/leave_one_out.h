@@ -25,6 +25,7 @@ struct LeftOutPhotograph {
   double psnr_covered = 0;
   double psnr_nearest = 0;
   double psnr_mean = 0;
+  double expected = 0;  // dB that expected_variance() says of the prediction
 };
 
 struct LeaveOneOutOptions {

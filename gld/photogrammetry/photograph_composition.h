@@ -89,6 +89,11 @@ PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
 // where there is no such place. generated: (height, width, 3) of the view's size.
 double generated_variance(const PhotographView& view, const std::vector<float>& generated);
 
+// From 0 to 1: how far a generated picture is believed where no photograph shows anything, by the variance of its errors
+// where photographs agree best. One that is wrong there has nothing to say elsewhere; being brighter or darker all over
+// is no fault, since compose() moves it.
+double belief_in_generated(const PhotographView& view, const std::vector<float>& generated);
+
 struct ComposedPicture {
   std::vector<float> rgb;    // (height, width, 3)
   std::vector<float> shown;  // (height, width): the share of a pixel that comes from photographs, from 0 to 1
@@ -97,9 +102,15 @@ struct ComposedPicture {
 // Each pixel is the mixture of the photographs' and the generated colour whose error is expected to be least:
 // m = variance of generated / (variance of generated + variance of photographs). So that no border is seen where
 // photographs end, the generated picture is moved by the smooth membrane through the differences from the photographs,
-// which far away from all of them is their mean.
+// which far away from all of them is their mean. What no photograph shows is the generated picture as far as it is
+// believed (belief_in_generated()), and what is shown around it, filled in smoothly, for the rest.
 ComposedPicture compose(const PhotographView& view, const std::vector<float>& generated,
                         double generated_variance);
+
+// The variance that the errors of the composed view are expected to have, mean over its pixels, of numbers from 0 to 1;
+// with an infinite generated_variance of the view as photographs show it. What no photograph shows counts as wrong by a
+// usual amount, whoever makes it up: nothing in the view tells.
+double expected_variance(const PhotographView& view, double generated_variance);
 
 // The view with what no photograph shows filled in smoothly from around it: what there is without a generated picture.
 // Mid-grey where nothing is shown at all.

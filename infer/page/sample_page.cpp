@@ -175,6 +175,8 @@ Json views_json(const std::vector<PageView>& views, const Json& report, const Ei
     }
     const Json& kept = row_value(report, "/photographs/kept", view.name, "share");
     if (kept.is_number()) json["kept"] = kept;
+    const Json& expected = row_value(report, "/photographs/kept", view.name, "expected_psnr");
+    if (expected.is_number()) json["expected"] = expected;
     for (const Json& carried : report_value(report, "/photographs/carried_only")) {
       if (carried == view.name) json["carried"] = true;
     }

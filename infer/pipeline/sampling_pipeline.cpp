@@ -226,6 +226,8 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
     PipelineResult rest = run_pipeline(models, of_others, stages);
     composed.images = merged(composed.images, complete, rest.composed->images);
     composed.shown = merged(composed.shown, complete, rest.composed->shown);
+    composed.expected_variance =
+        merged(composed.expected_variance, complete, rest.composed->expected_variance);
     composed.large_images = merged(composed.large_images, complete, rest.composed->large_images);
     composed.large_shown = merged(composed.large_shown, complete, rest.composed->large_shown);
     result.grid = rest.grid;

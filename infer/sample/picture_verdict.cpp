@@ -1,5 +1,7 @@
 #include "infer/sample/picture_verdict.h"
 
+#include "gld/base/printable_text.h"
+
 #include <algorithm>
 #include <cmath>
 
@@ -19,6 +21,9 @@ constexpr double kBetterBy = 1;
 // Spread of the logarithm of (photographs' depth / the model's own): .05 to .20 in 13 drawn rooms, .33 to .82 in three
 // real places, for a model that has seen drawn rooms only.
 constexpr double kOtherShape = 0.25;
+
+// dB that a view is expected to be worse than the middle one, to be named.
+constexpr double kWorseBy = 3;
 
 PhotographsAgree agreement_of(const std::vector<LeftOutPhotograph>& left_out) {
   if (left_out.empty()) return PhotographsAgree::kOne;
@@ -72,6 +77,35 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
   return "One photograph does not tell how far away things are: what it does not show is invented";
 }
 
+std::string decibels_between(double lowest, double highest) {
+  const std::string low = fmt::format("{:.0f}", lowest), high = fmt::format("{:.0f}", highest);
+  return low == high ? low + " dB" : low + " to " + high + " dB";
+}
+
+// What is expected of the views, those apart that lie far behind the others: their cameras leave the photographs.
+std::string views_sentence(const PictureEvidence& evidence) {
+  const auto views = expected_views(evidence);
+  if (views.empty()) return "";
+  std::vector<double> sorted;
+  for (const ExpectedView& view : views) sorted.push_back(view.psnr);
+  std::sort(sorted.begin(), sorted.end());
+  const double middle = sorted[sorted.size() / 2], behind = middle - kWorseBy;
+  const auto first = std::lower_bound(sorted.begin(), sorted.end(), behind);
+  std::string text = "; about " + decibels_between(*first, sorted.back()) + " can be expected of " +
+                     (views.size() == 1 ? "the view" : "the views");
+  const auto count = static_cast<size_t>(first - sorted.begin());
+  if (count == 0) return text;
+  constexpr size_t kNamed = 4;
+  std::string names = fmt::format("{} of {}", count, views.size());
+  if (count <= kNamed) {
+    names.clear();
+    for (const ExpectedView& view : views) {
+      if (view.psnr < behind) names += (names.empty() ? "" : ", ") + printable_text(view.name);
+    }
+  }
+  return text + ", only " + decibels_between(sorted.front(), *(first - 1)) + " of " + names;
+}
+
 std::string model_sentence(const PictureEvidence& evidence) {
   if (evidence.drawn_rooms_only) {
     return "; this model has seen drawn rooms only and has nothing to say about what no photograph shows here";
@@ -81,11 +115,22 @@ std::string model_sentence(const PictureEvidence& evidence) {
 
 }  // namespace
 
+std::vector<ExpectedView> expected_views(const PictureEvidence& evidence) {
+  if (evidence.left_out.empty()) return {};
+  const LeftOutPhotograph mean = mean_of(evidence.left_out);
+  std::vector<ExpectedView> views = evidence.views;
+  for (ExpectedView& view : views) view.psnr += mean.psnr - mean.expected;
+  return views;
+}
+
 PictureVerdict verdict_of(const PictureEvidence& evidence) {
   PictureVerdict verdict;
   verdict.photographs = agreement_of(evidence.left_out);
   verdict.unfamiliar = is_unfamiliar(evidence);
+  const bool promises =
+      verdict.photographs == PhotographsAgree::kWell || verdict.photographs == PhotographsAgree::kRoughly;
   verdict.sentence = photographs_sentence(verdict.photographs, evidence) +
+                     (promises ? views_sentence(evidence) : "") +
                      (verdict.unfamiliar ? model_sentence(evidence) : "") + ".";
   return verdict;
 }
@@ -129,7 +174,8 @@ nlohmann::ordered_json left_out_json(const std::vector<LeftOutPhotograph>& left_
                                {"covered", one.covered},
                                {"psnr", one.psnr},
                                {"psnr_nearest_source", one.psnr_nearest},
-                               {"psnr_mean_of_sources", one.psnr_mean}};
+                               {"psnr_mean_of_sources", one.psnr_mean},
+                               {"expected_psnr", one.expected}};
     if (std::isfinite(one.psnr_covered)) row["psnr_covered"] = one.psnr_covered;
     list.push_back(row);
   }

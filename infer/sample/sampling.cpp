@@ -128,7 +128,8 @@ std::string planned_text(const PlannedSampling& planned) {
 
 // What was made of the photographs beside showing them to the model: how far they agree on the depth of the source
 // views, and how much of each target view comes from them.
-nlohmann::ordered_json photographs_json(const SamplingScene& scene, const PipelineResult& result) {
+nlohmann::ordered_json photographs_json(const SamplingScene& scene, const PipelineResult& result,
+                                        const std::vector<ExpectedView>& expected) {
   nlohmann::ordered_json json;
   if (result.stereo) {
     auto confident = nlohmann::ordered_json::array();
@@ -143,6 +144,7 @@ nlohmann::ordered_json photographs_json(const SamplingScene& scene, const Pipeli
     for (int64_t target = 0; target < scene.views.num_targets(); ++target) {
       kept.push_back({{"view", scene.view_names[static_cast<size_t>(scene.views.num_sources + target)]},
                       {"share", result.composed->shown[target].mean().item<double>()}});
+      if (!expected.empty()) kept.back()["expected_psnr"] = expected[static_cast<size_t>(target)].psnr;
     }
     json["kept"] = kept;
     auto carried = nlohmann::ordered_json::array();
@@ -251,7 +253,8 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, finished.stages.records());
   report["flows"] = flows_json(finished.result.flows);
-  if (auto photographs = photographs_json(scene, finished.result); !photographs.empty()) {
+  if (auto photographs = photographs_json(scene, finished.result, expected_views(finished.evidence));
+      !photographs.empty()) {
     report["photographs"] = std::move(photographs);
   }
   if (const auto& left_out = finished.evidence.left_out; !left_out.empty()) {
@@ -405,7 +408,8 @@ void sample(const SampleOptions& options) {
   const std::vector<std::string> doubts = doubts_of(verdict, evidence, warnings);
   stages.run("contact sheet", [&] {
     outputs.write_contact_sheet(
-        sheet_text(verdict, doubts, one_line_summary(options, result, bundle.options().name)));
+        sheet_text(verdict, doubts, one_line_summary(options, result, bundle.options().name)),
+        expected_views(evidence));
   });
   print_warnings({warnings.begin() + printed, warnings.end()});
   const auto report =

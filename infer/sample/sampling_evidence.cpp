@@ -26,7 +26,13 @@ PictureEvidence sampling_evidence(const PreparedSampling& prepared, const Pipeli
   PictureEvidence evidence;
   evidence.sources = prepared.scene.views.num_sources;
   evidence.keeps_photographs = result.composed.has_value();
-  if (result.composed) evidence.kept = result.composed->shown.mean().item<double>();
+  if (result.composed) {
+    evidence.kept = result.composed->shown.mean().item<double>();
+    for (int64_t target = 0; target < prepared.scene.views.num_targets(); ++target) {
+      const auto view = static_cast<size_t>(prepared.scene.views.num_sources + target);
+      evidence.views.push_back({prepared.scene.view_names[view], expected_psnr(*result.composed, target)});
+    }
+  }
   if (result.stereo) evidence.prior = result.stereo->prior;
   evidence.divergences = result.divergences;
   const auto seen = read_seen_scenes(prepared.bundle);

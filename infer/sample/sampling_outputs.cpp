@@ -360,7 +360,7 @@ void SamplingOutputs::write_splats() {
   run_.note("3D Gaussians", kSplatFile);
 }
 
-void SamplingOutputs::write_contact_sheet(SheetText text) {
+void SamplingOutputs::write_contact_sheet(SheetText text, const std::vector<ExpectedView>& expected) {
   const auto range = robust_depth_range(depths_);
   std::vector<SheetView> views;
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
@@ -373,7 +373,11 @@ void SamplingOutputs::write_contact_sheet(SheetText text) {
       const auto number = index - static_cast<size_t>(scene_.views.num_sources);
       if (number < images_.size()) {
         sheet.image = images_[number];
-        if (std::isfinite(psnr_[number])) sheet.note = fmt::format("{:.1f} dB", psnr_[number]);
+        if (std::isfinite(psnr_[number])) {
+          sheet.note = fmt::format("{:.1f} dB", psnr_[number]);
+        } else if (!expected.empty()) {
+          sheet.note = fmt::format("about {:.0f} dB expected", expected[number].psnr);
+        }
       }
       sheet.truth = scene_.true_images[number];
     } else {

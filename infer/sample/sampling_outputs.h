@@ -8,6 +8,7 @@
 #include "infer/pipeline/sampling_pipeline.h"
 #include "infer/request/sampling_scene.h"
 #include "infer/request/scale_evidence.h"
+#include "infer/sample/picture_verdict.h"
 
 #include <cstdint>
 #include <optional>
@@ -36,8 +37,8 @@ class SamplingOutputs {
   void write_images(const torch::Tensor& images, const std::optional<ComposedViews>& composed);
   // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json, and truth/ for the page.
   void write_rest(const PipelineResult& result);
-  // contact_sheet.png, last; text: verdict, doubts and subtitle.
-  void write_contact_sheet(SheetText text);
+  // contact_sheet.png, last; text: verdict, doubts and subtitle; expected: of the target views, or none.
+  void write_contact_sheet(SheetText text, const std::vector<ExpectedView>& expected);
 
   // splats.ply: Gaussians fitted to the run folder as gld splat fit --run reads it, with the same bytes. After
   // write_rest; left out, with a warning, where cameras.json has no depth.

@@ -6,6 +6,8 @@
 #include "models/blending/blended_view.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <utility>
 
 #include <torch/nn/functional/upsampling.h>
@@ -42,8 +44,9 @@ torch::Tensor reduced(const torch::Tensor& pictures, int64_t times) {
 }
 
 ComposedViews composed_of(const std::vector<torch::Tensor>& images, const std::vector<torch::Tensor>& shares,
-                          int64_t times) {
+                          const std::vector<double>& variances, int64_t times) {
   ComposedViews result;
+  result.expected_variance = torch::tensor(at::ArrayRef<double>(variances));
   result.large_images = torch::stack(images);
   result.large_shown = torch::stack(shares);
   result.images = reduced(result.large_images, times);
@@ -64,6 +67,10 @@ CarriableSources::CarriableSources(const SourcePhotographs& sources, const Sourc
 PlacedPhotographs CarriableSources::placed_in(const Camera& target, int64_t times) const {
   return place_photographs(photographs, gains,
                            resized_camera(target, times * target.width, times * target.height), options);
+}
+
+double expected_psnr(const ComposedViews& views, int64_t target) {
+  return -10 * std::log10(views.expected_variance[target].item<double>());
 }
 
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times) {
@@ -91,11 +98,13 @@ ComposedViews carried_views(const Views& views, const SourcePhotographs& photogr
                             const SourceDepth& depth, const PhotographBlending* blending) {
   const int64_t times = magnification(views, photographs);
   std::vector<torch::Tensor> images, shares;
+  std::vector<double> variances;
   for (const PhotographView& view : photograph_views(views, photographs, depth, times, blending)) {
     images.push_back(picture_of(filled(view), view.width, view.height));
     shares.push_back(torch::ones({view.height, view.width}));
+    variances.push_back(expected_variance(view, std::numeric_limits<double>::infinity()));
   }
-  return composed_of(images, shares, times);
+  return composed_of(images, shares, variances, times);
 }
 
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
@@ -105,14 +114,17 @@ ComposedViews compose_views(const Views& views, const SourcePhotographs& photogr
   const auto shown = photograph_views(views, photographs, depth, times, blending);
   const auto large = enlarged(generated.to(torch::kCPU, torch::kFloat32), times).clamp(0, 1);
   std::vector<torch::Tensor> images, shares;
+  std::vector<double> variances;
   for (size_t i = 0; i < shown.size(); ++i) {
     const PhotographView& view = shown[i];
     const auto pixels = pixels_of(large[static_cast<int64_t>(i)]);
-    const ComposedPicture composed = compose(view, pixels, generated_variance(view, pixels));
+    const double of_generated = generated_variance(view, pixels);
+    const ComposedPicture composed = compose(view, pixels, of_generated);
+    variances.push_back(expected_variance(view, of_generated));
     images.push_back(picture_of(composed.rgb, view.width, view.height));
     shares.push_back(torch::tensor(at::ArrayRef<float>(composed.shown)).view({view.height, view.width}));
   }
-  return composed_of(images, shares, times);
+  return composed_of(images, shares, variances, times);
 }
 
 FilledViews filled_views(const Views& views, const SourcePhotographs& photographs, const SourceDepth& depth) {

@@ -28,10 +28,15 @@ struct ComposedViews {
   torch::Tensor images;  // (target views, 3, height, width) in [0, 1], of the generated pictures' size
   // (target views, height, width) from 0 to 1: how much of a pixel comes from photographs.
   torch::Tensor shown;
+  // (target views): the variance that errors are expected to have, mean over a view's pixels (expected_variance()).
+  torch::Tensor expected_variance;
   // The same at the photographs' size, a whole multiple of the generated one.
   torch::Tensor large_images;
   torch::Tensor large_shown;
 };
+
+// dB, of target view number `target`.
+double expected_psnr(const ComposedViews& views, int64_t target);
 
 // How photographs are laid together where several depths and several of them are possible: by rule
 // (gld/photogrammetry/photograph_composition.h), and where `blending` is not null as that network chooses from there.

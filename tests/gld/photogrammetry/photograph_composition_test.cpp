@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -127,6 +128,57 @@ TEST(PhotographComposition, TheGeneratedPartMeetsThePhotographsWithoutAStep) {
   for (size_t i = 0; i < truth.size(); ++i) ASSERT_NEAR(composed.rgb[i], truth[i], 1e-3) << i;
   EXPECT_GT(composed.shown[0], 0.99);
   EXPECT_EQ(composed.shown[static_cast<size_t>(width - 1)], 0);
+}
+
+TEST(PhotographComposition, TheExpectedErrorIsThatOfTheMixture) {
+  PhotographView view;
+  view.width = 2;
+  view.height = 1;
+  view.rgb.assign(6, 0.5F);
+  view.variance = {0.001F, std::numeric_limits<float>::infinity()};
+  constexpr double kUnseen = 0.02;  // of what no photograph shows, whoever makes it up
+  EXPECT_NEAR(expected_variance(view, 0.001), (0.0005 + kUnseen) / 2, 1e-9);
+  EXPECT_NEAR(expected_variance(view, std::numeric_limits<double>::infinity()), (0.001 + kUnseen) / 2, 1e-9);
+  EXPECT_NEAR(expected_variance(view, 0), kUnseen / 2, 1e-9);  // a generated picture that is never wrong
+  EXPECT_NEAR(expected_variance({}, 1), kUnseen, 1e-12);
+}
+
+// Of two halves photographs show the left one alone. What is generated is too dark all over, off by `error` one way and
+// the other on the left, and has an invention on the right.
+TEST(PhotographComposition, AGeneratedPictureIsBelievedAsFarAsItIsRightWherePhotographsTell) {
+  constexpr int64_t kWidth = 40, kHeight = 10;
+  constexpr auto kLast = static_cast<size_t>(kWidth * kHeight - 1);
+  PhotographView view;
+  view.width = kWidth;
+  view.height = kHeight;
+  view.rgb.assign(3 * (kLast + 1), 0.0F);
+  view.variance.assign(kLast + 1, std::numeric_limits<float>::infinity());
+  const auto is_left = [](size_t pixel) { return static_cast<int64_t>(pixel) % kWidth < kWidth / 2; };
+  for (size_t pixel = 0; pixel <= kLast; ++pixel) {
+    if (!is_left(pixel)) continue;
+    view.variance[pixel] = 1e-6F;
+    for (size_t c = 0; c < 3; ++c) view.rgb[3 * pixel + c] = 0.5F;
+  }
+  const double half = std::sqrt(0.004);
+  for (const auto& [error, belief] :
+       {std::pair(0.0, 1.0), std::pair(half, 0.5), std::pair(3 * half, 1.0 / 82)}) {
+    std::vector<float> generated(view.rgb.size(), 0.4F);
+    for (size_t pixel = 0; pixel <= kLast; ++pixel) {
+      for (size_t c = 0; is_left(pixel) && c < 3; ++c)
+        generated[3 * pixel + c] += static_cast<float>(pixel % 2 == 0 ? error : -error);
+      if (!is_left(pixel)) generated[3 * pixel] += 0.3F;
+    }
+    EXPECT_NEAR(belief_in_generated(view, generated), belief, 1e-4);
+    const ComposedPicture composed = compose(view, generated, generated_variance(view, generated));
+    EXPECT_NEAR(composed.rgb[3 * kLast], 0.5 + 0.3 * belief, 0.01) << error;
+    EXPECT_NEAR(composed.rgb[3 * kLast + 1], 0.5, 0.01) << error;
+    EXPECT_NEAR(composed.rgb[3 * 45], 0.5, 1e-3) << error;  // what is shown stays
+    EXPECT_EQ(composed.shown[kLast], 0) << error;
+  }
+  // Where photographs show nothing at all there is nothing but the generated picture.
+  view.variance.assign(kLast + 1, std::numeric_limits<float>::infinity());
+  const std::vector<float> grey(view.rgb.size(), 0.4F);
+  EXPECT_EQ(compose(view, grey, 1.0).rgb, grey);
 }
 
 }  // namespace

@@ -57,6 +57,27 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
   EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));
 }
 
+TEST(PictureVerdict, ViewsThatItIsTooKindToAreNamed) {
+  PictureEvidence evidence = evidence_of(left_out(0.93, 26, 25, 18.4));
+  evidence.views = {{"path_0", 20.9}, {"path_1", 27}, {"path_2", 21.1}, {"path_3", 14}};
+  // What is expected of the photographs that were left out is 2 dB too high.
+  for (LeftOutPhotograph& one : evidence.left_out) one.expected = 27;
+  EXPECT_THAT(verdict_of(evidence).sentence,
+              HasSubstr("; about 19 to 25 dB can be expected of the views, only 12 dB of path_3."));
+  evidence.views[3].psnr = 20.9;
+  EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("; about 19 to 25 dB can be expected of the views."));
+  evidence.views.assign(8, {"path", 15});
+  for (size_t i = 0; i < 5; ++i) evidence.views.push_back({"end", 1.0 + static_cast<double>(i)});
+  EXPECT_THAT(verdict_of(evidence).sentence,
+              HasSubstr("; about 13 dB can be expected of the views, only -1 to 3 dB of 5 of 13."));
+  EXPECT_NEAR(expected_views(evidence)[0].psnr, 13, 1e-9);
+  // Where inventions are to be expected of all, none is named; nothing is said where nothing tells.
+  evidence.left_out = {left_out(0.12, 18, 12.7, 11.2)};
+  EXPECT_THAT(verdict_of(evidence).sentence, Not(HasSubstr("expected of the views")));
+  evidence.left_out.clear();
+  EXPECT_TRUE(expected_views(evidence).empty());
+}
+
 TEST(PictureVerdict, AModelNoticesWhatItHasNotSeen) {
   PictureEvidence evidence = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
   evidence.drawn_rooms_only = true;
