@@ -5,8 +5,9 @@
 namespace gld {
 
 std::vector<UsualOptions> usual_sampling_options() {
-  return {{"Views", {"scene", "photos", "views.sources", "views.targets", "views.path", "size"}},
-          {"Sampling", {"model", "quality", "solver.evaluations", "outputs"}}};
+  return {
+      {"Views", {"scene", "photos", "views.sources", "views.targets", "views.path", "views.frames", "size"}},
+      {"Sampling", {"model", "quality", "solver.evaluations", "outputs"}}};
 }
 
 Command make_sample_command() {
@@ -15,8 +16,7 @@ Command make_sample_command() {
   command.name = "sample";
   command.summary = "Synthesise novel views of a scene, with depth, rays and a point cloud";
   command.description =
-      "Example: gld sample --model configs/tiny --scene my_photos --sources 0,3 --targets 1,2 --out "
-      "runs/first\n"
+      "Example: gld sample --model configs/tiny --photos my_photos --frames 4 --out runs/first\n"
       "Targets are frames of the scene (--targets) or a camera path (--path orbit|spline|cameras.json).\n"
       "How it is sampled: the solver, guidance and approximate options, or instead of them --quality\n"
       "(published, exact, fast) or --tolerance (the largest relative error of the latents).";

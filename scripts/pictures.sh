@@ -37,9 +37,10 @@ for run in room_1 room_2 door; do
   cp "$work/$run/config.yaml" "$work/$run/report.json" "docs/measured/pictures/$run/"
 done
 
-# What drawn rooms look like, plain and varied.
+# What drawn rooms look like, plain, varied and photographic.
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --out "$work/first" --overwrite
 "$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms varied --out "$work/varied" --overwrite
+"$gld" synth --seed 910000 --scene-count 6 --frames 1 --width 224 --height 224 --rooms photographic --out "$work/photographic" --overwrite
 
 python3 - "$work" "$pictures" <<'PYTHON'
 import pathlib
@@ -91,7 +92,7 @@ save(strip([(given[0], True), (made[0], False), (given[1], True), (made[1], Fals
 sheet = Image.open(work / "room_1" / "contact_sheet.png").convert("RGB")
 sheet.thumbnail((1000, 1000), Image.LANCZOS)
 save(sheet, "contact_sheet.webp")
-rooms = [(file, False) for kind in ("first", "varied") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
+rooms = [(file, False) for kind in ("first", "varied", "photographic") for file in sorted((work / kind).glob("scenes/*/images/*.png"))]
 save(strip(rooms, 150, 6), "rooms.webp")
 total = sum(file.stat().st_size for file in pictures.iterdir())
 if total > 1000000:

@@ -58,7 +58,7 @@ Section make_section(const std::vector<SheetView>& views, SheetRole role) {
   section.heading =
       (source ? "Source views (" : "Target views (") + std::to_string(section.views.size()) + ")";
   section.accent = source ? kSourceAccent : kTargetAccent;
-  for (const Row& row : {Row{source ? "image" : "generated", &SheetView::image},
+  for (const Row& row : {Row{source ? "image" : "new view", &SheetView::image},
                          Row{"truth", &SheetView::truth}, Row{"depth", &SheetView::depth}}) {
     const bool wanted = std::any_of(section.views.begin(), section.views.end(),
                                     [&](const SheetView* view) { return !(view->*row.picture).empty(); });

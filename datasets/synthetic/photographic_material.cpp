@@ -11,15 +11,11 @@ namespace {
 
 using Eigen::Vector3d;
 
-Vector3d between(const Vector3d& a, const Vector3d& b, double t) { return a * (1 - t) + b * t; }
-
-double after_point(double x) { return x - std::floor(x); }
-
 Vector3d mottled(const Material& m, double u, double v, double footprint) {
   const double noise = fractal_noise(u, v, m.seed, footprint);
   // A second noise moves the hue a little: no surface has two colours only.
   const double other = fractal_noise(1.7 * u + 31, 1.7 * v, m.seed + 17, 1.7 * footprint);
-  return between(m.first, m.second, 0.5 + 0.5 * noise)
+  return mixed(m.first, m.second, 0.5 + 0.5 * noise)
       .cwiseProduct(Vector3d(1 + 0.12 * other, 1, 1 - 0.12 * other));
 }
 
@@ -30,7 +26,7 @@ Vector3d stone(const Material& m, double u, double v, double footprint) {
   const double tint = (0.6 + 0.7 * patch.value) * (1 - fade) + 0.95 * fade;
   const double grain = 1 + 0.35 * fractal_noise(3 * u, 3 * v, m.seed + 5, 3 * footprint);
   const double joint = 1 - smooth_step(0.03, 0.09 + footprint, patch.from_edge);
-  return between(m.first * (tint * grain), m.second, joint * (1 - fade));
+  return mixed(m.first * (tint * grain), m.second, joint * (1 - fade));
 }
 
 // Leaves over leaves with dark gaps between them.
@@ -40,32 +36,32 @@ Vector3d foliage(const Material& m, double u, double v, double footprint) {
   const Patch& leaf = above ? large : small;
   const double light = std::clamp(1.1 - 1.1 * leaf.from_middle, 0.1, 1.0) * (0.35 + 0.9 * leaf.value);
   const double fade = smooth_step(0.4, 1.0, footprint);
-  return between(m.second, m.first, leaf.value) * (light * (1 - fade) + 0.5 * fade);
+  return mixed(m.second, m.first, leaf.value) * (light * (1 - fade) + 0.5 * fade);
 }
 
 // Lines of words that nobody can read.
 Vector3d text(const Material& m, double u, double v, double footprint) {
-  constexpr double kInk = 0.28;  // the share of it that a line takes, for lines too fine to see
+  constexpr double kInk = 0.21;  // the share of it that a line takes, for lines too fine to see
   const auto line = static_cast<int64_t>(std::floor(v));
-  const double height = after_point(v);
+  const double height = fraction(v);
   double ink = 0;
   if (height > 0.2 && height < 0.8) {
     const double along = 2.6 * u;
     const auto letter = static_cast<int64_t>(std::floor(along));
-    const auto column = static_cast<int64_t>(4 * after_point(along));
+    const auto column = static_cast<int64_t>(4 * fraction(along));
     const auto row = static_cast<int64_t>((height - 0.2) / 0.12);
     const bool gap = cell_value(letter, line, m.seed) > 0.82 || column == 3;
     const bool heading = cell_value(line, 0, m.seed + 3) > 0.85;
     if (!gap) ink = cell_value(8 * letter + column, 8 * line + row, m.seed + 1) > (heading ? 0.25 : 0.45);
   }
   const double fade = smooth_step(0.1, 0.35, footprint);
-  return between(m.first, m.second, ink * (1 - fade) + kInk * fade);
+  return mixed(m.first, m.second, ink * (1 - fade) + kInk * fade);
 }
 
 // A wall of plaster with a lattice of windows, each another.
 Vector3d facade(const Material& m, double u, double v, double footprint) {
   const auto column = static_cast<int64_t>(std::floor(u)), row = static_cast<int64_t>(std::floor(v));
-  const double x = std::abs(after_point(u) - 0.5), y = std::abs(after_point(v) - 0.5);
+  const double x = std::abs(fraction(u) - 0.5), y = std::abs(fraction(v) - 0.5);
   const double grain = 1 + 0.3 * fractal_noise(2 * u, 2 * v, m.seed, 2 * footprint);
   const double half_width = 0.22 + 0.08 * cell_value(7, 7, m.seed);
   constexpr double kHalfHeight = 0.34, kFrame = 0.04;
@@ -82,7 +78,7 @@ Vector3d facade(const Material& m, double u, double v, double footprint) {
 Vector3d collage(const Material& m, double u, double v) {
   if (u < 0.04 || u > 0.96 || v < 0.04 || v > 0.96) return Vector3d::Constant(0.85);
   const auto number = [&](int64_t shape, int64_t which) { return cell_value(shape, which, m.seed); };
-  Vector3d colour = between(m.first, m.second, v + 0.3 * fractal_noise(2 * u, 2 * v, m.seed, 0));
+  Vector3d colour = mixed(m.first, m.second, v + 0.3 * fractal_noise(2 * u, 2 * v, m.seed, 0));
   for (int64_t shape = 0; shape < 9; ++shape) {
     const double turn = 6.2832 * number(shape, 0);
     const double x = u - number(shape, 1), y = v - number(shape, 2);

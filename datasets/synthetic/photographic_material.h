@@ -13,7 +13,7 @@ namespace gld {
 // [0, 1] x [0, 1].
 Eigen::Vector3d photographic_pattern(const Material& material, double u, double v, double footprint);
 
-// How much of its colour a stained surface keeps at (u, v), in metres.
+// What stains multiply a surface's colour by at (u, v), in metres: about 1.
 double stain(const Material& material, double u, double v, double footprint);
 
 // Draws of materials that suit a part of a place.

@@ -24,7 +24,7 @@ void open_to_the_sky(SeededRandom& random, SyntheticWorld& world) {
                      world.decals.end());
   for (Lamp& lamp : world.lamps) {
     lamp.centre.z() = room.height - 0.05;
-    lamp.power *= (1 + 0.18 * room.height * room.height) / (1 + 0.18 * before * before);
+    lamp.power *= light_loss(room.height) / light_loss(before);
   }
   Decal sky;
   sky.face = kCeiling;
@@ -57,7 +57,7 @@ void pile_up(SeededRandom& random, SyntheticWorld& world) {
   const Room& room = world.room;
   const bool bush = random.chance(0.5);
   const double radius = random.uniform(0.25, 0.5), top = bush ? random.uniform(0.6, 1.4) : 0.5;
-  const double reach_x = room.half_x - radius - 0.05, reach_y = room.half_y - radius - 0.05;
+  const double reach_x = room.half_x - radius - 0.1, reach_y = room.half_y - radius - 0.1;
   const double x = random.uniform(-reach_x, reach_x), y = random.uniform(-reach_y, reach_y);
   const Vector2d middle(x, y);
   const bool free = std::none_of(world.solids.begin(), world.solids.end(), [&](const Solid& other) {

@@ -33,6 +33,8 @@ double smooth_step(double low, double high, double x) {
   return t * t * (3 - 2 * t);
 }
 
+double fraction(double x) { return x - std::floor(x); }
+
 double cell_value(int64_t x, int64_t y, uint64_t seed) {
   const uint64_t bits =
       mixed_bits(seed ^ mixed_bits(static_cast<uint64_t>(x) ^ mixed_bits(static_cast<uint64_t>(y))));
@@ -55,7 +57,8 @@ double layered_noise(double x, double y, uint64_t seed, double footprint) {
 
 double fractal_noise(double x, double y, uint64_t seed, double footprint) {
   // Turned by 37 degrees from octave to octave, so that the lattices do not show.
-  constexpr double kCosine = 0.7986355, kSine = 0.6018150, kLargestSum = 2.1;
+  constexpr double kCosine = 0.7986355, kSine = 0.6018150;
+  constexpr double kUsualSum = 1.05;  // half of the largest: hardly anything lies beyond
   double sum = 0;
   double amplitude = 1;
   double frequency = 1;
@@ -69,7 +72,7 @@ double fractal_noise(double x, double y, uint64_t seed, double footprint) {
     amplitude *= 0.55;
     frequency *= 2;
   }
-  return std::clamp(sum / (0.5 * kLargestSum), -1.0, 1.0);
+  return std::clamp(sum / kUsualSum, -1.0, 1.0);
 }
 
 Patch patch_at(double x, double y, uint64_t seed) {

@@ -10,6 +10,9 @@ namespace gld {
 // 0 at low and below, 1 at high and above.
 double smooth_step(double low, double high, double x);
 
+// What lies behind the decimal point, also of negative numbers: in [0, 1).
+double fraction(double x);
+
 // In [0, 1), for a cell of a lattice.
 double cell_value(int64_t x, int64_t y, uint64_t seed);
 

@@ -11,8 +11,6 @@ namespace {
 
 using Eigen::Vector3d;
 
-double fraction(double x) { return x - std::floor(x); }
-
 // A square wave of period 2 in [-1, 1], averaged over width (its integral is a triangle wave).
 double square_wave(double x, double width) {
   const double w = std::max(width, 1e-4);
@@ -20,8 +18,6 @@ double square_wave(double x, double width) {
   const double left = std::abs(fraction((x - 0.5 * w) / 2) - 0.5);
   return 2 * (left - right) / w;
 }
-
-Vector3d mixed(const Vector3d& a, const Vector3d& b, double t) { return a * (1 - t) + b * t; }
 
 // 1 on the joints of a unit lattice, 0 inside the cells; joints narrower than the footprint fade to their share.
 double joint(double x, double half_width, double footprint) {
@@ -123,6 +119,8 @@ Vector3d albedo(const Material& m, double u, double v, double footprint) {
   const Vector3d clean = clean_albedo(m, u, v, footprint);
   return m.stains == 0 ? clean : clean * stain(m, u, v, footprint);
 }
+
+Vector3d mixed(const Vector3d& a, const Vector3d& b, double t) { return a * (1 - t) + b * t; }
 
 Vector3d colour_from_hsv(double hue, double saturation, double value) {
   Vector3d colour;

@@ -27,7 +27,7 @@ enum class Pattern {
   kCollage
 };
 
-// A procedural texture over surface coordinates in metres (a painting and a collage: over [0, 1] x [0, 1]).
+// A procedural texture over surface coordinates in metres (what hangs on a wall: over [0, 1] x [0, 1]).
 struct Material {
   Pattern pattern = Pattern::kPlain;
   Eigen::Vector3d first = Eigen::Vector3d::Ones();   // linear RGB in [0, 1]
@@ -41,6 +41,9 @@ struct Material {
 
 // Linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.
 Eigen::Vector3d albedo(const Material& material, double u, double v, double footprint);
+
+// a, and b as far as t of 1.
+Eigen::Vector3d mixed(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double t);
 
 // Linear RGB from hue in [0, 1), saturation and value in [0, 1] (the latter as seen on a screen).
 Eigen::Vector3d colour_from_hsv(double hue, double saturation, double value);

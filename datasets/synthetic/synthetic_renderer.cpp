@@ -151,8 +151,7 @@ class Shader {
     const double distance = offset.norm();
     const double facing = hit.normal.dot(offset) / distance;
     if (facing <= 0) return Vector3d::Zero();
-    // The fall-off is gentler than the square law: without light bouncing off walls, that would leave them black.
-    const double strength = facing / (1 + 0.18 * distance * distance);
+    const double strength = facing / light_loss(distance);
     return lamp.power * (strength * visible_part(lamp, hit, offset / distance));
   }
 

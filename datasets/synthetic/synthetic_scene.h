@@ -17,8 +17,8 @@ enum class SyntheticRooms {
   kPhotographic,
 };
 
-// Generated rooms. Scene i of a seed is the same whatever the number of scenes, on every machine with the same
-// compiler; different seeds give different scenes.
+// Generated rooms. Scene i of a seed is the same whatever the number of scenes and the compiler; different seeds give
+// different scenes.
 struct SyntheticOptions : OptionsGroup {
   SyntheticRooms rooms = SyntheticRooms::kFirst;
   int64_t seed = 0;

@@ -22,6 +22,8 @@ Eigen::Vector3d turned_by(const Eigen::Vector3d& v, double cosine, double sine) 
   return {cosine * v.x() - sine * v.y(), sine * v.x() + cosine * v.y(), v.z()};
 }
 
+double light_loss(double distance) { return 1 + 0.18 * distance * distance; }
+
 double clearance(const SyntheticWorld& world, const Eigen::Vector3d& point) {
   const Room& room = world.room;
   double nearest = std::min({room.half_x - std::abs(point.x()), room.half_y - std::abs(point.y()), point.z(),

@@ -67,7 +67,7 @@ class Comparison {
     // No higher than a screen.
     this.stage.style.maxWidth = `calc(78vh * ${view.width / view.height})`;
     this.left.src = pictureAddress(view.picture) || pictureAddress(view.depth) || "";
-    this.leftName.textContent = pictureAddress(view.picture) === null ? "depth" : isSource(view) ? "photograph" : "generated";
+    this.leftName.textContent = pictureAddress(view.picture) === null ? "depth" : isSource(view) ? "photograph" : "new view";
     const others = pictureAddress(view.picture) === null ? [] : counterparts(view);
     const chosen = others.find((other) => other.key === this.choice) || others[0];
     this.stage.classList.toggle("alone", chosen === undefined);

@@ -28,7 +28,7 @@ function makeStrips(onSelect) {
     });
     if (strip.children.length === 0) continue;
     root.append(element("div", {className: "strip-title"}, element("span", {className: `swatch ${source ? "source" : "generated"}`}),
-      source ? "Photographs that were given" : "Generated views"), strip);
+      source ? "Photographs that were given" : "New views"), strip);
   }
   const mark = (index) => cards.forEach((card, i) => card.setAttribute("aria-pressed", String(i === index)));
   return {root, mark};

@@ -98,13 +98,13 @@ function placeText(viewer) {
   if (viewer.playing) return "Along the path of the generated views";
   if (viewer.at < 0) return "";
   const view = viewer.views[viewer.at];
-  return `${view.name}: ${isSource(view) ? "a photograph that was given" : "generated"}`;
+  return `${view.name}: ${isSource(view) ? "a photograph that was given" : "a new view"}`;
 }
 
 function makePanel(viewer) {
   const has = (source) => viewer.views.some((view) => isSource(view) === source);
   const kinds = element("span", {className: "group"});
-  for (const [kind, text] of [["source", "Photographs"], ["generated", "Generated views"]]) {
+  for (const [kind, text] of [["source", "Photographs"], ["generated", "New views"]]) {
     if (!has(kind === "source")) continue;
     const box = element("input", {type: "checkbox", checked: true, id: `show-${kind}`});
     box.addEventListener("change", () => viewer.show(kind, box.checked));

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <utility>
 
 #include <Eigen/Cholesky>
@@ -187,14 +188,15 @@ void known_window_means(int64_t width, int64_t height, int64_t reach, const std:
   }
 }
 
-// A generated picture's errors where photographs agree with each other best; usual values where they do so hardly
-// anywhere.
+// A generated picture's errors where photographs agree with each other best.
 struct GeneratedErrors {
-  double square = kUsualGeneratedVariance;    // their mean square
-  double variance = kUsualGeneratedVariance;  // less what each colour is off by on average
+  double square = 0;    // their mean square
+  double variance = 0;  // less what each colour is off by on average
 };
 
-GeneratedErrors errors_where_agreed(const PhotographView& view, const std::vector<float>& generated) {
+// Nothing where photographs agree hardly anywhere, as where each place is shown by a single one.
+std::optional<GeneratedErrors> errors_where_agreed(const PhotographView& view,
+                                                   const std::vector<float>& generated) {
   constexpr size_t kFewest = 100;  // pixels
   constexpr float kAgree = 4 * kColourNoise;
   double squares = 0;
@@ -209,7 +211,7 @@ GeneratedErrors errors_where_agreed(const PhotographView& view, const std::vecto
       squares += off * off / 3;
     }
   }
-  if (count < kFewest) return {};
+  if (count < kFewest) return std::nullopt;
   const auto pixels = static_cast<double>(count);
   GeneratedErrors errors{squares / pixels, squares / pixels};
   for (const double sum : sums) errors.variance -= (sum / pixels) * (sum / pixels) / 3;
@@ -468,12 +470,16 @@ PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
 }
 
 double generated_variance(const PhotographView& view, const std::vector<float>& generated) {
-  return errors_where_agreed(view, generated).square;
+  const auto errors = errors_where_agreed(view, generated);
+  return errors ? errors->square : kUsualGeneratedVariance;
 }
 
 double belief_in_generated(const PhotographView& view, const std::vector<float>& generated) {
-  constexpr double kHalf = 0.004;  // 24 dB
-  const double ratio = errors_where_agreed(view, generated).variance / kHalf;
+  constexpr double kHalf = 0.004;   // 24 dB
+  constexpr double kUnknown = 0.5;  // where nothing tells
+  const auto errors = errors_where_agreed(view, generated);
+  if (!errors) return kUnknown;
+  const double ratio = errors->variance / kHalf;
   return 1 / (1 + ratio * ratio);
 }
 
@@ -490,15 +496,17 @@ ComposedPicture compose(const PhotographView& view, const std::vector<float>& ge
       differences[3 * pixel + c] = view.rgb[3 * pixel + c] - generated[3 * pixel + c];
   }
   const std::vector<float> moved = membrane(view.width, view.height, 3, differences, result.shown);
-  const bool any_shown = view.shown_share() > 0;
-  const auto belief = static_cast<float>(any_shown ? belief_in_generated(view, generated) : 1);
-  const std::vector<float> smooth = any_shown ? filled(view) : generated;
+  const double shown_share = view.shown_share();
+  const bool all_or_nothing = shown_share == 0 || shown_share == 1;
+  const auto belief = static_cast<float>(all_or_nothing ? 1 : belief_in_generated(view, generated));
+  const std::vector<float> smooth = all_or_nothing ? std::vector<float>() : filled(view);
   for (size_t pixel = 0; pixel < pixels; ++pixel) {
     const float shown = result.shown[pixel];
     for (size_t c = 0; c < 3; ++c) {
       float& colour = result.rgb[3 * pixel + c];
       colour = shown * view.rgb[3 * pixel + c] + (1 - shown) * (colour + moved[3 * pixel + c]);
-      if (!view.shown(pixel)) colour = belief * colour + (1 - belief) * smooth[3 * pixel + c];
+      if (!all_or_nothing && !view.shown(pixel))
+        colour = belief * colour + (1 - belief) * smooth[3 * pixel + c];
       colour = std::clamp(colour, 0.0F, 1.0F);
     }
   }

@@ -2,7 +2,6 @@
 
 #include "gld/base/error.h"
 #include "gld/machine/block_memory.h"
-#include "gld/tensors/process_libraries.h"
 
 #include <cstdlib>
 #include <filesystem>
@@ -87,7 +86,7 @@ std::string blas_name() {
   for (const char* name : {"openblas", "blis", "mkl", "atlas", "f77blas"}) {
     if (path.find(name) != std::string::npos) return std::string(name) == "f77blas" ? "atlas" : name;
   }
-  return path.find("blas") != std::string::npos ? "reference" : "unknown";
+  return path.find("/blas/") != std::string::npos ? "reference" : "unknown";
 }
 
 std::string blas_text() {

@@ -119,12 +119,38 @@ Camera spline_camera(const std::vector<Camera>& cameras, double position) {
   return camera;
 }
 
+std::vector<double> positions_between(int64_t cameras, int64_t frames) {
+  const double last = static_cast<double>(cameras - 1);
+  // The middle of the path, or of the stretch before it where a camera stands there.
+  if (frames == 1) return {cameras % 2 == 0 ? last / 2 : std::max(last / 2 - 0.5, 0.0)};
+  // Both ends are left out by some of the path, at most by what lies between two frames then. Of several such margins those
+  // that keep all frames farthest from the given cameras, and the largest of these.
+  constexpr int kMargins = 20;
+  const auto margin = [&](int step) { return step / static_cast<double>(kMargins * (frames + 1)); };
+  std::vector<double> best;
+  double farthest = -1;
+  for (int before = kMargins; before >= kMargins / 4; --before) {
+    for (int after = kMargins; after >= kMargins / 4; --after) {
+      const double stretch = (1 - margin(before) - margin(after)) / static_cast<double>(frames - 1);
+      std::vector<double> positions;
+      double nearest = 1;
+      for (int64_t i = 0; i < frames; ++i) {
+        const double position = last * (margin(before) + stretch * static_cast<double>(i));
+        positions.push_back(position);
+        nearest = std::min(nearest, std::abs(position - std::round(position)));
+      }
+      if (nearest <= farthest + 1e-9) continue;
+      farthest = nearest;
+      best = std::move(positions);
+    }
+  }
+  return best;
+}
+
 std::vector<Camera> spline_cameras(const std::vector<Camera>& cameras, int64_t frames) {
   std::vector<Camera> path;
-  for (int64_t i = 0; i < frames; ++i) {
-    const double fraction = frames == 1 ? 0.5 : static_cast<double>(i) / static_cast<double>(frames - 1);
-    path.push_back(spline_camera(cameras, fraction * (static_cast<double>(cameras.size()) - 1)));
-  }
+  for (const double position : positions_between(static_cast<int64_t>(cameras.size()), frames))
+    path.push_back(spline_camera(cameras, position));
   return path;
 }
 

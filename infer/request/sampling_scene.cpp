@@ -217,6 +217,10 @@ void load_source_depths(const Scene& scene, const ViewSelection& asked, Sampling
   }
 }
 
+int64_t largest_photograph_side(const std::string& size) {
+  return size == kPhotographSize ? kLargestPhotographSide : kMatchedPhotographSide;
+}
+
 void load_source_photographs(const Scene& scene, const ViewSelection& asked, int64_t largest_side,
                              SamplingScene& sampling) {
   const ViewSelection selection = looked_up(asked, scene);

@@ -81,6 +81,9 @@ constexpr int64_t kLargestPhotographSide = 2048;
 // What asks for it: the model's size is as for "auto", pictures are larger.
 constexpr const char* kPhotographSize = "photographs";
 
+// Pixels of the longer side that photographs are kept at, by what --size says.
+int64_t largest_photograph_side(const std::string& size);
+
 // The photographs of the source views as large as all of them were taken, in whole multiples of the size, of which the
 // longer side is at most `largest_side` pixels.
 void load_source_photographs(const Scene& scene, const ViewSelection& selection, int64_t largest_side,

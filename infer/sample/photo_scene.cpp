@@ -10,6 +10,7 @@
 #include "datasets/scenes/resize_crop.h"
 #include "datasets/video/video_frames.h"
 #include "gld/base/error.h"
+#include "gld/cameras/resized_camera.h"
 #include "gld/machine/block_memory.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
@@ -46,7 +47,8 @@ std::vector<std::filesystem::path> photograph_files(const PhotoSelection& select
     const auto listed = list_images(path);
     if (listed.empty()) {
       const bool is_there = std::filesystem::exists(path);
-      fail({photo, "a photograph, or a folder of them", is_there ? "none" : "nothing", "check the name"});
+      fail({photo, "a photograph, or a folder of them", is_there ? "none" : "nothing",
+            is_there ? "put JPEG, HEIC, PNG, WebP or TIFF files there" : "check the name"});
     }
     files.insert(files.end(), listed.begin(), listed.end());
   }
@@ -128,15 +130,25 @@ void register_photographs(PhotoScene& made, const PhotoSceneRequest& request) {
   if (!made.registration && !request.geometry) std::rethrow_exception(by_features);
 }
 
+// What a photograph of that size is kept at.
+ImageSize kept_size(int64_t width, int64_t height, const PhotoSceneRequest& request) {
+  const ImageSize& size = request.size;
+  const int64_t times =
+      std::max<int64_t>(1, std::min({request.largest_side / std::max(size.width, size.height),
+                                     width / size.width, height / size.height}));
+  return {times * size.width, times * size.height};
+}
+
 // A frame for each photograph that registered, distortion undone.
-void take_registered(PhotoScene& made, const ImageSize& size) {
+void take_registered(PhotoScene& made, const PhotoSceneRequest& request) {
   std::vector<Frame> frames;
   for (size_t i = 0; i < made.photographs.size(); ++i) {
     const RegisteredPhotograph& found = made.registration->photographs[i];
     if (!found.registered) continue;
     const IdealPhotograph ideal =
         ideal_photograph(found, read_image(made.photographs[i].file, ImageOrientation::kUpright));
-    const ResizeCrop plan = plan_resize_crop(ideal.camera.width, ideal.camera.height, size);
+    const ResizeCrop plan = plan_resize_crop(ideal.camera.width, ideal.camera.height,
+                                             kept_size(ideal.camera.width, ideal.camera.height, request));
     Frame frame = made.scene.frames[i];
     frame.camera = resize_crop(ideal.camera, plan);
     made.images.push_back(resize_crop(ideal.image, plan));
@@ -153,24 +165,28 @@ void take_registered(PhotoScene& made, const ImageSize& size) {
 void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords& stages) {
   std::vector<PhotographLens> lenses;
   torch::Tensor photographs;
+  std::vector<Image> small;
   GeometryOutput seen;
   stages.run(kPhotoCamerasStage, [&] {
     // One photograph at a time: as taken, they may be a hundred times as large as what the model sees.
     for (const UnregisteredPhotograph& photograph : made.photographs) {
       const Image original = read_image(photograph.file, ImageOrientation::kUpright);
       const ResizeCrop plan = plan_resize_crop(original.width, original.height, request.size);
-      made.images.push_back(resize_crop(original, plan));
+      small.push_back(resize_crop(original, plan));
+      const ImageSize kept = kept_size(original.width, original.height, request);
+      made.images.push_back(resize_crop(original, plan_resize_crop(original.width, original.height, kept)));
       lenses.push_back({photograph.lens, static_cast<double>(std::max(original.width, original.height)) *
                                              static_cast<double>(plan.resized_width) /
                                              static_cast<double>(plan.window_width)});
     }
-    photographs = stacked(made.images);
+    photographs = stacked(small);
     seen = geometry_of_pictures(request.geometry(), photographs, GeometryMaps::kDepthAndRays, request.device);
     require_finite_geometry(seen, "the geometry of the photographs");
   });
   stages.run("fitting cameras", [&] { made.seen = photo_cameras(seen, photographs, lenses); });
   for (size_t i = 0; i < made.scene.frames.size(); ++i) {
-    made.scene.frames[i].camera = made.seen->cameras[i];
+    made.scene.frames[i].camera =
+        resized_camera(made.seen->cameras[i], made.images[i].width, made.images[i].height);
     made.scene.frames[i].load_image = [image = made.images[i]] { return image; };
   }
   made.median_depth = made.seen->median_depth;
@@ -243,7 +259,7 @@ PhotoScene photo_scene(const std::vector<Photograph>& taken, const PhotoSceneReq
   }
   made.scene = scene_before_cameras(taken);
   if (made.registration) {
-    take_registered(made, request.size);
+    take_registered(made, request);
   } else {
     take_seen(made, request, stages);
   }

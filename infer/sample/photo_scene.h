@@ -41,7 +41,8 @@ Scene scene_before_cameras(const std::vector<Photograph>& photographs);
 
 // Photographs without cameras, made a scene (gld sample --photos).
 struct PhotoScene {
-  Scene scene;  // a frame a photograph, at the model's size, with its camera; those without one are left out
+  // A frame a photograph with its camera, at a whole multiple of the model's size; those without a camera are left out.
+  Scene scene;
   std::vector<Image> images;  // the same pictures
   // One of the two: cameras from what photographs share, or from what a geometry model sees.
   std::optional<Registration> registration;
@@ -57,7 +58,10 @@ bool only_rays(const PhotoSelection& selection, size_t photographs);
 
 struct PhotoSceneRequest {
   PhotoSelection selection;
-  ImageSize size;  // of the pictures of the scene, which the models see
+  ImageSize size;  // that the models see
+  // Photographs are kept as large as they were taken, in whole multiples of the size, of which the longer side is at most
+  // so many pixels.
+  int64_t largest_side = 0;
   // Gives the models that see cameras (bundle_models.h), when they are needed; empty where there are none.
   std::function<PipelineModels()> geometry;
   torch::Device device = torch::kCPU;

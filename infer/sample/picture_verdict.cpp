@@ -74,7 +74,7 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
                                                     : "The photographs fit their cameras: as good as this",
                          measured, kept);
   }
-  return "One photograph does not tell how far away things are: what it does not show is invented";
+  return "One photograph does not tell how far away things are: expect inventions; take a second one, a step to the side";
 }
 
 std::string decibels_between(double lowest, double highest) {
@@ -175,7 +175,7 @@ nlohmann::ordered_json left_out_json(const std::vector<LeftOutPhotograph>& left_
                                {"psnr", one.psnr},
                                {"psnr_nearest_source", one.psnr_nearest},
                                {"psnr_mean_of_sources", one.psnr_mean},
-                               {"expected_psnr", one.expected}};
+                               {"expected_psnr_unmoved", one.expected}};
     if (std::isfinite(one.psnr_covered)) row["psnr_covered"] = one.psnr_covered;
     list.push_back(row);
   }

@@ -218,6 +218,7 @@ void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, 
   PhotoSceneRequest request;
   request.selection = options.photos;
   request.size = size;
+  request.largest_side = largest_photograph_side(options.size);
   if (sees_cameras(prepared.camera_model())) {
     request.geometry = [&] { return bundle_models(prepared.camera_model(), prepared.device); };
   }
@@ -288,9 +289,7 @@ void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
             "leave it out, or choose sources that have depth"});
     }
   }
-  load_source_photographs(prepared.found, prepared.selection,
-                          options.size == kPhotographSize ? kLargestPhotographSide : kMatchedPhotographSide,
-                          loaded);
+  load_source_photographs(prepared.found, prepared.selection, largest_photograph_side(options.size), loaded);
   loaded.warnings = std::move(prepared.scene.warnings);  // which are more
   prepared.scene = std::move(loaded);
 }

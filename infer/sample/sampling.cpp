@@ -171,9 +171,13 @@ std::string carried_names(const SamplingScene& scene, const PipelineResult& resu
 std::string photographs_text(const SamplingScene& scene, const PipelineResult& result, double saved_flop,
                              double planned_flop) {
   if (!result.composed) return "";
+  const bool nothing_generated =
+      static_cast<int64_t>(result.carried_only.size()) == scene.views.num_targets();
   std::string text =
-      fmt::format("{:.0f} % of the target views come from the photographs, the rest is generated\n",
-                  100 * result.composed->shown.mean().item<double>());
+      nothing_generated
+          ? "the target views come from the photographs alone\n"
+          : fmt::format("{:.0f} % of the target views come from the photographs, the rest is generated\n",
+                        100 * result.composed->shown.mean().item<double>());
   if (!result.carried_only.empty()) {
     text += fmt::format(
         "carried, nothing generated: {}; generated: {}; that saved {:.0f} % of {:.3g} TFLOP (--generate-complete)\n",

@@ -44,7 +44,7 @@ struct FrozenParts {
   LevelStatistics deeper_statistics;                  // of the level that a cascade starts from
   std::shared_ptr<const ImageDecoder> rgb_decoder;    // for validation pictures; may be null
   std::shared_ptr<GeometryHead> geometry_head;        // for warped_sources; null for models that take none
-  std::shared_ptr<DepthRefinement> depth_refinement;  // for CarryingDepth::kPhotographs; null without one
+  std::shared_ptr<DepthRefinement> depth_refinement;  // for CarryingDepth::kPhotographs, where the bundle has one
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and

@@ -89,7 +89,7 @@ void tell_narrow_decoder(const GeneratorOptions& part) {
 }  // namespace
 
 FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
-                         const ParameterPlacement& placement) {
+                         const ParameterPlacement& placement, CarryingDepth carried_by) {
   const auto& model = bundle.options();
   FrozenParts frozen;
   frozen.space = std::make_shared<LatentSpace>(bundle.load_backbone(placement), model.boundary_level);
@@ -102,7 +102,7 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
   }
   if (model.generator(generator).dit.warped_sources > 0) {
     frozen.geometry_head = bundle.load_geometry_head(placement);
-    if (bundle.has(BundlePart::depth_refinement()) && placement.device.is_cpu())
+    if (carried_by == CarryingDepth::kPhotographs && bundle.has(BundlePart::depth_refinement()))
       frozen.depth_refinement = bundle.load_depth_refinement(placement);
   }
   if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
@@ -130,9 +130,10 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
-    auto objective = std::make_unique<LevelObjective>(bundle.options(), options.level, options.objective,
-                                                      frozen_parts(bundle, generator, placement), placement,
-                                                      options.loop.seed);
+    auto objective = std::make_unique<LevelObjective>(
+        bundle.options(), options.level, options.objective,
+        frozen_parts(bundle, generator, placement, options.objective.carried_by), placement,
+        options.loop.seed);
     if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
@@ -153,9 +154,10 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
   stage.made = {BundlePart::of(generator)};
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
-    auto objective = std::make_unique<CascadeObjective>(bundle.options(), generator, options.objective,
-                                                        frozen_parts(bundle, generator, placement), placement,
-                                                        options.loop.seed);
+    auto objective = std::make_unique<CascadeObjective>(
+        bundle.options(), generator, options.objective,
+        frozen_parts(bundle, generator, placement, options.objective.flow.carried_by), placement,
+        options.loop.seed);
     if (options.objective.flow.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }

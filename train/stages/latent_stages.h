@@ -38,7 +38,8 @@ struct StatsOptions : OptionsGroup {
 
 // What the training of that part needs of a bundle.
 FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
-                         const ParameterPlacement& placement);
+                         const ParameterPlacement& placement,
+                         CarryingDepth carried_by = CarryingDepth::kHead);
 
 // gld train level and gld train cascade; see run_training_stage.
 std::string train_level(const TrainLevelOptions& options, const DrawValidation& draw);

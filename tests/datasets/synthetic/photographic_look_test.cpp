@@ -33,7 +33,7 @@ TEST(PhotographicLook, BlurSpreadsAnEdgeAndKeepsTheLight) {
   PhotographicLook look;
   look.blur = 0.6;
   const Image blurred = photographed(halves(), look, 0);
-  // A quarter of .36 is what either neighbour gives.
+  // Half of .36 is what either neighbour gives.
   EXPECT_EQ(blurred.pixel(16, 10)[0], std::lround(180 - 0.18 * 140));
   EXPECT_EQ(blurred.pixel(15, 10)[0], std::lround(40 + 0.18 * 140));
   EXPECT_EQ(blurred.pixel(2, 2)[1], 40);

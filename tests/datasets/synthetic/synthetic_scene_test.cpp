@@ -2,6 +2,7 @@
 
 #include "datasets/check/depth_warp.h"
 #include "datasets/scenes/frame_checks.h"
+#include "datasets/synthetic/photographic_look.h"
 #include "datasets/synthetic/photographic_world.h"
 #include "datasets/synthetic/synthetic_layout.h"
 #include "datasets/synthetic/synthetic_renderer.h"
@@ -301,12 +302,14 @@ double content_of(const SyntheticWorld& world) {
     add(decal.low.x() + 2 * decal.low.y() + 3 * decal.high.x() + 4 * decal.high.y());
     add_material(decal.material);
   }
+  for (const Lamp& lamp : world.lamps) add(lamp.centre.sum() + 2 * lamp.radius + 3 * lamp.power.sum());
+  add(world.ambient.x() + 2 * world.ambient.y() + 3 * world.ambient.z());
   return sum;
 }
 
-// g++ and clang evaluate a call's arguments in other orders: numbers are never drawn there.
+// g++ and clang evaluate a call's arguments in other orders: never are two numbers drawn there.
 TEST(SyntheticScene, EveryCompilerDrawsTheSameRooms) {
-  double first = 0, varied = 0, photographic = 0;
+  double first = 0, varied = 0, photographic = 0, paths = 0, looks = 0;
   for (uint64_t number = 0; number < 20; ++number) {
     SeededRandom random({5, number, 1}), variety({5, number, 3}), photographs({5, number, 4});
     SyntheticWorld world = draw_world(random, {3, 8});
@@ -315,10 +318,17 @@ TEST(SyntheticScene, EveryCompilerDrawsTheSameRooms) {
     varied += content_of(world);
     make_photographic(photographs, world);
     photographic += content_of(world);
+    for (const Camera& camera : draw_camera_path(random, world, {}))
+      paths += camera.world_from_camera.matrix().sum() + camera.intrinsics(0, 0);
+    const PhotographicLook look = draw_photographic_look(photographs);
+    looks += look.contrast + 2 * look.balance.sum() + look.vignetting + look.blur + look.exposure_spread +
+             look.noise;
   }
-  EXPECT_NEAR(first, 18988.777824968, 1e-6);
-  EXPECT_NEAR(varied, 31085.842684974, 1e-6);
-  EXPECT_NEAR(photographic, 52163.050943110, 1e-6);
+  EXPECT_NEAR(first, 20675.110067041, 1e-6);
+  EXPECT_NEAR(varied, 32602.519570763, 1e-6);
+  EXPECT_NEAR(photographic, 54219.449625583, 1e-6);
+  EXPECT_NEAR(paths, 45271.962827368, 1e-6);
+  EXPECT_NEAR(looks, 141.078750347, 1e-6);
 }
 
 // The share of neighbouring pixels that have the same colour to one step of 255.
@@ -369,8 +379,13 @@ TEST(SyntheticScene, PhotographicRoomsAreExactToo) {
     EXPECT_EQ(make_synthetic_scene(options, index).frames[8].image().rgb, a.image().rgb);
   }
   for (uint64_t seed = 0; seed < 40; ++seed) {
-    SeededRandom random({seed, 1}), photographs({seed, 4}), path_random({seed, 2});
+    SeededRandom random({seed, 1}), variety({seed, 3}), photographs({seed, 4}), path_random({seed, 2});
     SyntheticWorld world = draw_world(random, {3, 8});
+    PathDraw draw;
+    if (seed % 2 == 1) {  // as half of the photographic rooms are
+      vary_world(variety, world);
+      draw.hand = {0.08, 4, 8};
+    }
     make_photographic(photographs, world);
     for (const Solid& solid : world.solids) {
       EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
@@ -380,7 +395,7 @@ TEST(SyntheticScene, PhotographicRoomsAreExactToo) {
     }
     for (const Decal& decal : world.decals)
       EXPECT_LT(decal.high.y(), std::max(world.room.height, world.room.half_y + 1e-9));
-    for (const Camera& camera : draw_camera_path(path_random, world, {}))
+    for (const Camera& camera : draw_camera_path(path_random, world, draw))
       EXPECT_GT(clearance(world, camera.world_from_camera.translation()), 0.1) << seed;
   }
 }

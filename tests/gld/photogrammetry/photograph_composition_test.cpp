@@ -175,6 +175,10 @@ TEST(PhotographComposition, AGeneratedPictureIsBelievedAsFarAsItIsRightWherePhot
     EXPECT_NEAR(composed.rgb[3 * 45], 0.5, 1e-3) << error;  // what is shown stays
     EXPECT_EQ(composed.shown[kLast], 0) << error;
   }
+  // A single photograph shows each place: nothing tells how good the generated picture is.
+  PhotographView single = view;
+  for (float& variance : single.variance) variance = std::max(variance, PhotographView::kVarianceOfOne);
+  EXPECT_EQ(belief_in_generated(single, view.rgb), 0.5);
   // Where photographs show nothing at all there is nothing but the generated picture.
   view.variance.assign(kLast + 1, std::numeric_limits<float>::infinity());
   const std::vector<float> grey(view.rgb.size(), 0.4F);

@@ -203,15 +203,39 @@ TEST(Orbit, ACentreAtTheSourceCameraIsNamed) {
 TEST(Spline, PassesThroughTheGivenCameras) {
   for (const size_t count : {2U, 3U, 6U}) {
     const std::vector<Camera> keys = winding(count);
-    const int64_t between = 5;
-    const std::vector<Camera> path = spline_cameras(keys, between * (static_cast<int64_t>(count) - 1) + 1);
     for (size_t i = 0; i < count; ++i) {
-      const Camera& camera = path[i * between];
+      const Camera camera = spline_camera(keys, static_cast<double>(i));
       EXPECT_LT((centre_of(camera) - centre_of(keys[i])).norm(), 1e-12);
       EXPECT_LT(rotation_angle(camera.world_from_camera.linear(), keys[i].world_from_camera.linear()), 1e-6);
       EXPECT_LT((camera.intrinsics - keys[i].intrinsics).cwiseAbs().maxCoeff(), 1e-9);
     }
-    for (const Camera& camera : path) expect_rotation(camera);
+    for (const Camera& camera : spline_cameras(keys, 11)) expect_rotation(camera);
+  }
+}
+
+// New views are no copies of photographs.
+TEST(Spline, StandsBetweenTheGivenCamerasAndNotOnThem) {
+  using testing::DoubleNear;
+  using testing::ElementsAre;
+  const auto near = [](double position) { return DoubleNear(position, 1e-12); };
+  EXPECT_THAT(positions_between(2, 1), ElementsAre(near(0.5)));
+  EXPECT_THAT(positions_between(3, 1), ElementsAre(near(0.5)));
+  EXPECT_THAT(positions_between(5, 1), ElementsAre(near(1.5)));
+  EXPECT_THAT(positions_between(2, 2), ElementsAre(near(1.0 / 3), near(2.0 / 3)));
+  for (const int64_t cameras : {2, 3, 4, 5, 9}) {
+    for (const int64_t frames : {2, 3, 4, 5, 7, 8, 60}) {
+      const auto positions = positions_between(cameras, frames);
+      ASSERT_EQ(positions.size(), static_cast<size_t>(frames));
+      EXPECT_GT(positions.front(), 0);
+      EXPECT_LT(positions.back(), static_cast<double>(cameras - 1));
+      double nearest = 1;
+      for (size_t i = 0; i < positions.size(); ++i) {
+        nearest = std::min(nearest, std::abs(positions[i] - std::round(positions[i])));
+        if (i < 2) continue;
+        EXPECT_NEAR(positions[i] - positions[i - 1], positions[1] - positions[0], 1e-9);
+      }
+      if (frames < 6) EXPECT_GT(nearest, 0.1) << cameras << ", " << frames;
+    }
   }
 }
 

@@ -57,7 +57,7 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
   EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));
 }
 
-TEST(PictureVerdict, ViewsThatItIsTooKindToAreNamed) {
+TEST(PictureVerdict, ViewsFarBehindTheOthersAreNamed) {
   PictureEvidence evidence = evidence_of(left_out(0.93, 26, 25, 18.4));
   evidence.views = {{"path_0", 20.9}, {"path_1", 27}, {"path_2", 21.1}, {"path_3", 14}};
   // What is expected of the photographs that were left out is 2 dB too high.

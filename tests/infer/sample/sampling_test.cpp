@@ -220,7 +220,37 @@ TEST_F(Sampling, PhotographsNeedNoCameras) {
   asked.out = options("no_photographs").out;
   EXPECT_EQ(
       test::error_of([&] { sample(asked); }),
-      asked.photos.files[0] + ": expected a photograph, or a folder of them, found none; check the name.");
+      asked.photos.files[0] +
+          ": expected a photograph, or a folder of them, found none; put JPEG, HEIC, PNG, WebP or TIFF files there.");
+}
+
+// In whole multiples of what the models see, and so are the new views.
+TEST_F(Sampling, PhotographsWithoutCamerasAreKeptAtTheirOwnSize) {
+  SyntheticOptions room;
+  room.width = 250;
+  room.height = 240;
+  room.frames = 3;
+  const Scene taken = make_synthetic_scene(room, 0);
+  const auto folder = folder_->path() / "large_photographs";
+  std::filesystem::create_directories(folder);
+  for (const Frame& frame : taken.frames) write_png(folder / (frame.name + ".png"), frame.image());
+  auto asked = with_shipped_model(options("large"));
+  asked.scene.clear();
+  asked.photos.files = {folder.string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 1;
+  asked.outputs = {"image"};
+  for (const auto& [size, kept] : {std::pair("auto", 112), std::pair("photographs", 224)}) {
+    asked.size = size;
+    asked.overwrite = true;
+    const auto report = run(asked);
+    EXPECT_EQ(report.at("scene").at("width"), 112) << size;
+    const std::filesystem::path out = asked.out;
+    EXPECT_EQ(read_image(out / "images" / "view_03.png").width, kept) << size;
+    EXPECT_EQ(read_image(out / "photo_scene" / "frame_00001.png").height, 224) << size;
+  }
 }
 
 // Its axis meets no other, and its unit is the model's: only the predicted depth tells how far away things are.
