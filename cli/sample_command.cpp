@@ -7,7 +7,7 @@ namespace gld {
 std::vector<UsualOptions> usual_sampling_options() {
   return {
       {"Views", {"scene", "photos", "views.sources", "views.targets", "views.path", "views.frames", "size"}},
-      {"Sampling", {"model", "quality", "solver.evaluations", "outputs"}}};
+      {"Sampling", {"model", "quality", "outputs"}}};
 }
 
 Command make_sample_command() {

@@ -195,8 +195,8 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"views", "which views"}, views);
   visitor.text(
       {"size",
-       "WIDTHxHEIGHT in pixels, or auto: the trained size of the nearest aspect; photographs: as auto for the "
-       "model, with pictures as large as the photographs"},
+       "WIDTHxHEIGHT in pixels, auto, or photographs: pictures as large as these; auto: the trained size of the "
+       "nearest aspect, which the model sees for photographs too"},
       size);
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
