@@ -87,6 +87,7 @@ std::string views_sentence(const PictureEvidence& evidence) {
   const auto views = expected_views(evidence);
   if (views.empty()) return "";
   std::vector<double> sorted;
+  sorted.reserve(views.size());
   for (const ExpectedView& view : views) sorted.push_back(view.psnr);
   std::sort(sorted.begin(), sorted.end());
   const double middle = sorted[sorted.size() / 2], behind = middle - kWorseBy;
