@@ -40,11 +40,12 @@ struct FlowObjectiveOptions : OptionsGroup {
 // What a diffusion objective needs beside the model it trains; nothing here is changed.
 struct FrozenParts {
   std::shared_ptr<const LatentSpace> space;
-  LevelStatistics statistics;                         // of the level to generate
-  LevelStatistics deeper_statistics;                  // of the level that a cascade starts from
-  std::shared_ptr<const ImageDecoder> rgb_decoder;    // for validation pictures; may be null
-  std::shared_ptr<GeometryHead> geometry_head;        // for warped_sources; null for models that take none
-  std::shared_ptr<DepthRefinement> depth_refinement;  // for CarryingDepth::kPhotographs, where the bundle has one
+  LevelStatistics statistics;                       // of the level to generate
+  LevelStatistics deeper_statistics;                // of the level that a cascade starts from
+  std::shared_ptr<const ImageDecoder> rgb_decoder;  // for validation pictures; may be null
+  std::shared_ptr<GeometryHead> geometry_head;      // for warped_sources; null for models that take none
+  std::shared_ptr<DepthRefinement>
+      depth_refinement;  // for CarryingDepth::kPhotographs, where the bundle has one
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and

@@ -203,6 +203,16 @@ TEST(SyntheticScene, VariedRoomsKeepHalfAsTheyWereAndClutterTheRest) {
   EXPECT_GT(rolled, 8);
 }
 
+// On the floor or above it, below the ceiling, and between the walls.
+void expect_inside(const SyntheticWorld& world) {
+  for (const Solid& solid : world.solids) {
+    EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
+    EXPECT_LT(std::abs(solid.centre.x()), world.room.half_x);
+    EXPECT_LT(std::abs(solid.centre.y()), world.room.half_y);
+    EXPECT_LT(solid.centre.z() + solid.half_size.z(), world.room.height);
+  }
+}
+
 TEST(SyntheticScene, VariedRoomsAreExactToo) {
   SyntheticOptions options = small_options();
   options.rooms = SyntheticRooms::kVaried;
@@ -224,12 +234,7 @@ TEST(SyntheticScene, VariedRoomsAreExactToo) {
     EXPECT_GT(world.solids.size(), before) << seed;
     PathDraw draw;
     draw.hand = {0.08, 4, 8};
-    for (const Solid& solid : world.solids) {
-      EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
-      EXPECT_LT(std::abs(solid.centre.x()), world.room.half_x);
-      EXPECT_LT(std::abs(solid.centre.y()), world.room.half_y);
-      EXPECT_LT(solid.centre.z() + solid.half_size.z(), world.room.height);
-    }
+    expect_inside(world);
     for (const Camera& camera : draw_camera_path(path_random, world, draw)) {
       EXPECT_GT(clearance(world, camera.world_from_camera.translation()), 0.0) << seed;
       EXPECT_LT((camera.world_from_camera.linear().transpose() * camera.world_from_camera.linear() -
@@ -387,12 +392,7 @@ TEST(SyntheticScene, PhotographicRoomsAreExactToo) {
       draw.hand = {0.08, 4, 8};
     }
     make_photographic(photographs, world);
-    for (const Solid& solid : world.solids) {
-      EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
-      EXPECT_LT(std::abs(solid.centre.x()), world.room.half_x);
-      EXPECT_LT(std::abs(solid.centre.y()), world.room.half_y);
-      EXPECT_LT(solid.centre.z() + solid.half_size.z(), world.room.height);
-    }
+    expect_inside(world);
     for (const Decal& decal : world.decals)
       EXPECT_LT(decal.high.y(), std::max(world.room.height, world.room.half_y + 1e-9));
     for (const Camera& camera : draw_camera_path(path_random, world, draw))
