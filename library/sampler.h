@@ -85,7 +85,8 @@ struct SampledView {
       camera;  // of the picture; where cameras were found, in their own unit with the first photograph's in the world's origin
   Picture picture;
   double from_photographs = 0;  // the share of its pixels that photographs show
-  // dB of PSNR that can be expected of it at the model's size, by what photographs predict of each other; not a number where they tell none.
+  // dB of PSNR that can be expected of it at the model's size, by what photographs predict of each other; not a number
+  // where they tell none.
   double expected_psnr = std::numeric_limits<double>::quiet_NaN();
 };
 

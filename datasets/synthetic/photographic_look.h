@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// What a camera makes of the light that it gets: of a whole scene its lens and its processing, of each frame exposure and
-// noise.
+// What a camera makes of the light that it gets: of a whole scene its lens and its processing, of each frame exposure
+// and noise.
 struct PhotographicLook {
   double contrast = 1;                                // exponent about middle grey, of screen values
   Eigen::Vector3d balance = Eigen::Vector3d::Ones();  // factor of each channel

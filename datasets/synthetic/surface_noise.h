@@ -4,8 +4,9 @@
 
 namespace gld {
 
-// Irregularities of surfaces: functions of coordinates on a surface and a seed, the same on every machine. Lengths are in
-// the units of the coordinates; the footprint is how much of the surface a pixel covers, and what is finer than it fades.
+// Irregularities of surfaces: functions of coordinates on a surface and a seed, the same on every machine. Lengths
+// are in the units of the coordinates; the footprint is how much of the surface a pixel covers, and what is finer
+// than it fades.
 
 // 0 at low and below, 1 at high and above.
 double smooth_step(double low, double high, double x);

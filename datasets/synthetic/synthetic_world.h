@@ -50,8 +50,8 @@ struct Lamp {
   Eigen::Vector3d power = Eigen::Vector3d::Ones();  // irradiance at one metre, linear RGB
 };
 
-// What a lamp's light is divided by at that distance. Gentler than the square law: without light bouncing off walls, that
-// would leave them black.
+// What a lamp's light is divided by at that distance. Gentler than the square law: without light bouncing off walls,
+// that would leave them black.
 double light_loss(double distance);
 
 struct SyntheticWorld {

@@ -89,10 +89,10 @@ PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
 // where there is no such place. generated: (height, width, 3) of the view's size.
 double generated_variance(const PhotographView& view, const std::vector<float>& generated);
 
-// From 0 to 1: how far a generated picture is believed where no photograph shows anything, by the variance of its errors
-// where photographs agree best: 1 without errors, a half at 24 dB and where they agree hardly anywhere. At the view's own
-// size, so that detail which a small generated picture cannot have is an error. One that is wrong there has nothing to
-// say elsewhere; being brighter or darker all over is no fault, since compose() moves it.
+// From 0 to 1: how far a generated picture is believed where no photograph shows anything, by the variance of its
+// errors where photographs agree best: 1 without errors, a half at 24 dB and where they agree hardly anywhere. At the
+// view's own size, so that detail which a small generated picture cannot have is an error. One that is wrong there
+// has nothing to say elsewhere; being brighter or darker all over is no fault, since compose() moves it.
 double belief_in_generated(const PhotographView& view, const std::vector<float>& generated);
 
 struct ComposedPicture {

@@ -123,8 +123,8 @@ std::vector<double> positions_between(int64_t cameras, int64_t frames) {
   const double last = static_cast<double>(cameras - 1);
   // The middle of the path, or of the stretch before it where a camera stands there.
   if (frames == 1) return {cameras % 2 == 0 ? last / 2 : std::max(last / 2 - 0.5, 0.0)};
-  // Both ends are left out by some of the path, at most by what lies between two frames then. Of several such margins those
-  // that keep all frames farthest from the given cameras, and the largest of these.
+  // Both ends are left out by some of the path, at most by what lies between two frames then. Of several such margins
+  // those that keep all frames farthest from the given cameras, and the largest of these.
   constexpr int kMargins = 20;
   const auto margin = [&](int step) { return step / static_cast<double>(kMargins * (frames + 1)); };
   std::vector<double> best;

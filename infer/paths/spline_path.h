@@ -13,8 +13,8 @@ namespace gld {
 // rounding. The size is the first camera's; other cameras' intrinsics are scaled to it.
 Camera spline_camera(const std::vector<Camera>& cameras, double position);
 
-// Where `frames` cameras stand on that path: evenly apart between its ends, and as far from the given cameras as so many
-// can be, so that few new views copy a photograph. Increasing, within [0, cameras - 1].
+// Where `frames` cameras stand on that path: evenly apart between its ends, and as far from the given cameras as so
+// many can be, so that few new views copy a photograph. Increasing, within [0, cameras - 1].
 std::vector<double> positions_between(int64_t cameras, int64_t frames);
 
 // The cameras there. Error for fewer than two cameras.

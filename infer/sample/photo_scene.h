@@ -59,8 +59,8 @@ bool only_rays(const PhotoSelection& selection, size_t photographs);
 struct PhotoSceneRequest {
   PhotoSelection selection;
   ImageSize size;  // that the models see
-  // Photographs are kept as large as they were taken, in whole multiples of the size, of which the longer side is at most
-  // so many pixels.
+  // Photographs are kept as large as they were taken, in whole multiples of the size, of which the longer side is at
+  // most so many pixels.
   int64_t largest_side = 0;
   // Gives the models that see cameras (bundle_models.h), when they are needed; empty where there are none.
   std::function<PipelineModels()> geometry;
