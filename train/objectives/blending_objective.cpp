@@ -79,9 +79,8 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   if (origin == DepthOf::kTruth) {
     depth = true_depth_of(scene);
   } else {
-    PhotographDepth found = source_view_depth(space_, *depth_models_.head, scene, photographs);
-    if (depth_models_.refinement) refine(*depth_models_.refinement, photographs, found);
-    depth = std::move(found.depth);
+    depth =
+        sampled_source_depth(space_, *depth_models_.head, depth_models_.refinement.get(), scene, photographs);
   }
   if (!depth.known()) return {};
   const CarriableSources sources(photographs, depth);

@@ -125,10 +125,10 @@ DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene)
   SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
   if (options_.carried_by == CarryingDepth::kPhotographs &&
       carries_by_head_depth(scene.views.num_sources, dit_->options().warped_sources)) {
-    const auto photographs = photographs_of_images(given.views, given.images);
-    PhotographDepth found = source_view_depth(*frozen_.space, *frozen_.geometry_head, scene, photographs);
-    if (frozen_.depth_refinement) refine(*frozen_.depth_refinement, photographs, found);
-    if (found.depth.known()) given.depth = std::move(found.depth);
+    SourceDepth depth =
+        sampled_source_depth(*frozen_.space, *frozen_.geometry_head, frozen_.depth_refinement.get(), scene,
+                             photographs_of_images(given.views, given.images));
+    if (depth.known()) given.depth = std::move(depth);
   }
   const auto needs = conditioning_needs(given, generator_.level, dit_->options().warped_sources);
   const auto sources = condition_on_sources(*frozen_.space, frozen_.geometry_head.get(), given, needs);

@@ -12,4 +12,10 @@ namespace gld {
 PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& head,
                                   const TrainingScene& scene, const SourcePhotographs& photographs);
 
+// The same as sampling takes it: mended by `refinement`, where that is not null. Not known where photographs do not
+// tell its unit.
+SourceDepth sampled_source_depth(const LatentSpace& space, const GeometryHead& head,
+                                 const DepthRefinement* refinement, const TrainingScene& scene,
+                                 const SourcePhotographs& photographs);
+
 }  // namespace gld
