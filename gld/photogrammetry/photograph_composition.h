@@ -1,10 +1,10 @@
 #pragma once
 
 #include "gld/cameras/camera.h"
+#include "gld/photogrammetry/exposure_gains.h"
 #include "gld/photogrammetry/photo_consistency.h"
 #include "gld/photogrammetry/picture_warp.h"
 
-#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -12,18 +12,6 @@ namespace gld {
 
 // What is seen is kept: what photographs show of a target view, carried there at their own resolution, and a generated
 // picture for the rest.
-
-// A factor for each colour.
-using ColourGains = std::array<float, 3>;
-
-// What each photograph's colours are multiplied by so that all of them show the same places in the same brightness;
-// their geometric mean over the photographs is 1. Of pixels that two photographs show by the depth of one of them the
-// median ratio counts; exactly 1 where photographs share too little, or differ by less than they scatter.
-std::vector<ColourGains> exposure_gains(const std::vector<PicturedView>& sources);
-
-// The photographs in the brightness that the target view has; gains: one a source.
-std::vector<PicturedView> evened_photographs(const std::vector<PicturedView>& sources,
-                                             const std::vector<ColourGains>& gains, const Camera& target);
 
 struct PhotographViewOptions {
   CarryOptions carry;
