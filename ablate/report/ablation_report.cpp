@@ -30,7 +30,7 @@ Summary summary_of(const Ablation& ablation, const VariantNumbers& numbers, cons
   BootstrapOptions bootstrap;
   bootstrap.replicates = ablation.options.bootstrap;
   summary.mean = mean_of_seed_means(means);
-  summary.interval = interval_of_seed_means(means, bootstrap);
+  summary.interval = test_of_seed_means(means, bootstrap).interval;
   summary.scenes = scene_count(means);
   summary.seeds = static_cast<int64_t>(means.size());
   return summary;
@@ -79,7 +79,7 @@ std::string variants_table(const Ablation& ablation, const AblationResults& resu
 }
 
 std::string claims_table(const Ablation& ablation, const AblationResults& results) {
-  Table table({"claim", "metric", "better by", "scenes won : lost", "sign test p", "scenes",
+  Table table({"claim", "metric", "better by", "scenes won : lost", "sign test p", "p", "p by Holm", "scenes",
                "seeds in favour", "paper", "verdict"});
   for (const ClaimResult& result : results.claims) {
     const Comparison& comparison = result.comparison;
@@ -87,7 +87,8 @@ std::string claims_table(const Ablation& ablation, const AblationResults& result
         {label_of(ablation, result.claim.better) + " over " + label_of(ablation, result.claim.worse),
          with_unit(ablation.metric(result.claim.metric)), number_text(comparison.mean, comparison.interval),
          fmt::format("{} : {}", comparison.signs.positive, comparison.signs.negative),
-         short_number(comparison.signs.p_value), comparison.scenes,
+         short_number(comparison.signs.p_value), short_number(comparison.p_value),
+         short_number(comparison.holm_p_value), comparison.scenes,
          fmt::format("{} of {}", comparison.seeds_in_favour, comparison.seeds), result.claim.paper,
          verdict_name(comparison.verdict) +
              (comparison.reason.empty() ? "" : " (" + comparison.reason + ")")});
@@ -210,6 +211,8 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
                                  {"scenes_lost", comparison.signs.negative},
                                  {"scenes_tied", comparison.signs.ties},
                                  {"sign_test_p", comparison.signs.p_value},
+                                 {"p", comparison.p_value},
+                                 {"holm_p", comparison.holm_p_value},
                                  {"scenes", comparison.scenes},
                                  {"seeds", comparison.seeds},
                                  {"seeds_in_favour", comparison.seeds_in_favour},

@@ -109,6 +109,13 @@ std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vecto
     }
     results.push_back(std::move(result));
   }
+  const bool anything_is_trained =
+      std::any_of(ablation.stages.begin(), ablation.stages.end(),
+                  [](const StageDescription& stage) { return trains(stage.command); });
+  std::vector<Comparison> comparisons;
+  for (const ClaimResult& result : results) comparisons.push_back(result.comparison);
+  judge(comparisons, anything_is_trained ? kFewestSeedsOfTrainings : kFewestSeedsOfEvaluations);
+  for (size_t i = 0; i < results.size(); ++i) results[i].comparison = std::move(comparisons[i]);
   return results;
 }
 

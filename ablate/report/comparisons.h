@@ -39,7 +39,7 @@ struct ClaimResult {
   Comparison comparison;
 };
 
-// The claims whose variants ran; every other one is undecided and says so.
+// The claims whose variants ran, judged together; every other one is undecided and says so.
 std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vector<VariantNumbers>& numbers);
 
 }  // namespace gld

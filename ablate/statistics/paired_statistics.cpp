@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <set>
 #include <vector>
 
@@ -52,8 +53,22 @@ double mean_of_seed_means(const NumbersBySeed& numbers) {
   return seeds == 0 ? kNoNumber : sum / static_cast<double>(seeds);
 }
 
-Interval interval_of_seed_means(const NumbersBySeed& numbers, const BootstrapOptions& options) {
-  return bootstrap_interval(as_matrix(numbers), options);
+BootstrapTest test_of_seed_means(const NumbersBySeed& numbers, const BootstrapOptions& options) {
+  return bootstrap_test(as_matrix(numbers), options);
+}
+
+std::vector<double> holm_p_values(const std::vector<double>& p_values) {
+  std::vector<size_t> order(p_values.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](size_t a, size_t b) { return p_values[a] < p_values[b]; });
+  std::vector<double> corrected(p_values.size());
+  double largest = 0;
+  for (size_t rank = 0; rank < order.size(); ++rank) {
+    const double factor = static_cast<double>(order.size() - rank);
+    largest = std::max(largest, std::min(1.0, factor * p_values[order[rank]]));
+    corrected[order[rank]] = largest;
+  }
+  return corrected;
 }
 
 SignTest sign_test(const NumbersBySeed& differences) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <vector>
 
 namespace gld {
 
@@ -17,8 +18,14 @@ int64_t scene_count(const NumbersBySeed& numbers);
 // The mean over seeds of the means over their scenes; NaN without numbers.
 double mean_of_seed_means(const NumbersBySeed& numbers);
 
-// The interval of mean_of_seed_means (gld/base/bootstrap.h). A verdict also asks that seeds agree (verdict.h).
-Interval interval_of_seed_means(const NumbersBySeed& numbers, const BootstrapOptions& options = {});
+// The interval of mean_of_seed_means and whether it is 0 (gld/base/bootstrap.h). A verdict also asks that seeds agree
+// (verdict.h).
+BootstrapTest test_of_seed_means(const NumbersBySeed& numbers, const BootstrapOptions& options = {});
+
+// p-values of several claims at once by Holm (1979): the smallest times their number, the next times one less, and so
+// on, none smaller than the one before; at most 1. A claim that is believed where its own is below 0.05 is then, of all
+// claims together, wrongly believed at most once in twenty tables. In the order given.
+std::vector<double> holm_p_values(const std::vector<double>& p_values);
 
 // The exact two-sided binomial test of "positive and negative are equally likely". Each scene counts once, with the
 // sign of its mean over seeds; ties are left out.

@@ -15,6 +15,30 @@ bool all_equal(const NumbersBySeed& numbers) {
                      [&](const auto& seed) { return seed.second == numbers.begin()->second; });
 }
 
+void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
+  if (claim.scenes < kFewestVerdictScenes) {
+    claim.reason = fmt::format("{} scene{}, a verdict needs {}", claim.scenes, claim.scenes == 1 ? "" : "s",
+                               kFewestVerdictScenes);
+  } else if (claim.seeds < fewest_seeds) {
+    claim.reason =
+        fmt::format("{} seed{}, a verdict needs {}", claim.seeds, claim.seeds == 1 ? "" : "s", fewest_seeds);
+  } else if (claim.seeds_are_equal) {
+    claim.reason = "all seeds gave the same numbers, which counts as one seed";
+  } else if (!(claim.interval.low > 0) && !(claim.interval.high < 0)) {
+    claim.reason = "the interval contains 0";
+  } else if (!(claim.holm_p_value < kVerdictLevel)) {
+    claim.reason =
+        fmt::format("clear of 0 alone, not among {} claims: p {:.2g}, by Holm {:.2g}, a verdict needs {}",
+                    claims, claim.p_value, claim.holm_p_value, kVerdictLevel);
+  } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
+    claim.verdict = Verdict::kReproduced;
+  } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {
+    claim.verdict = Verdict::kOpposite;
+  } else {
+    claim.reason = fmt::format("the seeds disagree: {} of {} in favour", claim.seeds_in_favour, claim.seeds);
+  }
+}
+
 }  // namespace
 
 std::string verdict_name(Verdict verdict) {
@@ -25,34 +49,34 @@ std::string verdict_name(Verdict verdict) {
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options) {
   Comparison result;
   result.mean = mean_of_seed_means(gain);
-  result.interval = interval_of_seed_means(gain, options);
+  const BootstrapTest test = test_of_seed_means(gain, options);
+  result.interval = test.interval;
+  result.p_value = test.p_value;
   result.signs = sign_test(gain);
   result.scenes = scene_count(gain);
   result.seeds = static_cast<int64_t>(gain.size());
-  int64_t against = 0;
   for (const auto& [seed, values] : gain) {
     const double mean = mean_of_seed_means({{seed, values}});
     if (mean > 0) ++result.seeds_in_favour;
-    if (mean < 0) ++against;
+    if (mean < 0) ++result.seeds_against;
   }
-  if (result.scenes < kFewestVerdictScenes) {
-    result.reason = fmt::format("{} scene{}, a verdict needs {}", result.scenes,
-                                result.scenes == 1 ? "" : "s", kFewestVerdictScenes);
-  } else if (result.seeds < kFewestVerdictSeeds) {
-    result.reason = "one seed, a verdict needs " + std::to_string(kFewestVerdictSeeds);
-  } else if (all_equal(gain)) {
-    result.reason = "all seeds gave the same numbers, which counts as one seed";
-  } else if (!(result.interval.low > 0) && !(result.interval.high < 0)) {
-    result.reason = "the interval contains 0";
-  } else if (result.interval.low > 0 && result.seeds_in_favour == result.seeds) {
-    result.verdict = Verdict::kReproduced;
-  } else if (result.interval.high < 0 && against == result.seeds) {
-    result.verdict = Verdict::kOpposite;
-  } else {
-    result.reason =
-        fmt::format("the seeds disagree: {} of {} in favour", result.seeds_in_favour, result.seeds);
-  }
+  result.seeds_are_equal = all_equal(gain);
   return result;
+}
+
+void judge(std::vector<Comparison>& claims, int64_t fewest_seeds) {
+  std::vector<Comparison*> tested;
+  std::vector<double> p_values;
+  for (Comparison& claim : claims) {
+    if (claim.scenes == 0) continue;
+    tested.push_back(&claim);
+    p_values.push_back(claim.p_value);
+  }
+  const std::vector<double> corrected = holm_p_values(p_values);
+  for (size_t i = 0; i < tested.size(); ++i) tested[i]->holm_p_value = corrected[i];
+  for (Comparison& claim : claims) {
+    if (claim.reason.empty()) judge_one(claim, fewest_seeds, tested.size());
+  }
 }
 
 }  // namespace gld

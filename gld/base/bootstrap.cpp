@@ -35,13 +35,12 @@ double quantile(const std::vector<double>& sorted, double share) {
   return sorted[below] * (1 - part) + sorted[below + 1] * part;
 }
 
-}  // namespace
-
-Interval bootstrap_interval(const std::vector<std::vector<double>>& numbers,
-                            const BootstrapOptions& options) {
+// The mean of every replicate, in order of size; empty without numbers.
+std::vector<double> replicate_means(const std::vector<std::vector<double>>& numbers,
+                                    const BootstrapOptions& options) {
   const size_t seeds = numbers.size();
   const size_t scenes = seeds == 0 ? 0 : numbers.front().size();
-  if (scenes == 0) return {kNoNumber, kNoNumber};
+  if (scenes == 0) return {};
   Draws draws(options.seed);
   std::vector<double> means;
   means.reserve(static_cast<size_t>(options.replicates));
@@ -65,10 +64,32 @@ Interval bootstrap_interval(const std::vector<std::vector<double>>& numbers,
     }
     if (counted > 0) means.push_back(sum / static_cast<double>(counted));
   }
-  if (means.empty()) return {kNoNumber, kNoNumber};
   std::sort(means.begin(), means.end());
+  return means;
+}
+
+}  // namespace
+
+BootstrapTest bootstrap_test(const std::vector<std::vector<double>>& numbers,
+                             const BootstrapOptions& options) {
+  const std::vector<double> means = replicate_means(numbers, options);
+  BootstrapTest test;
+  if (means.empty()) {
+    test.interval = {kNoNumber, kNoNumber};
+    return test;
+  }
   const double tail = (1 - options.coverage) / 2;
-  return {quantile(means, tail), quantile(means, 1 - tail)};
+  test.interval = {quantile(means, tail), quantile(means, 1 - tail)};
+  const auto not_above = std::upper_bound(means.begin(), means.end(), 0.0) - means.begin();
+  const auto not_below = means.end() - std::lower_bound(means.begin(), means.end(), 0.0);
+  const auto rarer = static_cast<double>(std::min(not_above, not_below) + 1);
+  test.p_value = std::min(1.0, 2 * rarer / static_cast<double>(means.size() + 1));
+  return test;
+}
+
+Interval bootstrap_interval(const std::vector<std::vector<double>>& numbers,
+                            const BootstrapOptions& options) {
+  return bootstrap_test(numbers, options).interval;
 }
 
 }  // namespace gld

@@ -11,6 +11,10 @@
 namespace gld {
 namespace {
 
+Interval interval_of(const NumbersBySeed& numbers, const BootstrapOptions& options = {}) {
+  return test_of_seed_means(numbers, options).interval;
+}
+
 std::string scene_name(int64_t number) { return "scene_" + std::to_string(number); }
 
 TEST(SignTestPValue, EqualsSumsOfBinomialCoefficientsByHand) {
@@ -46,15 +50,15 @@ TEST(BootstrapInterval, OfEqualNumbersIsThatNumber) {
   NumbersBySeed numbers;
   for (int64_t scene = 0; scene < 10; ++scene)
     numbers[0][scene_name(scene)] = numbers[1][scene_name(scene)] = 2.5;
-  const Interval interval = interval_of_seed_means(numbers);
+  const Interval interval = interval_of(numbers);
   EXPECT_DOUBLE_EQ(interval.low, 2.5);
   EXPECT_DOUBLE_EQ(interval.high, 2.5);
-  EXPECT_TRUE(std::isnan(interval_of_seed_means({}).low));
+  EXPECT_TRUE(std::isnan(interval_of({}).low));
 }
 
 TEST(BootstrapInterval, OfTwoNumbersIsTheirRange) {
   // Means of two draws of {0, 1}: 0, 1/2, 1 with probabilities 1/4, 1/2, 1/4, so that both tails are at the ends.
-  const Interval interval = interval_of_seed_means({{0, {{"a", 0}, {"b", 1}}}});
+  const Interval interval = interval_of({{0, {{"a", 0}, {"b", 1}}}});
   EXPECT_DOUBLE_EQ(interval.low, 0);
   EXPECT_DOUBLE_EQ(interval.high, 1);
 }
@@ -83,8 +87,7 @@ TEST(BootstrapInterval, CoversTheMeanAsOftenAsItSaysWhereSeedsShareTheirScenes) 
   int64_t covered = 0;
   constexpr int64_t kTrials = 400;
   for (int64_t trial = 0; trial < kTrials; ++trial) {
-    const Interval interval =
-        interval_of_seed_means(crossed_numbers(static_cast<uint64_t>(trial), 3, 40, 1.5), options);
+    const Interval interval = interval_of(crossed_numbers(static_cast<uint64_t>(trial), 3, 40, 1.5), options);
     if (interval.low <= 1.5 && 1.5 <= interval.high) ++covered;
   }
   EXPECT_GE(covered, 362);  // 95 % - 1 % - 4 deviations
@@ -100,25 +103,46 @@ TEST(BootstrapInterval, IsTheSameInEveryOrderAndMirroredForTheOtherSign) {
       mirrored[seed->first][scene->first] = -scene->second;
     }
   }
-  const Interval interval = interval_of_seed_means(numbers);
-  EXPECT_EQ(interval.low, interval_of_seed_means(backwards).low);
-  EXPECT_EQ(interval.high, interval_of_seed_means(backwards).high);
-  EXPECT_NEAR(interval.low, -interval_of_seed_means(mirrored).high, 1e-12);
-  EXPECT_NEAR(interval.high, -interval_of_seed_means(mirrored).low, 1e-12);
+  const Interval interval = interval_of(numbers);
+  EXPECT_EQ(interval.low, interval_of(backwards).low);
+  EXPECT_EQ(interval.high, interval_of(backwards).high);
+  EXPECT_NEAR(interval.low, -interval_of(mirrored).high, 1e-12);
+  EXPECT_NEAR(interval.high, -interval_of(mirrored).low, 1e-12);
 }
 
 // Of two seeds of one scene a quarter of the draws is all the one, a quarter all the other: more than the tails leave
 // out.
 TEST(BootstrapInterval, DrawsSeedsAsItDrawsScenes) {
-  const Interval interval = interval_of_seed_means({{0, {{"a", 0}}}, {1, {{"a", 1}}}});
+  const Interval interval = interval_of({{0, {{"a", 0}}}, {1, {{"a", 1}}}});
   EXPECT_EQ(interval.low, 0);
   EXPECT_EQ(interval.high, 1);
 }
 
 TEST(BootstrapInterval, LeavesOutScenesThatASeedDoesNotHave) {
-  const Interval interval = interval_of_seed_means({{0, {{"a", 1}}}, {1, {{"b", 1}}}});
+  const Interval interval = interval_of({{0, {{"a", 1}}}, {1, {{"b", 1}}}});
   EXPECT_DOUBLE_EQ(interval.low, 1);
   EXPECT_DOUBLE_EQ(interval.high, 1);
+}
+
+TEST(BootstrapPValue, IsTheExactProbabilityOfTwoNumbersAndNeverZero) {
+  // Means of two draws of {-1, 3}: -1, 1, 3 with probabilities 1/4, 1/2, 1/4, so that p is 2 * 1/4.
+  BootstrapOptions options;
+  options.replicates = 100'000;
+  EXPECT_NEAR(test_of_seed_means({{0, {{"a", -1}, {"b", 3}}}}, options).p_value, 0.5, 0.01);
+  options.replicates = 999;
+  EXPECT_DOUBLE_EQ(test_of_seed_means({{0, {{"a", 1}, {"b", 3}}}}, options).p_value, 2.0 / 1000);
+  EXPECT_DOUBLE_EQ(test_of_seed_means({{0, {{"a", 0}, {"b", 0}}}}, options).p_value, 1);
+  EXPECT_DOUBLE_EQ(test_of_seed_means({}).p_value, 1);
+}
+
+TEST(HolmPValues, AreThoseByHandInTheOrderGiven) {
+  // 0.01 * 4, 0.015 * 3, 0.03 * 2 and 0.04 * 1, the last no smaller than the one before it.
+  const std::vector<double> corrected = holm_p_values({0.04, 0.01, 0.03, 0.015});
+  const std::vector<double> expected{0.06, 0.04, 0.06, 0.045};
+  ASSERT_EQ(corrected.size(), expected.size());
+  for (size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(corrected[i], expected[i], 1e-15);
+  EXPECT_EQ(holm_p_values({0.7, 0.8}), (std::vector<double>{1, 1}));
+  EXPECT_TRUE(holm_p_values({}).empty());
 }
 
 }  // namespace

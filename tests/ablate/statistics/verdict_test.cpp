@@ -20,34 +20,71 @@ NumbersBySeed around(const std::vector<double>& mean_of_seed, int64_t scenes) {
   return gain;
 }
 
+// One claim alone, judged as of trainings.
+Comparison judged(const NumbersBySeed& gain) {
+  std::vector<Comparison> claims{compare(gain)};
+  judge(claims, kFewestSeedsOfTrainings);
+  return claims.front();
+}
+
 TEST(Verdict, IsReproducedOrOppositeWhereIntervalAndSeedsAgree) {
-  const Comparison better = compare(around({0.5, 0.6, 0.4}, 64));
+  const Comparison better = judged(around({0.5, 0.6, 0.4}, 64));
   EXPECT_EQ(better.verdict, Verdict::kReproduced);
   EXPECT_EQ(better.reason, "");
   EXPECT_NEAR(better.mean, 0.5, 1e-12);
   EXPECT_EQ(better.signs.positive, 64);
   EXPECT_EQ(better.seeds_in_favour, 3);
-  EXPECT_EQ(compare(around({-0.5, -0.6, -0.4}, 64)).verdict, Verdict::kOpposite);
+  EXPECT_EQ(judged(around({-0.5, -0.6, -0.4}, 64)).verdict, Verdict::kOpposite);
   EXPECT_EQ(verdict_name(Verdict::kOpposite), "opposite");
 }
 
 TEST(Verdict, IsUndecidedForOneReasonThatItSays) {
-  const Comparison few = compare(around({0.5, 0.5}, 63));
+  const Comparison few = judged(around({0.5, 0.5}, 63));
   EXPECT_EQ(few.verdict, Verdict::kUndecided);
   EXPECT_EQ(few.reason, "63 scenes, a verdict needs 64");
-  EXPECT_EQ(compare(around({0.5}, 64)).reason, "one seed, a verdict needs 2");
-  EXPECT_EQ(compare(around({0.001, -0.001}, 64)).reason, "the interval contains 0");
-  EXPECT_EQ(compare(around({0.5, 0.5}, 64)).reason,
+  EXPECT_EQ(judged(around({0.5}, 64)).reason, "1 seed, a verdict needs 3");
+  EXPECT_EQ(judged(around({0.5, 0.6}, 64)).reason, "2 seeds, a verdict needs 3");
+  EXPECT_EQ(judged(around({0.001, -0.001, 0.001}, 64)).reason, "the interval contains 0");
+  EXPECT_EQ(judged(around({0.5, 0.5, 0.5}, 64)).reason,
             "all seeds gave the same numbers, which counts as one seed");
-  EXPECT_EQ(compare({}).reason, "0 scenes, a verdict needs 64");
+  EXPECT_EQ(judged({}).reason, "0 scenes, a verdict needs 64");
 }
 
 TEST(Verdict, IsUndecidedWhereSeedsDisagreeThoughTheIntervalLiesOnOneSide) {
   // Nine seeds of 1 and one of -0.5: draws of ten seeds have a mean below 0 once in some thousands.
-  const Comparison mixed = compare(around({1, 1, 1, 1, 1, 1, 1, 1, 1, -0.5}, 64));
+  const Comparison mixed = judged(around({1, 1, 1, 1, 1, 1, 1, 1, 1, -0.5}, 64));
   EXPECT_GT(mixed.interval.low, 0);
   EXPECT_EQ(mixed.verdict, Verdict::kUndecided);
   EXPECT_EQ(mixed.reason, "the seeds disagree: 9 of 10 in favour");
+}
+
+TEST(Verdict, OfEvaluationsNeedsTwoSeeds) {
+  std::vector<Comparison> claims{compare(around({0.5, 0.6}, 64))};
+  judge(claims, kFewestSeedsOfEvaluations);
+  EXPECT_EQ(claims[0].verdict, Verdict::kReproduced);
+}
+
+TEST(Verdict, OfManyClaimsNeedsMoreThanEachAlone) {
+  // A mean at 2.5 of its own deviations: p near 0.012, which is enough alone and not among five.
+  const NumbersBySeed weak = around({0.029, 0.030, 0.031}, 64);
+  const Comparison alone = judged(weak);
+  EXPECT_EQ(alone.verdict, Verdict::kReproduced);
+  EXPECT_EQ(alone.holm_p_value, alone.p_value);
+  EXPECT_GT(alone.p_value, 0.0125);
+  EXPECT_LT(alone.p_value, 0.025);
+  std::vector<Comparison> claims(4, compare(weak));
+  claims.push_back(compare(around({0.5, 0.6, 0.4}, 64)));
+  Comparison left_out;
+  left_out.reason = "not run";
+  claims.push_back(left_out);
+  judge(claims, kFewestSeedsOfTrainings);
+  EXPECT_EQ(claims[0].verdict, Verdict::kUndecided);
+  EXPECT_EQ(claims[0].holm_p_value, 4 * claims[0].p_value);  // the strong one comes first, of five
+  EXPECT_EQ(claims[0].reason.rfind("clear of 0 alone, not among 5 claims: p 0.0", 0), 0U) << claims[0].reason;
+  EXPECT_EQ(claims[4].verdict, Verdict::kReproduced);
+  EXPECT_EQ(claims[4].holm_p_value, 5 * claims[4].p_value);
+  EXPECT_EQ(claims[5].reason, "not run");
+  EXPECT_EQ(claims[5].verdict, Verdict::kUndecided);
 }
 
 }  // namespace
