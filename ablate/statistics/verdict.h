@@ -40,14 +40,15 @@ struct Comparison {
   std::string reason;  // of an undecided one: one phrase
 };
 
-// gain: by how much the claimed one is better, for each seed and scene. Everything but holm_p_value, verdict and reason.
+// gain: by how much the claimed one is better, for each seed and scene. Everything but holm_p_value, verdict and
+// reason.
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options = {});
 
-// The verdicts of claims that are made together, `claims` of one table. Reproduced (or opposite) where the 95 % interval
-// lies above (below) 0, Holm's p-value over all claims that have scenes is below kVerdictLevel, and the mean of every
-// seed has that sign too; undecided, with the reason, where it is not, and whatever the interval with fewer scenes than
-// kFewestVerdictScenes or fewer seeds than `fewest_seeds`. Seeds that gave the same numbers count as one. A claim that
-// has a reason already keeps it and is undecided.
+// The verdicts of claims that are made together, `claims` of one table. Reproduced (or opposite) where the 95 %
+// interval lies above (below) 0, Holm's p-value over all claims that have scenes is below kVerdictLevel, and the mean
+// of every seed has that sign too; undecided, with the reason, where it is not, and whatever the interval with fewer
+// scenes than kFewestVerdictScenes or fewer seeds than `fewest_seeds`. Seeds that gave the same numbers count as one.
+// A claim that has a reason already keeps it and is undecided.
 void judge(std::vector<Comparison>& claims, int64_t fewest_seeds);
 
 }  // namespace gld
