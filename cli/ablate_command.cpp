@@ -3,6 +3,8 @@
 #include "ablate/report/ablation_run.h"
 #include "cli/commands.h"
 #include "gld/base/error.h"
+#include "gld/base/sha256.h"
+#include "gld/report/provenance.h"
 
 #include <filesystem>
 #include <iostream>
@@ -29,6 +31,9 @@ std::vector<Command> stage_commands() {
 ProgramCommands this_program() {
   ProgramCommands program;
   program.program = std::filesystem::read_symlink("/proc/self/exe");
+  constexpr size_t kHashDigits = 12;
+  program.version =
+      program_version() + ", executable " + sha256_of_file("/proc/self/exe").substr(0, kHashDigits);
   for (const Command& command : stage_commands()) program.names.push_back(command.name);
   program.options = [](const std::string& name) -> std::shared_ptr<OptionsGroup> {
     for (const Command& command : stage_commands()) {

@@ -99,11 +99,24 @@ std::map<std::string, std::string> read_texts(const YAML::Node& node, const Yaml
 using SectionReader =
     std::function<bool(const std::string& key, const YAML::Node& value, const YamlPlace& place)>;
 
-// Every entry goes to own, where that knows the key, else to the fields of the item.
-void read_item(OptionsGroup& item, const YAML::Node& node, const YamlPlace& place, const SectionReader& own) {
+// Throws Error for a key that is neither a field of the group nor among `others`, naming all that are.
+void require_key(const OptionsGroup& group, const std::vector<std::string>& others, const std::string& key,
+                 const std::string& where) {
+  std::vector<std::string> known = others;
+  for (const auto& field : describe_options(group)) known.push_back(field.key);
+  if (std::find(known.begin(), known.end(), key) != known.end()) return;
+  const auto near = nearest_name(key, known);
+  fail({where + ", key " + quoted_text(key), "a known key", "an unknown one",
+        near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?"});
+}
+
+// Every entry goes to own, where that knows the key (one of own_keys), else to the fields of the item.
+void read_item(OptionsGroup& item, const YAML::Node& node, const YamlPlace& place,
+               const std::vector<std::string>& own_keys, const SectionReader& own) {
   require_map(node, place);
   for (const auto& entry : node) {
     const std::string key = key_text(entry.first, place);
+    require_key(item, own_keys, key, place.of(entry.first));
     if (own && own(key, entry.second, place)) continue;
     apply_setting(item, key, one_line(entry.second), place.of(entry.first));
   }
@@ -123,11 +136,12 @@ std::map<std::string, std::vector<OptionSetting>> read_stage_settings(const YAML
 StageDescription read_stage(const std::string& name, const YAML::Node& node, const YamlPlace& place) {
   StageDescription stage;
   stage.name = name;
-  read_item(stage, node, place, [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
-    if (key != "options") return false;
-    read_settings(value, at, "", stage.settings);
-    return true;
-  });
+  read_item(stage, node, place, {"options"},
+            [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
+              if (key != "options") return false;
+              read_settings(value, at, "", stage.settings);
+              return true;
+            });
   return stage;
 }
 
@@ -136,18 +150,19 @@ VariantDescription read_variant(const std::string& name, const YAML::Node& node,
   variant.name = name;
   variant.label = name;
   if (node.IsNull()) return variant;
-  read_item(variant, node, place, [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
-    if (key == "options") {
-      variant.settings = read_stage_settings(value, at);
-    } else if (key == "rows") {
-      variant.rows = read_texts(value, at.inner("rows"));
-    } else if (key == "columns") {
-      variant.columns = read_texts(value, at.inner("columns"));
-    } else {
-      return false;
-    }
-    return true;
-  });
+  read_item(variant, node, place, {"options", "rows", "columns"},
+            [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
+              if (key == "options") {
+                variant.settings = read_stage_settings(value, at);
+              } else if (key == "rows") {
+                variant.rows = read_texts(value, at.inner("rows"));
+              } else if (key == "columns") {
+                variant.columns = read_texts(value, at.inner("columns"));
+              } else {
+                return false;
+              }
+              return true;
+            });
   return variant;
 }
 
@@ -177,7 +192,7 @@ void require_name(const std::string& name, const std::vector<std::string>& known
                   const std::string& one_of) {
   if (std::find(known.begin(), known.end(), name) != known.end()) return;
   const auto near = nearest_name(name, known);
-  fail({where, "a " + one_of + " of this ablation", quoted_text(name),
+  fail({where, "a " + one_of + " of this ablation", name.empty() ? "nothing" : quoted_text(name),
         near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?"});
 }
 
@@ -239,8 +254,8 @@ void check_metrics(const Ablation& ablation, const std::string& file) {
     const std::string where = file + ", metric " + quoted_text(metric.name) + ", key 'better'";
     static const std::vector<std::string> directions{"higher", "lower", "near 1"};
     if (metric.better.empty()) {
-      fail({where, "higher, lower or near 1", "nothing, and gld/metrics has no metric of that name",
-            "add it"});
+      fail({where, "higher, lower or near 1", "nothing, and it is no column that gld knows",
+            "add it, for example " + quoted_text(metric.name + ": {better: higher}")});
     }
     if (std::find(directions.begin(), directions.end(), metric.better) == directions.end()) {
       fail({where, "higher, lower or near 1", quoted_text(metric.better), "choose one of them"});
@@ -401,15 +416,7 @@ void read_ablate_options(const std::filesystem::path& file, AblateOptions& optio
   for (const auto& entry : document) {
     const std::string key = key_text(entry.first, place);
     if (is_section(key)) continue;
-    // A section's name that is nearly right is told as such: the fields of options know nothing of sections.
-    const auto near = nearest_name(key, section_names());
-    const auto fields = describe_options(options);
-    const bool field =
-        std::any_of(fields.begin(), fields.end(), [&](const auto& one) { return one.key == key; });
-    if (!field && !near.empty()) {
-      fail({place.of(entry.first) + ", key " + quoted_text(key), "a section or an option of gld ablate",
-            "an unknown one", "did you mean " + quoted_text(near) + "?"});
-    }
+    require_key(options, section_names(), key, place.of(entry.first));
     apply_setting(options, key, one_line(entry.second), place.of(entry.first));
   }
 }
@@ -441,7 +448,7 @@ Ablation read_ablation(const std::filesystem::path& file, const AblateOptions& o
                                         metric.better = better_name(known->better);
                                         metric.unit = known->unit;
                                       }
-                                      if (!node.IsNull()) read_item(metric, node, at, {});
+                                      if (!node.IsNull()) read_item(metric, node, at, {}, {});
                                       return metric;
                                     });
   if (const YAML::Node claims = document["claims"]) {
@@ -449,7 +456,7 @@ Ablation read_ablation(const std::filesystem::path& file, const AblateOptions& o
         claims, place, "claim", [](const std::string& name, const YAML::Node& node, const YamlPlace& at) {
           ClaimDescription claim;
           claim.name = name;
-          read_item(claim, node, at, {});
+          read_item(claim, node, at, {}, {});
           return claim;
         });
   }

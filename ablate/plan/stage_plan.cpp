@@ -5,7 +5,6 @@
 #include "gld/base/error.h"
 #include "gld/base/option_differences.h"
 #include "gld/base/sha256.h"
-#include "gld/report/provenance.h"
 #include "models/bundle/bundle.h"
 
 #include <algorithm>
@@ -250,7 +249,7 @@ class Planner {
   std::string dependencies(const StageTask& task) {
     const auto key = [&](size_t number) { return plan_.tasks[number].key; };
     std::string text =
-        "gld ablation stage 1\nprogram: " + program_version() + "\ncommand: " + task.command + "\n";
+        "gld ablation stage 1\nprogram: " + commands_.version + "\ncommand: " + task.command + "\n";
     if (task.model) {
       text += "model: stage " + key(*task.model) + "\n";
     } else if (task.takes_model) {

@@ -2,7 +2,6 @@
 
 #include "gld/base/command_options.h"
 #include "gld/report/progress.h"
-#include "gld/report/provenance.h"
 #include "gld/report/table.h"
 
 #include <algorithm>
@@ -36,11 +35,12 @@ Summary summary_of(const Ablation& ablation, const VariantNumbers& numbers, cons
   return summary;
 }
 
-// Three digits, more where the interval is narrower than they show.
+// With its interval; as many digits as that shows.
 std::string number_text(double value, const Interval& interval) {
   if (!std::isfinite(value)) return "absent";
   const double width = interval.high - interval.low;
-  const int digits = width > 0 ? std::clamp(static_cast<int>(std::ceil(1 - std::log10(width))), 0, 6) : 3;
+  if (!(width > 0)) return fmt::format("{:.3f}", value);  // of one number, or of equal ones
+  const int digits = std::clamp(static_cast<int>(std::ceil(1 - std::log10(width))), 0, 6);
   return fmt::format("{:.{}f} [{:.{}f}, {:.{}f}]", value, digits, interval.low, digits, interval.high,
                      digits);
 }
@@ -123,7 +123,7 @@ nlohmann::ordered_json interval_json(const Interval& interval) {
 std::string ablation_markdown(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
                               const AblationResults& results) {
   std::string text =
-      "# " + ablation.title + "\n\n`" + command_text(ablation) + "` (" + program_version() + ")\n\n";
+      "# " + ablation.title + "\n\n`" + command_text(ablation) + "` (" + results.program + ")\n\n";
   if (ablation.options.smoke) {
     text += "A smoke run: it shows that everything runs. Its figures say nothing.\n\n";
   }
@@ -180,7 +180,7 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
   nlohmann::ordered_json json{{"command", "ablate"},
                               {"title", ablation.title},
                               {"description", ablation.file.string()},
-                              {"program", program_version()},
+                              {"program", results.program},
                               {"repeat_with", command_text(ablation)},
                               {"smoke", ablation.options.smoke}};
   for (const VariantNumbers& numbers : results.numbers) {

@@ -12,6 +12,7 @@ namespace gld {
 
 // What came out of an ablation.
 struct AblationResults {
+  std::string program;  // ProgramCommands::version
   std::vector<VariantNumbers> numbers;
   std::vector<ClaimResult> claims;
 };

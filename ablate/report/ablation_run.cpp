@@ -1,12 +1,16 @@
 #include "ablate/report/ablation_run.h"
 
+#include "ablate/page/ablation_page.h"
 #include "ablate/plan/stage_cache.h"
 #include "ablate/plan/stage_plan.h"
 #include "ablate/report/ablation_report.h"
 #include "ablate/run/stage_runner.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/json_text.h"
+#include "gld/page/run_page.h"
 #include "gld/report/run_folder.h"
 
 #include <algorithm>
@@ -27,6 +31,35 @@ void remove_stages(const fs::path& cache) {
   }
 }
 
+// Whole results that are there are of the same question: others would be lost. What was stopped, or failed in part, may
+// be asked otherwise.
+void check_same_question(const Ablation& ablation, const fs::path& folder) {
+  const fs::path file = folder / "report.json";
+  if (!fs::exists(file) || !fs::exists(folder / "ablation.yaml")) return;
+  const nlohmann::json report = parse_json(read_file(file), file.string());
+  for (const auto& variant : report.value("variants", nlohmann::json::array()))
+    if (variant.contains("problems")) return;
+  const auto refuse = [&](const std::string& what, const std::string& found) {
+    fail({folder.string(), "results of " + what, found,
+          fmt::format("choose another --out, with --cache {} to take its finished stages, or begin anew with "
+                      "--overwrite",
+                      (fs::path(folder) / "cache").string())});
+  };
+  if (read_file(folder / "ablation.yaml") != ablation.text)
+    refuse("the description " + ablation.file.string(), "those of another one");
+  AblateOptions before;
+  load_yaml(before, folder / "config.yaml");
+  const AblateOptions& now = ablation.options;
+  const auto differs = [&](bool same, const char* flag) {
+    if (!same) refuse(std::string("the same ") + flag, "those of another");
+  };
+  differs(before.model == now.model, "--model");
+  differs(before.smoke == now.smoke, "--smoke");
+  differs(before.smoke || before.seeds == now.seeds, "--seeds");
+  differs(before.only == now.only, "--only");
+  differs(before.overrides == now.overrides, "--overrides");
+}
+
 }  // namespace
 
 AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& commands) {
@@ -36,6 +69,7 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
   if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};
 
+  if (!options.overwrite) check_same_question(ablation, options.out);
   RunFolder folder(options.out, "ablate", options,
                    options.overwrite ? EarlierRun::kOverwrite : EarlierRun::kContinue);
   if (options.overwrite) remove_stages(own_cache);
@@ -43,10 +77,12 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   if (!options.json) std::cout << plan_text(plan, cache, options.jobs_to_use()) << std::flush;
   // The running stages write checkpoints before they stop.
   install_interrupt_handler(StopDeadline::kSafePoint);
-  const RunningOptions running{commands.program, options.jobs_to_use(), options.threads};
+  RunningOptions running{commands.program, options.jobs_to_use(), options.threads, folder.path(), {}};
+  running.check_done = [&](size_t task) { check_result_columns(ablation, plan, cache, task); };
   const auto outcomes = run_tasks(plan, cache, running);
 
   AblationResults results;
+  results.program = commands.version;
   results.numbers = collect_numbers(ablation, plan, cache, outcomes);
   results.claims = judge_claims(ablation, results.numbers);
   const std::string markdown = ablation_markdown(ablation, plan, cache, results);
@@ -63,6 +99,8 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   const auto report = ablation_json(ablation, plan, cache, results);
   folder.write_report(report);
   folder.note("report", "report.json");
+  write_file_atomically(folder.path() / kPageFile, page_html(ablation_page(folder.path())));
+  folder.note("page", kPageFile);
 
   const bool complete =
       std::all_of(outcomes.begin(), outcomes.end(), [](const TaskOutcome& outcome) { return outcome.done; });

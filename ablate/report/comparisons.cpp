@@ -1,10 +1,14 @@
 #include "ablate/report/comparisons.h"
 
 #include "ablate/report/result_rows.h"
+#include "gld/base/configuration.h"
+#include "gld/base/error.h"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -51,6 +55,24 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
     all.push_back(std::move(numbers));
   }
   return all;
+}
+
+void check_result_columns(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
+                          size_t task) {
+  for (const VariantRun& run : plan.runs) {
+    if (std::find(run.results.begin(), run.results.end(), task) == run.results.end()) continue;
+    const VariantDescription& variant = ablation.variants[run.variant];
+    const StageTask& stage = plan.tasks[task];
+    const ResultRows rows = read_result_rows(cache.run(stage) / ablation.stage(stage.stage).results);
+    for (const MetricDescription& metric : ablation.metrics) {
+      const std::string column = column_of(variant, metric);
+      if (has_column(rows, column)) continue;
+      const auto near = nearest_name(column, rows.columns);
+      fail({fmt::format("{}, metric '{}' of variant '{}'", ablation.file.string(), metric.name, variant.name),
+            fmt::format("a column of {}", rows.file.string()), "'" + column + "'",
+            near.empty() ? "choose one of its first line" : "did you mean '" + near + "'?"});
+    }
+  }
 }
 
 NumbersBySeed scene_means(const MeasuredNumbers& numbers) {

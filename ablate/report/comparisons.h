@@ -27,6 +27,11 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
                                             const StageCache& cache,
                                             const std::vector<TaskOutcome>& outcomes);
 
+// Throws Error, naming the metric, where what this finished task wrote has not the columns that variants are compared
+// by: known as soon as one is done, and not after hours of the others.
+void check_result_columns(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
+                          size_t task);
+
 // Finite numbers averaged over each scene's views.
 NumbersBySeed scene_means(const MeasuredNumbers& numbers);
 

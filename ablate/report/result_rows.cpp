@@ -68,10 +68,6 @@ std::vector<std::vector<std::string>> csv_cells(const std::string& text, const s
   return lines;
 }
 
-bool has_column(const ResultRows& rows, const std::string& name) {
-  return std::find(rows.columns.begin(), rows.columns.end(), name) != rows.columns.end();
-}
-
 size_t column_number(const ResultRows& rows, const std::string& name) {
   const auto found = std::find(rows.columns.begin(), rows.columns.end(), name);
   if (found == rows.columns.end()) {
@@ -121,6 +117,10 @@ void add_leaves(const nlohmann::json& value, const std::string& path, ResultRows
 }
 
 }  // namespace
+
+bool has_column(const ResultRows& rows, const std::string& name) {
+  return std::find(rows.columns.begin(), rows.columns.end(), name) != rows.columns.end();
+}
 
 ResultRows read_result_rows(const std::filesystem::path& file) {
   if (file.extension() == ".json") {

@@ -12,12 +12,14 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <fstream>
 #include <memory>
 #include <sstream>
 #include <thread>
 
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <sys/file.h>
 #include <unistd.h>
 
@@ -25,6 +27,8 @@ namespace gld {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr std::chrono::seconds kBetweenLooks(1);
 
 // That no other ablation works at the stage: held by this process and by the stage's own.
 class StageLock {
@@ -128,21 +132,33 @@ class Scheduler {
   std::vector<TaskOutcome> run() {
     for (size_t number = 0; number < plan_.tasks.size(); ++number) {
       if (cache_.state(plan_.tasks[number]) == StageState::kDone) {
-        outcomes_[number].done = true;
+        note_done(number);
       } else {
         waiting_.push_back(number);
       }
     }
     if (waiting_.empty()) return outcomes_;
-    const auto before = static_cast<int64_t>(outcomes_.size() - waiting_.size());
-    Progress progress("ablation", static_cast<int64_t>(outcomes_.size()));
-    progress.update(before, note());
-    while (!waiting_.empty() || !running_.empty()) {
-      if (interrupt_requested()) stop();
-      collect();
-      start();
-      progress.update(finished(), note());
-      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    Progress progress({"ablation", percent_of(outcomes_.size()),
+                       percent_of(outcomes_.size() - waiting_.size()), options_.progress_folder});
+    auto looked = std::chrono::steady_clock::now() - kBetweenLooks;
+    int64_t under_way = 0;
+    try {
+      while (!waiting_.empty() || !running_.empty()) {
+        if (interrupt_requested()) stop();
+        collect();
+        start();
+        // Stages say how far they are in a file each.
+        if (const auto now = std::chrono::steady_clock::now(); now - looked >= kBetweenLooks) {
+          looked = now;
+          under_way = percent_under_way();
+        }
+        progress.update(percent_of(static_cast<size_t>(finished())) + (running_.empty() ? 0 : under_way),
+                        note());
+        std::this_thread::sleep_for(std::chrono::milliseconds(50));
+      }
+    } catch (const Error&) {
+      stop_running();
+      throw;
     }
     progress.finish();
     return outcomes_;
@@ -153,8 +169,29 @@ class Scheduler {
     return static_cast<int64_t>(outcomes_.size() - waiting_.size() - running_.size());
   }
 
+  void note_done(size_t number) {
+    outcomes_[number].done = true;
+    if (options_.check_done) options_.check_done(number);
+  }
+
+  // Progress counts hundredths of a stage: one of an hour is not nothing until it is done.
+  static int64_t percent_of(size_t stages) { return 100 * static_cast<int64_t>(stages); }
+
+  int64_t percent_under_way() const {
+    int64_t percent = 0;
+    for (const RunningTask& task : running_) {
+      const auto json = read_run_progress(cache_.run(plan_.tasks[task.number]));
+      if (!json.is_object() || !json.contains("done") || !json.contains("total")) continue;
+      const auto &done = json.at("done"), &total = json.at("total");
+      if (!done.is_number() || !total.is_number() || !(total.get<double>() > 0)) continue;
+      percent += std::lround(99 * std::clamp(done.get<double>() / total.get<double>(), 0.0, 1.0));
+    }
+    return percent;
+  }
+
   std::string note() const {
-    std::string text = std::to_string(waiting_.size()) + " waiting";
+    std::string text =
+        fmt::format("{} of {} stages done, {} waiting", finished(), outcomes_.size(), waiting_.size());
     for (const RunningTask& task : running_) {
       const StageTask& stage = plan_.tasks[task.number];
       const std::string line = last_line(cache_.folder(stage) / "log.txt");
@@ -165,12 +202,16 @@ class Scheduler {
     return text;
   }
 
-  [[noreturn]] void stop() {
+  void stop_running() {
     for (RunningTask& task : running_) task.process->stop();
     for (RunningTask& task : running_) {
       while (!task.process->poll()) std::this_thread::sleep_for(std::chrono::milliseconds(20));
-      note_end(task);
     }
+  }
+
+  [[noreturn]] void stop() {
+    stop_running();
+    for (RunningTask& task : running_) note_end(task);
     stop_if_interrupted("the ablation stopped after " + std::to_string(finished()) + " of " +
                         std::to_string(outcomes_.size()) + " stages; the same command goes on with it");
     fail({"gld ablate", "a stop that was asked for", "none", "report this"});
@@ -184,7 +225,7 @@ class Scheduler {
       const StageCost cost{cache_.seconds_spent(stage) + result.seconds, result.peak_bytes,
                            size_on_disk(cache_.folder(stage))};
       cache_.finish(stage, cost);
-      outcomes_[task.number].done = true;
+      note_done(task.number);
       return;
     }
     cache_.note_seconds_spent(stage, result.seconds);
@@ -202,8 +243,9 @@ class Scheduler {
         ++task;
         continue;
       }
-      note_end(*task);
+      const RunningTask ended = std::move(*task);
       task = running_.erase(task);
+      note_end(ended);
     }
   }
 

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -14,6 +15,11 @@ struct RunningOptions {
   std::filesystem::path program;
   int64_t jobs = 1;
   int64_t threads = 1;  // of each
+  // Where progress.json says how far the tasks are together; empty: nowhere.
+  std::filesystem::path progress_folder;
+  // Called with each task that is done, those of before included, as soon as it is; an Error that it throws stops the
+  // running ones, which go on next time, and is passed on. May be empty.
+  std::function<void(size_t task)> check_done;
 };
 
 struct TaskOutcome {

@@ -145,6 +145,7 @@ class Assigner : public FieldVisitor {
   }
   void group(const Field& field, OptionsGroup& value) override {
     auto node = take(field);
+    for (const auto& leaf : describe_options(value)) below_.push_back(field.name + "." + leaf.key);
     if (!node || node->IsNull()) return;
     if (!node->IsMap()) {
       fail({place(source_, *node, prefix_ + field.name), "a map of options", shown(*node),
@@ -163,14 +164,26 @@ class Assigner : public FieldVisitor {
       }
       const auto name = entry.first.Scalar();
       if (std::find(known_.begin(), known_.end(), name) != known_.end()) continue;
-      const auto near = nearest_name(name, known_);
-      fail({place(source_, entry.first, prefix_ + name), "a known option", "an unknown one",
-            near.empty() ? "the options here are " + joined(known_, ", ")
-                         : "did you mean " + quoted(prefix_ + near) + "?"});
+      fail({place(source_, entry.first, prefix_ + name), "a known option", "an unknown one", hint(name)});
     }
   }
 
  private:
+  // What to do about a name that is none of this map's. On the command line groups are left out ("--evaluations"), here
+  // they are not, so that a name that stands in one is told first.
+  std::string hint(const std::string& name) const {
+    std::vector<std::string> found;
+    for (const std::string& key : below_) {
+      const size_t start = key.size() - std::min(key.size(), name.size());
+      if (start > 0 && key[start - 1] == '.' && key.substr(start) == name)
+        found.push_back(quoted(prefix_ + key));
+    }
+    if (!found.empty()) return "did you mean " + joined(found, " or ") + "?";
+    const auto near = nearest_name(name, known_);
+    return near.empty() ? "the options here are " + joined(known_, ", ")
+                        : "did you mean " + quoted(prefix_ + near) + "?";
+  }
+
   std::optional<YAML::Node> take(const Field& field) {
     known_.push_back(field.name);
     // operator[] on a const node does not insert.
@@ -242,6 +255,7 @@ class Assigner : public FieldVisitor {
   Source source_;
   std::string prefix_;
   std::vector<std::string> known_;
+  std::vector<std::string> below_;  // of groups: "solver.evaluations"
 };
 
 void assign(OptionsGroup& options, const YAML::Node& root, const Source& source) {

@@ -142,8 +142,8 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   EXPECT_EQ(report.at("claims").at(0).at("reason"), "2 scenes, a verdict needs 64");
   EXPECT_EQ(report.at("claims").at(0).at("seeds"), 2);
   EXPECT_THAT(text_, HasSubstr("| claim"));
-  for (const char* name :
-       {"ablation.md", "ablation.csv", "ablation.svg", "ablation.png", "ablation.yaml", "config.yaml"}) {
+  for (const char* name : {"ablation.md", "ablation.csv", "ablation.svg", "ablation.png", "ablation.yaml",
+                           "config.yaml", "report.html", "progress.json"}) {
     EXPECT_TRUE(fs::is_regular_file(run() / name)) << name;
   }
   const std::string csv = read_file(run() / "ablation.csv");
@@ -158,6 +158,15 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   EXPECT_EQ(read_file(run() / "ablation.md"), markdown);
   EXPECT_EQ(gld_ablate({"--plan"}), 0);
   EXPECT_THAT(text_, HasSubstr("time left 0 s"));
+
+  // Another question does not take the place of the answer that is there.
+  EXPECT_EQ(gld_ablate({"--seeds", "0"}), 1);
+  EXPECT_THAT(
+      text_,
+      HasSubstr("expected results of the same --seeds, found those of another; choose another --out, with "
+                "--cache " +
+                (run() / "cache").string()));
+  EXPECT_EQ(read_file(run() / "ablation.md"), markdown);
 
   EXPECT_EQ(gld_ablate({"--smoke", "--overwrite"}), 0) << text_;
   EXPECT_EQ(stages("level").size(), 1U);
@@ -193,6 +202,22 @@ TEST_F(AblateCommand, AStageThatFailsCostsItsVariantAlone) {
   const auto report = parse_json(read_file(run() / "report.json"), "report.json");
   EXPECT_EQ(report.at("variants").at(0).at("metrics").at("psnr").at("scenes"), 2);
   EXPECT_TRUE(report.at("variants").at(1).at("metrics").at("psnr").at("mean").is_null());
+}
+
+TEST_F(AblateCommand, AColumnThatResultsDoNotHaveIsSaidWhenTheFirstOnesAreThere) {
+  std::string text = kDescription;
+  const std::string before = "psnr: {column: sample_psnr}";
+  text.replace(text.find(before), before.size(), "psnr: {column: sample_pnsr}");
+  write_file_atomically(folder_.path() / "a.yaml", text);
+  EXPECT_EQ(gld_ablate({"--smoke", "--jobs", "1"}), 1);
+  EXPECT_THAT(text_, HasSubstr("metric 'psnr' of variant 'plain': expected a column of "));
+  EXPECT_THAT(text_, HasSubstr("found 'sample_pnsr'; did you mean 'sample_psnr'?\n"));
+  int64_t evaluations = 0;
+  for (const auto& stage : stages("eval")) evaluations += fs::exists(stage / "done.json") ? 1 : 0;
+  EXPECT_EQ(evaluations, 1);
+  // Mended, the same command goes on with the stages that are done.
+  write_file_atomically(folder_.path() / "a.yaml", kDescription);
+  EXPECT_EQ(gld_ablate({"--smoke"}), 0) << text_;
 }
 
 TEST_F(AblateCommand, SaysWhatIsWrongBeforeAnythingRuns) {

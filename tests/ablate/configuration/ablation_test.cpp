@@ -124,14 +124,12 @@ TEST(Ablation, OnlySomeVariantsAreKeptAndClaimsOfTheOthersStay) {
 }
 
 TEST(Ablation, ErrorsNameLineAndSection) {
-  EXPECT_EQ(
-      Described().error("command: eval", "comand: eval"),
-      "a.yaml:5, stage 'eval', key 'comand': expected a known option, found an unknown one; did you mean "
-      "'command'?");
-  EXPECT_EQ(
-      Described().error("variants:", "varants:"),
-      "a.yaml:9, key 'varants': expected a section or an option of gld ablate, found an unknown one; did you mean "
-      "'variants'?");
+  EXPECT_EQ(Described().error("command: eval", "comand: eval"),
+            "a.yaml:5, stage 'eval', key 'comand': expected a known key, found an unknown one; did you mean "
+            "'command'?");
+  EXPECT_EQ(Described().error("variants:", "varants:"),
+            "a.yaml:9, key 'varants': expected a known key, found an unknown one; did you mean "
+            "'variants'?");
   EXPECT_EQ(Described().error("title: sources\n", ""),
             "a.yaml: expected a section title, found none; see docs/ABLATIONS.md.");
   EXPECT_EQ(
@@ -144,8 +142,8 @@ TEST(Ablation, ErrorsNameLineAndSection) {
             "a.yaml, claim 'more': expected two variants, found 'two' twice; compare it with another one.");
   EXPECT_EQ(
       Described().error("better: lower, unit: s", "unit: s"),
-      "a.yaml, metric 'seconds', key 'better': expected higher, lower or near 1, found nothing, and gld/metrics has no "
-      "metric of that name; add it.");
+      "a.yaml, metric 'seconds', key 'better': expected higher, lower or near 1, found nothing, and it is no column "
+      "that gld knows; add it, for example 'seconds: {better: higher}'.");
   EXPECT_EQ(Described().error("  one:", "  One:"),
             "a.yaml:10: expected a name of small letters, digits and underscores, found 'One'; rename it.");
   EXPECT_EQ(
@@ -159,7 +157,14 @@ TEST(Ablation, ErrorsNameLineAndSection) {
   EXPECT_EQ(Described().error("seeds: [3, 4]", "seeds: [3, 3]"),
             "--seeds: expected every seed once, found one a second time; remove one of the two.");
   EXPECT_EQ(Described().error("stages:", "stages: []\nsteps:"),
-            "a.yaml:4, key 'steps': expected a known option, found an unknown one; did you mean 'seeds'?");
+            "a.yaml:4, key 'steps': expected a known key, found an unknown one; did you mean 'seeds'?");
+  EXPECT_EQ(
+      Described().error("{options: {eval: {views", "{choices: {eval: {views"),
+      "a.yaml:10, variant 'one', key 'choices': expected a known key, found an unknown one; choose among options, rows, "
+      "columns, label, model, stages, result, series, x.");
+  EXPECT_EQ(
+      Described().error(", worse: one", ""),
+      "a.yaml, claim 'more', key 'worse': expected a variant of this ablation, found nothing; choose among one, two.");
 }
 
 TEST(Ablation, OverridesHaveToNameAStageAndAnOption) {

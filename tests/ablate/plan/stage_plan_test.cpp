@@ -52,6 +52,7 @@ struct SmallOptions : OptionsGroup {
 ProgramCommands small_commands() {
   ProgramCommands commands;
   commands.program = "/bin/false";
+  commands.version = "gld 1";
   commands.names = {"train level", "eval"};
   commands.options = [](const std::string& name) -> std::shared_ptr<OptionsGroup> {
     auto options = std::make_shared<SmallOptions>();

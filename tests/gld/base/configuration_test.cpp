@@ -160,6 +160,9 @@ INSTANTIATE_TEST_SUITE_P(
         Refusal{"inner:\n  wieght: 1\n",
                 "f.yaml:2, key 'inner.wieght': expected a known option, found an unknown one; "
                 "did you mean 'inner.weight'?"},
+        Refusal{
+            "weight: 1\n",
+            "f.yaml:1, key 'weight': expected a known option, found an unknown one; did you mean 'inner.weight'?"},
         Refusal{"count: 11\n",
                 "f.yaml:1, key 'count': expected an integer in the range [1, 10], found 11; "
                 "choose a value inside the range."},
