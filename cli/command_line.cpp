@@ -102,15 +102,17 @@ std::string meant_name(const std::string& name, const std::vector<std::string>& 
   return begun.empty() ? nearest_name(name, known) : begun;
 }
 
-// A flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one; else as of any
-// name.
+// The shortest flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one;
+// else as of any name.
 std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
   if (flag.rfind("--", 0) == 0) {
     const std::string end = "." + flag.substr(2);
+    std::string shortest;
     for (const auto& name : known) {
-      if (name.size() > end.size() && name.compare(name.size() - end.size(), end.size(), end) == 0)
-        return name;
+      if (name.size() <= end.size() || name.compare(name.size() - end.size(), end.size(), end) != 0) continue;
+      if (shortest.empty() || name.size() < shortest.size()) shortest = name;
     }
+    if (!shortest.empty()) return shortest;
   }
   return meant_name(flag, known);
 }

@@ -147,7 +147,7 @@ Scene open_scene(const std::filesystem::path& path, const SceneReading& reading)
   }
   refuse_bare_photographs(path);
   fail({path.string(), "one of: " + known_markers(), "none of them",
-        "check the folder or force a layout with --format"});
+        "look at it with gld check-data, which takes --format too"});
 }
 
 std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const SceneReading& reading) {
@@ -157,7 +157,8 @@ std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const 
   collect_scenes(root, reading, 0, found);
   if (found.empty()) {
     refuse_bare_photographs(root);
-    fail({root.string(), "at least one scene", "none", "check the folder or force a layout with --format"});
+    fail({root.string(), "at least one scene", "none",
+          "look at it with gld check-data, which takes --format too"});
   }
   return found;
 }

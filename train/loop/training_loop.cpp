@@ -436,6 +436,10 @@ TrainingSummary Session::run() {
         "micro-batches were computed one after another, not by {} workers: recomputed activations allow no other way",
         options_.workers));
   }
+  if (run_.begins_trained && step_ == 0) {
+    const OptimiserState state = optimiser_.whole_state();
+    if (leads()) validate(state);
+  }
   Averages averages;
   int64_t scenes = 0;
   auto logged = std::chrono::steady_clock::now();
@@ -443,10 +447,15 @@ TrainingSummary Session::run() {
     if (stop_requested()) {
       std::filesystem::path file = checkpoints_.path();
       const OptimiserState state = optimiser_.whole_state();
-      if (leads()) file = checkpoints_.save(snapshot(state));
+      if (leads()) {
+        file = checkpoints_.save(snapshot(state));
+        draw_loss_curve(*metrics_, run_.folder / "loss");
+      }
       team_.finish();
-      throw Interrupted("training stopped after step " + std::to_string(step_) +
-                        "; continue with --resume (" + file.string() + ")");
+      throw Interrupted(fmt::format(
+          "training stopped after step {}; continue with --resume ({}), or have the model of this step "
+          "written with --resume --steps {}",
+          step_, file.string(), step_));
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
     const StepOutcome outcome = [&] {
@@ -540,7 +549,7 @@ void check_training_start(const std::filesystem::path& folder, TrainingStart sta
   }
   if (start == TrainingStart::kFresh && !steps.empty()) {
     fail({folder.string(), "a folder without checkpoints", "a run at step " + std::to_string(steps.back()),
-          "continue it with --resume or choose another --out"});
+          "continue it with --resume, begin anew with --overwrite, or choose another --out"});
   }
 }
 

@@ -47,6 +47,8 @@ struct TrainingRun {
   Objective* objective = nullptr;
   std::shared_ptr<const TrainingBatchSource> data;
   std::vector<TrainingScene> validation_scenes;
+  bool begins_trained =
+      false;  // fine-tuning: a fresh run validates before its first step too, to be compared with
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;

@@ -64,6 +64,7 @@ std::string train_backbone(const TrainBackboneOptions& options, const DrawValida
   if (head) stage.made.push_back(BundlePart::geometry_head());
   if (!head_only) stage.made.push_back(BundlePart::backbone());
   const bool goes_on = options.objective.training != GeometryTraining::kFromScratch;
+  stage.start = goes_on ? ModelStart::kBundle : ModelStart::kRandom;
   stage.objective = [&options, goes_on, head, autoencoder](
                         const ModelBundle& bundle,
                         const ParameterPlacement& placement) -> std::unique_ptr<Objective> {
@@ -88,6 +89,7 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
   }
   for (const auto& note : stand_in_notes(options.objective)) std::cerr << "note: " << note << ".\n";
   stage.made = {BundlePart::rgb_decoder()};
+  stage.start = options.objective.start;
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     auto objective = std::make_unique<DecoderObjective>(
         bundle.options(), options.objective, bundle.load_backbone(placement), placement, options.loop.seed);
@@ -130,6 +132,7 @@ std::string train_depth(const TrainDepthOptions& options, const DrawValidation& 
   require_photograph_part(options, model.depth_refinement, "depth_refinement");
   TrainingStage stage = scene_stage("train depth", options, FrameParts::kImageAndDepth);
   stage.made = {BundlePart::depth_refinement()};
+  stage.start = options.objective.start;
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     require_cpu(placement, "train depth");
     auto objective = std::make_unique<DepthRefinementObjective>(
@@ -148,6 +151,7 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
   TrainingStage stage =
       scene_stage("train blending", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::blending()};
+  stage.start = options.objective.start;
   stage.objective = [&options](const ModelBundle& bundle, const ParameterPlacement& placement) {
     require_cpu(placement, "train blending");
     BlendingDepthModels depth{bundle.load_backbone(placement), bundle.load_geometry_head(placement), nullptr};

@@ -128,6 +128,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
   TrainingStage stage =
       scene_stage("train level", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::of(generator)};
+  stage.start = options.objective.start;
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
     auto objective = std::make_unique<LevelObjective>(
@@ -152,6 +153,7 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
   TrainingStage stage =
       scene_stage("train cascade", options, with_depth ? FrameParts::kImageAndDepth : FrameParts::kImage);
   stage.made = {BundlePart::of(generator)};
+  stage.start = options.objective.flow.start;
   stage.objective = [&options, generator](const ModelBundle& bundle, const ParameterPlacement& placement) {
     tell_narrow_decoder(bundle.options().generator(generator));
     auto objective = std::make_unique<CascadeObjective>(

@@ -37,6 +37,7 @@ std::string train_refiner(const TrainRefinerOptions& options, const DrawValidati
   TrainingStage stage;
   stage.command = "train refiner";
   stage.made = {BundlePart::refiner()};
+  stage.start = options.objective.start;
   stage.data = [&options](const ModelBundle& bundle) {
     const auto pairs = std::make_shared<SplatPairBatches>(options.data, bundle.options().refiner, bundle);
     StageData data;

@@ -24,6 +24,7 @@
 #include <optional>
 #include <set>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace gld {
@@ -46,6 +47,17 @@ void check_loop(const TrainingLoopOptions& loop) {
     fail({"--shard-optimiser", "adamw or adam, which move each number by itself",
           "muon, which moves whole matrices", "choose one of them, or leave the optimiser whole"});
   }
+}
+
+// What is written is the moving average, which a short run hardly moves.
+std::vector<std::string> warnings_of_short_runs(const TrainingLoopOptions& loop) {
+  const double decay = loop.optimiser.ema_decay;
+  if (!(decay > 0 && decay < 1) || static_cast<double>(loop.steps) * (1 - decay) >= 1) return {};
+  return {fmt::format(
+      "the model that is written is a moving average over about {:.0f} steps "
+      "(loop.optimiser.ema_decay {}), and this run has {}: it will hardly differ from what it begins "
+      "with; lower ema_decay, or train longer",
+      1 / (1 - decay), decay, loop.steps)};
 }
 
 // "foo" would silently allow nothing.
@@ -93,6 +105,13 @@ TrainingStage scene_stage(const std::string& command, const TrainOptions& option
     StageData data;
     data.batches = batches;
     data.validation = [&options, parts, size = sizes.front()] {
+      const TrainingDataOptions& given = options.data;
+      if (!given.scenes.empty() && given.validation_folder.empty() && given.validation_scenes > 0) {
+        std::cerr << fmt::format(
+            "note: validation is on {} drawn rooms, not on your scenes; give some that are not trained on with "
+            "--validation-folder\n",
+            given.validation_scenes);
+      }
       return validation_scenes(options.data, size, parts);
     };
     data.report = [batches] {
@@ -108,6 +127,10 @@ TrainingStage scene_stage(const std::string& command, const TrainOptions& option
 }
 
 void StageOptions::check() const {
+  if (model.empty() && resume) {
+    fail({"--resume", "the options that the run was begun with", "no --model",
+          fmt::format("add --config {}/config.yaml, where they stand", out.empty() ? "RUN" : out)});
+  }
   if (model.empty()) {
     fail({"--model", "a bundle folder with a model.yaml", "nothing", "add for example --model configs/tiny"});
   }
@@ -145,20 +168,24 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                                       "objective.training"};
   const auto file = folder / "config.yaml";
   if (!std::filesystem::is_regular_file(file)) return;  // killed before it was written
-  std::string before, here, keys;
+  constexpr size_t kNamed = 3;
+  size_t count = 0;
+  std::string named, keys;
   for (const auto& difference : differences_from(read_file(file), file.string(), now)) {
     if (free.count(difference.key) > 0 || is_beside_the_result(difference.key) ||
         std::find(may_change.begin(), may_change.end(), difference.key) != may_change.end()) {
       continue;
     }
-    const std::string separator = keys.empty() ? "" : ", ";
-    before += separator + difference.key + " " + difference.before;
-    here += separator + difference.now;
+    if (++count > kNamed) continue;
+    named += fmt::format("{}{} {} (it was {})", named.empty() ? "" : ", ", difference.key, difference.now,
+                         difference.before);
     keys += (keys.empty() ? "" : ",") + difference.key;
   }
-  if (keys.empty()) return;
-  fail({"--resume", "the options that the run was begun with (" + before + ")", here,
-        "leave them as they were, or allow it with --may-change " + keys});
+  if (count == 0) return;
+  if (count > kNamed) named += fmt::format(" and {} more", count - kNamed);
+  fail({"--resume", "the options that the run was begun with", named,
+        count > kNamed ? fmt::format("take them from --config {}", file.string())
+                       : "leave them as they were, or allow it with --may-change " + keys});
 }
 
 // Parts of the bundle that the run did not make itself.
@@ -219,6 +246,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   run.draw_validation = draw;
   run.model = &bundle.options();
   run.may_change = options.may_change;
+  run.begins_trained = stage.start == ModelStart::kBundle;
   int64_t parameters = 0;
   for (const auto& item : objective->parameters()) parameters += item.parameter.numel();
 
@@ -243,6 +271,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
     print_warnings({"this processor has no unit for " + compute_precision_name(precision) +
                     ", which makes it slower here than --loop.precision float32"});
   }
+  if (run.begins_trained) print_warnings(warnings_of_short_runs(options.loop));
   LiveTrainingPage page(folder.path());
   run.on_log = [&page] { page.follow(); };
   run.on_stop = [&page] { page.stop(); };
@@ -269,7 +298,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   page.end();
   for (const std::string& message : summary.messages) std::cerr << "note: " << message << '\n';
   folder.note("model", "model");
-  folder.note("loss curve", "loss.png");
+  if (std::filesystem::exists(folder.path() / "loss.png")) folder.note("loss curve", "loss.png");
   folder.note("metrics", "metrics.jsonl");
   folder.note("report", "report.json");
   folder.note("page", kPageFile);

@@ -66,6 +66,7 @@ struct TrainingStage {
   std::function<StageData(const ModelBundle&)> data;
   int64_t views = 0;             // of a training scene, which flow models note
   std::vector<BundlePart> made;  // what the run trains; the other parts are copied
+  ModelStart start = ModelStart::kRandom;
   std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
 };
 

@@ -203,7 +203,7 @@ TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
           "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
           "sparse/0 with cameras.bin or cameras.txt (colmap), "
           "a camera text file that starts with a video's address (re10k), found none of them; "
-          "check the folder or force a layout with --format.");
+          "look at it with gld check-data, which takes --format too.");
   EXPECT_EQ(error_of([&] { open_scene(folder.path() / "nowhere"); }),
             path + "/nowhere: expected a scene's folder, found nothing; check the path.");
   SceneReading reading;

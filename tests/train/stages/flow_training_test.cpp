@@ -23,6 +23,7 @@
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -115,14 +116,20 @@ TEST_F(TrainedChain, ResumingWithNothingIsAnError) {
 TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
   auto options = test::training_options<TrainLevelOptions>(path("stats/model"), path("other_options"));
   train_level(options, {});
-  EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
-              testing::HasSubstr("continue it with --resume or choose another --out"));
+  EXPECT_THAT(
+      test::error_of([&] { train_level(options, {}); }),
+      testing::HasSubstr("continue it with --resume, begin anew with --overwrite, or choose another --out"));
   options.resume = true;
   const double peak = options.loop.learning_rate.peak;
   options.loop.learning_rate.peak = 0.25;
   options.data.views.longest_interval += 1;
   const auto refused = test::error_of([&] { train_level(options, {}); });
-  EXPECT_THAT(refused, testing::StartsWith("--resume: expected the options that the run was begun with ("));
+  EXPECT_THAT(
+      refused,
+      testing::HasSubstr(fmt::format(
+          "--resume: expected the options that the run was begun with, found data.views.longest_interval {} (it was {}), "
+          "loop.learning_rate.peak 0.25 (it was {});",
+          options.data.views.longest_interval, options.data.views.longest_interval - 1, peak)));
   EXPECT_THAT(refused,
               testing::HasSubstr("with --may-change data.views.longest_interval,loop.learning_rate.peak"));
   options.may_change = {"data.views.longest_interval"};
@@ -350,10 +357,18 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
   options.loop.seed = 99;
   train_level(options, {});
   EXPECT_LT((weights("tuned/model") - weights("level/model")).abs().max().item<double>(), 1e-6);
+  // What it begins with is validated too, so that what was learnt can be told.
+  const auto validated = [&](const std::string& run) {
+    return MetricsLog(path(run) / "metrics.jsonl", options.loop.steps).series("validation_flow_loss");
+  };
+  ASSERT_GE(validated("tuned").size(), 2U);
+  EXPECT_EQ(validated("tuned").front().first, 0);
+  EXPECT_NEAR(validated("tuned").front().second, validated("tuned").back().second, 1e-6);
   options.out = path("fresh").string();
   options.objective.start = ModelStart::kRandom;
   train_level(options, {});
   EXPECT_GT((weights("fresh/model") - weights("level/model")).abs().max().item<double>(), 1e-2);
+  EXPECT_GT(validated("fresh").front().first, 0);
   options.model = path("stats/model").string();
   options.out = path("without").string();
   options.objective.start = ModelStart::kBundle;
