@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/cameras/camera_checks.h"
+#include "infer/export/image_export.h"
 #include "models/bundle/bundle_options.h"
 
 #include <algorithm>
@@ -61,7 +62,10 @@ void add_target_path(const Scene& scene, const ViewSelection& selection, Samplin
     // A file's cameras may have another size; those of an orbit or spline have it already.
     const auto plan = plan_resize_crop(cameras[i].width, cameras[i].height, sampling.size);
     sampling.views.cameras.push_back(resize_crop(cameras[i], plan));
-    sampling.view_names.push_back(fmt::format("path_{:02}", i));
+    // These views have no name but that of their picture.
+    const auto view = static_cast<int64_t>(sampling.view_names.size());
+    sampling.view_names.push_back(
+        view_name(view, sampling.views.num_sources + static_cast<int64_t>(cameras.size())));
   }
 }
 

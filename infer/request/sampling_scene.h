@@ -44,8 +44,9 @@ struct SamplingScene {
   bool metric = false;  // poses and depth are in metres
   ImageSize size;
   Views views;
-  std::vector<std::string> view_names;  // frame names, "orbit_00" for views along a path
-  std::vector<Image> source_images;     // one a source view
+  std::vector<std::string>
+      view_names;  // frame names; for views along a path the name of their picture, "view_05"
+  std::vector<Image> source_images;  // one a source view
   // The source views' photographs at a whole multiple of the size where they were taken larger, and the scene's sparse
   // points; empty unless load_source_photographs was called.
   SourcePhotographs photographs;

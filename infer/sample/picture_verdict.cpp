@@ -22,6 +22,8 @@ constexpr double kBetterBy = 1;
 // real places, for a model that has seen drawn rooms only.
 constexpr double kOtherShape = 0.25;
 
+// Share of the target views' pixels that reads as 100 %.
+constexpr double kWhole = 0.995;
 // dB that a view is expected to be worse than the middle one, to be named.
 constexpr double kWorseBy = 3;
 
@@ -107,6 +109,11 @@ std::string views_sentence(const PictureEvidence& evidence) {
   return text + ", only " + decibels_between(sorted.front(), *(first - 1)) + " of " + names;
 }
 
+// Nothing that stands in the pictures was generated, to the percent that the sentence says.
+bool nothing_generated(const PictureEvidence& evidence) {
+  return evidence.keeps_photographs && evidence.kept >= kWhole;
+}
+
 std::string model_sentence(const PictureEvidence& evidence) {
   if (evidence.drawn_rooms_only) {
     return "; this model has seen drawn rooms only and has nothing to say about what no photograph shows here";
@@ -130,9 +137,9 @@ PictureVerdict verdict_of(const PictureEvidence& evidence) {
   verdict.unfamiliar = is_unfamiliar(evidence);
   const bool promises =
       verdict.photographs == PhotographsAgree::kWell || verdict.photographs == PhotographsAgree::kRoughly;
-  verdict.sentence = photographs_sentence(verdict.photographs, evidence) +
-                     (promises ? views_sentence(evidence) : "") +
-                     (verdict.unfamiliar ? model_sentence(evidence) : "") + ".";
+  verdict.sentence =
+      photographs_sentence(verdict.photographs, evidence) + (promises ? views_sentence(evidence) : "") +
+      (verdict.unfamiliar && !nothing_generated(evidence) ? model_sentence(evidence) : "") + ".";
   return verdict;
 }
 

@@ -57,13 +57,26 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
   EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));
 }
 
+TEST(PictureVerdict, WarnsOfWhatIsGeneratedOnlyWhereSomethingIs) {
+  PictureEvidence evidence = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
+  evidence.usual = {SeenLevel()};
+  evidence.usual[0].usual = 1;
+  evidence.divergences = {2};
+  EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("do not trust what it generates"));
+  evidence.kept = 0.996;
+  EXPECT_TRUE(verdict_of(evidence).unfamiliar);
+  EXPECT_THAT(verdict_of(evidence).sentence, Not(HasSubstr("do not trust")));
+  evidence.keeps_photographs = false;
+  EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("do not trust"));
+}
+
 TEST(PictureVerdict, ViewsFarBehindTheOthersAreNamed) {
   PictureEvidence evidence = evidence_of(left_out(0.93, 26, 25, 18.4));
-  evidence.views = {{"path_0", 20.9}, {"path_1", 27}, {"path_2", 21.1}, {"path_3", 14}};
+  evidence.views = {{"view_04", 20.9}, {"view_05", 27}, {"view_06", 21.1}, {"view_07", 14}};
   // What is expected of the photographs that were left out is 2 dB too high.
   for (LeftOutPhotograph& one : evidence.left_out) one.expected = 27;
   EXPECT_THAT(verdict_of(evidence).sentence,
-              HasSubstr("; about 19 to 25 dB can be expected of the views, only 12 dB of path_3."));
+              HasSubstr("; about 19 to 25 dB can be expected of the views, only 12 dB of view_07."));
   evidence.views[3].psnr = 20.9;
   EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("; about 19 to 25 dB can be expected of the views."));
   evidence.views.assign(8, {"path", 15});

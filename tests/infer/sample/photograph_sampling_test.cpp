@@ -1,0 +1,246 @@
+#include "infer/sample/sampling.h"
+
+#include "datasets/formats/cameras_json.h"
+#include "datasets/formats/scene_reader.h"
+#include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
+#include "datasets/synthetic/synthetic_scene.h"
+#include "tests/infer/sample/sampling_fixture.h"
+#include "tests/support/error_of.h"
+
+#include <cmath>
+#include <filesystem>
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+namespace gld {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+// What gld sample makes of photographs: cameras found, what they show kept, blended, and what it is worth.
+class PhotographSampling : public test::Sampling {};
+
+TEST_F(PhotographSampling, PhotographsNeedNoCameras) {
+  auto asked = with_shipped_model(options("photographs"));
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "scene" / "images").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 2;
+  asked.outputs = {"image", "depth"};
+  asked.named = {"views.frames"};  // as README's command does: a path is what photographs get
+  EXPECT_NO_THROW(asked.check());
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("scene").at("sources"), 6);
+  EXPECT_EQ(report.at("scene").at("views").size(), 8U);
+  EXPECT_EQ(report.at("photo_cameras").at("cameras").size(), 6U);
+  EXPECT_TRUE(report.at("photo_cameras").contains("doubts"));
+  EXPECT_THAT(printed_, HasSubstr("cameras estimated from the photographs:"));
+  // They are of one size, so one lens took them.
+  EXPECT_EQ(report.at("photo_cameras").at("shared_lenses").size(), 1U);
+  EXPECT_THAT(printed_, HasSubstr("one lens took 6 of them"));
+  // What was estimated is a scene that the same command takes.
+  const Scene estimated = open_scene(std::filesystem::path(asked.out) / "photo_scene");
+  ASSERT_EQ(estimated.frames.size(), 6U);
+  EXPECT_EQ(estimated.frames[0].camera.world_from_camera.matrix(), Eigen::Matrix4d::Identity());
+  EXPECT_EQ(estimated.frames[1].camera.intrinsics, estimated.frames[5].camera.intrinsics);
+  EXPECT_EQ(estimated.frames[5].image().width, 112);
+  EXPECT_EQ(estimated.frames[5].image().height, 112);
+  asked.scene = (folder_->path() / "scene").string();
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--scene, --photos: expected one of the two, found both; leave out --photos where the scene has cameras.");
+  asked.scene.clear();
+  asked.photos.files = {(folder_->path() / "model").string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.out = options("no_photographs").out;
+  EXPECT_EQ(
+      test::error_of([&] { sample(asked); }),
+      asked.photos.files[0] +
+          ": expected a photograph, or a folder of them, found none; put JPEG, HEIC, PNG, WebP or TIFF files there.");
+}
+
+// In whole multiples of what the models see, and so are the new views.
+TEST_F(PhotographSampling, PhotographsWithoutCamerasAreKeptAtTheirOwnSize) {
+  SyntheticOptions room;
+  room.width = 250;
+  room.height = 240;
+  room.frames = 3;
+  const Scene taken = make_synthetic_scene(room, 0);
+  const auto folder = folder_->path() / "large_photographs";
+  std::filesystem::create_directories(folder);
+  for (const Frame& frame : taken.frames) write_png(folder / (frame.name + ".png"), frame.image());
+  auto asked = with_shipped_model(options("large"));
+  asked.scene.clear();
+  asked.photos.files = {folder.string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 1;
+  asked.outputs = {"image"};
+  for (const auto& [size, kept] : {std::pair("auto", 112), std::pair("photographs", 224)}) {
+    asked.size = size;
+    asked.overwrite = true;
+    const auto report = run(asked);
+    EXPECT_EQ(report.at("scene").at("width"), 112) << size;
+    const std::filesystem::path out = asked.out;
+    EXPECT_EQ(read_image(out / "images" / "view_03.png").width, kept) << size;
+    EXPECT_EQ(read_image(out / "photo_scene" / "frame_00001.png").height, 224) << size;
+  }
+}
+
+// Its axis meets no other, and its unit is the model's: only the predicted depth tells how far away things are.
+TEST_F(PhotographSampling, OnePhotographIsOrbitedAtItsDepth) {
+  auto asked = with_shipped_model(options("one_photograph"));
+  asked.photos.files = {open_scene(asked.scene).frames.front().image_file.string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.scene.clear();
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 2;
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  const double depth = report.at("photo_cameras").at("median_depth");
+  EXPECT_GT(std::abs(std::log(depth)), 0.01);  // not the 1 that is assumed where nothing is known
+  EXPECT_THAT(printed_,
+              HasSubstr(fmt::format(", {:.4g} away: at the depth of what the source cameras see", depth)));
+  asked.views.path.path = "orbit";
+  asked.views.path.orbit_distance = 7;
+  asked.overwrite = true;
+  run(asked);
+  EXPECT_THAT(printed_, HasSubstr(", 7 away: "));
+}
+
+// Beside models that were trained without photographs in target views, whose pictures stay as they are.
+TEST_F(PhotographSampling, SaysWhatItIsWorth) {
+  auto asked = options("worth");
+  asked.views.sources = {0, 2, 4};
+  asked.views.targets = {1};
+  asked.outputs = {"image"};
+  const auto report = run(asked);
+  const std::string sentence = report.at("verdict").at("sentence");
+  EXPECT_EQ(printed_.find(sentence), printed_.rfind(sentence));  // once
+  EXPECT_THAT(printed_, HasSubstr(sentence + "\neach of 3 photographs predicted from the others: "));
+  ASSERT_EQ(report.at("leave_one_out").size(), 3U);
+  for (const auto& one : report.at("leave_one_out")) {
+    EXPECT_EQ(one.at("from").size(), 2U);
+    EXPECT_GT(one.at("psnr").get<double>(), 5);
+    EXPECT_LE(one.at("covered").get<double>(), 1);
+  }
+  EXPECT_EQ(report.at("verdict").at("latent_divergence").size(), 2U);
+  EXPECT_FALSE(report.at("verdict").contains("usual_latent_divergence"));  // this bundle does not say it
+}
+
+// The shipped model keeps photographs; its target is a part of what the second source shows.
+TEST_F(PhotographSampling, WhatPhotographsShowWholeIsNotGenerated) {
+  const auto scene = folder_->path() / "video";
+  SyntheticOptions synthetic;
+  synthetic.seed = 910000;
+  synthetic.first_scene = 19;
+  synthetic.frames = 24;
+  synthetic.width = synthetic.height = 224;
+  write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", scene);
+  auto asked = with_shipped_model(options("whole"));
+  asked.scene = scene.string();
+  asked.views.sources = {2, 4, 6};
+  asked.outputs = {"image"};
+  asked.size = kPhotographSize;
+  asked.solver.evaluations = 2;
+  const auto path = folder_->path() / "path.json";
+  CameraList list;
+  const auto frames = open_scene(scene).frames;
+  for (const double zoom : {2.0, 0.5}) {
+    CameraRecord record;
+    record.name = zoom > 1 ? "near" : "wide";
+    record.camera = frames[4].camera;
+    record.camera.intrinsics(0, 0) *= zoom;
+    record.camera.intrinsics(1, 1) *= zoom;
+    list.records.push_back(record);
+  }
+  write_cameras_json(path, list);
+  asked.views.targets.clear();
+  asked.views.path.path = path.string();
+  const auto report = run(asked);
+  ASSERT_EQ(report.at("photographs").at("carried_only").size(), 1U) << report.at("photographs").dump();
+  EXPECT_THAT(printed_, HasSubstr("that saved "));
+  const std::string more_views = "The model was trained on scenes of 4 views, this one has 5.";
+  EXPECT_THAT(report.at("warnings").dump(), HasSubstr(more_views));
+  // Pictures have the photographs' size, and cameras.json describes them.
+  const Scene made = open_scene(asked.out);
+  for (const Frame& frame : made.frames) EXPECT_EQ(frame.camera.width, 224);
+  EXPECT_EQ(read_image(std::filesystem::path(asked.out) / "images" / "view_04.png").width, 224);
+
+  auto all = asked;
+  all.out = (folder_->path() / "whole_generated").string();
+  all.photograph_use.generate_complete = true;
+  EXPECT_EQ(run(all).at("photographs").at("carried_only").size(), 0U);
+
+  // Nothing is generated, so that it does not matter what the model was trained on.
+  list.records[1] = list.records[0];
+  list.records[1].name = "nearer";
+  write_cameras_json(path, list);
+  auto carried = asked;
+  carried.out = (folder_->path() / "whole_carried").string();
+  const auto of_photographs = run(carried);
+  EXPECT_EQ(of_photographs.at("photographs").at("carried_only").size(), 2U);
+  EXPECT_THAT(of_photographs.at("warnings").dump(), testing::Not(HasSubstr(more_views)));
+}
+
+TEST_F(PhotographSampling, PhotographsAreBlendedByTheModelOrByRule) {
+  auto blended = with_shipped_model(options("blended"));
+  blended.outputs = {"image"};
+  blended.solver.evaluations = 2;
+  auto by_rule = blended;
+  by_rule.out = (folder_->path() / "by_rule").string();
+  by_rule.photograph_use.compose = PhotographOptions::ComposeChoice::kPhotographs;
+  const auto first = run(blended), second = run(by_rule);
+  const auto reason = [](const nlohmann::json& report) {
+    for (const auto& stage : report.at("plan")) {
+      if (stage.at("stage") == "composition") return stage.at("reason").get<std::string>();
+    }
+    return std::string();
+  };
+  EXPECT_THAT(reason(first), HasSubstr("blended by the model"));
+  EXPECT_THAT(reason(second), Not(HasSubstr("blended by the model")));
+  // About as much of the pictures is kept; its colours are others.
+  const auto kept = [](const nlohmann::json& report) {
+    return report.at("photographs").at("kept").at(0).at("share").get<double>();
+  };
+  EXPECT_GT(kept(first), 0.1);
+  EXPECT_NEAR(kept(first), kept(second), 0.2);
+  const auto picture = [](const SampleOptions& of) {
+    return read_image(std::filesystem::path(of.out) / "images" / "view_02.png").rgb;
+  };
+  EXPECT_NE(picture(blended), picture(by_rule));
+}
+
+TEST_F(PhotographSampling, DepthIsMendedByTheModelOrAsPhotographsAndHeadSayIt) {
+  auto mended = with_shipped_model(options("mended"));
+  mended.outputs = {"image"};
+  mended.solver.evaluations = 2;
+  auto fused = mended;
+  fused.out = (folder_->path() / "fused").string();
+  fused.photograph_use.source_depth = PhotographOptions::DepthChoice::kFused;
+  const auto first = run(mended), second = run(fused);
+  const auto reason = [](const nlohmann::json& report) {
+    for (const auto& stage : report.at("plan")) {
+      if (stage.at("stage") == "source depth") return stage.at("reason").get<std::string>();
+    }
+    return std::string();
+  };
+  EXPECT_THAT(reason(first), HasSubstr("mended by a network"));
+  EXPECT_THAT(reason(second), Not(HasSubstr("mended by a network")));
+  const auto picture = [](const SampleOptions& of) {
+    return read_image(std::filesystem::path(of.out) / "images" / "view_02.png").rgb;
+  };
+  EXPECT_NE(picture(mended), picture(fused));
+}
+
+}  // namespace
+}  // namespace gld
