@@ -122,9 +122,14 @@ std::vector<ComparedMethod> of_families(std::vector<ComparedMethod> methods,
   };
   for (const auto& family : families) {
     if (among(names, family)) continue;
-    const auto near = nearest_name(family, names);
-    fail({"--families", "kinds of methods", "'" + family + "'",
-          near.empty() ? "leave it out to see them all in the table" : "did you mean '" + near + "'?"});
+    // Most have a comma in their name, at which a flag is cut into two.
+    std::string known;
+    for (const auto& name : names) {
+      const std::string quoted = "'" + name + "'";
+      if (known.find(quoted) == std::string::npos) known += (known.empty() ? "" : ", ") + quoted;
+    }
+    fail({"--families", "kinds of methods (" + known + ")", "'" + family + "'",
+          "a name with a comma is given by --set \"families=['euler, logsnr']\""});
   }
   methods.erase(std::remove_if(methods.begin(), methods.end(),
                                [&](const ComparedMethod& compared) {

@@ -281,8 +281,11 @@ TEST(SampleBenchmark, MeasuresATableThatToleranceUses) {
   options.write_table = true;
   options.out = (folder.path() / "run").string();
   options.families.emplace_back("encoder node");
-  EXPECT_EQ(error_of([&] { run_sample_benchmark(options); }),
-            "--families: expected kinds of methods, found 'encoder node'; did you mean 'encoder nodes'?");
+  const std::string refused = error_of([&] { run_sample_benchmark(options); });
+  EXPECT_THAT(refused, testing::StartsWith("--families: expected kinds of methods ('published', "));
+  EXPECT_THAT(refused, HasSubstr("'euler, logsnr', "));
+  EXPECT_THAT(refused, testing::EndsWith("), found 'encoder node'; a name with a comma is given by --set "
+                                         "\"families=['euler, logsnr']\"."));
   options.families.pop_back();
   const auto text = printed_by(options);
   EXPECT_THAT(text, HasSubstr("| published"));

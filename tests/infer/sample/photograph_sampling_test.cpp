@@ -1,10 +1,9 @@
-#include "infer/sample/sampling.h"
-
 #include "datasets/formats/cameras_json.h"
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
+#include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/error_of.h"
 
