@@ -66,7 +66,10 @@ void check_result_columns(const Ablation& ablation, const AblationPlan& plan, co
     const ResultRows rows = read_result_rows(cache.run(stage) / ablation.stage(stage.stage).results);
     for (const MetricDescription& metric : ablation.metrics) {
       const std::string column = column_of(variant, metric);
-      if (has_column(rows, column)) continue;
+      if (has_column(rows, column)) {
+        numbers_by_scene(rows, column, variant.rows);  // refuses rows that are not there
+        continue;
+      }
       const auto near = nearest_name(column, rows.columns);
       fail({fmt::format("{}, metric '{}' of variant '{}'", ablation.file.string(), metric.name, variant.name),
             fmt::format("a column of {}", rows.file.string()), "'" + column + "'",
@@ -136,7 +139,7 @@ std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vecto
                   [](const StageDescription& stage) { return trains(stage.command); });
   std::vector<Comparison> comparisons;
   for (const ClaimResult& result : results) comparisons.push_back(result.comparison);
-  judge(comparisons, anything_is_trained ? kFewestSeedsOfTrainings : kFewestSeedsOfEvaluations);
+  judge(comparisons, anything_is_trained ? SeedsOf::kTrainings : SeedsOf::kEvaluations);
   for (size_t i = 0; i < results.size(); ++i) results[i].comparison = std::move(comparisons[i]);
   return results;
 }

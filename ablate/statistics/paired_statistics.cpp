@@ -7,6 +7,8 @@
 #include <set>
 #include <vector>
 
+#include <unsupported/Eigen/SpecialFunctions>
+
 namespace gld {
 namespace {
 
@@ -55,6 +57,23 @@ double mean_of_seed_means(const NumbersBySeed& numbers) {
 
 BootstrapTest test_of_seed_means(const NumbersBySeed& numbers, const BootstrapOptions& options) {
   return bootstrap_test(as_matrix(numbers), options);
+}
+
+double seed_means_p_value(const NumbersBySeed& numbers) {
+  std::vector<double> means;
+  for (const auto& [seed, values] : numbers) {
+    if (!values.empty()) means.push_back(mean_of_seed_means({{seed, values}}));
+  }
+  if (means.size() < 2) return 1;
+  const auto count = static_cast<double>(means.size());
+  const double mean = std::accumulate(means.begin(), means.end(), 0.0) / count;
+  double squares = 0;
+  for (const double value : means) squares += (value - mean) * (value - mean);
+  if (mean == 0) return 1;
+  const double freedom = count - 1;
+  const double t_squared = count * mean * mean / (squares / freedom);
+  // P(|T| > t) = I_x(freedom / 2, 1 / 2) at x = freedom / (freedom + t^2), which is 0 where all means are equal.
+  return Eigen::numext::betainc(freedom / 2, 0.5, freedom / (freedom + t_squared));
 }
 
 std::vector<double> holm_p_values(const std::vector<double>& p_values) {

@@ -28,8 +28,12 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
     claim.reason = "the interval contains 0";
   } else if (!(claim.holm_p_value < kVerdictLevel)) {
     claim.reason =
-        fmt::format("clear of 0 alone, not among {} claims: p {:.2g}, by Holm {:.2g}, a verdict needs {}",
-                    claims, claim.p_value, claim.holm_p_value, kVerdictLevel);
+        claim.p_value < kVerdictLevel
+            ? fmt::format(
+                  "clear of 0 alone, not among {} claims: p {:.2g}, by Holm {:.2g}, a verdict needs "
+                  "less than {}",
+                  claims, claim.p_value, claim.holm_p_value, kVerdictLevel)
+            : fmt::format("p {:.2g}, a verdict needs less than {}", claim.p_value, kVerdictLevel);
   } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
     claim.verdict = Verdict::kReproduced;
   } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {
@@ -60,22 +64,23 @@ Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options) {
     if (mean > 0) ++result.seeds_in_favour;
     if (mean < 0) ++result.seeds_against;
   }
+  result.seeds_p_value = seed_means_p_value(gain);
   result.seeds_are_equal = all_equal(gain);
   return result;
 }
 
-void judge(std::vector<Comparison>& claims, int64_t fewest_seeds) {
-  std::vector<Comparison*> tested;
+int64_t fewest_verdict_seeds(SeedsOf seeds) { return seeds == SeedsOf::kTrainings ? 3 : 2; }
+
+void judge(std::vector<Comparison>& claims, SeedsOf seeds) {
   std::vector<double> p_values;
   for (Comparison& claim : claims) {
-    if (claim.scenes == 0) continue;
-    tested.push_back(&claim);
+    if (seeds == SeedsOf::kTrainings) claim.p_value = std::max(claim.p_value, claim.seeds_p_value);
     p_values.push_back(claim.p_value);
   }
   const std::vector<double> corrected = holm_p_values(p_values);
-  for (size_t i = 0; i < tested.size(); ++i) tested[i]->holm_p_value = corrected[i];
-  for (Comparison& claim : claims) {
-    if (claim.reason.empty()) judge_one(claim, fewest_seeds, tested.size());
+  for (size_t i = 0; i < claims.size(); ++i) {
+    claims[i].holm_p_value = corrected[i];
+    if (claims[i].reason.empty()) judge_one(claims[i], fewest_verdict_seeds(seeds), claims.size());
   }
 }
 

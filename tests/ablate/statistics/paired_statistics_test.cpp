@@ -135,6 +135,18 @@ TEST(BootstrapPValue, IsTheExactProbabilityOfTwoNumbersAndNeverZero) {
   EXPECT_DOUBLE_EQ(test_of_seed_means({}).p_value, 1);
 }
 
+TEST(SeedMeansPValue, IsStudentsOfTheSeedsMeans) {
+  // Means 1, 2, 3: t = 2 sqrt(3), two degrees of freedom, p = 1 - t / sqrt(t^2 + 2).
+  const NumbersBySeed numbers{{0, {{"a", 0}, {"b", 2}}}, {1, {{"a", 2}}}, {2, {{"a", 3}}}, {3, {}}};
+  EXPECT_NEAR(seed_means_p_value(numbers), 1 - std::sqrt(12.0 / 14), 1e-12);
+  // One degree of freedom: p = 1 - 2 / pi atan(t), of means 1 and 3 at t = 2.
+  EXPECT_NEAR(seed_means_p_value({{0, {{"a", 1}}}, {1, {{"a", 3}}}}),
+              1 - 2 / 3.14159265358979 * std::atan(2.0), 1e-12);
+  EXPECT_EQ(seed_means_p_value({{0, {{"a", 2}}}, {1, {{"a", 2}}}}), 0);
+  EXPECT_EQ(seed_means_p_value({{0, {{"a", 2}}}}), 1);
+  EXPECT_EQ(seed_means_p_value({{0, {{"a", 2}}}, {1, {{"a", -2}}}}), 1);
+}
+
 TEST(HolmPValues, AreThoseByHandInTheOrderGiven) {
   // 0.01 * 4, 0.015 * 3, 0.03 * 2 and 0.04 * 1, the last no smaller than the one before it.
   const std::vector<double> corrected = holm_p_values({0.04, 0.01, 0.03, 0.015});

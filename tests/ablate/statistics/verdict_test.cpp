@@ -23,7 +23,7 @@ NumbersBySeed around(const std::vector<double>& mean_of_seed, int64_t scenes) {
 // One claim alone, judged as of trainings.
 Comparison judged(const NumbersBySeed& gain) {
   std::vector<Comparison> claims{compare(gain)};
-  judge(claims, kFewestSeedsOfTrainings);
+  judge(claims, SeedsOf::kTrainings);
   return claims.front();
 }
 
@@ -60,31 +60,43 @@ TEST(Verdict, IsUndecidedWhereSeedsDisagreeThoughTheIntervalLiesOnOneSide) {
 
 TEST(Verdict, OfEvaluationsNeedsTwoSeeds) {
   std::vector<Comparison> claims{compare(around({0.5, 0.6}, 64))};
-  judge(claims, kFewestSeedsOfEvaluations);
+  judge(claims, SeedsOf::kEvaluations);
   EXPECT_EQ(claims[0].verdict, Verdict::kReproduced);
 }
 
 TEST(Verdict, OfManyClaimsNeedsMoreThanEachAlone) {
-  // A mean at 2.5 of its own deviations: p near 0.012, which is enough alone and not among five.
-  const NumbersBySeed weak = around({0.029, 0.030, 0.031}, 64);
+  // Means of 64 scenes at 2.4 of their own deviations: p near 0.016, which is enough alone and not among six.
+  const NumbersBySeed weak = around({0.0299, 0.030, 0.0301}, 64);
   const Comparison alone = judged(weak);
   EXPECT_EQ(alone.verdict, Verdict::kReproduced);
   EXPECT_EQ(alone.holm_p_value, alone.p_value);
   EXPECT_GT(alone.p_value, 0.0125);
   EXPECT_LT(alone.p_value, 0.025);
   std::vector<Comparison> claims(4, compare(weak));
-  claims.push_back(compare(around({0.5, 0.6, 0.4}, 64)));
+  claims.push_back(compare(around({0.5, 0.501, 0.499}, 64)));
   Comparison left_out;
   left_out.reason = "not run";
   claims.push_back(left_out);
-  judge(claims, kFewestSeedsOfTrainings);
+  judge(claims, SeedsOf::kTrainings);
   EXPECT_EQ(claims[0].verdict, Verdict::kUndecided);
-  EXPECT_EQ(claims[0].holm_p_value, 4 * claims[0].p_value);  // the strong one comes first, of five
-  EXPECT_EQ(claims[0].reason.rfind("clear of 0 alone, not among 5 claims: p 0.0", 0), 0U) << claims[0].reason;
+  EXPECT_EQ(claims[0].holm_p_value, 5 * claims[0].p_value);  // the strong one comes first, of six
+  EXPECT_EQ(claims[0].reason.rfind("clear of 0 alone, not among 6 claims: p 0.0", 0), 0U) << claims[0].reason;
   EXPECT_EQ(claims[4].verdict, Verdict::kReproduced);
-  EXPECT_EQ(claims[4].holm_p_value, 5 * claims[4].p_value);
+  EXPECT_EQ(claims[4].holm_p_value, 6 * claims[4].p_value);
   EXPECT_EQ(claims[5].reason, "not run");
   EXPECT_EQ(claims[5].verdict, Verdict::kUndecided);
+}
+
+TEST(Verdict, OfTrainingsThatDifferIsNotDecidedByTheirScenes) {
+  // Three trainings of one sign by chance: replicates of them have one sign too, their spread says that it is chance.
+  const NumbersBySeed chance = around({0.1, 0.9, 0.4}, 64);
+  const Comparison by_trainings = judged(chance);
+  EXPECT_GT(by_trainings.interval.low, 0);
+  EXPECT_EQ(by_trainings.verdict, Verdict::kUndecided);
+  EXPECT_EQ(by_trainings.reason, "p 0.18, a verdict needs less than 0.05");
+  std::vector<Comparison> by_evaluations{compare(chance)};
+  judge(by_evaluations, SeedsOf::kEvaluations);
+  EXPECT_EQ(by_evaluations[0].verdict, Verdict::kReproduced);
 }
 
 }  // namespace
