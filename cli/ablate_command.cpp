@@ -14,6 +14,8 @@
 namespace gld {
 namespace {
 
+constexpr const char* kThisProgram = "/proc/self/exe";
+
 // Those that a stage can be: they write into a folder.
 void list_stage_commands(const std::vector<Command>& commands, std::vector<Command>& found) {
   for (const Command& command : commands) {
@@ -30,10 +32,11 @@ std::vector<Command> stage_commands() {
 
 ProgramCommands this_program() {
   ProgramCommands program;
-  program.program = std::filesystem::read_symlink("/proc/self/exe");
+  // In the child this is the parent's file, until the child has become that: a program that is built anew meanwhile
+  // does not take its place.
+  program.program = kThisProgram;
   constexpr size_t kHashDigits = 12;
-  program.version =
-      program_version() + ", executable " + sha256_of_file("/proc/self/exe").substr(0, kHashDigits);
+  program.version = program_version() + ", executable " + sha256_of_file(kThisProgram).substr(0, kHashDigits);
   for (const Command& command : stage_commands()) program.names.push_back(command.name);
   program.options = [](const std::string& name) -> std::shared_ptr<OptionsGroup> {
     for (const Command& command : stage_commands()) {
@@ -56,7 +59,7 @@ Command make_ablate_command() {
       "Example: gld ablate --config configs/ablations/sources.yaml --out runs/ablations/sources\n"
       "--config names the description: stages, each a command of gld, the variants' options, metrics, and what is claimed "
       "(docs/ABLATIONS.md). Stages that variants have in common run once and are kept in cache/; the same command goes on "
-      "with an ablation that was stopped or killed. Writes ablation.md, ablation.csv, ablation.png and report.json: means with "
+      "with an ablation that was stopped or killed. Writes ablation.md, ablation.csv, ablation.png, report.json and report.html: means with "
       "95 % intervals, and a verdict a claim, paired by scene, noise and seed. --plan says what would run and what it takes.";
   command.options = options;
   command.read_config = [options, file](const std::string& config) {

@@ -6,10 +6,11 @@
 #include "ablate/report/ablation_report.h"
 #include "ablate/run/stage_runner.h"
 #include "gld/base/atomic_file.h"
-#include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/json_text.h"
+#include "gld/base/option_differences.h"
+#include "gld/base/run_journal.h"
 #include "gld/page/run_page.h"
 #include "gld/report/run_folder.h"
 
@@ -39,25 +40,26 @@ void check_same_question(const Ablation& ablation, const fs::path& folder) {
   const nlohmann::json report = parse_json(read_file(file), file.string());
   for (const auto& variant : report.value("variants", nlohmann::json::array()))
     if (variant.contains("problems")) return;
-  const auto refuse = [&](const std::string& what, const std::string& found) {
-    fail({folder.string(), "results of " + what, found,
-          fmt::format("choose another --out, with --cache {} to take its finished stages, or begin anew with "
-                      "--overwrite",
-                      (fs::path(folder) / "cache").string())});
-  };
+  const fs::path config = folder / kRunConfiguration;
+  if (!fs::exists(config)) return;
+  std::string stages = ablation.options.cache, others;
+  for (const auto& difference : differences_from(read_file(config), config.string(), ablation.options)) {
+    if (difference.key == "cache") stages = difference.before;
+    for (const char* asked : {"model", "smoke", "seeds", "only", "overrides", "device"}) {
+      if (difference.key != asked) continue;
+      others += fmt::format("{}{} {} (it was {})", others.empty() ? "" : ", ", asked, difference.now,
+                            difference.before);
+    }
+  }
   if (read_file(folder / "ablation.yaml") != ablation.text)
-    refuse("the description " + ablation.file.string(), "those of another one");
-  AblateOptions before;
-  load_yaml(before, folder / "config.yaml");
-  const AblateOptions& now = ablation.options;
-  const auto differs = [&](bool same, const char* flag) {
-    if (!same) refuse(std::string("the same ") + flag, "those of another");
-  };
-  differs(before.model == now.model, "--model");
-  differs(before.smoke == now.smoke, "--smoke");
-  differs(before.smoke || before.seeds == now.seeds, "--seeds");
-  differs(before.only == now.only, "--only");
-  differs(before.overrides == now.overrides, "--overrides");
+    others = "another description" + (others.empty() ? "" : ", " + others);
+  if (others.empty()) return;
+  if (stages.empty() || stages == "\"\"") stages = (folder / "cache").string();
+  fail(
+      {folder.string(), "the question whose results are there", others,
+       fmt::format(
+           "choose another --out, with --cache {} to take its finished stages, or begin anew with --overwrite",
+           stages)});
 }
 
 }  // namespace

@@ -132,66 +132,63 @@ class Scheduler {
   std::vector<TaskOutcome> run() {
     for (size_t number = 0; number < plan_.tasks.size(); ++number) {
       if (cache_.state(plan_.tasks[number]) == StageState::kDone) {
-        note_done(number);
+        outcomes_[number].done = true;
+        check_done(number);
       } else {
         waiting_.push_back(number);
       }
     }
     if (waiting_.empty()) return outcomes_;
-    Progress progress({"ablation", percent_of(outcomes_.size()),
-                       percent_of(outcomes_.size() - waiting_.size()), options_.progress_folder});
-    auto looked = std::chrono::steady_clock::now() - kBetweenLooks;
-    int64_t under_way = 0;
     try {
+      start();
+      // A percent is a hundredth of all stages, so that one of an hour is not nothing until it is done.
+      Progress progress({"ablation, percent", 100, percent_done(), options_.progress_folder});
+      auto looked = std::chrono::steady_clock::now();
+      int64_t percent = percent_done();
       while (!waiting_.empty() || !running_.empty()) {
         if (interrupt_requested()) stop();
-        collect();
+        const bool ended = collect();
         start();
         // Stages say how far they are in a file each.
-        if (const auto now = std::chrono::steady_clock::now(); now - looked >= kBetweenLooks) {
+        if (const auto now = std::chrono::steady_clock::now(); ended || now - looked >= kBetweenLooks) {
           looked = now;
-          under_way = percent_under_way();
+          percent = percent_done();
         }
-        progress.update(percent_of(static_cast<size_t>(finished())) + (running_.empty() ? 0 : under_way),
-                        note());
+        progress.update(percent, note());
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
       }
-    } catch (const Error&) {
+      progress.finish();
+    } catch (...) {
       stop_running();
       throw;
     }
-    progress.finish();
     return outcomes_;
   }
 
  private:
-  int64_t finished() const {
-    return static_cast<int64_t>(outcomes_.size() - waiting_.size() - running_.size());
+  int64_t ended() const { return static_cast<int64_t>(outcomes_.size() - waiting_.size() - running_.size()); }
+
+  void check_done(size_t number) const {
+    if (options_.check_done && outcomes_[number].done) options_.check_done(number);
   }
 
-  void note_done(size_t number) {
-    outcomes_[number].done = true;
-    if (options_.check_done) options_.check_done(number);
-  }
-
-  // Progress counts hundredths of a stage: one of an hour is not nothing until it is done.
-  static int64_t percent_of(size_t stages) { return 100 * static_cast<int64_t>(stages); }
-
-  int64_t percent_under_way() const {
-    int64_t percent = 0;
+  // Of all stages together, with what the running ones say of themselves; at most 99 as long as one runs.
+  int64_t percent_done() const {
+    double done = static_cast<double>(ended());
     for (const RunningTask& task : running_) {
       const auto json = read_run_progress(cache_.run(plan_.tasks[task.number]));
       if (!json.is_object() || !json.contains("done") || !json.contains("total")) continue;
-      const auto &done = json.at("done"), &total = json.at("total");
-      if (!done.is_number() || !total.is_number() || !(total.get<double>() > 0)) continue;
-      percent += std::lround(99 * std::clamp(done.get<double>() / total.get<double>(), 0.0, 1.0));
+      const auto &part = json.at("done"), &total = json.at("total");
+      if (!part.is_number() || !total.is_number() || !(total.get<double>() > 0)) continue;
+      done += std::clamp(part.get<double>() / total.get<double>(), 0.0, 1.0);
     }
-    return percent;
+    const auto percent = static_cast<int64_t>(100 * done / static_cast<double>(outcomes_.size()));
+    return running_.empty() && waiting_.empty() ? 100 : std::min<int64_t>(percent, 99);
   }
 
   std::string note() const {
     std::string text =
-        fmt::format("{} of {} stages done, {} waiting", finished(), outcomes_.size(), waiting_.size());
+        fmt::format("{} of {} stages ended, {} waiting", ended(), outcomes_.size(), waiting_.size());
     for (const RunningTask& task : running_) {
       const StageTask& stage = plan_.tasks[task.number];
       const std::string line = last_line(cache_.folder(stage) / "log.txt");
@@ -202,17 +199,23 @@ class Scheduler {
     return text;
   }
 
+  // They go on next time, or are done.
   void stop_running() {
     for (RunningTask& task : running_) task.process->stop();
-    for (RunningTask& task : running_) {
-      while (!task.process->poll()) std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    while (!running_.empty()) {
+      if (running_.back().process->poll()) {
+        const RunningTask task = std::move(running_.back());
+        running_.pop_back();
+        note_end(task);
+      } else {
+        std::this_thread::sleep_for(std::chrono::milliseconds(20));
+      }
     }
   }
 
   [[noreturn]] void stop() {
     stop_running();
-    for (RunningTask& task : running_) note_end(task);
-    stop_if_interrupted("the ablation stopped after " + std::to_string(finished()) + " of " +
+    stop_if_interrupted("the ablation stopped after " + std::to_string(ended()) + " of " +
                         std::to_string(outcomes_.size()) + " stages; the same command goes on with it");
     fail({"gld ablate", "a stop that was asked for", "none", "report this"});
   }
@@ -225,7 +228,7 @@ class Scheduler {
       const StageCost cost{cache_.seconds_spent(stage) + result.seconds, result.peak_bytes,
                            size_on_disk(cache_.folder(stage))};
       cache_.finish(stage, cost);
-      note_done(task.number);
+      outcomes_[task.number].done = true;
       return;
     }
     cache_.note_seconds_spent(stage, result.seconds);
@@ -237,16 +240,21 @@ class Scheduler {
                                      ")";
   }
 
-  void collect() {
-    for (auto task = running_.begin(); task != running_.end();) {
-      if (!task->process->poll()) {
-        ++task;
+  // Whether any ended.
+  bool collect() {
+    bool any = false;
+    for (size_t i = 0; i < running_.size();) {
+      if (!running_[i].process->poll()) {
+        ++i;
         continue;
       }
-      const RunningTask ended = std::move(*task);
-      task = running_.erase(task);
-      note_end(ended);
+      const RunningTask task = std::move(running_[i]);
+      running_.erase(running_.begin() + static_cast<std::ptrdiff_t>(i));
+      any = true;
+      note_end(task);
+      check_done(task.number);
     }
+    return any;
   }
 
   bool alone_is_running() const {
@@ -286,6 +294,7 @@ class Scheduler {
     if (!running.lock->take()) return false;
     if (cache_.state(task) == StageState::kDone) {  // by the other one, meanwhile
       outcomes_[number].done = true;
+      check_done(number);
       return true;
     }
     remove_abandoned_files(cache_.folder(task));

@@ -163,9 +163,9 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   EXPECT_EQ(gld_ablate({"--seeds", "0"}), 1);
   EXPECT_THAT(
       text_,
-      HasSubstr("expected results of the same --seeds, found those of another; choose another --out, with "
-                "--cache " +
-                (run() / "cache").string()));
+      HasSubstr("expected the question whose results are there, found seeds [0] (it was [0, 1]); choose "
+                "another --out, with --cache " +
+                (run() / "cache").string() + " to take its finished stages"));
   EXPECT_EQ(read_file(run() / "ablation.md"), markdown);
 
   EXPECT_EQ(gld_ablate({"--smoke", "--overwrite"}), 0) << text_;
@@ -209,12 +209,12 @@ TEST_F(AblateCommand, AColumnThatResultsDoNotHaveIsSaidWhenTheFirstOnesAreThere)
   const std::string before = "psnr: {column: sample_psnr}";
   text.replace(text.find(before), before.size(), "psnr: {column: sample_pnsr}");
   write_file_atomically(folder_.path() / "a.yaml", text);
-  EXPECT_EQ(gld_ablate({"--smoke", "--jobs", "1"}), 1);
-  EXPECT_THAT(text_, HasSubstr("metric 'psnr' of variant 'plain': expected a column of "));
+  EXPECT_EQ(gld_ablate({"--smoke", "--jobs", "2"}), 1);
+  EXPECT_THAT(text_, HasSubstr("metric 'psnr' of variant '"));
   EXPECT_THAT(text_, HasSubstr("found 'sample_pnsr'; did you mean 'sample_psnr'?\n"));
   int64_t evaluations = 0;
   for (const auto& stage : stages("eval")) evaluations += fs::exists(stage / "done.json") ? 1 : 0;
-  EXPECT_EQ(evaluations, 1);
+  EXPECT_GE(evaluations, 1);  // the other one beside it was stopped, or was done too
   // Mended, the same command goes on with the stages that are done.
   write_file_atomically(folder_.path() / "a.yaml", kDescription);
   EXPECT_EQ(gld_ablate({"--smoke"}), 0) << text_;
