@@ -122,14 +122,19 @@ std::vector<ComparedMethod> of_families(std::vector<ComparedMethod> methods,
   };
   for (const auto& family : families) {
     if (among(names, family)) continue;
-    // Most have a comma in their name, at which a flag is cut into two.
+    // Most have a comma in their name, at which a flag's value is cut into two.
     std::string known;
     for (const auto& name : names) {
       const std::string quoted = "'" + name + "'";
       if (known.find(quoted) == std::string::npos) known += (known.empty() ? "" : ", ") + quoted;
     }
+    const bool cut = std::any_of(names.begin(), names.end(),
+                                 [&](const std::string& name) { return name.rfind(family + ",", 0) == 0; });
+    const auto near = nearest_name(family, names);
     fail({"--families", "kinds of methods (" + known + ")", "'" + family + "'",
-          "a name with a comma is given by --set \"families=['euler, logsnr']\""});
+          cut            ? "give a name with a comma by --set \"families=['euler, logsnr']\""
+          : near.empty() ? "choose among them"
+                         : "did you mean '" + near + "'?"});
   }
   methods.erase(std::remove_if(methods.begin(), methods.end(),
                                [&](const ComparedMethod& compared) {

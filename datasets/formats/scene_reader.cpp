@@ -147,7 +147,7 @@ Scene open_scene(const std::filesystem::path& path, const SceneReading& reading)
   }
   refuse_bare_photographs(path);
   fail({path.string(), "one of: " + known_markers(), "none of them",
-        "look at it with gld check-data, which takes --format too"});
+        "check the folder; gld check-data --format forces a layout and says what is missing"});
 }
 
 std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const SceneReading& reading) {
@@ -158,7 +158,7 @@ std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const 
   if (found.empty()) {
     refuse_bare_photographs(root);
     fail({root.string(), "at least one scene", "none",
-          "look at it with gld check-data, which takes --format too"});
+          "check the folder; gld check-data --format forces a layout and says what is missing"});
   }
   return found;
 }

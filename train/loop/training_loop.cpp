@@ -150,6 +150,7 @@ class Session {
   std::optional<MetricsLog> metrics_;
   std::unique_ptr<BatchPrefetcher> feed_;
 
+  bool fresh_ = true;  // not gone on with from a checkpoint
   int64_t step_ = 0;
   int64_t batch_index_ = 0;
   int64_t skipped_ = 0;
@@ -177,6 +178,7 @@ void Session::check_team() const {
 }
 
 void Session::restore(TrainingStart start) {
+  fresh_ = start == TrainingStart::kFresh;
   check_team();
   if (leads()) read_checkpoint(start);
   if (!team_.alone()) take_state_of_first_process();
@@ -436,7 +438,7 @@ TrainingSummary Session::run() {
         "micro-batches were computed one after another, not by {} workers: recomputed activations allow no other way",
         options_.workers));
   }
-  if (run_.begins_trained && step_ == 0) {
+  if (run_.begins_trained && fresh_) {
     const OptimiserState state = optimiser_.whole_state();
     if (leads()) validate(state);
   }
@@ -447,15 +449,14 @@ TrainingSummary Session::run() {
     if (stop_requested()) {
       std::filesystem::path file = checkpoints_.path();
       const OptimiserState state = optimiser_.whole_state();
-      if (leads()) {
-        file = checkpoints_.save(snapshot(state));
-        draw_loss_curve(*metrics_, run_.folder / "loss");
-      }
+      if (leads()) file = checkpoints_.save(snapshot(state));
       team_.finish();
-      throw Interrupted(fmt::format(
-          "training stopped after step {}; continue with --resume ({}), or have the model of this step "
-          "written with --resume --steps {}",
-          step_, file.string(), step_));
+      if (leads()) draw_loss_curve(*metrics_, run_.folder / "loss");
+      std::string text =
+          fmt::format("training stopped after step {}; continue with --resume ({})", step_, file.string());
+      if (step_ > 0)
+        text += fmt::format(", or have the model of this step written with --resume --steps {}", step_);
+      throw Interrupted(text);
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);
     const StepOutcome outcome = [&] {

@@ -164,6 +164,8 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                                       "loop.learning_rate.decay_end_step",
                                       "objective.start",
                                       "objective.kept_gib",
+                                      "objective.kept_latents_gib",
+                                      "objective.flow.kept_latents_gib",
                                       "objective.flow.start",
                                       "objective.training"};
   const auto file = folder / "config.yaml";

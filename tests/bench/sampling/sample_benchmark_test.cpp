@@ -284,8 +284,11 @@ TEST(SampleBenchmark, MeasuresATableThatToleranceUses) {
   const std::string refused = error_of([&] { run_sample_benchmark(options); });
   EXPECT_THAT(refused, testing::StartsWith("--families: expected kinds of methods ('published', "));
   EXPECT_THAT(refused, HasSubstr("'euler, logsnr', "));
-  EXPECT_THAT(refused, testing::EndsWith("), found 'encoder node'; a name with a comma is given by --set "
-                                         "\"families=['euler, logsnr']\"."));
+  EXPECT_THAT(refused, testing::EndsWith("), found 'encoder node'; did you mean 'encoder nodes'?"));
+  options.families.back() = "euler";
+  const std::string cut = error_of([&] { run_sample_benchmark(options); });
+  EXPECT_THAT(cut, testing::EndsWith("), found 'euler'; give a name with a comma by --set "
+                                     "\"families=['euler, logsnr']\"."));
   options.families.pop_back();
   const auto text = printed_by(options);
   EXPECT_THAT(text, HasSubstr("| published"));

@@ -203,7 +203,7 @@ TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
           "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
           "sparse/0 with cameras.bin or cameras.txt (colmap), "
           "a camera text file that starts with a video's address (re10k), found none of them; "
-          "look at it with gld check-data, which takes --format too.");
+          "check the folder; gld check-data --format forces a layout and says what is missing.");
   EXPECT_EQ(error_of([&] { open_scene(folder.path() / "nowhere"); }),
             path + "/nowhere: expected a scene's folder, found nothing; check the path.");
   SceneReading reading;

@@ -171,7 +171,7 @@ TEST(TrainingLoop, RefusesToResumeFromNothingAndToStartOverARun) {
   EXPECT_EQ(test::error_of([&] { train(run, short_run(), TrainingStart::kFresh); }),
             folder.path().string() +
                 ": expected a folder without checkpoints, found a run at step 24; "
-                "continue it with --resume or choose another --out.");
+                "continue it with --resume, begin anew with --overwrite, or choose another --out.");
 }
 
 class ToyElsewhere : public test::ToyObjective {

@@ -132,6 +132,17 @@ TEST_F(TrainedChain, ResumingWithOtherOptionsSaysWhichDiffer) {
           options.data.views.longest_interval, options.data.views.longest_interval - 1, peak)));
   EXPECT_THAT(refused,
               testing::HasSubstr("with --may-change data.views.longest_interval,loop.learning_rate.peak"));
+  auto others = options;
+  others.loop.seed += 1;
+  others.loop.optimiser.clip_norm += 1;
+  others.data.loading.seed += 1;
+  const auto many = test::error_of([&] { train_level(others, {}); });
+  EXPECT_THAT(many, testing::HasSubstr(" and 2 more; take them from --config " +
+                                       (path("other_options") / "config.yaml").string() + "."));
+  others.model.clear();
+  EXPECT_EQ(test::error_of([&] { others.check(); }),
+            "--resume: expected the options that the run was begun with, found no --model; add --config " +
+                path("other_options").string() + "/config.yaml, where they stand.");
   options.may_change = {"data.views.longest_interval"};
   EXPECT_THAT(test::error_of([&] { train_level(options, {}); }),
               testing::EndsWith("with --may-change loop.learning_rate.peak."));
@@ -355,7 +366,13 @@ TEST_F(TrainedChain, FineTuningStartsFromTheBundle) {
   options.objective.start = ModelStart::kBundle;
   options.loop.learning_rate.peak = options.loop.learning_rate.final = 1e-12;
   options.loop.seed = 99;
+  options.loop.optimiser.ema_decay = 0.9;
+  testing::internal::CaptureStderr();
   train_level(options, {});
+  EXPECT_THAT(
+      testing::internal::GetCapturedStderr(),
+      testing::HasSubstr("warning: the model that is written is a moving average over about 10 steps "
+                         "(loop.optimiser.ema_decay 0.9), and this run has 2: it will hardly differ"));
   EXPECT_LT((weights("tuned/model") - weights("level/model")).abs().max().item<double>(), 1e-6);
   // What it begins with is validated too, so that what was learnt can be told.
   const auto validated = [&](const std::string& run) {
