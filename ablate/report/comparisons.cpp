@@ -138,6 +138,7 @@ std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vecto
       std::any_of(ablation.stages.begin(), ablation.stages.end(),
                   [](const StageDescription& stage) { return trains(stage.command); });
   std::vector<Comparison> comparisons;
+  comparisons.reserve(results.size());
   for (const ClaimResult& result : results) comparisons.push_back(result.comparison);
   judge(comparisons, anything_is_trained ? SeedsOf::kTrainings : SeedsOf::kEvaluations);
   for (size_t i = 0; i < results.size(); ++i) results[i].comparison = std::move(comparisons[i]);

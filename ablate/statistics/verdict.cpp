@@ -73,6 +73,7 @@ int64_t fewest_verdict_seeds(SeedsOf seeds) { return seeds == SeedsOf::kTraining
 
 void judge(std::vector<Comparison>& claims, SeedsOf seeds) {
   std::vector<double> p_values;
+  p_values.reserve(claims.size());
   for (Comparison& claim : claims) {
     if (seeds == SeedsOf::kTrainings) claim.p_value = std::max(claim.p_value, claim.seeds_p_value);
     p_values.push_back(claim.p_value);
