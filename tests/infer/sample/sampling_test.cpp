@@ -6,6 +6,7 @@
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
 #include "gld/page/run_report.h"
+#include "gld/tensors/weight_tensors.h"
 #include "infer/export/ply_file.h"
 #include "infer/page/report_command.h"
 #include "models/bundle/random_bundle.h"
