@@ -96,8 +96,17 @@ std::map<std::string, std::string> read_texts(const YAML::Node& node, const Yaml
   return texts;
 }
 
-using SectionReader =
-    std::function<bool(const std::string& key, const YAML::Node& value, const YamlPlace& place)>;
+// What to do about a name that is not among those: the nearest, or all.
+std::string remedy_for(const std::string& name, const std::vector<std::string>& known) {
+  const auto near = nearest_name(name, known);
+  return near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?";
+}
+
+// A key that is no field of an item, and what reads its value.
+struct KeyReader {
+  std::string key;
+  std::function<void(const YAML::Node& value, const YamlPlace& place)> read;
+};
 
 // Throws Error for a key that is neither a field of the group nor among `others`, naming all that are.
 void require_key(const OptionsGroup& group, const std::vector<std::string>& others, const std::string& key,
@@ -105,20 +114,26 @@ void require_key(const OptionsGroup& group, const std::vector<std::string>& othe
   std::vector<std::string> known = others;
   for (const auto& field : describe_options(group)) known.push_back(field.key);
   if (std::find(known.begin(), known.end(), key) != known.end()) return;
-  const auto near = nearest_name(key, known);
-  fail({where + ", key " + quoted_text(key), "a known key", "an unknown one",
-        near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?"});
+  fail({where + ", key " + quoted_text(key), "a known key", "an unknown one", remedy_for(key, known)});
 }
 
-// Every entry goes to own, where that knows the key (one of own_keys), else to the fields of the item.
+// Every entry goes to the reader of its key, where there is one, else to the fields of the item.
 void read_item(OptionsGroup& item, const YAML::Node& node, const YamlPlace& place,
-               const std::vector<std::string>& own_keys, const SectionReader& own) {
+               const std::vector<KeyReader>& readers) {
   require_map(node, place);
+  std::vector<std::string> keys;
+  keys.reserve(readers.size());
+  for (const KeyReader& reader : readers) keys.push_back(reader.key);
   for (const auto& entry : node) {
     const std::string key = key_text(entry.first, place);
-    require_key(item, own_keys, key, place.of(entry.first));
-    if (own && own(key, entry.second, place)) continue;
-    apply_setting(item, key, one_line(entry.second), place.of(entry.first));
+    require_key(item, keys, key, place.of(entry.first));
+    const auto own = std::find_if(readers.begin(), readers.end(),
+                                  [&](const KeyReader& reader) { return reader.key == key; });
+    if (own != readers.end()) {
+      own->read(entry.second, place);
+    } else {
+      apply_setting(item, key, one_line(entry.second), place.of(entry.first));
+    }
   }
 }
 
@@ -136,12 +151,9 @@ std::map<std::string, std::vector<OptionSetting>> read_stage_settings(const YAML
 StageDescription read_stage(const std::string& name, const YAML::Node& node, const YamlPlace& place) {
   StageDescription stage;
   stage.name = name;
-  read_item(stage, node, place, {"options"},
-            [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
-              if (key != "options") return false;
-              read_settings(value, at, "", stage.settings);
-              return true;
-            });
+  read_item(stage, node, place, {{"options", [&](const YAML::Node& value, const YamlPlace& at) {
+                                    read_settings(value, at, "", stage.settings);
+                                  }}});
   return stage;
 }
 
@@ -150,19 +162,14 @@ VariantDescription read_variant(const std::string& name, const YAML::Node& node,
   variant.name = name;
   variant.label = name;
   if (node.IsNull()) return variant;
-  read_item(variant, node, place, {"options", "rows", "columns"},
-            [&](const std::string& key, const YAML::Node& value, const YamlPlace& at) {
-              if (key == "options") {
-                variant.settings = read_stage_settings(value, at);
-              } else if (key == "rows") {
-                variant.rows = read_texts(value, at.inner("rows"));
-              } else if (key == "columns") {
+  read_item(variant, node, place,
+            {{"options", [&](const YAML::Node& value,
+                             const YamlPlace& at) { variant.settings = read_stage_settings(value, at); }},
+             {"rows", [&](const YAML::Node& value,
+                          const YamlPlace& at) { variant.rows = read_texts(value, at.inner("rows")); }},
+             {"columns", [&](const YAML::Node& value, const YamlPlace& at) {
                 variant.columns = read_texts(value, at.inner("columns"));
-              } else {
-                return false;
-              }
-              return true;
-            });
+              }}});
   return variant;
 }
 
@@ -191,9 +198,8 @@ std::vector<std::string> names_of(const std::vector<Item>& items) {
 void require_name(const std::string& name, const std::vector<std::string>& known, const std::string& where,
                   const std::string& one_of) {
   if (std::find(known.begin(), known.end(), name) != known.end()) return;
-  const auto near = nearest_name(name, known);
   fail({where, "a " + one_of + " of this ablation", name.empty() ? "nothing" : quoted_text(name),
-        near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?"});
+        remedy_for(name, known)});
 }
 
 const std::vector<std::string>& section_names() {
@@ -448,7 +454,7 @@ Ablation read_ablation(const std::filesystem::path& file, const AblateOptions& o
                                         metric.better = better_name(known->better);
                                         metric.unit = known->unit;
                                       }
-                                      if (!node.IsNull()) read_item(metric, node, at, {}, {});
+                                      if (!node.IsNull()) read_item(metric, node, at, {});
                                       return metric;
                                     });
   if (const YAML::Node claims = document["claims"]) {
@@ -456,7 +462,7 @@ Ablation read_ablation(const std::filesystem::path& file, const AblateOptions& o
         claims, place, "claim", [](const std::string& name, const YAML::Node& node, const YamlPlace& at) {
           ClaimDescription claim;
           claim.name = name;
-          read_item(claim, node, at, {}, {});
+          read_item(claim, node, at, {});
           return claim;
         });
   }
