@@ -145,7 +145,7 @@ class Assigner : public FieldVisitor {
   }
   void group(const Field& field, OptionsGroup& value) override {
     auto node = take(field);
-    for (const auto& leaf : describe_options(value)) below_.push_back(field.name + "." + leaf.key);
+    groups_.emplace_back(field.name, &value);
     if (!node || node->IsNull()) return;
     if (!node->IsMap()) {
       fail({place(source_, *node, prefix_ + field.name), "a map of options", shown(*node),
@@ -173,10 +173,13 @@ class Assigner : public FieldVisitor {
   // they are not, so that a name that stands in one is told first.
   std::string hint(const std::string& name) const {
     std::vector<std::string> found;
-    for (const std::string& key : below_) {
-      const size_t start = key.size() - std::min(key.size(), name.size());
-      if (start > 0 && key[start - 1] == '.' && key.substr(start) == name)
-        found.push_back(quoted(prefix_ + key));
+    for (const auto& [group, options] : groups_) {
+      for (const auto& leaf : describe_options(*options)) {
+        const std::string key = group + "." + leaf.key;
+        const size_t start = key.size() - std::min(key.size(), name.size());
+        if (start > 0 && key[start - 1] == '.' && key.substr(start) == name)
+          found.push_back(quoted(prefix_ + key));
+      }
     }
     if (!found.empty()) return "did you mean " + joined(found, " or ") + "?";
     const auto near = nearest_name(name, known_);
@@ -255,7 +258,7 @@ class Assigner : public FieldVisitor {
   Source source_;
   std::string prefix_;
   std::vector<std::string> known_;
-  std::vector<std::string> below_;  // of groups: "solver.evaluations"
+  std::vector<std::pair<std::string, const OptionsGroup*>> groups_;
 };
 
 void assign(OptionsGroup& options, const YAML::Node& root, const Source& source) {
