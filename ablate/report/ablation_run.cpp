@@ -16,6 +16,7 @@
 
 #include <algorithm>
 #include <iostream>
+#include <set>
 
 #include <fmt/format.h>
 
@@ -42,14 +43,12 @@ void check_same_question(const Ablation& ablation, const fs::path& folder) {
     if (variant.contains("problems")) return;
   const fs::path config = folder / kRunConfiguration;
   if (!fs::exists(config)) return;
+  const std::set<std::string> asked{"model", "smoke", "seeds", "only", "overrides", "device"};
   std::string stages = ablation.options.cache, others;
   for (const auto& difference : differences_from(read_file(config), config.string(), ablation.options)) {
     if (difference.key == "cache") stages = difference.before;
-    for (const char* asked : {"model", "smoke", "seeds", "only", "overrides", "device"}) {
-      if (difference.key != asked) continue;
-      others += fmt::format("{}{} {} (it was {})", others.empty() ? "" : ", ", asked, difference.now,
-                            difference.before);
-    }
+    if (asked.count(difference.key) == 0) continue;
+    others += (others.empty() ? "" : ", ") + difference_text(difference);
   }
   if (read_file(folder / "ablation.yaml") != ablation.text)
     others = "another description" + (others.empty() ? "" : ", " + others);

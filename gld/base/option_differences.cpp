@@ -32,6 +32,10 @@ void flatten(const YAML::Node& node, const std::string& prefix, std::map<std::st
 
 }  // namespace
 
+std::string difference_text(const OptionDifference& difference) {
+  return difference.key + " " + difference.now + " (it was " + difference.before + ")";
+}
+
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
                                                const OptionsGroup& options) {
   std::map<std::string, std::string> before, now;

@@ -17,6 +17,8 @@ struct OptionDifference {
   std::string before;
   std::string now;
 };
+// "loop.seed 4 (it was 3)".
+std::string difference_text(const OptionDifference& difference);
 // Keys that only one of the two has are left out: a program of another version had other options. where names the text.
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
                                                const OptionsGroup& options);

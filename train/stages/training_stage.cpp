@@ -179,8 +179,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
       continue;
     }
     if (++count > kNamed) continue;
-    named += fmt::format("{}{} {} (it was {})", named.empty() ? "" : ", ", difference.key, difference.now,
-                         difference.before);
+    named += (named.empty() ? "" : ", ") + difference_text(difference);
     keys += (keys.empty() ? "" : ",") + difference.key;
   }
   if (count == 0) return;
