@@ -8,6 +8,7 @@ chromium-driver and python3-selenium are what it needs (scripts/setup.sh --testi
 """
 
 import base64
+import collections
 import json
 import pathlib
 import shutil
@@ -424,11 +425,18 @@ def test_without_3d(run):
         browser.check_silence()
 
 
-def test_results(browser, folder):
+def claims_sentence(report):
+    """What the page of an ablation says first, counted here from the report that the page was made of."""
+    verdicts = collections.Counter(claim["verdict"] for claim in json.loads(report.read_text())["claims"])
+    check(len(verdicts) > 1, f"expected {report} to hold claims that came out differently, found {dict(verdicts)}")
+    return f"Of {verdicts.total()} claims: {', '.join(f'{count} {verdict}' for verdict, count in sorted(verdicts.items()))}."
+
+
+def test_results(browser, root, folder):
     for name, sentence, counts in [
             ("train", "400 steps were done", {"figure svg path": 8, "table tbody tr": 8, ".sheets img": 1}),
             ("eval", "Over 64 scenes", {"table tbody tr": 40}),
-            ("ablate", "Of 3 claims: 2 reproduced, 1 undecided.", {"table tbody tr": 10, ".sheets img": 1})]:
+            ("ablate", claims_sentence(root / "docs/measured/ablations/sources/report.json"), {"table tbody tr": 10, ".sheets img": 1})]:
         browser.open(folder / f"{name}.html")
         check(sentence in browser.driver.find_element(By.CSS_SELECTOR, ".verdict").text, f"expected {sentence!r} on the page of gld {name}")
         for selector, least in counts.items():
@@ -461,7 +469,7 @@ def main():
         test_names(browser, runs["plain"])
         test_narrow_screen(browser, runs["plain"])
         test_old_browser(browser, runs["plain"])
-        test_results(browser, scratch / "results")
+        test_results(browser, root, scratch / "results")
     test_without_3d(runs["plain"])
     print(f"all of it in {time.monotonic() - begun:.0f} s")
 
