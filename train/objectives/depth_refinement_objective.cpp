@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/photogrammetry/shared_sight.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "models/layers/layer_precision.h"
 #include "models/scene_geometry/composed_views.h"
@@ -45,6 +46,26 @@ torch::Tensor true_source_depth(const TrainingScene& scene, int64_t height, int6
           "use scenes with depth, such as those of gld synth"});
   }
   return picked(scene.depth.slice(0, 0, scene.views.num_sources).unsqueeze(1), height, width);
+}
+
+// Which pixels of the source views another of them shows, by their true depth: (sources, 1, height, width), bool, of
+// that depth's size.
+torch::Tensor in_sight_of_other_sources(const TrainingScene& scene, const torch::Tensor& true_depth) {
+  std::vector<PicturedView> views;
+  for (int64_t view = 0; view < true_depth.size(0); ++view) {
+    PicturedView told;
+    told.camera = scene.views.cameras[static_cast<size_t>(view)];
+    told.depth.width = true_depth.size(3);
+    told.depth.height = true_depth.size(2);
+    const auto values = true_depth[view].contiguous();
+    told.depth.values.assign(values.data_ptr<float>(), values.data_ptr<float>() + values.numel());
+    views.push_back(std::move(told));
+  }
+  std::vector<torch::Tensor> masks;
+  for (auto& mask : in_sight_of_others(views))
+    masks.push_back(
+        torch::from_blob(mask.data(), {1, true_depth.size(2), true_depth.size(3)}, torch::kUInt8).clone());
+  return torch::stack(masks).to(torch::kBool);
 }
 
 torch::Tensor mean_where(const torch::Tensor& values, const torch::Tensor& known) {
@@ -182,29 +203,40 @@ Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& 
   const torch::NoGradGuard no_grad;
   Validation validation;
   double error = 0, error_before = 0, psnr = 0, psnr_before = 0, count = 0;
-  // Not a number where no pixel is known.
-  const auto error_of = [](const std::vector<PlanarDepth>& maps, const TrainingScene& scene) {
-    const auto depth = stacked(maps);
-    const auto truth = true_source_depth(scene, depth.size(2), depth.size(3));
-    const auto known = known_depth(depth).logical_and(known_depth(truth));
-    return ((depth - truth).abs() / truth).masked_select(known).mean().item<double>();
-  };
+  // Over pixels: a scene may have hardly any of a kind.
+  struct ErrorOfPixels {
+    double sum = 0, pixels = 0;
+    void add(const torch::Tensor& errors) {
+      sum += errors.sum().item<double>();
+      pixels += static_cast<double>(errors.numel());
+    }
+  } shared, shared_before, alone, alone_before;
   for (const TrainingScene& scene : scenes) {
     const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
     const auto photographs = photographs_of_images(scene.views, pictures);
     const PhotographDepth before = source_view_depth(space_, *head_, scene, photographs);
     if (!before.depth.known()) continue;
-    const double off_before = error_of(before.depth.views, scene);
-    if (!std::isfinite(off_before)) continue;
     PhotographDepth after = before;
     refine(*refinement_, photographs, after);
+    const auto depth = stacked(after.depth.views), depth_before = stacked(before.depth.views);
+    const auto true_depth = true_source_depth(scene, depth.size(2), depth.size(3));
+    const auto known = known_depth(depth).logical_and(known_depth(true_depth));
+    if (!known.any().item<bool>()) continue;
+    const auto off = (depth - true_depth).abs() / true_depth,
+               off_before = (depth_before - true_depth).abs() / true_depth;
+    error += off.masked_select(known).mean().item<double>();
+    error_before += off_before.masked_select(known).mean().item<double>();
+    const auto sight = in_sight_of_other_sources(scene, true_depth);
+    const auto seen_twice = known.logical_and(sight), seen_once = known.logical_and(sight.logical_not());
+    shared.add(off.masked_select(seen_twice));
+    shared_before.add(off_before.masked_select(seen_twice));
+    alone.add(off.masked_select(seen_once));
+    alone_before.add(off_before.masked_select(seen_once));
     const auto truth = scene.images.slice(0, scene.views.num_sources);
     const auto carried = [&](const SourceDepth& depth) {
       return filled_views(scene.views, photographs, depth).images;
     };
     const auto picture = carried(after.depth), picture_before = carried(before.depth);
-    error += error_of(after.depth.views, scene);
-    error_before += off_before;
     psnr += measure_images(metric_named("psnr"), truth, picture).mean();
     psnr_before += measure_images(metric_named("psnr"), truth, picture_before).mean();
     count += 1;
@@ -226,6 +258,10 @@ Validation DepthRefinementObjective::validate(const std::vector<TrainingScene>& 
   // Without a scene that tells its depth no number is one.
   validation.values = {{"abs_rel", error / count},
                        {"abs_rel_before", error_before / count},
+                       {"abs_rel_shared", shared.sum / shared.pixels},
+                       {"abs_rel_shared_before", shared_before.sum / shared_before.pixels},
+                       {"abs_rel_alone", alone.sum / alone.pixels},
+                       {"abs_rel_alone_before", alone_before.sum / alone_before.pixels},
                        {"carried_psnr", psnr / count},
                        {"carried_psnr_before", psnr_before / count}};
   return validation;

@@ -47,8 +47,9 @@ class DepthRefinementObjective : public Objective {
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
-  // Of depth that is not mended and of mended depth: abs_rel of source views, not scaled to the truth, and the PSNR of
-  // target views that photographs are carried into by it, by rule and with gaps filled.
+  // Of depth that is not mended and of mended depth: abs_rel of source views, not scaled to the truth, the mean of
+  // scenes; the same over all pixels that another source view shows as well (shared) and that none does (alone); and
+  // the PSNR of target views that photographs are carried into by it, by rule and with gaps filled.
   Validation validate(const std::vector<TrainingScene>& scenes) override;
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
