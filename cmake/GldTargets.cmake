@@ -34,13 +34,33 @@ function(gld_target_defaults target)
   endif()
 endfunction()
 
+# What computes nothing that takes time is compiled with -O1: tests, commands, pages, readers of text. Half of a whole build
+# is theirs.
+set(GLD_LIGHT_OPTIMISATION -O1)
+set(GLD_LIGHT_ROOMS "^(ablate/.*|cli|datasets/(check|formats|pictures)|infer/(evaluate|forecast|method|page|paths|request|run_export|sample|splats)|train/(page|stages)|verify)$")
+
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
-# all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain).
+# all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a
+# precompiled header it optimises as that was: gld_light_NAME_headers has it for what is compiled with less.
 function(gld_shared_headers name folder)
-  add_library(gld_${name}_headers STATIC ${PROJECT_SOURCE_DIR}/${folder}/${name}_precompiled.cpp)
-  gld_target_defaults(gld_${name}_headers)
-  target_link_libraries(gld_${name}_headers PUBLIC ${ARGN})
-  target_precompile_headers(gld_${name}_headers PRIVATE ${PROJECT_SOURCE_DIR}/${folder}/${name}_precompiled.h)
+  gld_precompiled_headers(gld_${name}_headers ${folder}/${name}_precompiled ${ARGN})
+  if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
+    gld_precompiled_headers(gld_light_${name}_headers ${folder}/${name}_precompiled gld_${name}_headers)
+    target_compile_options(gld_light_${name}_headers PRIVATE ${GLD_LIGHT_OPTIMISATION})
+  endif()
+endfunction()
+
+function(gld_precompiled_headers target header)
+  add_library(${target} STATIC EXCLUDE_FROM_ALL ${PROJECT_SOURCE_DIR}/${header}.cpp)
+  gld_target_defaults(${target})
+  target_link_libraries(${target} PUBLIC ${ARGN})
+  target_precompile_headers(${target} PRIVATE ${PROJECT_SOURCE_DIR}/${header}.h)
+endfunction()
+
+# gld_light(TARGET): compiled with less optimisation; before gld_use_headers.
+function(gld_light target)
+  target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:${GLD_LIGHT_OPTIMISATION}>)
+  set_target_properties(${target} PROPERTIES GLD_LIGHT ON)
 endfunction()
 
 # The precompiled header NAME for the sources of a target. CMake warns of every target that is to share one where there is none
@@ -51,7 +71,13 @@ function(gld_use_headers name target)
   if(name STREQUAL "plain" AND GLD_TORCH_FMT)
     return()
   endif()
-  if(NOT CMAKE_DISABLE_PRECOMPILE_HEADERS)
+  if(CMAKE_DISABLE_PRECOMPILE_HEADERS)
+    return()
+  endif()
+  get_target_property(light ${target} GLD_LIGHT)
+  if(light AND TARGET gld_light_${name}_headers)
+    target_precompile_headers(${target} REUSE_FROM gld_light_${name}_headers)
+  else()
     target_precompile_headers(${target} REUSE_FROM gld_${name}_headers)
   endif()
 endfunction()
@@ -87,6 +113,9 @@ function(gld_room)
   add_library(${target} STATIC ${arg_SOURCES} ${arg_TORCH_SOURCES})
   gld_target_defaults(${target})
   gld_unity(${target} 16)
+  if(room MATCHES "${GLD_LIGHT_ROOMS}")
+    gld_light(${target})
+  endif()
   foreach(included IN LISTS GLD_ROOM_${room})
     gld_room_target(library ${included})
     if(TARGET ${library})
@@ -177,8 +206,7 @@ function(gld_test_program program folder tests)
   add_executable(${program} ${sources})
   gld_target_defaults(${program})
   gld_unity(${program} 8)
-  # What tests multiply, they multiply in the rooms: their own loops are small and need no more.
-  target_compile_options(${program} PRIVATE $<$<CONFIG:Release>:-O1>)
+  gld_light(${program})  # what tests multiply, they multiply in the rooms
   foreach(source IN LISTS sources)
     gld_rooms_included(rooms tests/${source})
     foreach(room IN LISTS rooms)
