@@ -157,7 +157,12 @@ std::string first_clause(const std::string& help, size_t most) {
   for (const char* end : {"; ", ": ", " (", ", "}) {
     const size_t at = help.rfind(end, most);
     // A clause that says hardly anything is no better than words cut off.
-    if (at != std::string::npos && at <= most && at * 3 >= most) return help.substr(0, at);
+    if (at == std::string::npos || at > most || at * 3 < most) continue;
+    // What "0" means is what was cut off.
+    const std::string clause = help.substr(0, at), value = "; 0";
+    const bool of_a_value = clause.size() > value.size() &&
+                            clause.compare(clause.size() - value.size(), value.size(), value) == 0;
+    return clause.substr(0, clause.size() - (of_a_value ? value.size() : 0));
   }
   if (most <= 4) return "";
   const size_t space = help.rfind(' ', most - 4);

@@ -29,18 +29,30 @@ std::vector<SceneLocation> scenes_at(const std::filesystem::path& path, const Da
   return list_scenes(path, options.reading);
 }
 
-// Number, name and size, of a long scene its first and last frames; report.json has all.
+// Numbers and names as many as fit a line of a terminal each; of a long scene its first and last frames, report.json
+// has all. The size stands with a name where not all frames have one.
 std::string frame_lines(const std::vector<CheckedFrame>& frames) {
-  constexpr size_t kMostShown = 24;
-  std::string text;
+  constexpr size_t kMostShown = 24, kColumns = 100, kIndent = 17;
+  const bool one_size = std::all_of(frames.begin(), frames.end(), [&](const CheckedFrame& frame) {
+    return frame.width == frames[0].width && frame.height == frames[0].height;
+  });
+  std::vector<std::string> words;
   for (size_t i = 0; i < frames.size(); ++i) {
     if (frames.size() > kMostShown && i == kMostShown / 2) {
       const size_t left_out = frames.size() - kMostShown;
-      text += fmt::format("  {:<14} ... {} frames more ...\n", "", left_out);
+      words.push_back(fmt::format("... {} frames more ...", left_out));
       i += left_out;
     }
-    text += fmt::format("  {:<14} {} {} {}x{}\n", i == 0 ? "frame" : "", i, printable_text(frames[i].name),
-                        frames[i].width, frames[i].height);
+    words.push_back(fmt::format("{} {}", i, printable_text(frames[i].name)));
+    if (!one_size) words.back() += fmt::format(" {}x{}", frames[i].width, frames[i].height);
+  }
+  std::string text, line;
+  for (size_t i = 0; i < words.size(); ++i) {
+    line += (line.empty() ? "" : ", ") + words[i];
+    const bool last = i + 1 == words.size();
+    if (!last && kIndent + line.size() + 2 + words[i + 1].size() <= kColumns) continue;
+    text += fmt::format("  {:<14} {}{}\n", text.empty() ? "frames by name" : "", line, last ? "" : ",");
+    line.clear();
   }
   return text;
 }

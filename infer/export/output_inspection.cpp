@@ -1,6 +1,7 @@
 #include "infer/export/output_inspection.h"
 
 #include "datasets/images/png_file.h"
+#include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/mapped_file.h"
@@ -15,6 +16,7 @@
 #include <charconv>
 #include <fstream>
 #include <map>
+#include <sstream>
 #include <string_view>
 #include <vector>
 
@@ -109,6 +111,27 @@ const std::map<std::string, std::string>& following_commands() {
   return commands;
 }
 
+// An ablation goes on with the description that it keeps and the options that stood beside it, a line each in its
+// configuration: how it began and what it printed is not asked again.
+ordered_json ablation_command(const std::filesystem::path& folder) {
+  std::error_code none;
+  const auto description = folder / "ablation.yaml", configuration = folder / kRunConfiguration;
+  if (!std::filesystem::is_regular_file(description, none) ||
+      !std::filesystem::is_regular_file(configuration, none))
+    return {};
+  std::string command = "gld ablate --config " + shell_word(description.string());
+  std::istringstream lines(read_file(configuration));
+  for (std::string line; std::getline(lines, line);) {
+    const size_t colon = line.find(": ");
+    if (colon == std::string::npos || line[0] == '#') continue;
+    const std::string key = line.substr(0, colon), value = line.substr(colon + 2);
+    if (key == "out" || key == "overwrite" || key == "plan" || key == "json") continue;
+    if (value == "\"\"" || value == "[]" || value == "false") continue;
+    command += " --set " + shell_word(key + "=" + value);
+  }
+  return command + " --out " + shell_word(folder.string());
+}
+
 ordered_json next_command(const std::string& kind, const std::string& state,
                           const std::filesystem::path& folder) {
   if (state == "running") return {};
@@ -121,8 +144,7 @@ ordered_json next_command(const std::string& kind, const std::string& state,
     const size_t at = command.find("RUN"), end = std::min(command.find(' ', at), command.size());
     return command.replace(at, end - at, shell_word(run + command.substr(at + 3, end - at - 3)));
   }
-  // The description of an ablation is another file than its options.
-  if (kind == "ablate") return {};
+  if (kind == "ablate") return ablation_command(folder);
   const bool resumes = kind == "sample" || kind == "eval" || kind == "splat fit" || kind == "splat pairs" ||
                        kind.rfind("train ", 0) == 0;
   return "gld " + kind + " --config " + shell_word((folder / kRunConfiguration).string()) + " --out " +

@@ -119,6 +119,7 @@ TEST(HelpText, IsCutAtAClause) {
   EXPECT_EQ(first_clause("one; two", 20), "one; two");
   EXPECT_EQ(first_clause("what finds cameras: colmap, features", 20), "what finds cameras");
   EXPECT_EQ(first_clause("pixels (of a side) of pictures", 18), "pixels");
+  EXPECT_EQ(first_clause("stages that run at a time; 0: as many as cores", 40), "stages that run at a time");
   EXPECT_EQ(first_clause("as many words as there are", 17), "as many words ...");
 }
 

@@ -250,7 +250,11 @@ TEST(DataCheck, ABrokenFrameIsAMistakeAndShiftsTheNumbersBehindIt) {
   ASSERT_EQ(check.list.size(), 11U);
   EXPECT_EQ(check.list[3].name, whole.frames[4].name);
   EXPECT_EQ(check.list[3].width, 200);
-  EXPECT_THAT(data_check_text(check), HasSubstr(" 3 " + whole.frames[4].name + " 200x150\n"));
+  const std::string text = data_check_text(check);
+  EXPECT_THAT(
+      text, HasSubstr("\n  frames by name 0 " + whole.frames[0].name + ", 1 " + whole.frames[1].name + ", "));
+  EXPECT_THAT(text, HasSubstr(", 3 " + whole.frames[4].name + ","));
+  EXPECT_THAT(text, HasSubstr("10 " + whole.frames[11].name + "\n"));
 }
 
 TEST(DataCheck, AFolderWithASceneIsThatScene) {

@@ -109,6 +109,16 @@ TEST_F(OutputInspection, OfAnUnfinishedRunNamesTheCommandThatFinishesIt) {
   }
   { const RunFolder run(path("ablate"), "ablate", StepOptions(), EarlierRun::kRefuse); }
   EXPECT_TRUE((*inspect_output(path("ablate")))["next"].is_null());
+  // An ablation goes on with the description that it keeps.
+  write_file_atomically(path("ablate/ablation.yaml"), "title: none\n");
+  write_file_atomically(path("ablate/config.yaml"),
+                        "# gld ablate: the options\nout: \"there\"\ncache: \"\"\nmodel: \"configs/tiny\"\n"
+                        "seeds: [0, 1]\nonly: []\nsmoke: false\noverwrite: true\njobs: 1\n");
+  const std::string folder = path("ablate").string();
+  EXPECT_EQ((*inspect_output(path("ablate")))["next"],
+            "gld ablate --config " + folder +
+                "/ablation.yaml --set 'model=\"configs/tiny\"' --set 'seeds=[0, 1]'" +
+                " --set jobs=1 --out " + folder);
 }
 
 TEST_F(OutputInspection, OfPicturesShowsWhereTheyComeFrom) {
