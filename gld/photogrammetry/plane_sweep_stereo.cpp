@@ -112,6 +112,17 @@ std::vector<StereoPicture> pictures_of(const std::vector<PicturedView>& views, i
   return pictures;
 }
 
+bool hardly_any_confident(const std::vector<StereoDepth>& views) {
+  size_t confident = 0, of = 0;
+  for (const StereoDepth& view : views) {
+    const auto& values = view.confidence.values;
+    confident += static_cast<size_t>(
+        std::count_if(values.begin(), values.end(), [](float value) { return value >= kConfidentStereo; }));
+    of += values.size();
+  }
+  return hardly_any(confident, of);
+}
+
 void check_views(const std::vector<PicturedView>& views) {
   for (size_t i = 0; i < views.size(); ++i) {
     const PicturedView& view = views[i];
@@ -217,9 +228,13 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
   }
   scene.views = judged_matches(fine, swept, sweep_views(fine, swept, options, settings), radius, 1, settings);
 #pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
+  for (size_t view = 0; view < views.size(); ++view) doubt_edges_and_specks(scene.views[view], radius);
+  // What agreed by chance does not agree again: then the unit that the first pass told is none either.
+  const bool prior_holds = prior_judged && !hardly_any_confident(scene.views);
+  if (prior_judged && !prior_holds) scene.prior = PriorAgreement();
+#pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
   for (size_t view = 0; view < views.size(); ++view) {
-    doubt_edges_and_specks(scene.views[view], radius);
-    if (swept[view].prior.any()) {
+    if (prior_holds && swept[view].prior.any()) {
       put_prior_in(scene.views[view], swept[view], *scene.prior);
     } else if (!priors[view].empty()) {
       take_prior(scene.views[view], priors[view]);

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <random>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -295,6 +296,33 @@ TEST(PlaneSweepStereo, ThePriorsScaleIsMended) {
   EXPECT_NEAR(fused.prior->scale, 1 / 1.6, 0.02);
   EXPECT_LT(fused.prior->spread, 0.03);
   EXPECT_LT(errors_of(fused, truth).mean_of_all, 0.03);
+}
+
+// Grain hides the plane at the photographs' own size, and is a quarter as large, by area, at half of it: the first pass
+// matches, the second does not.
+TEST(PlaneSweepStereo, AUnitThatTheSecondPassDoesNotConfirmIsNone) {
+  const auto truth = plane_views(cameras_aside(2, 0.4));
+  const auto grainy = [&](double grain) {
+    std::mt19937 random(5);
+    std::normal_distribution<double> noise(0, grain);
+    auto views = with_wrong_prior(truth, 1.6, 0);
+    for (PicturedView& view : views) {
+      for (float& value : view.rgb) value += static_cast<float>(noise(random));
+    }
+    return views;
+  };
+  // So little more grain takes few of the thousands of pixels from the first pass.
+  const auto seen = stereo_depth(grainy(0.22), {}, few_planes());
+  EXPECT_GT(seen.prior->pixels, 2000);
+  EXPECT_NEAR(seen.prior->scale, 1 / 1.6, 0.05);
+  EXPECT_GT(errors_of(seen, truth).confident, 0.05);
+  const auto views = grainy(0.3);
+  const auto hidden = stereo_depth(views, {}, few_planes());
+  ASSERT_TRUE(hidden.prior.has_value());
+  EXPECT_EQ(hidden.prior->pixels, 0);
+  EXPECT_EQ(most_confidence(hidden), 0);
+  // The prior as it is, in its own unit.
+  EXPECT_EQ(hidden.views[0].depth.values, views[0].depth.values);
 }
 
 TEST(PlaneSweepStereo, RefusesAViewWithoutAPhotograph) {
