@@ -70,7 +70,9 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
   visitor.text({"path", "orbit, spline, or a cameras.json file with the target cameras"}, path);
   visitor.integer({"frames", "target views along the path (0: 6, or all cameras of the file)"}, frames,
                   {0, 4096});
-  visitor.real({"orbit_degrees", "angle that an orbit sweeps; 360 closes it"}, orbit_degrees, {-360, 360});
+  visitor.real({"orbit_degrees",
+                "angle that an orbit sweeps, 20 about a single photograph unless given; 360 closes it"},
+               orbit_degrees, {-360, 360});
   visitor.real({"orbit_distance",
                 "about how far away what an orbit turns about is, where that is known (0: estimated)"},
                orbit_distance, {0, 1e9});

@@ -75,7 +75,8 @@ bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request)
 
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request) {
   const bool composes = request.photographs.composes() && request.image_views != DecodedViews::kNone;
-  return request.num_sources > 1 && (levels.warped_sources > 0 || composes);
+  const bool has_unit = request.num_sources > 1 || request.source_depth_given;
+  return has_unit && (levels.warped_sources > 0 || composes);
 }
 
 bool uses_source_depth(const LevelSet& levels, const StageRequest& request) {

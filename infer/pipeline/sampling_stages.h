@@ -68,7 +68,7 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
 
 // Whether the depth of the source views is needed, to carry photographs into target views as the model is shown them or
-// as they are kept in its pictures; one source view alone would leave its unit open.
+// as they are kept in its pictures; one source view alone leaves its unit open, unless its depth is given.
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request);
 // Whether finding it is a stage of its own: beside the head's depth, which the warp asks for itself.
 bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request);

@@ -52,6 +52,8 @@ struct SamplingScene {
   SourcePhotographs photographs;
   std::vector<DepthMap>
       source_depths;               // measured, one a source view; empty unless load_source_depths was called
+  // What a model sees of the source views, in the unit of the cameras, where it saw these too: that of one photograph.
+  std::optional<SourceDepth> seen_depth;
   std::vector<Image> true_images;  // one a target view; empty where the scene has none
   std::vector<DepthMap> true_depths;  // one a target view; empty where the scene has none
   std::vector<Eigen::Vector3d>

@@ -28,7 +28,9 @@ ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::
     if (stereo) evidence.matched_depth = confident_depth(*stereo);
   }
   if (named("sparse_points")) evidence.points_in_world = scene.points_in_world;
-  if (named("source_depth")) {
+  if (scene.seen_depth) {
+    evidence.source_depth = scene.seen_depth->views;
+  } else if (named("source_depth")) {
     for (const DepthMap& map : scene.source_depths) {
       evidence.source_depth.push_back({map.width, map.height, map.metres});
     }

@@ -23,6 +23,7 @@ PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& b
         views_noise(static_cast<uint64_t>(noise_seed), level_noise_stream(part.generator.level), grid.views,
                     {part.dit.num_special_tokens + grid.tokens_per_view(), part.dit.in_channels}));
   }
+  request.source_depth = scene.seen_depth;
   request.source_photographs = scene.photographs;
   request.device = device;
   return request;

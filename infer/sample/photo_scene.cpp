@@ -12,6 +12,7 @@
 #include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/machine/block_memory.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -190,6 +191,12 @@ void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords&
     made.scene.frames[i].load_image = [image = made.images[i]] { return image; };
   }
   made.median_depth = made.seen->median_depth;
+  if (made.photographs.size() == 1) {
+    const auto map = seen.depth[0].to(torch::kCPU, torch::kFloat32);
+    made.depth = SourceDepth();
+    made.depth->views.push_back({map.size(1), map.size(0), numbers_of(map)});
+    made.depth->from = "geometry head";
+  }
   made.text = photo_cameras_text(*made.seen, names_of(made.scene));
   for (const std::string& sentence : made.passed_over) made.scene.warnings.push_back(sentence);
   for (const std::string& doubt : made.seen->doubts()) {

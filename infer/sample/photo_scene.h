@@ -5,6 +5,7 @@
 #include "datasets/scenes/scene.h"
 #include "gld/cameras/image_size.h"
 #include "gld/machine/stage_record.h"
+#include "gld/photogrammetry/source_depth.h"
 #include "gld/report/provenance.h"
 #include "gld/report/run_folder.h"
 #include "infer/pipeline/sampling_pipeline.h"
@@ -50,7 +51,9 @@ struct PhotoScene {
   std::vector<UnregisteredPhotograph> photographs;  // all that were given
   std::vector<std::string> passed_over;  // ways that were tried before and found nothing, a sentence each
   double median_depth = 0;               // of what the photographs show
-  std::string text;                      // what was found and how sure it is, for people
+  // Of a single photograph: what the model that saw its camera sees, whose unit is the camera's. Of more, they tell it.
+  std::optional<SourceDepth> depth;
+  std::string text;  // what was found and how sure it is, for people
 };
 
 // Whether the cameras of so many photographs can come from a geometry model alone.

@@ -76,6 +76,12 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
                                                     : "The photographs fit their cameras: as good as this",
                          measured, kept);
   }
+  if (evidence.keeps_photographs) {
+    return fmt::format(
+        "One photograph does not tell how far away things are, the model guesses it; {:.0f} % of the target "
+        "views come from that photograph: expect bends and inventions; take a second one, a step to the side",
+        100 * evidence.kept);
+  }
   return "One photograph does not tell how far away things are: expect inventions; take a second one, a step to the side";
 }
 

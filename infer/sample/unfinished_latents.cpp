@@ -95,6 +95,10 @@ std::string inputs_hash(const SamplingScene& scene) {
   for (const Camera& camera : scene.views.cameras) add(hash, camera);
   for (const Image& image : scene.source_images) add(hash, image.rgb.data(), image.rgb.size());
   for (const DepthMap& depth : scene.source_depths) add(hash, depth.metres.data(), depth.metres.size());
+  if (scene.seen_depth) {
+    for (const PlanarDepth& depth : scene.seen_depth->views)
+      add(hash, depth.values.data(), depth.values.size());
+  }
   for (const PicturedView& view : scene.photographs.views) {
     add(hash, view.camera);
     add(hash, view.rgb.data(), view.rgb.size());

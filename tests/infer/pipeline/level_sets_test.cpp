@@ -290,6 +290,11 @@ TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
   request.num_sources = 1;
   EXPECT_TRUE(has_warp());
   EXPECT_FALSE(uses_source_depth(levels, request));
+  EXPECT_FALSE(needs_source_depth(levels, request));
+  // Unless whoever found its camera says how deep it is, in the camera's unit.
+  request.source_depth_given = true;
+  EXPECT_TRUE(needs_source_depth(levels, request));
+  EXPECT_FALSE(uses_source_depth(levels, request));
 }
 
 // Records are found again under the names that stages have.

@@ -3,6 +3,7 @@
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
+#include "infer/sample/prepared_sampling.h"
 #include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/error_of.h"
@@ -105,15 +106,58 @@ TEST_F(PhotographSampling, OnePhotographIsOrbitedAtItsDepth) {
   asked.views.path.frames = 2;
   asked.outputs = {"image"};
   const auto report = run(asked);
+  // 20 degrees in the place of the usual 60, from one end to the other.
+  const auto turned = [&] {
+    const auto views = read_cameras_json(std::filesystem::path(asked.out) / "cameras.json").records;
+    const auto axis = [&](size_t view) {
+      return views.at(view).camera.world_from_camera.linear().col(2).eval();
+    };
+    return std::acos(axis(1).dot(axis(2))) * 180 / M_PI;
+  };
+  EXPECT_NEAR(turned(), kOrbitDegreesOfOnePhotograph, 1e-3);
   const double depth = report.at("photo_cameras").at("median_depth");
   EXPECT_GT(std::abs(std::log(depth)), 0.01);  // not the 1 that is assumed where nothing is known
   EXPECT_THAT(printed_,
               HasSubstr(fmt::format(", {:.4g} away: at the depth of what the source cameras see", depth)));
   asked.views.path.path = "orbit";
   asked.views.path.orbit_distance = 7;
+  asked.named = {"views.orbit_degrees"};
   asked.overwrite = true;
   run(asked);
+  EXPECT_NEAR(turned(), 60, 1e-3);
   EXPECT_THAT(printed_, HasSubstr(", 7 away: "));
+}
+
+// Its camera and its depth have one unit, the model's, so that it is carried: what it shows is kept and not generated.
+TEST_F(PhotographSampling, OnePhotographIsKeptInItsOrbit) {
+  auto asked = with_shipped_model(options("kept_photograph"));
+  asked.photos.files = {open_scene(asked.scene).frames.front().image_file.string()};
+  asked.photos.cameras = PhotoCameraWay::kRays;
+  asked.scene.clear();
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.path = "orbit";
+  asked.views.path.orbit_degrees = 10;
+  asked.views.path.frames = 3;
+  asked.outputs = {"image", "depth"};
+  const auto report = run(asked);
+  EXPECT_THAT(printed_, Not(HasSubstr("nothing is carried")));
+  EXPECT_THAT(report.at("verdict").at("sentence"),
+              HasSubstr("% of the target views come from that photograph"));
+  const std::filesystem::path out = asked.out;
+  const auto error = [&](const char* view) {
+    const Image taken = open_scene(out / "photo_scene").frames.at(0).image();
+    const Image made = read_image(out / "images" / view);
+    double sum = 0;
+    for (size_t i = 0; i < taken.rgb.size(); ++i) sum += std::abs(int{taken.rgb[i]} - int{made.rgb[i]});
+    return sum / (255 * static_cast<double>(taken.rgb.size()));
+  };
+  // The middle of the orbit is where the photograph was taken; 5 degrees aside it has moved, and is no other place.
+  EXPECT_LT(error("view_02.png"), 0.01);
+  EXPECT_GT(error("view_01.png"), 0.01);
+  EXPECT_LT(error("view_01.png"), 0.15);
+  // The scene has the model's unit, as far as the depth of four views together is that of one.
+  EXPECT_NEAR(report.at("depth_scale").at("scale").get<double>(), 1, 0.3);
 }
 
 // Beside models that were trained without photographs in target views, whose pictures stay as they are.

@@ -52,6 +52,17 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
       "same, 30 dB in all, 93 % shown); 84 % of the target views come from them.");
   const std::string bad = verdict_of(evidence_of(left_out(0.12, 18, 12.7, 11.2))).sentence;
   EXPECT_THAT(bad, HasSubstr("hardly overlap (the others show 12 % of one): expect inventions"));
+  PictureEvidence one;
+  EXPECT_EQ(
+      verdict_of(one).sentence,
+      "One photograph does not tell how far away things are: expect inventions; take a second one, a step to the "
+      "side.");
+  one.keeps_photographs = true;
+  one.kept = 0.44;
+  EXPECT_EQ(
+      verdict_of(one).sentence,
+      "One photograph does not tell how far away things are, the model guesses it; 44 % of the target views come from "
+      "that photograph: expect bends and inventions; take a second one, a step to the side.");
   PictureEvidence generated = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
   generated.keeps_photographs = false;
   EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));
