@@ -159,7 +159,11 @@ if [ "$action" = keep ]; then
     branch backbone backbone "$recipe" "$step" 0
     part backbone "$runs/backbone_$step" backbone dpt_head
   fi
-  if [ -f "$runs/stats/report.json" ]; then cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"; fi
+  if [ -f "$runs/stats/report.json" ]; then
+    cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"
+    unit=$(sed -n 's/^ *"metres": \([0-9.]*\),$/\1/p' "$runs/stats/report.json")
+    if [ -n "$unit" ]; then sed -i "s/^single_source_unit: .*/single_source_unit: $unit/" "$recipe/model.yaml"; fi
+  fi
   if [ -f "$runs/stats/model/seen_scenes.json" ]; then cp "$runs/stats/model/seen_scenes.json" "$recipe/"; fi
   if has_checkpoint level; then
     step=$(newest_step level)

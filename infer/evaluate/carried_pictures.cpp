@@ -49,7 +49,10 @@ CarriedPictures carried_pictures(const EvaluationModels& models, const SamplingS
   }
   const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
   SourceDepth depth;
-  if (use.matches()) {
+  const double unit = single_source_unit(scene, models.bundle);
+  if (unit > 0 && asks_head && head) {
+    depth = single_source_depth(*head, unit);
+  } else if (use.matches()) {
     PhotographDepth found = photograph_depth(scene.views, pictures, photographs,
                                              asks_head && head ? &*head : nullptr, use.stereo);
     if (use.refines()) refine(*models.models.depth_refinement(), photographs, found);

@@ -291,6 +291,7 @@ StageRequest PlanRequest::stage_request() const {
   stages.num_sources = num_sources;
   stages.image_views = outputs.image_views();
   stages.geometry_views = outputs.geometry_views();
+  stages.single_source_unit = single_source_unit;
   stages.source_depth_given = photographs == 1;  // the model that sees its camera sees its depth
   stages.photographs = photographs_used;
   return stages;

@@ -26,6 +26,7 @@ namespace gld {
 struct PlanRequest {
   LatentGrid grid;  // of all views
   int64_t num_sources = 1;
+  bool single_source_unit = false;  // StageRequest's
   PhotographUse photographs_used;
   RequestedOutputs outputs;
   FlowSettings flow;

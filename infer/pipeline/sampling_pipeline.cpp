@@ -62,6 +62,11 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
                       PipelineResult& result) {
   if (state.depth) return;
   const auto head = head_geometry(models, state);
+  if (request.views.num_sources == 1) {
+    state.depth = single_source_depth(head.value(), request.single_source_unit);
+    result.head_depth = state.depth->views;
+    return;
+  }
   if (!request.photographs.matches()) {
     state.depth = source_depth_of_head(request.views, request.source_images, head.value());
     result.head_depth = state.depth->views;
@@ -80,6 +85,8 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                      std::vector<std::string>& warnings) {
   if (!needs_source_depth(models.levels, request.stage_request())) return;  // one source: the plan says so
+  if (!state.depth && request.views.num_sources == 1)
+    state.depth = single_source_depth(head_geometry(models, state).value(), request.single_source_unit);
   if (!state.depth) {
     state.depth =
         source_depth_of_head(request.views, request.source_images, head_geometry(models, state).value());
@@ -259,6 +266,7 @@ StageRequest PipelineRequest::stage_request() const {
   stages.image_views = image_views;
   stages.geometry_views = geometry_views;
   stages.source_depth_given = source_depth.has_value();
+  stages.single_source_unit = single_source_unit > 0;
   stages.photographs = photographs;
   return stages;
 }

@@ -61,6 +61,9 @@ struct PipelineRequest {
   torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
   // Depth of the source views where something else than the model's geometry head says it.
   std::optional<SourceDepth> source_depth;
+  // The cameras' units that the geometry head's is long where it sees a single source view, which does not tell it; 0:
+  // not known, and a single source is not carried.
+  double single_source_unit = 0;
   PhotographUse photographs;
   // Of the source views, for depth that they agree on and for composition; without, source_images serve.
   SourcePhotographs source_photographs;

@@ -53,6 +53,7 @@ std::string propagation_reason(const LevelSet& levels) {
 
 std::string source_depth_reason(const StageRequest& request) {
   if (request.source_depth_given) return "given";
+  if (request.num_sources == 1) return "the geometry head's, in the unit that is usual for the model";
   switch (request.photographs.depth) {
     case SourceDepthOrigin::kStereo:
       return "what the photographs agree on";
@@ -75,7 +76,8 @@ bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request)
 
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request) {
   const bool composes = request.photographs.composes() && request.image_views != DecodedViews::kNone;
-  const bool has_unit = request.num_sources > 1 || request.source_depth_given;
+  const bool guessed = request.single_source_unit && request.photographs.depth != SourceDepthOrigin::kStereo;
+  const bool has_unit = request.num_sources > 1 || request.source_depth_given || guessed;
   return has_unit && (levels.warped_sources > 0 || composes);
 }
 

@@ -27,6 +27,7 @@ struct StageRequest {
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
   bool source_depth_given = false;  // of the source views, by something else than the geometry head
+  bool single_source_unit = false;  // whether the unit of a single source's depth is known
   PhotographUse photographs;
 
   bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }

@@ -51,10 +51,10 @@ struct SamplingScene {
   // points; empty unless load_source_photographs was called.
   SourcePhotographs photographs;
   std::vector<DepthMap>
-      source_depths;               // measured, one a source view; empty unless load_source_depths was called
+      source_depths;  // measured, one a source view; empty unless load_source_depths was called
   // What a model sees of the source views, in the unit of the cameras, where it saw these too: that of one photograph.
   std::optional<SourceDepth> seen_depth;
-  std::vector<Image> true_images;  // one a target view; empty where the scene has none
+  std::vector<Image> true_images;     // one a target view; empty where the scene has none
   std::vector<DepthMap> true_depths;  // one a target view; empty where the scene has none
   std::vector<Eigen::Vector3d>
       points_in_world;                // sparse points of a reconstruction, where the scene has them

@@ -12,6 +12,11 @@ torch::Tensor stacked(const std::vector<Image>& images) {
   return torch::stack(tensors);
 }
 
+double single_source_unit(const SamplingScene& scene, const BundleOptions& bundle) {
+  const bool alone = scene.views.num_sources == 1;
+  return alone && scene.metric && bundle.geometry_head.exists() ? bundle.single_source_unit : 0;
+}
+
 PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& bundle, int64_t noise_seed,
                               const torch::Device& device) {
   const LatentGrid grid = bundle.backbone.grid_of(scene.views.size(), scene.size.height, scene.size.width);
@@ -24,6 +29,7 @@ PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& b
                     {part.dit.num_special_tokens + grid.tokens_per_view(), part.dit.in_channels}));
   }
   request.source_depth = scene.seen_depth;
+  request.single_source_unit = single_source_unit(scene, bundle);
   request.source_photographs = scene.photographs;
   request.device = device;
   return request;

@@ -123,6 +123,11 @@ void BundleOptions::visit(FieldVisitor& visitor) {
   visitor.real({"latent_epsilon", "added to the variance of latent statistics"}, latent_epsilon, {0, 1});
   visitor.texts({"trained_sizes", "image sizes the model was trained at, WIDTHxHEIGHT in pixels"},
                 trained_sizes);
+  visitor.real(
+      {"single_source_unit",
+       "metres of the geometry head's unit where it sees one view alone, as usual in what the model was "
+       "trained on; 0 is not known"},
+      single_source_unit, {0, 1e6});
 }
 
 LevelSet BundleOptions::level_set() const {

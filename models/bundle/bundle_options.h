@@ -53,6 +53,10 @@ struct BundleOptions : OptionsGroup {
   std::vector<int64_t> decoded_levels;       // that the RGB decoder takes; all when empty
   double latent_epsilon = 1e-5;              // added to the variance of latent statistics
   std::vector<std::string> trained_sizes = {"504x504", "504x378", "504x336", "504x280"};
+  // Metres that a unit of the geometry head is long when it sees one source view alone, in scenes like those that the
+  // model was trained on (gld stats: exp of the mean logarithm); 0: not known. One view leaves the unit open, and this
+  // is the best guess of it.
+  double single_source_unit = 0;
 
   // DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
   BundleOptions();

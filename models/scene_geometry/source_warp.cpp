@@ -160,6 +160,13 @@ SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source
   return depth;
 }
 
+SourceDepth single_source_depth(const GeometryOutput& geometry, double unit) {
+  SourceDepth depth;
+  depth.views = depth_in_unit(geometry, 1, unit);
+  depth.from = "geometry head, in the usual unit";
+  return depth;
+}
+
 SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images, const SourceDepth& depth,
                         int64_t count) {
   if (!depth.known()) return no_source_warp(views, count, depth.doubt);

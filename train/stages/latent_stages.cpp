@@ -11,9 +11,11 @@
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
 #include "models/bundle/seen_scenes.h"
+#include "models/conditioning/source_conditioning.h"
 #include "models/latent_spaces/latent_space.h"
 #include "train/objectives/level_objective.h"
 
+#include <cmath>
 #include <iostream>
 #include <numeric>
 #include <optional>
@@ -21,6 +23,7 @@
 
 #include <torch/autograd.h>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 namespace gld {
@@ -79,6 +82,29 @@ SeenScenes seen_scenes(const std::vector<LevelMoments>& all,
     seen.levels.push_back(seen_level(all[i].level, std::move(divergences)));
   }
   return seen;
+}
+
+// The head's convolutions add in an order that depends on the number of threads: the first digits do not, and a guess
+// has no more.
+double four_digits(double value) { return std::stod(fmt::format("{:.4g}", value)); }
+
+// log(metres / unit) of what the head says of a scene's first view when that is all that it sees: the median over its
+// pixels. Nothing where no pixel tells it.
+std::optional<double> single_view_log_unit(const LatentSpace& space, const GeometryHead& head,
+                                           const TrainingScene& scene) {
+  ConditioningNeeds needs;
+  needs.head_depth = true;
+  const auto view = scene.images.slice(0, 0, 1);
+  const auto said =
+      source_geometry(head, encode_sources(space, view, needs)).depth.to(torch::kCPU, torch::kFloat64);
+  const auto truth = scene.depth.slice(0, 0, 1).to(torch::kCPU, torch::kFloat64);
+  const auto depth = torch::adaptive_avg_pool2d(said.unsqueeze(1), {truth.size(1), truth.size(2)}).squeeze(1);
+  const auto known = torch::isfinite(truth)
+                         .logical_and(truth > 0)
+                         .logical_and(torch::isfinite(depth))
+                         .logical_and(depth > 0);
+  if (!known.any().item<bool>()) return std::nullopt;
+  return (truth.masked_select(known).log() - depth.masked_select(known).log()).median().item<double>();
 }
 
 void tell_narrow_decoder(const GeneratorOptions& part) {
@@ -201,7 +227,13 @@ std::string compute_statistics(const StatsOptions& options) {
   placement.device = device_from_text(share.device(options.device));
   const BundleOptions& model = bundle.options();
   const LatentSpace space(bundle.load_backbone(placement), model.boundary_level);
-  const DatasetBatches data(options.data, model.image_sizes(), FrameParts::kImage);
+  // Drawn scenes are in metres.
+  const bool measures_unit = model.has_geometry() && options.data.scenes.empty();
+  const auto head = measures_unit && bundle.has(BundlePart::geometry_head())
+                        ? bundle.load_geometry_head(placement)
+                        : nullptr;
+  const DatasetBatches data(options.data, model.image_sizes(),
+                            head ? FrameParts::kImageAndDepth : FrameParts::kImage);
   std::optional<RunFolder> folder;
   if (share.leads()) folder.emplace(options.out, "stats", options, earlier_run(options.overwrite));
 
@@ -210,6 +242,7 @@ std::string compute_statistics(const StatsOptions& options) {
   std::optional<Progress> progress;
   if (share.leads()) progress.emplace("latent statistics", options.scene_count);
   int64_t scenes = 0;
+  std::vector<double> log_units;
   PieceOfWork batches;
   // The moments of each of the batch's scenes by itself.
   batches.make = [&](int64_t index) {
@@ -225,7 +258,11 @@ std::string compute_statistics(const StatsOptions& options) {
         add_features(moment.moments, moment.special ? level.narrow(1, 0, space.leading_tokens())
                                                     : level.slice(1, space.leading_tokens()));
       }
-      record.push_back(moments_record(own));
+      nlohmann::json of_scene{{"moments", moments_record(own)}};
+      if (head) {
+        if (const auto unit = single_view_log_unit(space, *head, scene)) of_scene["log_unit"] = *unit;
+      }
+      record.push_back(std::move(of_scene));
     }
     return record.dump();
   };
@@ -233,9 +270,10 @@ std::string compute_statistics(const StatsOptions& options) {
   batches.take = [&](int64_t, const std::string& made) {
     for (const auto& scene : nlohmann::json::parse(made)) {
       if (scenes == options.scene_count) return;
-      merge_record(scene, moments);
+      merge_record(scene.at("moments"), moments);
       of_scenes.push_back(moments_of(model));
-      merge_record(scene, of_scenes.back());
+      merge_record(scene.at("moments"), of_scenes.back());
+      if (scene.contains("log_unit")) log_units.push_back(scene.at("log_unit").get<double>());
       ++scenes;
       if (progress) progress->update(scenes);
     }
@@ -248,13 +286,23 @@ std::string compute_statistics(const StatsOptions& options) {
   progress->finish();
 
   const auto made = folder->path() / "model";
-  save_bundle_options(made, model);
+  BundleOptions with_unit = model;
+  nlohmann::ordered_json unit_report;
+  if (!log_units.empty()) {
+    const auto logs = torch::tensor(log_units, torch::kFloat64);
+    with_unit.single_source_unit = four_digits(std::exp(logs.mean().item<double>()));
+    unit_report = {{"metres", with_unit.single_source_unit},
+                   {"log_deviation", four_digits(logs.std(/*unbiased=*/false).item<double>())},
+                   {"scenes", log_units.size()}};
+  }
+  save_bundle_options(made, with_unit);
   std::vector<BundlePart> parts;
   parts.reserve(moments.size());
   for (const auto& moment : moments) parts.push_back(moment.part());
   copy_other_parts(bundle, made, parts);
   nlohmann::ordered_json report = {
       {"command", "stats"}, {"scenes", scenes}, {"tokens", moments.front().moments.count()}};
+  if (!unit_report.is_null()) report["single_source_unit"] = unit_report;
   for (const auto& moment : moments) {
     const auto statistics = statistics_of(moment.moments, model.latent_epsilon);
     save_bundle_part(made, moment.part(), statistics_tensors(statistics));

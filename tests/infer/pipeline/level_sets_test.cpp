@@ -295,6 +295,12 @@ TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
   request.source_depth_given = true;
   EXPECT_TRUE(needs_source_depth(levels, request));
   EXPECT_FALSE(uses_source_depth(levels, request));
+  // Or the head does, in the unit that is usual for the model; not photographs alone.
+  request.source_depth_given = false;
+  request.single_source_unit = true;
+  EXPECT_TRUE(uses_source_depth(levels, request));
+  request.photographs.depth = SourceDepthOrigin::kStereo;
+  EXPECT_FALSE(needs_source_depth(levels, request));
 }
 
 // Records are found again under the names that stages have.

@@ -3,6 +3,7 @@
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
+#include "gld/base/atomic_file.h"
 #include "infer/sample/prepared_sampling.h"
 #include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
@@ -158,6 +159,32 @@ TEST_F(PhotographSampling, OnePhotographIsKeptInItsOrbit) {
   EXPECT_LT(error("view_01.png"), 0.15);
   // The scene has the model's unit, as far as the depth of four views together is that of one.
   EXPECT_NEAR(report.at("depth_scale").at("scale").get<double>(), 1, 0.3);
+}
+
+// Rooms that are drawn are in metres, and so is the unit that is usual for the shipped model: a single source is
+// carried by it. Of a scene in another unit nothing is known.
+TEST_F(PhotographSampling, OneSourceIsCarriedInTheUsualUnit) {
+  auto asked = with_shipped_model(options("one_source"));
+  asked.views.sources = {0};
+  asked.views.targets = {1};
+  asked.outputs = {"image"};
+  const auto kept = [](const nlohmann::json& report) {
+    return report.at("verdict").at("sentence").get<std::string>().find("come from that photograph") !=
+           std::string::npos;
+  };
+  EXPECT_TRUE(kept(run(asked)));
+  EXPECT_THAT(printed_, HasSubstr("the geometry head's, in the unit that is usual for the model"));
+  const auto cameras = std::filesystem::path(asked.scene) / "cameras.json";
+  auto text = read_file(cameras);
+  const auto at = text.find("\"metres\"");
+  ASSERT_NE(at, std::string::npos);
+  const std::string metric = text;
+  write_file_atomically(cameras, text.replace(at, 8, "\"scene\""));
+  asked.overwrite = true;
+  const auto in_another_unit = run(asked);
+  write_file_atomically(cameras, metric);
+  EXPECT_FALSE(kept(in_another_unit));
+  EXPECT_THAT(printed_, HasSubstr("nothing is carried into the target views: one source has no scale"));
 }
 
 // Beside models that were trained without photographs in target views, whose pictures stay as they are.

@@ -8,6 +8,7 @@
 #include <string>
 
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
 namespace gld {
 namespace {
@@ -29,12 +30,18 @@ TEST(DistributedStatistics, OneTwoAndThreeProcessesGiveTheSameBits) {
       compute_statistics(options);
     });
   }
-  for (const char* file :
-       {"report.json", "model/statistics_level0.safetensors", "model/statistics_level1.safetensors"}) {
+  for (const char* file : {"report.json", "model/model.yaml", "model/seen_scenes.json",
+                           "model/statistics_level0.safetensors", "model/statistics_level1.safetensors"}) {
     const auto one = read_file(folder.path() / "1" / file);
     EXPECT_EQ(read_file(folder.path() / "2" / file), one) << file;
     EXPECT_EQ(read_file(folder.path() / "3" / file), one) << file;
   }
+  // Drawn rooms are in metres, and this model has a head: what its unit is long stands in the bundle.
+  const auto unit = ModelBundle::open(folder.path() / "1" / "model").options().single_source_unit;
+  EXPECT_GT(unit, 0);
+  const auto report = nlohmann::json::parse(read_file(folder.path() / "1" / "report.json"));
+  EXPECT_EQ(report.at("single_source_unit").at("metres"), unit);
+  EXPECT_EQ(report.at("single_source_unit").at("scenes"), 7);
 }
 
 }  // namespace
