@@ -37,7 +37,7 @@ endfunction()
 # What computes nothing that takes time is compiled with -O1: tests, commands, pages, readers of text. Half of a whole build
 # is theirs.
 set(GLD_LIGHT_OPTIMISATION -O1)
-set(GLD_LIGHT_ROOMS "^(ablate/.*|cli|datasets/(check|formats|pictures)|infer/(evaluate|forecast|method|page|paths|request|run_export|sample|splats)|train/(page|stages)|verify)$")
+set(GLD_LIGHT_ROOMS "^(ablate/.*|cli|datasets/(check|formats|pictures)|infer/(evaluate|forecast|method|page|paths|request|run_export|sample)|train/(page|stages)|verify)$")
 
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
 # all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a

@@ -126,7 +126,7 @@ ordered_json ablation_command(const std::filesystem::path& folder) {
     if (colon == std::string::npos || line[0] == '#') continue;
     const std::string key = line.substr(0, colon), value = line.substr(colon + 2);
     if (key == "out" || key == "overwrite" || key == "plan" || key == "json") continue;
-    if (value == "\"\"" || value == "[]" || value == "false") continue;
+    if (value == "\"\"") continue;  // --set takes none
     command += " --set " + shell_word(key + "=" + value);
   }
   return command + " --out " + shell_word(folder.string());

@@ -98,7 +98,8 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
       StageNeeds needs{{}, 2 * generated + 1};
       if (!uses_source_depth(bundle.level_set(), request)) return needs;
       needs.parts = {BundlePart::geometry_head()};
-      if (request.photographs.refines()) needs.parts.push_back(BundlePart::depth_refinement());
+      if (mends_source_depth(bundle.level_set(), request))
+        needs.parts.push_back(BundlePart::depth_refinement());
       return needs;
     }
     case StageKind::kSourceWarp: {
@@ -238,7 +239,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
     case StageKind::kSourceDepth: {
       if (!uses_source_depth(bundle.level_set(), stages)) return Cost();
       Cost cost = bundle.geometry_head.cost(sources, GeometryMaps::kDepthAndRays);
-      if (stages.photographs.refines()) {
+      if (mends_source_depth(bundle.level_set(), stages)) {
         const ImageSize matched = largest_matched_size(bundle, request);
         Cost mending = depth_refinement_cost(bundle.depth_refinement, matched.height, matched.width);
         // All views at once.
@@ -292,7 +293,7 @@ StageRequest PlanRequest::stage_request() const {
   stages.image_views = outputs.image_views();
   stages.geometry_views = outputs.geometry_views();
   stages.single_source_unit = single_source_unit;
-  stages.source_depth_given = photographs == 1;  // the model that sees its camera sees its depth
+  stages.source_depth_given = source_depth_given;
   stages.photographs = photographs_used;
   return stages;
 }

@@ -157,7 +157,7 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
     case StageKind::kSourceDepth:
       if (!uses_source_depth(bundle.level_set(), stages)) return 0;
       return source_geometry_seconds(bundle, request) +
-             (stages.photographs.refines() ? depth_refinement_seconds(bundle, request) : 0);
+             (mends_source_depth(bundle.level_set(), stages) ? depth_refinement_seconds(bundle, request) : 0);
     case StageKind::kSourceWarp:
       if (!needs_source_depth(bundle.level_set(), stages)) return 0;
       return (has_source_depth_stage(bundle.level_set(), stages) ? 0

@@ -70,9 +70,9 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
   visitor.text({"path", "orbit, spline, or a cameras.json file with the target cameras"}, path);
   visitor.integer({"frames", "target views along the path (0: 6, or all cameras of the file)"}, frames,
                   {0, 4096});
-  visitor.real({"orbit_degrees",
-                "angle that an orbit sweeps, 20 about a single photograph unless given; 360 closes it"},
-               orbit_degrees, {-360, 360});
+  visitor.real(
+      {"orbit_degrees", "angle that an orbit sweeps (0: 60, about a single photograph 20); 360 closes it"},
+      orbit_degrees, {-360, 360});
   visitor.real({"orbit_distance",
                 "about how far away what an orbit turns about is, where that is known (0: estimated)"},
                orbit_distance, {0, 1e9});
@@ -83,9 +83,6 @@ void CameraPathOptions::visit(FieldVisitor& visitor) {
 }
 
 void CameraPathOptions::check() const {
-  if (orbit_degrees == 0 && frames != 1) {
-    fail({"--orbit-degrees", "an angle other than 0 for several frames", "0", "give one, or --frames 1"});
-  }
   if (orbit_center.empty()) return;
   if (orbit_center.size() != 3) {
     fail({"--orbit-center", "three numbers, x,y,z in the scene", std::to_string(orbit_center.size()),
@@ -110,7 +107,7 @@ CameraPath make_camera_path(const CameraPathOptions& options, const std::vector<
     }
     OrbitShape shape;
     shape.frames = frames;
-    shape.degrees = options.orbit_degrees;
+    shape.degrees = options.orbit_degrees == 0 ? kUsualOrbitDegrees : options.orbit_degrees;
     shape.centre = centre.x_in_world;
     shape.radius = options.orbit_radius;
     CameraPath path;

@@ -13,7 +13,7 @@ namespace gld {
 struct CameraPathOptions : OptionsGroup {
   std::string path = "orbit";
   int64_t frames = 0;
-  double orbit_degrees = 60;
+  double orbit_degrees = 0;  // 0: what is usual
   double orbit_distance = 0;
   std::vector<double> orbit_center;
   double orbit_radius = 0;
@@ -21,6 +21,11 @@ struct CameraPathOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
   void check() const override;  // orbit_center is a point or nothing, and not beside a distance to find it by
 };
+
+// What an orbit sweeps where nothing else is asked for. About a single photograph 10 degrees to either side: of 30
+// what a model guesses of its depth bends a facade into waves.
+constexpr double kUsualOrbitDegrees = 60;
+constexpr double kOrbitDegreesOfOnePhotograph = 20;
 
 // The target cameras of --path: "orbit", "spline", or a cameras.json file whose cameras are taken as they are (all of
 // them, or `frames` evenly spread over them). sources are the source views' cameras. Throws Error for no sources, a

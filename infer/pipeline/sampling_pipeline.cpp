@@ -84,7 +84,7 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
 
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                      std::vector<std::string>& warnings) {
-  if (!needs_source_depth(models.levels, request.stage_request())) return;  // one source: the plan says so
+  if (!needs_source_depth(models.levels, request.stage_request())) return;  // the plan says why
   if (!state.depth && request.views.num_sources == 1)
     state.depth = single_source_depth(head_geometry(models, state).value(), request.single_source_unit);
   if (!state.depth) {

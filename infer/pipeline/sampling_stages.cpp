@@ -86,6 +86,10 @@ bool uses_source_depth(const LevelSet& levels, const StageRequest& request) {
          needs_source_depth(levels, request);
 }
 
+bool mends_source_depth(const LevelSet& levels, const StageRequest& request) {
+  return request.photographs.refines() && request.num_sources > 1 && uses_source_depth(levels, request);
+}
+
 ConditioningNeeds conditioning_needs(const LevelSet& levels, const StageRequest& request) {
   ConditioningNeeds needs;
   needs.deepest_shown = levels.deepest_generated();

@@ -26,7 +26,7 @@ struct StageRequest {
   int64_t num_sources = 1;
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
-  bool source_depth_given = false;  // of the source views, by something else than the geometry head
+  bool source_depth_given = false;  // of the source views, before the pipeline runs
   bool single_source_unit = false;  // whether the unit of a single source's depth is known
   PhotographUse photographs;
 
@@ -68,13 +68,17 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
 // What the stages of a kind took together: with kFlow those of all generators.
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
 
-// Whether the depth of the source views is needed, to carry photographs into target views as the model is shown them or
-// as they are kept in its pictures; one source view alone leaves its unit open, unless its depth is given.
+// Whether the depth of the source views is needed, to carry photographs into target views as the model is shown them
+// or as they are kept in its pictures; one source view alone leaves its unit open, unless its depth is given or its
+// usual unit is known.
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request);
 // Whether finding it is a stage of its own: beside the head's depth, which the warp asks for itself.
 bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request);
 // Whether the geometry head is asked for it.
 bool uses_source_depth(const LevelSet& levels, const StageRequest& request);
+
+// Whether a network mends it: what several photographs agree on.
+bool mends_source_depth(const LevelSet& levels, const StageRequest& request);
 
 // What is encoded of the source views, and to which level.
 ConditioningNeeds conditioning_needs(const LevelSet& levels, const StageRequest& request);

@@ -28,7 +28,7 @@ ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::
     if (stereo) evidence.matched_depth = confident_depth(*stereo);
   }
   if (named("sparse_points")) evidence.points_in_world = scene.points_in_world;
-  if (scene.seen_depth) {
+  if (scene.seen_depth && kinds == usual_scale_evidence()) {
     evidence.source_depth = scene.seen_depth->views;
   } else if (named("source_depth")) {
     for (const DepthMap& map : scene.source_depths) {

@@ -13,9 +13,11 @@ namespace gld {
 
 // The kinds of evidence, as DepthScale::estimator and --scale-from name them.
 const std::vector<std::string>& scale_evidence_names();
-// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths. With
-// one photograph camera_poses tell nothing, and count only where they alone are asked for. stereo: what the photographs
-// agree on, which says more than pictures laid over each other; nothing where they were not matched.
+// What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths;
+// where nothing else than the usual kinds is asked for, what a model saw of a single photograph (scene.seen_depth)
+// stands in their place. With one photograph camera_poses tell nothing, and count only where they alone are asked
+// for. stereo: what the photographs agree on, which says more than pictures laid over each other; nothing where they
+// were not matched.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds,
                              const std::optional<StereoScene>& stereo = std::nullopt);
 // The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.

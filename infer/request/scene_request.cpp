@@ -14,7 +14,8 @@ torch::Tensor stacked(const std::vector<Image>& images) {
 
 double single_source_unit(const SamplingScene& scene, const BundleOptions& bundle) {
   const bool alone = scene.views.num_sources == 1;
-  return alone && scene.metric && bundle.geometry_head.exists() ? bundle.single_source_unit : 0;
+  const bool sees = bundle.geometry_head.exists() && bundle.geometry_head.predicts_rays();
+  return alone && scene.metric && sees ? bundle.single_source_unit : 0;
 }
 
 PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& bundle, int64_t noise_seed,

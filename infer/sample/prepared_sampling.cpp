@@ -118,17 +118,21 @@ void check_photo_model(const ModelBundle& bundle) {
 
 // Of photographs all are sources, and the targets lie between them, unless the options say otherwise. One alone is
 // orbited no farther than a guess of its depth bears.
-void complete_for_photographs(ViewSelection& selection, int64_t photographs,
-                              const std::vector<std::string>& named) {
+void complete_for_photographs(ViewSelection& selection, int64_t photographs) {
   if (selection.sources.empty()) {
     for (int64_t i = 0; i < photographs; ++i) selection.sources.emplace_back(i);
   }
   if (selection.targets.empty() && selection.path.path.empty()) {
     selection.path.path = photographs > 1 ? "spline" : "orbit";
   }
-  const bool degrees_given = selection.path.orbit_degrees != CameraPathOptions().orbit_degrees ||
-                             std::find(named.begin(), named.end(), "views.orbit_degrees") != named.end();
-  if (photographs == 1 && !degrees_given) selection.path.orbit_degrees = kOrbitDegreesOfOnePhotograph;
+  if (photographs == 1 && selection.path.orbit_degrees == 0)
+    selection.path.orbit_degrees = kOrbitDegreesOfOnePhotograph;
+}
+
+// Whether the model that sees the camera of a single photograph says its depth too: not where photographs alone are
+// asked.
+bool keeps_seen_depth(const SampleOptions& options) {
+  return options.photograph_use.source_depth != PhotographOptions::DepthChoice::kStereo;
 }
 
 // Numbers of photographs become numbers of those that have a camera. Error where one that was chosen has none.
@@ -179,8 +183,7 @@ void choose_size_and_views(PreparedSampling& prepared, const SampleOptions& opti
                                      prepared.bundle.options().backbone.patch_side());
   prepared.selection = options.views;
   if (!prepared.photographs.empty()) {
-    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()),
-                             options.named);
+    complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
     const std::string& path = prepared.selection.path.path;
     if (!path.empty()) refuse_orbit_options_of(options, path);
   }
@@ -256,6 +259,7 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
   }
   if (only_rays(options.photos, prepared.photographs.size())) {
     request.photographs = static_cast<int64_t>(prepared.photographs.size());
+    request.source_depth_given = request.photographs == 1 && keeps_seen_depth(options);
   }
   for (const Photograph& photograph : prepared.photographs) {
     request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
@@ -297,7 +301,7 @@ void load_pixels(PreparedSampling& prepared, const SampleOptions& options) {
     }
   }
   load_source_photographs(prepared.found, prepared.selection, largest_photograph_side(options.size), loaded);
-  if (prepared.photos) loaded.seen_depth = prepared.photos->depth;
+  if (prepared.photos && keeps_seen_depth(options)) loaded.seen_depth = prepared.photos->depth;
   loaded.warnings = std::move(prepared.scene.warnings);  // which are more
   prepared.scene = std::move(loaded);
 }

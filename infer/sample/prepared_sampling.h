@@ -18,10 +18,6 @@
 
 namespace gld {
 
-// What an orbit about a single photograph sweeps where nothing else is asked for: 10 degrees to either side. Of the
-// default of CameraPathOptions, 30, what the model guesses of depth bends a facade into waves.
-constexpr double kOrbitDegreesOfOnePhotograph = 20;
-
 // What sampling needs before anything is computed.
 struct PreparedSampling {
   torch::Device device;

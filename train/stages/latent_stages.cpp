@@ -228,7 +228,8 @@ std::string compute_statistics(const StatsOptions& options) {
   const BundleOptions& model = bundle.options();
   const LatentSpace space(bundle.load_backbone(placement), model.boundary_level);
   // Drawn scenes are in metres.
-  const bool measures_unit = model.has_geometry() && options.data.scenes.empty();
+  const bool measures_unit =
+      model.has_geometry() && model.geometry_head.predicts_rays() && options.data.scenes.empty();
   const auto head = measures_unit && bundle.has(BundlePart::geometry_head())
                         ? bundle.load_geometry_head(placement)
                         : nullptr;
@@ -287,6 +288,7 @@ std::string compute_statistics(const StatsOptions& options) {
 
   const auto made = folder->path() / "model";
   BundleOptions with_unit = model;
+  with_unit.single_source_unit = 0;  // one that was measured elsewhere is not of these scenes
   nlohmann::ordered_json unit_report;
   if (!log_units.empty()) {
     const auto logs = torch::tensor(log_units, torch::kFloat64);

@@ -46,9 +46,10 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
 std::string train_cascade(const TrainCascadeOptions& options, const DrawValidation& draw);
 
 // gld stats: latent statistics of every level that the model generates over training scenes, all views of a scene
-// encoded together; of special tokens too where it generates them. model/ in the run folder is a copy of the bundle
-// with them. Several processes take a batch each in turns; the result is the same to the bit. Returns the closing box
-// as text, an empty one where another process writes the run folder.
+// encoded together; of special tokens too where it generates them; and of drawn scenes, which are in metres, the unit
+// of the geometry head (BundleOptions::single_source_unit). model/ in the run folder is a copy of the bundle with
+// them. Several processes take a batch each in turns; the result is the same to the bit. Returns the closing box as
+// text, an empty one where another process writes the run folder.
 std::string compute_statistics(const StatsOptions& options);
 
 }  // namespace gld

@@ -118,7 +118,7 @@ TEST_F(OutputInspection, OfAnUnfinishedRunNamesTheCommandThatFinishesIt) {
   EXPECT_EQ((*inspect_output(path("ablate")))["next"],
             "gld ablate --config " + folder +
                 "/ablation.yaml --set 'model=\"configs/tiny\"' --set 'seeds=[0, 1]'" +
-                " --set jobs=1 --out " + folder);
+                " --set 'only=[]' --set smoke=false --set jobs=1 --out " + folder);
 }
 
 TEST_F(OutputInspection, OfPicturesShowsWhereTheyComeFrom) {

@@ -6,6 +6,7 @@
 #include "infer/paths/spline_path.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
+#include "tests/support/textured_plane.h"
 
 #include <cmath>
 
@@ -135,15 +136,22 @@ TEST(Orbit, LooksAtTheCentreAndKeepsRadiusHeightAndLens) {
   }
 }
 
-TEST(Orbit, ThatDoesNotTurnHasOneFrame) {
+// 0 is what is usual; one frame stands where the sources do, whatever the angle.
+TEST(Orbit, OfNoDegreesSweepsTheUsualOnes) {
+  const std::vector<Camera> sources{test::camera_before_plane({0, 0, 0}, 0)};
   CameraPathOptions options;
-  options.orbit_degrees = 0;
-  options.frames = 3;
-  EXPECT_EQ(
-      test::error_of([&] { options.check(); }),
-      "--orbit-degrees: expected an angle other than 0 for several frames, found 0; give one, or --frames 1.");
-  options.frames = 1;
+  options.frames = 2;
+  options.orbit_center = {0, 0, 4};
+  EXPECT_EQ(options.orbit_degrees, 0);
   EXPECT_NO_THROW(options.check());
+  const auto swept = [&] {
+    const auto cameras = make_camera_path(options, sources, {}).cameras;
+    const auto axis = [&](size_t i) { return cameras[i].world_from_camera.linear().col(2).eval(); };
+    return std::acos(axis(0).dot(axis(1))) * 180 / std::acos(-1.0);
+  };
+  EXPECT_NEAR(swept(), kUsualOrbitDegrees, 1e-6);
+  options.orbit_degrees = 25;
+  EXPECT_NEAR(swept(), 25, 1e-6);
 }
 
 TEST(Orbit, AFullCircleHasNoFrameTwice) {

@@ -4,7 +4,7 @@
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
-#include "infer/sample/prepared_sampling.h"
+#include "infer/paths/camera_path.h"
 #include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/error_of.h"
@@ -122,7 +122,7 @@ TEST_F(PhotographSampling, OnePhotographIsOrbitedAtItsDepth) {
               HasSubstr(fmt::format(", {:.4g} away: at the depth of what the source cameras see", depth)));
   asked.views.path.path = "orbit";
   asked.views.path.orbit_distance = 7;
-  asked.named = {"views.orbit_degrees"};
+  asked.views.path.orbit_degrees = 60;
   asked.overwrite = true;
   run(asked);
   EXPECT_NEAR(turned(), 60, 1e-3);

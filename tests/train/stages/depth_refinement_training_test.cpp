@@ -140,7 +140,8 @@ TEST_F(DepthRefinementStage, TwoStepsWriteTheModelWithItsRefinement) {
   const MetricsLog log(folder_.path() / "run/metrics.jsonl", 2);
   for (const char* key :
        {"loss", "absolute", "edges", "absolute_before", "validation_abs_rel", "validation_abs_rel_before",
-        "validation_carried_psnr", "validation_carried_psnr_before"}) {
+        "validation_abs_rel_shared", "validation_abs_rel_shared_before", "validation_abs_rel_alone",
+        "validation_abs_rel_alone_before", "validation_carried_psnr", "validation_carried_psnr_before"}) {
     EXPECT_EQ(log.series(key).size(), 2U) << key;
   }
   const auto bundle = ModelBundle::open(folder_.path() / "run/model");
