@@ -37,6 +37,7 @@ bool shows(const DepthCamera& from, const PlanarDepth& depth, const Eigen::Vecto
 
 std::vector<std::vector<uint8_t>> in_sight_of_others(const std::vector<PicturedView>& views) {
   std::vector<DepthCamera> cameras;
+  cameras.reserve(views.size());
   for (const PicturedView& view : views) cameras.push_back(depth_camera(view));
   std::vector<std::vector<uint8_t>> masks;
   for (size_t own = 0; own < views.size(); ++own) {

@@ -124,10 +124,10 @@ ordered_json ablation_command(const std::filesystem::path& folder) {
   for (std::string line; std::getline(lines, line);) {
     const size_t colon = line.find(": ");
     if (colon == std::string::npos || line[0] == '#') continue;
-    const std::string key = line.substr(0, colon), value = line.substr(colon + 2);
+    const std::string key = line.substr(0, colon);
     if (key == "out" || key == "overwrite" || key == "plan" || key == "json") continue;
-    if (value == "\"\"") continue;  // --set takes none
-    command += " --set " + shell_word(key + "=" + value);
+    if (line.compare(colon + 2, std::string::npos, "\"\"") == 0) continue;  // --set takes none
+    command += " --set " + shell_word(line.replace(colon, 2, "="));
   }
   return command + " --out " + shell_word(folder.string());
 }

@@ -7,6 +7,7 @@
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/memory_refusal.h"
 #include "infer/pipeline/bundle_models.h"
+#include "infer/request/scene_request.h"
 #include "models/bundle/trained_views.h"
 
 #include <algorithm>

@@ -28,6 +28,7 @@ StereoOptions few_planes() {
 std::vector<PicturedView> plane_views(const std::vector<Camera>& cameras) {
   const test::TexturedPlane plane;
   std::vector<PicturedView> views;
+  views.reserve(cameras.size());
   for (const Camera& camera : cameras) views.push_back(plane.seen_by(camera, 1));
   return views;
 }
