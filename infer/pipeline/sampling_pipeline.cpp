@@ -58,20 +58,24 @@ std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const 
   return source_geometry(*models.geometry_head(), state.sources);
 }
 
+// By the head alone: of one source in the unit that is usual for the model, of several in that of their cameras.
+SourceDepth head_source_depth(const PipelineModels& models, const PipelineRequest& request,
+                              const PipelineState& state) {
+  const GeometryOutput head = head_geometry(models, state).value();
+  return request.views.num_sources == 1 ? single_source_depth(head, request.single_source_unit)
+                                        : source_depth_of_head(request.views, request.source_images, head);
+}
+
 void run_source_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                       PipelineResult& result) {
   if (state.depth) return;
+  // Nothing of one photograph can be matched.
+  if (!request.photographs.matches() || request.views.num_sources == 1) {
+    state.depth = head_source_depth(models, request, state);
+    result.head_depth = state.depth->views;
+    return;
+  }
   const auto head = head_geometry(models, state);
-  if (request.views.num_sources == 1) {
-    state.depth = single_source_depth(head.value(), request.single_source_unit);
-    result.head_depth = state.depth->views;
-    return;
-  }
-  if (!request.photographs.matches()) {
-    state.depth = source_depth_of_head(request.views, request.source_images, head.value());
-    result.head_depth = state.depth->views;
-    return;
-  }
   PhotographDepth found =
       photograph_depth(request.views, request.source_images, photographs_of(request, state),
                        head ? &*head : nullptr, request.photographs.stereo);
@@ -85,12 +89,7 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                      std::vector<std::string>& warnings) {
   if (!needs_source_depth(models.levels, request.stage_request())) return;  // the plan says why
-  if (!state.depth && request.views.num_sources == 1)
-    state.depth = single_source_depth(head_geometry(models, state).value(), request.single_source_unit);
-  if (!state.depth) {
-    state.depth =
-        source_depth_of_head(request.views, request.source_images, head_geometry(models, state).value());
-  }
+  if (!state.depth) state.depth = head_source_depth(models, request, state);
   const SourceScene scene{request.views, request.source_images.to(request.device), state.depth};
   const LatentSpace space(models.backbone(), models.levels.boundary);
   state.sources.warped =

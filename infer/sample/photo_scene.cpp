@@ -12,11 +12,11 @@
 #include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/machine/block_memory.h"
-#include "gld/tensors/tensor_pictures.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/request/scene_request.h"
+#include "models/scene_geometry/source_warp.h"
 
 #include <algorithm>
 #include <exception>
@@ -192,9 +192,8 @@ void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords&
   }
   made.median_depth = made.seen->median_depth;
   if (made.photographs.size() == 1) {
-    const auto map = seen.depth[0].to(torch::kCPU, torch::kFloat32);
     made.depth = SourceDepth();
-    made.depth->views.push_back({map.size(1), map.size(0), numbers_of(map)});
+    made.depth->views = depth_in_unit(seen, 1, 1);
     made.depth->from = "geometry head";
   }
   made.text = photo_cameras_text(*made.seen, names_of(made.scene));
