@@ -292,7 +292,7 @@ StageRequest PlanRequest::stage_request() const {
   stages.num_sources = num_sources;
   stages.image_views = outputs.image_views();
   stages.geometry_views = outputs.geometry_views();
-  stages.single_source_unit = single_source_unit;
+  stages.single_source_unit_known = single_source_unit_known;
   stages.source_depth_given = source_depth_given;
   stages.photographs = photographs_used;
   return stages;

@@ -26,8 +26,8 @@ namespace gld {
 struct PlanRequest {
   LatentGrid grid;  // of all views
   int64_t num_sources = 1;
-  bool source_depth_given = false;  // StageRequest's
-  bool single_source_unit = false;  // likewise
+  bool source_depth_given = false;        // StageRequest's
+  bool single_source_unit_known = false;  // likewise
   PhotographUse photographs_used;
   RequestedOutputs outputs;
   FlowSettings flow;

@@ -265,7 +265,7 @@ StageRequest PipelineRequest::stage_request() const {
   stages.image_views = image_views;
   stages.geometry_views = geometry_views;
   stages.source_depth_given = source_depth.has_value();
-  stages.single_source_unit = single_source_unit > 0;
+  stages.single_source_unit_known = single_source_unit > 0;
   stages.photographs = photographs;
   return stages;
 }

@@ -76,7 +76,8 @@ bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request)
 
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request) {
   const bool composes = request.photographs.composes() && request.image_views != DecodedViews::kNone;
-  const bool guessed = request.single_source_unit && request.photographs.depth != SourceDepthOrigin::kStereo;
+  const bool guessed =
+      request.single_source_unit_known && request.photographs.depth != SourceDepthOrigin::kStereo;
   const bool has_unit = request.num_sources > 1 || request.source_depth_given || guessed;
   return has_unit && (levels.warped_sources > 0 || composes);
 }

@@ -26,8 +26,8 @@ struct StageRequest {
   int64_t num_sources = 1;
   DecodedViews image_views = DecodedViews::kTargets;
   DecodedViews geometry_views = DecodedViews::kNone;
-  bool source_depth_given = false;  // of the source views, before the pipeline runs
-  bool single_source_unit = false;  // whether the unit of a single source's depth is known
+  bool source_depth_given = false;        // of the source views, before the pipeline runs
+  bool single_source_unit_known = false;  // whether the unit of a single source's depth is known
   PhotographUse photographs;
 
   bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }

@@ -297,7 +297,7 @@ TEST(SamplingStages, PhotographsAreCarriedForModelsThatTakeThem) {
   EXPECT_FALSE(uses_source_depth(levels, request));
   // Or the head does, in the unit that is usual for the model; not photographs alone.
   request.source_depth_given = false;
-  request.single_source_unit = true;
+  request.single_source_unit_known = true;
   EXPECT_TRUE(uses_source_depth(levels, request));
   request.photographs.depth = SourceDepthOrigin::kStereo;
   EXPECT_FALSE(needs_source_depth(levels, request));
