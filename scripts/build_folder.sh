@@ -2,12 +2,15 @@
 # cmake), libtorch and version where it was given, and rest, the other arguments.
 
 build_folder=build/release
+quick=
 libtorch=
 configuration=()
 rest=()
 while [ $# -gt 0 ]; do
   if [ "$1" = --quick ]; then
-    # clang reads a precompiled header of LibTorch's in a tenth of a second, g++ in three.
+    # clang reads a precompiled header of LibTorch's in a tenth of a second, g++ in three. In a folder of its own: CMake keeps
+    # the compiler that a folder was first configured with, and the program that is used would be clang's from then on.
+    quick=-quick
     configuration+=(-DCMAKE_CXX_COMPILER=clang++-14 "-DCMAKE_CXX_FLAGS_RELEASE=-O1 -DNDEBUG")
     shift
     continue
@@ -28,3 +31,4 @@ while [ $# -gt 0 ]; do
   configuration+=(-DCMAKE_PREFIX_PATH="$(realpath "$2")")
   shift 2
 done
+build_folder=$build_folder$quick
