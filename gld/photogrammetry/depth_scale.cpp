@@ -49,6 +49,14 @@ std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from
   return estimate;
 }
 
+DepthScale with_log_deviation(DepthScale estimate, double log_deviation) {
+  estimate.low =
+      estimate.scale * std::exp(-std::hypot(std::log(estimate.scale / estimate.low), 2 * log_deviation));
+  estimate.high =
+      estimate.scale * std::exp(std::hypot(std::log(estimate.high / estimate.scale), 2 * log_deviation));
+  return estimate;
+}
+
 std::string doubt_about(const DepthScale& estimate) {
   if (!(estimate.residual <= kLargestResidual)) {
     return fmt::format("its fit leaves {:.0f} % of what it is fitted to", 100 * estimate.residual);

@@ -23,6 +23,10 @@ struct DepthScale {
 // says at least, because errors of predicted centres are not independent. Nothing where the cameras stand at one place.
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model);
 
+// The same estimate, where the logarithm of what it was compared with is off by an independent error of that standard
+// deviation.
+DepthScale with_log_deviation(DepthScale estimate, double log_deviation);
+
 // Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.4 of what it is fitted to, or its
 // interval is wider than a factor of 2.5. Empty where it tells it.
 std::string doubt_about(const DepthScale& estimate);

@@ -229,8 +229,8 @@ class SceneMetrics {
       return inputs;
     }
     inputs.rays = geometry.rays;
-    const GeometryPlacement placement = place_geometry(
-        geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence(), sample.stereo));
+    const GeometryPlacement placement =
+        place_geometry(geometry, views.cameras, scale_evidence(scene_, usual_scale_evidence(), sample));
     inputs.predicted_cameras = placement.predicted;
     inputs.missing[MetricNeed::kRays] = "no camera fits the predicted rays";
     inputs.missing[MetricNeed::kDepthScale] = "the scale of the predicted depth is not known";

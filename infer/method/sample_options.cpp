@@ -227,11 +227,13 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
   visitor.group({"approximate", "work left out with an error"}, approximate);
-  visitor.texts({"scale_from",
-                 "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
-                 "photographs (which match at the right scale), sparse_points (of a reconstruction), "
-                 "source_depth (measured in source views)"},
-                scale_from);
+  visitor.texts(
+      {"scale_from",
+       "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
+       "photographs (which match at the right scale), sparse_points (of a reconstruction), "
+       "source_depth (measured in source views), usual_unit (what is usual for the model, of a single "
+       "source)"},
+      scale_from);
   visitor.group({"points", "how the point cloud is made"}, points);
   visitor.group({"page", "what report.html holds"}, page);
   visitor.group({"splats", "how 3D Gaussians are fitted to sources and generated views"}, splats);

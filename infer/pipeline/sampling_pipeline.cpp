@@ -66,13 +66,20 @@ SourceDepth head_source_depth(const PipelineModels& models, const PipelineReques
                                         : source_depth_of_head(request.views, request.source_images, head);
 }
 
+// The depth of the source views is what the head alone says of them.
+void take_head_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
+                     PipelineResult& result) {
+  state.depth = head_source_depth(models, request, state);
+  result.head_depth = state.depth->views;
+  if (request.views.num_sources == 1) result.head_depth_log_deviation = request.single_source_unit_deviation;
+}
+
 void run_source_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                       PipelineResult& result) {
   if (state.depth) return;
   // Nothing of one photograph can be matched.
   if (!request.photographs.matches() || request.views.num_sources == 1) {
-    state.depth = head_source_depth(models, request, state);
-    result.head_depth = state.depth->views;
+    take_head_depth(models, request, state, result);
     return;
   }
   const auto head = head_geometry(models, state);
@@ -87,16 +94,16 @@ void run_source_depth(const PipelineModels& models, const PipelineRequest& reque
 }
 
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
-                     std::vector<std::string>& warnings) {
+                     PipelineResult& result) {
   if (!needs_source_depth(models.levels, request.stage_request())) return;  // the plan says why
-  if (!state.depth) state.depth = head_source_depth(models, request, state);
+  if (!state.depth) take_head_depth(models, request, state, result);
   const SourceScene scene{request.views, request.source_images.to(request.device), state.depth};
   const LatentSpace space(models.backbone(), models.levels.boundary);
   state.sources.warped =
       warp_into_targets(space, scene, conditioning_needs(models.levels, request.stage_request()));
   const std::string& doubt = state.sources.warped.doubt;
   if (!doubt.empty()) {
-    warnings.push_back(
+    result.warnings.push_back(
         "The model was not shown the source photographs in the target views, as it is trained to be: " +
         doubt + ".");
   }
@@ -290,7 +297,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         run_source_depth(models, request, state, result);
         return;
       case StageKind::kSourceWarp:
-        run_source_warp(models, request, state, result.warnings);
+        run_source_warp(models, request, state, result);
         return;
       case StageKind::kFlow:
         state.sources.for_geometry = {};

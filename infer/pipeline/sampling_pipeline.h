@@ -64,6 +64,7 @@ struct PipelineRequest {
   // The cameras' units that the geometry head's is long where it sees a single source view, which does not tell it; 0:
   // not known, and a single source is not carried.
   double single_source_unit = 0;
+  double single_source_unit_deviation = 0;  // of its logarithm; 0: not known
   PhotographUse photographs;
   // Of the source views, for depth that they agree on and for composition; without, source_images serve.
   SourcePhotographs source_photographs;
@@ -126,6 +127,8 @@ struct PipelineResult {
   // What the geometry head alone says of the source views, in the unit of their cameras; none where it was not
   // asked for their depth or the unit is not known.
   std::vector<PlanarDepth> head_depth;
+  // Where that unit is the usual one (PipelineRequest::single_source_unit): the deviation of its logarithm, if known.
+  double head_depth_log_deviation = 0;
   // One a generator: how far the source views' latents are from its statistics (gld/latents/latent_divergence.h).
   std::vector<double> divergences;
   // Of the target views, where photographs were kept in them: images are then the composed ones.

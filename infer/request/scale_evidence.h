@@ -1,9 +1,9 @@
 #pragma once
 
+#include "infer/pipeline/sampling_pipeline.h"
 #include "infer/request/sampling_scene.h"
 #include "models/scene_geometry/geometry_placement.h"
 
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,10 +16,12 @@ const std::vector<std::string>& scale_evidence_names();
 // What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths;
 // where nothing else than the usual kinds is asked for, what a model saw of a single photograph (scene.seen_depth)
 // stands in their place. With one photograph camera_poses tell nothing, and count only where they alone are asked
-// for. stereo: what the photographs agree on, which says more than pictures laid over each other; nothing where they
-// were not matched.
+// for.
+ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
+// The same with what a run has found of the sources: what the photographs agree on, which says more than pictures laid
+// over each other, and the depth of a single source in the unit that is usual for the model.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds,
-                             const std::optional<StereoScene>& stereo = std::nullopt);
+                             const PipelineResult& found);
 // The kinds that are taken unless others are named: all but source_depth, which nobody has of photographs alone.
 std::vector<std::string> usual_scale_evidence();
 

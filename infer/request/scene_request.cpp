@@ -31,6 +31,7 @@ PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& b
   }
   request.source_depth = scene.seen_depth;
   request.single_source_unit = single_source_unit(scene, bundle);
+  request.single_source_unit_deviation = bundle.single_source_unit_deviation;
   request.source_photographs = scene.photographs;
   request.device = device;
   return request;

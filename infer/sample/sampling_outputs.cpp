@@ -184,7 +184,7 @@ void SamplingOutputs::place(const PipelineResult& result) {
   const bool sources = first_geometry_view_ == 0;
   placement_ =
       place_geometry(result.geometry, geometry_cameras(),
-                     sources ? scale_evidence(scene_, options_.scale_from, result.stereo) : ScaleEvidence());
+                     sources ? scale_evidence(scene_, options_.scale_from, result) : ScaleEvidence());
   if (placement_.predicted.empty()) {
     warnings_.push_back(fmt::format("No camera fits the predicted rays: {}", placement_.problem));
   } else {
@@ -197,6 +197,12 @@ void SamplingOutputs::place(const PipelineResult& result) {
   depth_has_scene_unit_ = placement_.scale || !result.view_depth.empty();
   findings_["depth_scale_estimates"] = estimates_json(placement_.estimates);
   if (placement_.scale) findings_["depth_scale"] = depth_scale_json(*placement_.scale);
+  if (placement_.scale && placement_.scale->estimator == kUsualUnitEvidence) {
+    warnings_.push_back(fmt::format(
+        "Depth, cloud and what is carried of the photograph are in the unit that is usual for this model: "
+        "{:.0f} % more or less would not surprise.",
+        100 * (placement_.scale->high / placement_.scale->scale - 1)));
+  }
   if (depth_has_scene_unit_) return;
   warnings_.push_back(fmt::format(
       "The scale of the predicted depth is not known ({}). {}", estimates_text(placement_.estimates),

@@ -128,6 +128,9 @@ void BundleOptions::visit(FieldVisitor& visitor) {
        "metres of the geometry head's unit where it sees one view alone, as usual in what the model was "
        "trained on; 0 is not known"},
       single_source_unit, {0, 1e6});
+  visitor.real({"single_source_unit_deviation",
+                "standard deviation of its logarithm in what the model was trained on; 0 is not known"},
+               single_source_unit_deviation, {0, 10});
 }
 
 LevelSet BundleOptions::level_set() const {

@@ -57,6 +57,7 @@ struct BundleOptions : OptionsGroup {
   // model was trained on (gld stats: exp of the mean logarithm); 0: not known. One view leaves the unit open, and this
   // is the best guess of it.
   double single_source_unit = 0;
+  double single_source_unit_deviation = 0;  // of that logarithm, one standard deviation; 0: not known
 
   // DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
   BundleOptions();

@@ -68,6 +68,11 @@ std::vector<DepthScale> estimates_from_depth(const GeometryOutput& geometry, con
   if (!evidence.source_depth.empty()) {
     add(scale_from_measured_depth(depth_views(geometry, given), evidence.source_depth, "source_depth"));
   }
+  if (!evidence.usual_unit_depth.empty()) {
+    const auto usual = scale_from_measured_depth(depth_views(geometry, given), evidence.usual_unit_depth,
+                                                 kUsualUnitEvidence);
+    if (usual) estimates.push_back(with_log_deviation(*usual, evidence.usual_unit_log_deviation));
+  }
   return estimates;
 }
 

@@ -17,6 +17,9 @@
 
 namespace gld {
 
+// DepthScale::estimator of ScaleEvidence::usual_unit_depth.
+inline constexpr const char* kUsualUnitEvidence = "usual_unit";
+
 // What may tell the scale of predicted depth beside the given cameras. What is left empty says nothing.
 struct ScaleEvidence {
   bool camera_poses = true;  // the distances between the predicted cameras
@@ -30,6 +33,10 @@ struct ScaleEvidence {
   std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
   // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
   std::vector<PlanarDepth> source_depth;
+  // Depth of a single source view in the unit that is usual for the model (single_source_depth() in source_warp.h):
+  // a guess, as far as the deviation says.
+  std::vector<PlanarDepth> usual_unit_depth;
+  double usual_unit_log_deviation = 0;
 };
 
 // matched_depth of what photographs were matched for: nothing where they are too seldom confident to tell a scale.

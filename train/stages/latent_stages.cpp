@@ -288,13 +288,15 @@ std::string compute_statistics(const StatsOptions& options) {
 
   const auto made = folder->path() / "model";
   BundleOptions with_unit = model;
-  with_unit.single_source_unit = 0;  // one that was measured elsewhere is not of these scenes
+  // One that was measured elsewhere is not of these scenes.
+  with_unit.single_source_unit = with_unit.single_source_unit_deviation = 0;
   nlohmann::ordered_json unit_report;
   if (!log_units.empty()) {
     const auto logs = torch::tensor(log_units, torch::kFloat64);
     with_unit.single_source_unit = four_digits(std::exp(logs.mean().item<double>()));
+    with_unit.single_source_unit_deviation = four_digits(logs.std(/*unbiased=*/false).item<double>());
     unit_report = {{"metres", with_unit.single_source_unit},
-                   {"log_deviation", four_digits(logs.std(/*unbiased=*/false).item<double>())},
+                   {"log_deviation", with_unit.single_source_unit_deviation},
                    {"scenes", log_units.size()}};
   }
   save_bundle_options(made, with_unit);

@@ -44,6 +44,19 @@ TEST(DepthScale, ExactPosesLeaveNoDoubt) {
   EXPECT_NEAR(scale->residual, 0, 1e-9);
 }
 
+TEST(DepthScale, AnIndependentErrorWidensTheInterval) {
+  DepthScale estimate;
+  estimate.scale = 2;
+  estimate.low = 2 * std::exp(-0.6);
+  estimate.high = 2 * std::exp(0.3);
+  const DepthScale wider = with_log_deviation(estimate, 0.4);
+  EXPECT_EQ(wider.scale, 2);
+  EXPECT_NEAR(std::log(wider.low / 2), -std::hypot(0.6, 0.8), 1e-12);
+  EXPECT_NEAR(std::log(wider.high / 2), std::hypot(0.3, 0.8), 1e-12);
+  EXPECT_EQ(doubt_about(with_log_deviation(estimate, 0)), "");
+  EXPECT_EQ(doubt_about(wider), "it may be anything from 0.736 to 4.7");
+}
+
 // In how many of 400 cases the interval holds the truth, 2.5.
 int intervals_with_the_truth(const std::function<ArcPair(uint64_t seed)>& pair_of) {
   int inside = 0;

@@ -274,5 +274,36 @@ TEST(ScaleEvidence, OnePhotographsCamerasTellNothing) {
   EXPECT_TRUE(scale_evidence(scene, usual_scale_evidence()).camera_poses);
 }
 
+TEST(ScaleEvidence, AGuessedUnitIsOneWhereItsErrorIsKnown) {
+  SamplingScene scene;
+  scene.source_images = {Image(kWidth, kHeight)};
+  PipelineResult found;
+  found.head_depth = {{kWidth, kHeight, std::vector<float>(kWidth * kHeight, 3.0F)}};
+  EXPECT_TRUE(scale_evidence(scene, usual_scale_evidence(), found).usual_unit_depth.empty());
+  found.head_depth_log_deviation = 0.2;
+  const ScaleEvidence evidence = scale_evidence(scene, usual_scale_evidence(), found);
+  ASSERT_EQ(evidence.usual_unit_depth.size(), 1U);
+  EXPECT_EQ(evidence.usual_unit_log_deviation, 0.2);
+  EXPECT_TRUE(scale_evidence(scene, {"sparse_points"}, found).usual_unit_depth.empty());
+}
+
+// The depth of one view, told in another unit with an error of 20 %: a scale with an interval of two deviations.
+TEST(GeometryPlacement, AGuessedUnitIsAsSureAsItsError) {
+  const auto geometry = plane_seen_from(model_cameras());
+  const auto first = geometry.depth[0].to(torch::kFloat32).contiguous();
+  ScaleEvidence evidence;
+  evidence.camera_poses = false;
+  PlanarDepth told{first.size(1), first.size(0), {}};
+  for (int64_t i = 0; i < first.numel(); ++i) told.values.push_back(3.5F * first.data_ptr<float>()[i]);
+  evidence.usual_unit_depth = {told};
+  evidence.usual_unit_log_deviation = 0.2;
+  const auto placement = place_geometry(geometry, scene_cameras(), evidence);
+  ASSERT_TRUE(placement.scale.has_value());
+  EXPECT_EQ(placement.scale->estimator, "usual_unit");
+  EXPECT_NEAR(placement.scale->scale, 3.5, 0.02);
+  EXPECT_NEAR(std::log(placement.scale->high / placement.scale->scale), 0.4, 0.02);
+  EXPECT_NEAR(std::log(placement.scale->scale / placement.scale->low), 0.4, 0.02);
+}
+
 }  // namespace
 }  // namespace gld

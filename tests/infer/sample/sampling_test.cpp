@@ -163,9 +163,10 @@ TEST_F(Sampling, MeasuredDepthOfASourceTellsTheScaleWhenAsked) {
       test::error_of([&] { apply_setting(asked, "views.sources=[0, '', 3]"); }),
       "--sources: expected frame numbers or names, found nothing between two commas; remove one of them.");
   asked.scale_from = {"source_depths"};
-  EXPECT_EQ(test::error_of([&] { asked.check(); }),
-            "--scale-from: expected camera_poses, photographs, sparse_points, source_depth, found "
-            "'source_depths'; did you mean 'source_depth'?");
+  EXPECT_EQ(
+      test::error_of([&] { asked.check(); }),
+      "--scale-from: expected camera_poses, photographs, sparse_points, source_depth, usual_unit, found "
+      "'source_depths'; did you mean 'source_depth'?");
 }
 
 TEST_F(Sampling, ThePointCloudFollowsItsOptions) {

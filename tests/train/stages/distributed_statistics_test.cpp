@@ -37,10 +37,12 @@ TEST(DistributedStatistics, OneTwoAndThreeProcessesGiveTheSameBits) {
     EXPECT_EQ(read_file(folder.path() / "3" / file), one) << file;
   }
   // Drawn rooms are in metres, and this model has a head: what its unit is long stands in the bundle.
-  const auto unit = ModelBundle::open(folder.path() / "1" / "model").options().single_source_unit;
-  EXPECT_GT(unit, 0);
+  const BundleOptions options = ModelBundle::open(folder.path() / "1" / "model").options();
+  EXPECT_GT(options.single_source_unit, 0);
+  EXPECT_GT(options.single_source_unit_deviation, 0);
   const auto report = nlohmann::json::parse(read_file(folder.path() / "1" / "report.json"));
-  EXPECT_EQ(report.at("single_source_unit").at("metres"), unit);
+  EXPECT_EQ(report.at("single_source_unit").at("metres"), options.single_source_unit);
+  EXPECT_EQ(report.at("single_source_unit").at("log_deviation"), options.single_source_unit_deviation);
   EXPECT_EQ(report.at("single_source_unit").at("scenes"), 7);
 }
 
