@@ -37,14 +37,18 @@ endfunction()
 # What computes nothing that takes time is compiled with -O1: tests, commands, pages, readers of text. Half of a whole build
 # is theirs.
 set(GLD_LIGHT_OPTIMISATION -O1)
-set(GLD_LIGHT_ROOMS "^(ablate/.*|cli|datasets/(check|formats|pictures)|infer/(evaluate|forecast|method|page|paths|request|run_export|sample)|train/(page|stages)|verify)$")
+# Only where the rest is optimised more: a quick build (scripts/build.sh --quick) has none at all beside its kernels.
+if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
+  set(GLD_HAS_LIGHT_CODE ON)
+endif()
+set(GLD_LIGHT_ROOMS "^(ablate/.*|cli|datasets/(check|formats|pictures|scenes)|gld/(base|distributed|report)|infer/(evaluate|export|forecast|method|page|paths|pipeline|request|run_export|sample)|models/(bundle|weights)|train/(data|loop|page|stages)|verify)$")
 
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
 # all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a
 # precompiled header it optimises as that was: gld_light_NAME_headers has it for what is compiled with less.
 function(gld_shared_headers name folder)
   gld_precompiled_headers(gld_${name}_headers ${folder}/${name}_precompiled ${ARGN})
-  if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
+  if(GLD_HAS_LIGHT_CODE)
     gld_precompiled_headers(gld_light_${name}_headers ${folder}/${name}_precompiled gld_${name}_headers)
     target_compile_options(gld_light_${name}_headers PRIVATE ${GLD_LIGHT_OPTIMISATION})
   endif()
@@ -59,8 +63,10 @@ endfunction()
 
 # gld_light(TARGET): compiled with less optimisation; before gld_use_headers.
 function(gld_light target)
-  target_compile_options(${target} PRIVATE $<$<CONFIG:Release>:${GLD_LIGHT_OPTIMISATION}>)
-  set_target_properties(${target} PROPERTIES GLD_LIGHT ON)
+  if(GLD_HAS_LIGHT_CODE)
+    target_compile_options(${target} PRIVATE ${GLD_LIGHT_OPTIMISATION})
+    set_target_properties(${target} PROPERTIES GLD_LIGHT ON)
+  endif()
 endfunction()
 
 # The precompiled header NAME for the sources of a target. CMake warns of every target that is to share one where there is none

@@ -32,22 +32,39 @@ export LSAN_OPTIONS=suppressions=$PWD/tests/leak_suppressions.txt:print_suppress
 # libFuzzer's limit counts what AddressSanitizer keeps of freed memory as well: it is told to keep little.
 export ASAN_OPTIONS=quarantine_size_mb=16:detect_odr_violation=0
 found=$PWD/build/fuzz_found
-failed=()
-for kind in "${kinds[@]}"; do
+# fuzz KIND: of one reader. Fails as it does.
+fuzz() {
+  local kind=$1 new log=$found/$1.log status=0
   mkdir -p "$found/$kind"
   new=$(mktemp -d)
-  log=$found/$kind.log
   if "$build"/tests/fuzz/fuzz_"$kind" -seed="$seed" -max_total_time="$seconds" -rss_limit_mb=1024 -timeout=10 -print_final_stats=1 \
     -artifact_prefix="$found/$kind/" "$new" "tests/fuzz/corpus/$kind" >"$log" 2>&1; then
     echo "fuzz: $kind: $(grep -o 'number_of_executed_units: .*' "$log"), peak $(grep -o 'peak_rss_mb: .*' "$log")"
   else
     echo "fuzz: $kind failed; the end of $log:" >&2
     grep -E 'ERROR|SUMMARY|#[0-9]+ .*gld::|Test unit written' "$log" | head -20 >&2 || tail -20 "$log" >&2
-    failed+=("$kind")
+    status=1
   fi
   rm -rf "$new"
+  return "$status"
+}
+
+# One a core at a time.
+failed=0
+running=0
+for kind in "${kinds[@]}"; do
+  if [ "$running" -ge "$(nproc)" ]; then
+    wait -n || failed=$((failed + 1))
+    running=$((running - 1))
+  fi
+  fuzz "$kind" &
+  running=$((running + 1))
 done
-if [ ${#failed[@]} -gt 0 ]; then
-  echo "fuzz: ${failed[*]} failed." >&2
+while [ "$running" -gt 0 ]; do
+  wait -n || failed=$((failed + 1))
+  running=$((running - 1))
+done
+if [ "$failed" -gt 0 ]; then
+  echo "fuzz: $failed of ${#kinds[@]} readers failed." >&2
   exit 1
 fi
