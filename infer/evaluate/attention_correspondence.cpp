@@ -39,7 +39,8 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
     deepest = std::max({deepest, generator.level, generator.deeper.value_or(0)});
   }
   const auto raw = space.encode(images.to(models.device), deepest);
-  const SourceScene given{scene.views, images.narrow(0, 0, scene.views.num_sources).to(models.device), {}};
+  SourceScene given{scene.views, images.narrow(0, 0, scene.views.num_sources).to(models.device), {}};
+  given.single_source_unit = models.bundle.unit_of_single_source(scene.views, scene.metric);
   const auto needs = conditioning_needs(given, deepest, models.models.levels.warped_sources);
   const auto head = needs.head_depth ? models.models.geometry_head() : nullptr;
   const SourceConditioning sources = condition_on_sources(space, head.get(), given, needs);

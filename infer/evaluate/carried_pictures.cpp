@@ -49,16 +49,15 @@ CarriedPictures carried_pictures(const EvaluationModels& models, const SamplingS
   }
   const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
   SourceDepth depth;
-  const double unit = single_source_unit(scene, models.bundle);
-  if (unit > 0 && asks_head && head) {
-    depth = single_source_depth(*head, unit);
-  } else if (use.matches()) {
+  const double unit = models.bundle.unit_of_single_source(scene.views, scene.metric);
+  const bool head_alone = !use.matches() || (unit > 0 && asks_head && head);
+  if (head_alone) {
+    depth = source_depth_of_head(scene.views, pictures, *head, unit);
+  } else {
     PhotographDepth found = photograph_depth(scene.views, pictures, photographs,
                                              asks_head && head ? &*head : nullptr, use.stereo);
     if (use.refines()) refine(*models.models.depth_refinement(), photographs, found);
     depth = std::move(found.depth);
-  } else {
-    depth = source_depth_of_head(scene.views, pictures, *head);
   }
   const SourceWarp warp = warp_sources(scene.views, pictures, depth, 1);
   const NearestSourceDepth nearest = nearest_source_depth(scene.views, depth);

@@ -58,18 +58,11 @@ std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const 
   return source_geometry(*models.geometry_head(), state.sources);
 }
 
-// By the head alone: of one source in the unit that is usual for the model, of several in that of their cameras.
-SourceDepth head_source_depth(const PipelineModels& models, const PipelineRequest& request,
-                              const PipelineState& state) {
-  const GeometryOutput head = head_geometry(models, state).value();
-  return request.views.num_sources == 1 ? single_source_depth(head, request.single_source_unit)
-                                        : source_depth_of_head(request.views, request.source_images, head);
-}
-
 // The depth of the source views is what the head alone says of them.
 void take_head_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                      PipelineResult& result) {
-  state.depth = head_source_depth(models, request, state);
+  state.depth = source_depth_of_head(request.views, request.source_images,
+                                     head_geometry(models, state).value(), request.single_source_unit);
   result.head_depth = state.depth->views;
   if (request.views.num_sources == 1) result.head_depth_log_deviation = request.single_source_unit_deviation;
 }

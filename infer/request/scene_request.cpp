@@ -12,12 +12,6 @@ torch::Tensor stacked(const std::vector<Image>& images) {
   return torch::stack(tensors);
 }
 
-double single_source_unit(const SamplingScene& scene, const BundleOptions& bundle) {
-  const bool alone = scene.views.num_sources == 1;
-  const bool sees = bundle.geometry_head.exists() && bundle.geometry_head.predicts_rays();
-  return alone && scene.metric && sees ? bundle.single_source_unit : 0;
-}
-
 PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& bundle, int64_t noise_seed,
                               const torch::Device& device) {
   const LatentGrid grid = bundle.backbone.grid_of(scene.views.size(), scene.size.height, scene.size.width);
@@ -30,7 +24,7 @@ PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& b
                     {part.dit.num_special_tokens + grid.tokens_per_view(), part.dit.in_channels}));
   }
   request.source_depth = scene.seen_depth;
-  request.single_source_unit = single_source_unit(scene, bundle);
+  request.single_source_unit = bundle.unit_of_single_source(scene.views, scene.metric);
   request.single_source_unit_deviation = bundle.single_source_unit_deviation;
   request.source_photographs = scene.photographs;
   request.device = device;

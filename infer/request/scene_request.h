@@ -15,9 +15,6 @@ namespace gld {
 // Images of one size -> (images, 3, height, width) in [0, 1].
 torch::Tensor stacked(const std::vector<Image>& images);
 
-// PipelineRequest::single_source_unit: the model's is in metres, so that of scenes in another unit nothing is known.
-double single_source_unit(const SamplingScene& scene, const BundleOptions& bundle);
-
 // The views, source images and noise of a scene as the pipeline takes them. How the flows are solved and what is
 // decoded is left to the caller.
 PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& bundle, int64_t noise_seed,

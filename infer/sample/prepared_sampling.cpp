@@ -252,7 +252,8 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
   request.grid =
       prepared.bundle.options().backbone.grid_of(prepared.scene.views.size(), size.height, size.width);
   request.num_sources = prepared.scene.views.num_sources;
-  request.single_source_unit_known = single_source_unit(prepared.scene, prepared.bundle.options()) > 0;
+  request.single_source_unit_known =
+      prepared.bundle.options().unit_of_single_source(prepared.scene.views, prepared.scene.metric) > 0;
   request.outputs = options.requested();
   request.photographs_used = photograph_use_of(options.photograph_use, prepared.bundle);
   if (prepared.geometry_model) {

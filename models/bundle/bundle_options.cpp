@@ -239,6 +239,11 @@ std::vector<ImageSize> BundleOptions::image_sizes() const {
   return sizes;
 }
 
+double BundleOptions::unit_of_single_source(const Views& views, bool metric) const {
+  const bool sees = geometry_head.exists() && geometry_head.predicts_rays();
+  return views.num_sources == 1 && metric && sees ? single_source_unit : 0;
+}
+
 BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone) {
   BundleOptions options;
   options.name = name;

@@ -7,16 +7,14 @@
 
 namespace gld {
 
-bool carries_by_head_depth(int64_t num_sources, int64_t warped_sources) {
-  return num_sources > 1 && warped_sources > 0;
-}
-
 ConditioningNeeds conditioning_needs(const SourceScene& scene, int64_t deepest_shown,
                                      int64_t warped_sources) {
   ConditioningNeeds needs;
   needs.deepest_shown = deepest_shown;
   needs.warped_sources = warped_sources;
-  needs.head_depth = !scene.depth && carries_by_head_depth(scene.views.num_sources, warped_sources);
+  // A single source leaves the unit of the head's depth open.
+  const bool has_unit = scene.views.num_sources > 1 || scene.single_source_unit > 0;
+  needs.head_depth = !scene.depth && has_unit && warped_sources > 0;
   return needs;
 }
 
@@ -58,7 +56,8 @@ SourceConditioning condition_on_sources(const LatentSpace& space, const Geometry
   SourceConditioning sources = encode_sources(space, scene.images, needs);
   SourceScene placed = scene;
   if (needs.head_depth) {
-    placed.depth = source_depth_of_head(scene.views, scene.images, source_geometry(*head, sources));
+    placed.depth = source_depth_of_head(scene.views, scene.images, source_geometry(*head, sources),
+                                        scene.single_source_unit);
   }
   if (needs.warped_sources > 0 && placed.depth) sources.warped = warp_into_targets(space, placed, needs);
   return sources;

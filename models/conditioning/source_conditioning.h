@@ -21,6 +21,7 @@ struct SourceScene {
   torch::Tensor images;
   // Of another origin than the geometry head, which is not asked then.
   std::optional<SourceDepth> depth;
+  double single_source_unit = 0;  // as source_depth_of_head() takes it
 };
 
 // What generators and decoders take of the source views.
@@ -30,9 +31,6 @@ struct ConditioningNeeds {
   bool head_depth = false;     // what the geometry head says of the source views
   bool propagation = false;    // whether levels of all views will be propagated
 };
-
-// Whether the geometry head's depth carries photographs into target views: a single source leaves its unit open.
-bool carries_by_head_depth(int64_t num_sources, int64_t warped_sources);
 
 // Of generators that are shown levels up to that one and take so many photographs in each target view.
 ConditioningNeeds conditioning_needs(const SourceScene& scene, int64_t deepest_shown, int64_t warped_sources);

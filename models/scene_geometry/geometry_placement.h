@@ -33,7 +33,7 @@ struct ScaleEvidence {
   std::vector<Eigen::Vector3d> points_in_world;  // sparse points of a reconstruction
   // Depth measured in the first views, in the scene's unit; an empty map for a view without. Never that of a target.
   std::vector<PlanarDepth> source_depth;
-  // Depth of a single source view in the unit that is usual for the model (single_source_depth() in source_warp.h):
+  // Depth of a single source view in the unit that is usual for the model (source_depth_of_head() in source_warp.h):
   // a guess, as far as the deviation says.
   std::vector<PlanarDepth> usual_unit_depth;
   double usual_unit_log_deviation = 0;

@@ -144,26 +144,24 @@ std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t v
 }
 
 SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
-                                 const GeometryOutput& source_geometry) {
+                                 const GeometryOutput& source_geometry, double single_source_unit) {
   SourceDepth depth;
-  depth.from = "geometry head";
-  if (views.num_sources < 2) {
-    depth.doubt = kOneSource;
+  if (views.num_sources == 1) {
+    depth.from = "geometry head, in the usual unit";
+    if (single_source_unit > 0) {
+      depth.views = depth_in_unit(source_geometry, 1, single_source_unit);
+    } else {
+      depth.doubt = kOneSource;
+    }
     return depth;
   }
+  depth.from = "geometry head";
   const GeometryPlacement placement = place_sources(views, source_images, source_geometry);
   if (!placement.scale) {
     depth.doubt = unknown_unit(placement);
     return depth;
   }
   depth.views = depth_in_unit(source_geometry, views.num_sources, placement.scale->scale);
-  return depth;
-}
-
-SourceDepth single_source_depth(const GeometryOutput& geometry, double unit) {
-  SourceDepth depth;
-  depth.views = depth_in_unit(geometry, 1, unit);
-  depth.from = "geometry head, in the usual unit";
   return depth;
 }
 

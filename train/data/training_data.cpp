@@ -54,6 +54,7 @@ TrainingScene to_training_scene(const SceneImages& loaded) {
   scene.views = tensors.views;
   scene.images = tensors.images;
   scene.depth = tensors.depth;
+  scene.metric = loaded.metric;
   if (scene.depth.defined() && tensors.validity.defined()) scene.depth = scene.depth * tensors.validity;
   return scene;
 }
@@ -143,6 +144,7 @@ TrainingScene training_scene(const Scene& scene, const SampledViews& views, cons
   SceneImages loaded;
   loaded.scene = scene.name;
   loaded.num_sources = views.num_sources;
+  loaded.metric = scene.metric;
   for (const int64_t frame : views.frames) {
     const Frame& source = scene.frames[static_cast<size_t>(frame)];
     loaded.frame_names.push_back(source.name);

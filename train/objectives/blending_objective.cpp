@@ -79,8 +79,8 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   if (origin == DepthOf::kTruth) {
     depth = true_depth_of(scene);
   } else {
-    depth =
-        sampled_source_depth(space_, *depth_models_.head, depth_models_.refinement.get(), scene, photographs);
+    depth = sampled_source_depth(space_, *depth_models_.head, depth_models_.refinement.get(), scene,
+                                 photographs, model_.unit_of_single_source(scene.views, scene.metric));
   }
   if (!depth.known()) return {};
   const CarriableSources sources(photographs, depth);

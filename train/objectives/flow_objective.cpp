@@ -123,11 +123,11 @@ torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t level
 DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
   SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
-  if (options_.carried_by == CarryingDepth::kPhotographs &&
-      carries_by_head_depth(scene.views.num_sources, dit_->options().warped_sources)) {
+  given.single_source_unit = model_.unit_of_single_source(scene.views, scene.metric);
+  if (options_.carried_by == CarryingDepth::kPhotographs && dit_->options().warped_sources > 0) {
     SourceDepth depth =
         sampled_source_depth(*frozen_.space, *frozen_.geometry_head, frozen_.depth_refinement.get(), scene,
-                             photographs_of_images(given.views, given.images));
+                             photographs_of_images(given.views, given.images), given.single_source_unit);
     if (depth.known()) given.depth = std::move(depth);
   }
   const auto needs = conditioning_needs(given, generator_.level, dit_->options().warped_sources);

@@ -1,6 +1,7 @@
 #include "train/objectives/source_view_depth.h"
 
 #include "models/conditioning/source_conditioning.h"
+#include "models/scene_geometry/source_warp.h"
 
 #include <utility>
 
@@ -8,19 +9,39 @@
 
 namespace gld {
 
+namespace {
+
+GeometryOutput said_of_sources(const LatentSpace& space, const GeometryHead& head,
+                               const torch::Tensor& pictures) {
+  ConditioningNeeds needs;
+  needs.head_depth = true;
+  return source_geometry(head, encode_sources(space, pictures, needs));
+}
+
+torch::Tensor source_pictures(const TrainingScene& scene) {
+  return scene.images.slice(0, 0, scene.views.num_sources);
+}
+
+}  // namespace
+
 PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& head,
                                   const TrainingScene& scene, const SourcePhotographs& photographs) {
   const torch::NoGradGuard no_grad;
-  const auto pictures = scene.images.slice(0, 0, scene.views.num_sources);
-  ConditioningNeeds needs;
-  needs.head_depth = true;
-  const GeometryOutput said = source_geometry(head, encode_sources(space, pictures, needs));
+  const auto pictures = source_pictures(scene);
+  const GeometryOutput said = said_of_sources(space, head, pictures);
   return photograph_depth(scene.views, pictures, photographs, &said, StereoOptions());
 }
 
 SourceDepth sampled_source_depth(const LatentSpace& space, const GeometryHead& head,
                                  const DepthRefinement* refinement, const TrainingScene& scene,
-                                 const SourcePhotographs& photographs) {
+                                 const SourcePhotographs& photographs, double single_source_unit) {
+  if (scene.views.num_sources == 1) {
+    const torch::NoGradGuard no_grad;
+    const auto pictures = source_pictures(scene);
+    const GeometryOutput said =
+        single_source_unit > 0 ? said_of_sources(space, head, pictures) : GeometryOutput();
+    return source_depth_of_head(scene.views, pictures, said, single_source_unit);
+  }
   PhotographDepth found = source_view_depth(space, head, scene, photographs);
   if (refinement != nullptr) refine(*refinement, photographs, found);
   return std::move(found.depth);

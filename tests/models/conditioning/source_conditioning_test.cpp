@@ -48,9 +48,9 @@ SourceScene plane_scene() {
 // Knows the plane, in a unit of its own.
 class PlaneHead : public GeometryHead {
  public:
-  explicit PlaneHead(const SourceScene& scene) {
+  explicit PlaneHead(const SourceScene& scene) : views_(scene.views.num_sources) {
     std::vector<torch::Tensor> depths, rays;
-    for (size_t i = 0; i < 2; ++i) {
+    for (size_t i = 0; i < static_cast<size_t>(views_); ++i) {
       const PlanarDepth depth = test::TexturedPlane().seen_by(scene.views.cameras[i], kUnit).depth;
       depths.push_back(torch::tensor(depth.values).view({depth.height, depth.width}));
       Camera in_model = scene.views.cameras[i];
@@ -60,16 +60,17 @@ class PlaneHead : public GeometryHead {
     truth_.depth = torch::stack(depths);
     truth_.depth_confidence = torch::full_like(truth_.depth, 2.0F);
     truth_.rays = torch::stack(rays);
-    truth_.ray_confidence = torch::full({2, 12, 16}, 2.0F);
+    truth_.ray_confidence = torch::full({views_, 12, 16}, 2.0F);
   }
   GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid, GeometryMaps) const override {
     EXPECT_EQ(inputs.levels.size(), 4U);
-    EXPECT_EQ(grid.views, 2);
+    EXPECT_EQ(grid.views, views_);
     return truth_;
   }
   void initialise(const torch::Generator&) override {}
 
  private:
+  int64_t views_;
   GeometryOutput truth_;
 };
 
@@ -101,6 +102,31 @@ TEST(SourceConditioning, GivenDepthIsUsedInThePlaceOfTheHeads) {
     EXPECT_TRUE(given.levels[level].equal(by_head.levels[level]));
     EXPECT_TRUE(given.warped.levels[level].equal(by_head.warped.levels[level]));
   }
+}
+
+// In the right unit as two sources are; in half of it somewhere else.
+TEST(SourceConditioning, ASingleSourceIsCarriedInTheUnitThatIsGuessed) {
+  const torch::NoGradGuard no_grad;
+  const LatentSpace space = small_space();
+  SourceScene scene = plane_scene();
+  scene.views.cameras.erase(scene.views.cameras.begin() + 1);
+  scene.views.num_sources = 1;
+  scene.images = scene.images.slice(0, 0, 1);
+  const PlaneHead head(scene);
+  const auto carried = [&](double unit) {
+    scene.single_source_unit = unit;
+    const auto needs = conditioning_needs(scene, 1, 2);
+    EXPECT_TRUE(needs.head_depth);
+    return condition_on_sources(space, &head, scene, needs).warped;
+  };
+  const WarpedFeatures right = carried(kUnit), wrong = carried(kUnit / 2);
+  EXPECT_EQ(right.doubt, "");
+  SourceScene known = scene;
+  known.depth = depth_of_scene({test::TexturedPlane().seen_by(scene.views.cameras[0], 1).depth});
+  const auto by_truth = condition_on_sources(space, nullptr, known, conditioning_needs(known, 1, 2)).warped;
+  ASSERT_EQ(right.levels.size(), 2U);
+  EXPECT_LT((right.levels[1] - by_truth.levels[1]).abs().max().item<double>(), 1e-3);
+  EXPECT_GT((wrong.levels[1] - by_truth.levels[1]).abs().max().item<double>(), 0.1);
 }
 
 TEST(SourceConditioning, NothingIsCarriedForModelsThatTakeNothingOrBySingleSources) {
