@@ -11,9 +11,11 @@
 #include "infer/page/report_command.h"
 #include "models/bundle/random_bundle.h"
 #include "tests/infer/sample/sampling_fixture.h"
+#include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 
 #include <gmock/gmock.h>
@@ -144,6 +146,30 @@ TEST_F(Sampling, WithoutAScaleCamerasAndDepthAreOfOneUnit) {
   };
   EXPECT_NEAR(distance(written), distance(predicted), 1e-9);
   EXPECT_EQ(written.records[3].camera.intrinsics, predicted.records[3].camera.intrinsics);
+}
+
+// A single source of a scene in metres has the unit that is usual for the model, with its error.
+TEST_F(Sampling, ASingleSourceHasTheUsualUnit) {
+  auto asked = options("alone");
+  asked.model = (test::source_root() / "configs/tiny").string();
+  asked.size = "112x112";
+  asked.outputs = {"depth"};
+  asked.views.sources = {0};
+  const auto report = run(asked);
+  ASSERT_EQ(report.at("depth_scale_estimates").size(), 1U);
+  ASSERT_TRUE(report.contains("depth_scale"));
+  const auto& scale = report.at("depth_scale");
+  EXPECT_EQ(scale.at("estimator"), "usual_unit");
+  // As sure as the unit, or less where the views beside it change what the head sees of the source.
+  const double deviation = ModelBundle::open(asked.model).options().single_source_unit_deviation;
+  EXPECT_GE(std::log(scale.at("interval").at(1).get<double>() / scale.at("scale").get<double>()),
+            2 * deviation);
+  EXPECT_THAT(report.at("warnings").dump(), HasSubstr("in the unit that is usual for this model: "));
+  asked.scale_from = {"sparse_points"};
+  asked.overwrite = true;
+  const auto untold = run(asked);
+  EXPECT_FALSE(untold.contains("depth_scale"));
+  EXPECT_TRUE(untold.at("depth_scale_estimates").empty());
 }
 
 // Depth that was measured tells the scale when it is asked; a scene without has none to ask.
