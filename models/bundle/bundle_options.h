@@ -76,8 +76,8 @@ struct BundleOptions : OptionsGroup {
   GeneratorOptions& generator(const LevelGenerator& generator);
   // Whether the model has a geometry head and it can run: it takes all levels.
   bool has_geometry() const;
-  // The unit by which a single source's depth is carried (source_depth_of_head()), 0 for none: ours is in metres, so that
-  // of scenes in another unit nothing is known.
+  // The unit by which a single source's depth is carried (source_depth_of_head()), 0 for none: ours is in metres, so
+  // that of scenes in another unit nothing is known.
   double unit_of_single_source(const Views& views, bool metric) const;
   // Whether images come from an RGB decoder, and not from the other half of an autoencoder.
   bool has_rgb_decoder() const { return !backbone.architecture().decodes_images(); }

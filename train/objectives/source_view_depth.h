@@ -12,8 +12,8 @@ namespace gld {
 PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& head,
                                   const TrainingScene& scene, const SourcePhotographs& photographs);
 
-// The same as sampling takes it: mended by `refinement`, where that is not null, and of a single source by the head alone
-// in that unit (source_depth_of_head()). Not known where nothing tells its unit.
+// The same as sampling takes it: mended by `refinement`, where that is not null, and of a single source by the head
+// alone in that unit (source_depth_of_head()). Not known where nothing tells its unit.
 SourceDepth sampled_source_depth(const LatentSpace& space, const GeometryHead& head,
                                  const DepthRefinement* refinement, const TrainingScene& scene,
                                  const SourcePhotographs& photographs, double single_source_unit);
