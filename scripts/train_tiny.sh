@@ -161,8 +161,10 @@ if [ "$action" = keep ]; then
   fi
   if [ -f "$runs/stats/report.json" ]; then
     cp "$runs"/stats/model/statistics_level*.safetensors "$recipe/"
-    unit=$(sed -n 's/^ *"metres": \([0-9.]*\),$/\1/p' "$runs/stats/report.json")
-    if [ -n "$unit" ]; then sed -i "s/^single_source_unit: .*/single_source_unit: $unit/" "$recipe/model.yaml"; fi
+    for key in single_source_unit single_source_unit_deviation; do
+      line=$(grep "^$key: " "$runs/stats/model/model.yaml" || true)
+      if [ -n "$line" ]; then sed -i "s/^$key: .*/$line/" "$recipe/model.yaml"; fi
+    done
   fi
   if [ -f "$runs/stats/model/seen_scenes.json" ]; then cp "$runs/stats/model/seen_scenes.json" "$recipe/"; fi
   if has_checkpoint level; then

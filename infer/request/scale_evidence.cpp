@@ -34,7 +34,7 @@ ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::
     evidence.photographs = stacked(scene.source_images);
   }
   if (named("sparse_points")) evidence.points_in_world = scene.points_in_world;
-  if (scene.seen_depth && kinds == usual_scale_evidence()) {
+  if (scene.seen_depth && kinds.size() > 1) {
     evidence.source_depth = scene.seen_depth->views;
   } else if (named("source_depth")) {
     for (const DepthMap& map : scene.source_depths) {

@@ -14,8 +14,8 @@ namespace gld {
 // The kinds of evidence, as DepthScale::estimator and --scale-from name them.
 const std::vector<std::string>& scale_evidence_names();
 // What a scene has of those kinds, for the geometry of all of its views. source_depth takes scene.source_depths;
-// where nothing else than the usual kinds is asked for, what a model saw of a single photograph (scene.seen_depth)
-// stands in their place. With one photograph camera_poses tell nothing, and count only where they alone are asked
+// where more than one kind is asked for, what a model saw of a single photograph (scene.seen_depth) stands in their
+// place. With one photograph camera_poses tell nothing, and count only where they alone are asked
 // for.
 ScaleEvidence scale_evidence(const SamplingScene& scene, const std::vector<std::string>& kinds);
 // The same with what a run has found of the sources: what the photographs agree on, which says more than pictures laid

@@ -274,6 +274,16 @@ TEST(ScaleEvidence, OnePhotographsCamerasTellNothing) {
   EXPECT_TRUE(scale_evidence(scene, usual_scale_evidence()).camera_poses);
 }
 
+// By any choice of several kinds: the usual ones were others once, and stand in the settings of older runs.
+TEST(ScaleEvidence, WhatWasSeenOfOnePhotographIsEvidence) {
+  SamplingScene scene;
+  scene.source_images = {Image(kWidth, kHeight)};
+  scene.seen_depth = depth_of_scene({{kWidth, kHeight, std::vector<float>(kWidth * kHeight, 3.0F)}});
+  EXPECT_EQ(scale_evidence(scene, usual_scale_evidence()).source_depth.size(), 1U);
+  EXPECT_EQ(scale_evidence(scene, {"camera_poses", "photographs", "sparse_points"}).source_depth.size(), 1U);
+  EXPECT_TRUE(scale_evidence(scene, {"camera_poses"}).source_depth.empty());
+}
+
 TEST(ScaleEvidence, AGuessedUnitIsOneWhereItsErrorIsKnown) {
   SamplingScene scene;
   scene.source_images = {Image(kWidth, kHeight)};
