@@ -49,7 +49,8 @@ fuzz() {
   return "$status"
 }
 
-# One a core at a time.
+# One a core at a time; who ends this script ends them.
+trap 'kill $(jobs -p) 2>/dev/null || true' EXIT
 failed=0
 running=0
 for kind in "${kinds[@]}"; do

@@ -12,6 +12,10 @@ if [ ${#rest[@]} -ne 0 ]; then
   echo "package: expected nothing or --libtorch DIR, found '${rest[*]}'." >&2
   exit 2
 fi
+if [ -n "$quick" ]; then
+  echo "package: expected a build for use, found --quick, which optimises nothing; leave it out." >&2
+  exit 2
+fi
 scripts/setup.sh --packaging
 cmake --preset release -B "$build_folder" "${configuration[@]}" >/dev/null
 cmake --build "$build_folder" --target gld
