@@ -200,7 +200,8 @@ void SamplingOutputs::place(const PipelineResult& result) {
   if (placement_.scale && placement_.scale->estimator == kUsualUnitEvidence) {
     warnings_.push_back(fmt::format(
         "Depth, cloud and what is carried of the photograph are in the unit that is usual for this model: "
-        "{:.0f} % more or less would not surprise.",
+        "{:.0f} % less or {:.0f} % more would not surprise.",
+        100 * (1 - placement_.scale->low / placement_.scale->scale),
         100 * (placement_.scale->high / placement_.scale->scale - 1)));
   }
   if (depth_has_scene_unit_) return;

@@ -175,6 +175,10 @@ void BundleOptions::check() const {
   check_level_set(set);
   const std::string patches = "the backbone's patch size";
   check_geometry_head(geometry_head, backbone);
+  if (single_source_unit_deviation > 0 && single_source_unit == 0) {
+    fail({"single_source_unit_deviation", "0 without single_source_unit, whose error it is",
+          fmt::format("{:g}", single_source_unit_deviation), "give both, as gld stats does"});
+  }
   if (has_rgb_decoder()) {
     const auto decoded = static_cast<int64_t>(set.decoded_levels().size());
     require_equal("rgb_decoder.in_channels", rgb_decoder.in_channels, decoded * channels,

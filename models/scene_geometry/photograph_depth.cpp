@@ -57,7 +57,7 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
   // The prior's unit is free: photographs that agree nowhere leave it open.
   const bool open_unit = head != nullptr && (!result.stereo.prior || result.stereo.prior->pixels == 0);
   if (open_unit) {
-    depth = source_depth_of_head(views, source_images, *head);
+    depth = source_depth_of_head(views, source_images, *head, /*single_source_unit=*/0);
     result.head = depth.views;
     return result;
   }

@@ -36,7 +36,7 @@ std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t v
 // of what is usual where a model was trained (BundleOptions::unit_of_single_source): of 60 drawn rooms that it is not
 // of, the nearest photograph as it is has 15.8 dB, carried so and filled 20.0, in the true unit 21.1.
 SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
-                                 const GeometryOutput& source_geometry, double single_source_unit = 0);
+                                 const GeometryOutput& source_geometry, double single_source_unit);
 
 // source_images as above. Nothing is carried where the depth is not known.
 SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images, const SourceDepth& depth,

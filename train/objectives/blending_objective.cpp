@@ -79,8 +79,9 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
   if (origin == DepthOf::kTruth) {
     depth = true_depth_of(scene);
   } else {
+    // Its training has two sources or more (train/stages/feature_stages.cpp).
     depth = sampled_source_depth(space_, *depth_models_.head, depth_models_.refinement.get(), scene,
-                                 photographs, model_.unit_of_single_source(scene.views, scene.metric));
+                                 photographs, /*single_source_unit=*/0);
   }
   if (!depth.known()) return {};
   const CarriableSources sources(photographs, depth);

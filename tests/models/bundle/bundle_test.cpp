@@ -252,5 +252,27 @@ TEST_F(Bundles, InspectionOfAFile) {
   EXPECT_EQ(stats["format"], "PyTorch zip");
 }
 
+// Ours is in metres, and a guess: other scenes have none, and what two sources tell is better.
+TEST(BundleOptions, TheUnitOfASingleSourceIsThatOfScenesInMetres) {
+  BundleOptions options;
+  options.single_source_unit = 3;
+  Views views;
+  views.cameras.resize(3);
+  views.num_sources = 1;
+  EXPECT_EQ(options.unit_of_single_source(views, /*metric=*/true), 3);
+  EXPECT_EQ(options.unit_of_single_source(views, /*metric=*/false), 0);
+  views.num_sources = 2;
+  EXPECT_EQ(options.unit_of_single_source(views, /*metric=*/true), 0);
+  views.num_sources = 1;
+  options.geometry_head = GeometryHeadOptions::none();
+  EXPECT_EQ(options.unit_of_single_source(views, /*metric=*/true), 0);
+  options = BundleOptions();
+  options.single_source_unit_deviation = 0.2;
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "single_source_unit_deviation: expected 0 without single_source_unit, whose error it is, found 0.2; give "
+      "both, as gld stats does.");
+}
+
 }  // namespace
 }  // namespace gld

@@ -90,7 +90,7 @@ TEST(SourceConditioning, GivenDepthIsUsedInThePlaceOfTheHeads) {
   EXPECT_EQ(by_head.warped.levels[1].sizes(), (std::vector<int64_t>{1, 30, 96}));
   EXPECT_EQ(by_head.warped.agreement.sizes(), (std::vector<int64_t>{1, 2, 70, 84}));
 
-  scene.depth = source_depth_of_head(scene.views, scene.images, source_geometry(head, by_head));
+  scene.depth = source_depth_of_head(scene.views, scene.images, source_geometry(head, by_head), 0);
   EXPECT_EQ(scene.depth->from, "geometry head");
   const auto given_needs = conditioning_needs(scene, 1, 2);
   EXPECT_FALSE(given_needs.head_depth);
@@ -129,7 +129,7 @@ TEST(SourceConditioning, ASingleSourceIsCarriedInTheUnitThatIsGuessed) {
   EXPECT_GT((wrong.levels[1] - by_truth.levels[1]).abs().max().item<double>(), 0.1);
 }
 
-TEST(SourceConditioning, NothingIsCarriedForModelsThatTakeNothingOrBySingleSources) {
+TEST(SourceConditioning, NothingIsCarriedForModelsThatTakeNothingOrBySingleSourcesOfUnknownUnit) {
   const torch::NoGradGuard no_grad;
   const LatentSpace space = small_space();
   SourceScene scene = plane_scene();

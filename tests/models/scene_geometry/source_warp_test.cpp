@@ -60,8 +60,8 @@ std::vector<Camera> four_cameras() {
 }
 
 SourceDepth depth_of(const PlaneScene& scene) {
-  return source_depth_of_head(scene.views, scene.images.narrow(0, 0, scene.views.num_sources),
-                              scene.geometry);
+  return source_depth_of_head(scene.views, scene.images.narrow(0, 0, scene.views.num_sources), scene.geometry,
+                              /*single_source_unit=*/0);
 }
 
 TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
