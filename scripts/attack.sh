@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Attacks the program for some time and writes down what was done, a line a round:
-#   scripts/attack.sh MINUTES [RECORD]    RECORD: docs/measured/attack/rounds.csv by default
+#   scripts/attack.sh MINUTES [all|command_lines|files [RECORD]]    RECORD: docs/measured/attack/rounds.csv by default
 # In turn 400 command lines drawn from the registry of commands and options (random_command_lines_test), 5 rounds, and mutated
 # files through every reader under AddressSanitizer and UBSan (scripts/fuzz.sh), 20 s a reader. Every round has a seed of its
 # own, the next after those of the record, so that another night goes on where this one ended. A finding ends nothing: it is
@@ -12,7 +12,13 @@ if ! [[ ${1:-} =~ ^[0-9]+$ ]]; then
   exit 2
 fi
 until=$((SECONDS + 60 * $1))
-record=${2:-docs/measured/attack/rounds.csv}
+attacks=${2:-all}
+case $attacks in all | command_lines | files) ;; *)
+  echo "attack: expected all, command_lines or files, found '$attacks'." >&2
+  exit 2
+  ;;
+esac
+record=${3:-docs/measured/attack/rounds.csv}
 said=runs/attack
 program=build/release/tests/cli_random_torch_tests
 [ -x "$program" ] || scripts/build.sh cli_random_torch_tests
@@ -56,9 +62,9 @@ files() {
 
 while [ $SECONDS -lt $until ]; do
   for round in 1 2 3 4 5; do
-    [ $SECONDS -ge $until ] || command_lines
+    [ $SECONDS -ge $until ] || [ "$attacks" = files ] || command_lines
   done
-  [ $SECONDS -ge $until ] || files
+  [ $SECONDS -ge $until ] || [ "$attacks" = command_lines ] || files
 done
 awk -F, 'NR > 1 { if ($1 == "command_lines") lines += $3; else files += $3; found += $5 }
   END { printf "attack: in the record %d command lines and %d mutated files, %d findings\n", lines, files, found }' "$record"

@@ -1,5 +1,5 @@
-// Whatever is asked for, valid or not: the program ends with 0, 1 or 2 (130 where it was stopped), says at most one
-// error, in one sentence of the agreed form, and changes nothing but the folder of --out.
+// Whatever is asked for, valid or not, stopped or killed at any moment: the program ends with 0, 1 or 2 (130 where it was
+// stopped), says at most one error, in one sentence of the agreed form, and changes nothing but the folder of --out.
 //
 // Each case is drawn from the registry of commands and options, and runs as a process of its own on a small scene with
 // the small model. The default run is for CI; any number by hand, each repeat with the next seed:
@@ -162,10 +162,13 @@ class Draw {
     return words;
   }
 
-  // So long a case may go on, then it is asked to stop, at any moment: some soon, which costs little, some when small
-  // commands have ended by themselves.
+  // What ends a case that goes on for too long: most are killed, as where memory runs out, which costs no time; the
+  // others are asked to stop, and must.
+  int ending() { return chance(0.125) ? SIGINT : SIGKILL; }
+
+  // So long a case may go on: some end soon, at any moment, some when small commands have ended by themselves.
   std::chrono::milliseconds patience() {
-    return std::chrono::milliseconds(chance(0.25) ? 400 : 10 + below(190));
+    return std::chrono::milliseconds(chance(0.15) ? 400 : 10 + below(190));
   }
 
  private:
@@ -237,7 +240,7 @@ class Draw {
 
 struct Ended {
   int status = 0;  // -signal where one ended it
-  bool stopped = false;
+  int asked = 0;   // the signal that was sent after the patience, 0 for none
   int64_t peak_bytes = 0;
   std::string said;
 };
@@ -249,7 +252,7 @@ double processor_seconds(pid_t process) {
   return static_cast<double>(time.tv_sec) + 1e-9 * static_cast<double>(time.tv_nsec);
 }
 
-Ended run(const Words& words, std::chrono::milliseconds patience, const Sandbox& sandbox) {
+Ended run(const Words& words, std::chrono::milliseconds patience, int ending, const Sandbox& sandbox) {
   const pid_t child = ::fork();
   if (child == 0) {
     const int said = ::open(sandbox.said().c_str(), O_CREAT | O_TRUNC | O_WRONLY, 0600);
@@ -270,12 +273,12 @@ Ended run(const Words& words, std::chrono::milliseconds patience, const Sandbox&
   double used_before = 0;
   while (::wait4(child, &status, WNOHANG, &usage) == 0) {
     const auto now = Clock::now() - begun;
-    if (!ended.stopped && now > patience) {
-      ended.stopped = true;
+    if (ended.asked == 0 && now > patience) {
+      ended.asked = ending;
       used_before = processor_seconds(child);
-      ::kill(child, SIGINT);
+      ::kill(child, ending);
     }
-    if (ended.stopped &&
+    if (ended.asked == SIGINT &&
         (processor_seconds(child) - used_before > kStoppingSeconds || now > patience + kStopping)) {
       ::kill(child, SIGKILL);
     }
@@ -291,8 +294,9 @@ Ended run(const Words& words, std::chrono::milliseconds patience, const Sandbox&
 std::string problem_of(const Ended& ended) {
   const bool usual = ended.status >= 0 && ended.status <= 2;
   // Before the handler is there, a stop ends the process by the signal.
-  const bool stopped = ended.stopped && (ended.status == 130 || ended.status == -SIGINT);
-  if (!usual && !stopped) return "status " + std::to_string(ended.status);
+  const bool stopped = ended.asked == SIGINT && (ended.status == 130 || ended.status == -SIGINT);
+  const bool killed = ended.asked == SIGKILL && ended.status == -SIGKILL;
+  if (!usual && !stopped && !killed) return "status " + std::to_string(ended.status);
   if (ended.peak_bytes > kMostBytes) return std::to_string(ended.peak_bytes) + " bytes";
   std::vector<std::string> errors;
   size_t begin = 0;
@@ -329,7 +333,8 @@ TEST(RandomCommandLines, EndInOneSentence) {
   for (uint64_t number = 0; number < kCases; ++number) {
     Draw draw(1'000'000 * seed + number, sandbox, commands);
     const Words words = draw.words();
-    const Ended ended = run(words, draw.patience(), sandbox);
+    const auto patience = draw.patience();
+    const Ended ended = run(words, patience, draw.ending(), sandbox);
     ++by_status[ended.status];
     EXPECT_EQ(problem_of(ended), "") << "seed " << seed << ", case " << number << ": gld" << shown(words)
                                      << "\n"
@@ -339,7 +344,7 @@ TEST(RandomCommandLines, EndInOneSentence) {
       std::filesystem::remove_all(sandbox.out());  // the others find what the one before left
   }
   // Cases that are all refused would show nothing of what runs.
-  EXPECT_GT(by_status[0] + by_status[130] + by_status[-SIGINT], kCases / 10);
+  EXPECT_GT(by_status[0] + by_status[130] + by_status[-SIGINT] + by_status[-SIGKILL], kCases / 10);
   EXPECT_GT(by_status[2], kCases / 10);
 }
 
