@@ -4,6 +4,8 @@
 #include "gld/base/sha256.h"
 #include "models/bundle/bundle.h"
 
+#include <algorithm>
+#include <string>
 #include <system_error>
 
 namespace gld {
@@ -18,14 +20,39 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
   if (error) copy_file_atomically(from, to);
 }
 
+std::string hash_of(const ModelBundle& bundle, const BundlePart& part) {
+  return bundle.has(part) ? sha256_of_file(bundle.file(part)) : "";
+}
+
+// The options with the unit that was measured with the statistics which are taken from `others`.
+BundleOptions with_measured_unit(BundleOptions options, const ModelBundle& first,
+                                 const std::vector<fs::path>& others) {
+  const BundleOptions& given = first.options();
+  const bool asks_for_another = options.single_source_unit != given.single_source_unit ||
+                                options.single_source_unit_deviation != given.single_source_unit_deviation;
+  if (asks_for_another) return options;
+  const auto parts = bundle_parts(options);
+  for (const fs::path& folder : others) {
+    const auto other = ModelBundle::open(folder);
+    const bool measured = std::any_of(parts.begin(), parts.end(), [&](const BundlePart& part) {
+      return part.kind == BundlePart::Kind::kStatistics && other.has(part) &&
+             hash_of(other, part) != hash_of(first, part);
+    });
+    if (!measured) continue;
+    options.single_source_unit = other.options().single_source_unit;
+    options.single_source_unit_deviation = other.options().single_source_unit_deviation;
+  }
+  return options;
+}
+
 }  // namespace
 
 void assemble_bundle(const BundleOptions& options, const fs::path& from, const std::vector<fs::path>& others,
                      const fs::path& to) {
   AtomicFolder folder(to);
-  save_bundle_options(folder.temporary(), options);
-  const auto assembled = ModelBundle::open(folder.temporary());
   const auto first = ModelBundle::open(from);
+  save_bundle_options(folder.temporary(), with_measured_unit(options, first, others));
+  const auto assembled = ModelBundle::open(folder.temporary());
   for (const BundlePart& part : bundle_parts(options)) {
     // Named as in every bundle, whatever else these consist of.
     const fs::path name = assembled.file(part).filename();

@@ -115,10 +115,8 @@ std::vector<StereoPicture> pictures_of(const std::vector<PicturedView>& views, i
 bool hardly_any_confident(const std::vector<StereoDepth>& views) {
   size_t confident = 0, of = 0;
   for (const StereoDepth& view : views) {
-    const auto& values = view.confidence.values;
-    confident += static_cast<size_t>(
-        std::count_if(values.begin(), values.end(), [](float value) { return value >= kConfidentStereo; }));
-    of += values.size();
+    confident += view.confident_pixels();
+    of += view.confidence.values.size();
   }
   return hardly_any(confident, of);
 }
@@ -166,11 +164,14 @@ void StereoOptions::check() const {
   }
 }
 
+size_t StereoDepth::confident_pixels() const {
+  return static_cast<size_t>(std::count_if(confidence.values.begin(), confidence.values.end(),
+                                           [](float value) { return value >= kConfidentStereo; }));
+}
+
 double StereoDepth::confident_share() const {
   if (confidence.values.empty()) return 0;
-  const auto count = std::count_if(confidence.values.begin(), confidence.values.end(),
-                                   [](float value) { return value >= kConfidentStereo; });
-  return static_cast<double>(count) / static_cast<double>(confidence.values.size());
+  return static_cast<double>(confident_pixels()) / static_cast<double>(confidence.values.size());
 }
 
 StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vector<Eigen::Vector3d>& points,

@@ -50,6 +50,7 @@ struct StereoDepth {
   std::vector<size_t>
       compared;  // the other views that it was compared with; none where no view stands elsewhere
 
+  size_t confident_pixels() const;
   double confident_share() const;  // of the pixels
 };
 

@@ -2,6 +2,7 @@
 
 #include "gld/cameras/relative_cameras.h"
 #include "infer/pipeline/geometry_of_pictures.h"
+#include "infer/pipeline/used_source_depth.h"
 #include "infer/request/scene_request.h"
 #include "models/scene_geometry/photograph_depth.h"
 #include "models/scene_geometry/source_warp.h"
@@ -48,17 +49,10 @@ CarriedPictures carried_pictures(const EvaluationModels& models, const SamplingS
     return {{}, {}, kNoCameraHead, kNoCameraHead, {}};
   }
   const bool asks_head = use.depth != SourceDepthOrigin::kStereo;
-  SourceDepth depth;
-  const double unit = models.bundle.unit_of_single_source(scene.views, scene.metric);
-  const bool head_alone = !use.matches() || (unit > 0 && asks_head && head);
-  if (head_alone) {
-    depth = source_depth_of_head(scene.views, pictures, *head, unit);
-  } else {
-    PhotographDepth found = photograph_depth(scene.views, pictures, photographs,
-                                             asks_head && head ? &*head : nullptr, use.stereo);
-    if (use.refines()) refine(*models.models.depth_refinement(), photographs, found);
-    depth = std::move(found.depth);
-  }
+  const SourceDepth depth = used_source_depth(models.models, use, scene.views, pictures, photographs,
+                                              asks_head && head ? &*head : nullptr,
+                                              models.bundle.unit_of_single_source(scene.views, scene.metric))
+                                .depth;
   const SourceWarp warp = warp_sources(scene.views, pictures, depth, 1);
   const NearestSourceDepth nearest = nearest_source_depth(scene.views, depth);
   CarriedPictures carried{warp.completed, nearest.depth, warp.doubt, nearest.doubt, {}};

@@ -8,6 +8,7 @@
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/level_decoding.h"
 #include "infer/pipeline/pipeline_state.h"
+#include "infer/pipeline/used_source_depth.h"
 #include "models/conditioning/decoder_inputs.h"
 #include "models/conditioning/source_conditioning.h"
 #include "models/latent_spaces/latent_space.h"
@@ -58,38 +59,23 @@ std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const 
   return source_geometry(*models.geometry_head(), state.sources);
 }
 
-// The depth of the source views is what the head alone says of them.
-void take_head_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
-                     PipelineResult& result) {
-  state.depth = source_depth_of_head(request.views, request.source_images,
-                                     head_geometry(models, state).value(), request.single_source_unit);
-  result.head_depth = state.depth->views;
-  if (request.views.num_sources == 1) result.head_depth_log_deviation = request.single_source_unit_deviation;
-}
-
 void run_source_depth(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                       PipelineResult& result) {
   if (state.depth) return;
-  // Nothing of one photograph can be matched.
-  if (!request.photographs.matches() || request.views.num_sources == 1) {
-    take_head_depth(models, request, state, result);
-    return;
-  }
   const auto head = head_geometry(models, state);
   PhotographDepth found =
-      photograph_depth(request.views, request.source_images, photographs_of(request, state),
-                       head ? &*head : nullptr, request.photographs.stereo);
-  if (request.photographs.refines())
-    refine(*models.depth_refinement(), photographs_of(request, state), found);
+      used_source_depth(models, request.photographs, request.views, request.source_images,
+                        photographs_of(request, state), head ? &*head : nullptr, request.single_source_unit);
   state.depth = std::move(found.depth);
   result.stereo = std::move(found.stereo);
   result.head_depth = std::move(found.head);
+  if (request.views.num_sources == 1) result.head_depth_log_deviation = request.single_source_unit_deviation;
 }
 
 void run_source_warp(const PipelineModels& models, const PipelineRequest& request, PipelineState& state,
                      PipelineResult& result) {
   if (!needs_source_depth(models.levels, request.stage_request())) return;  // the plan says why
-  if (!state.depth) take_head_depth(models, request, state, result);
+  if (!state.depth) run_source_depth(models, request, state, result);       // without a stage of its own
   const SourceScene scene{request.views, request.source_images.to(request.device), state.depth};
   const LatentSpace space(models.backbone(), models.levels.boundary);
   state.sources.warped =

@@ -1,5 +1,7 @@
 #include "infer/pipeline/sampling_stages.h"
 
+#include "models/scene_geometry/source_warp.h"
+
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -162,14 +164,13 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
                        ? stage(StageKind::kRgbDecoding, views_text(request.image_views))
                        : left_out(StageKind::kRgbDecoding, "no images were asked for"));
   if (request.photographs.composes() && request.image_views != DecodedViews::kNone) {
-    stages.push_back(
-        needs_source_depth(levels, request)
-            ? stage(StageKind::kComposition,
-                    request.photographs.blends()
-                        ? "what photographs show of the target views is kept, blended by "
-                          "the model"
-                        : "what photographs show of the target views is kept")
-            : left_out(StageKind::kComposition, "the depth of a single source view has no scale"));
+    stages.push_back(needs_source_depth(levels, request)
+                         ? stage(StageKind::kComposition,
+                                 request.photographs.blends()
+                                     ? "what photographs show of the target views is kept, blended by "
+                                       "the model"
+                                     : "what photographs show of the target views is kept")
+                         : left_out(StageKind::kComposition, kNoScaleOfOneSource));
   }
   stages.push_back(request.geometry_views != DecodedViews::kNone
                        ? stage(StageKind::kGeometry, request.geometry_views == DecodedViews::kAll

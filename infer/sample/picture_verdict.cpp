@@ -77,10 +77,15 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
                          measured, kept);
   }
   if (evidence.keeps_photographs) {
+    std::string sure;
+    if (const double deviation = evidence.unit_log_deviation; deviation > 0) {
+      sure = fmt::format(" ({:.0f} % nearer or {:.0f} % farther would not surprise)",
+                         100 * (1 - std::exp(-2 * deviation)), 100 * (std::exp(2 * deviation) - 1));
+    }
     return fmt::format(
-        "One photograph does not tell how far away things are, the model guesses it; {:.0f} % of the target "
+        "One photograph does not tell how far away things are, the model guesses it{}; {:.0f} % of the target "
         "views come from that photograph: expect bends and inventions; take a second one, a step to the side",
-        100 * evidence.kept);
+        sure, 100 * evidence.kept);
   }
   return "One photograph does not tell how far away things are: expect inventions; take a second one, a step to the side";
 }

@@ -24,6 +24,9 @@ struct PictureEvidence {
   int64_t sources = 1;
   std::vector<LeftOutPhotograph> left_out;  // empty with one source
   bool keeps_photographs = false;           // what they show of target views is kept in the pictures
+  // Where one photograph is carried in the unit that is usual for the model: how sure that is, the deviation of its
+  // logarithm; 0 where nobody knows.
+  double unit_log_deviation = 0;
   double kept = 0;  // of the target views' pixels, the share that comes from photographs
   std::vector<ExpectedView>
       views;  // the target views, where photographs are kept, as expected_variance() says

@@ -35,6 +35,7 @@ PictureEvidence sampling_evidence(const PreparedSampling& prepared, const Pipeli
   }
   if (result.stereo) evidence.prior = result.stereo->prior;
   evidence.divergences = result.divergences;
+  evidence.unit_log_deviation = result.head_depth_log_deviation;
   const auto seen = read_seen_scenes(prepared.bundle);
   if (!seen) return evidence;
   evidence.drawn_rooms_only = seen->drawn;

@@ -20,6 +20,43 @@ ConfidenceMap confirmation(const StereoDepth& matched, const PlanarDepth& depth)
   return matched.confidence.values.size() == depth.values.size() ? matched.confidence : ConfidenceMap();
 }
 
+PhotographDepth depth_of_head(const Views& views, const torch::Tensor& source_images,
+                              const GeometryOutput* head, double single_source_unit) {
+  PhotographDepth result;
+  result.depth = head != nullptr ? source_depth_of_head(views, source_images, *head, single_source_unit)
+                                 : source_depth_of_head(views, source_images, {}, /*single_source_unit=*/0);
+  result.head = result.depth.views;
+  return result;
+}
+
+// Of two photographs or more.
+PhotographDepth matched_depth(const Views& views, const torch::Tensor& source_images,
+                              const SourcePhotographs& photographs, const GeometryOutput* head,
+                              const StereoOptions& options) {
+  std::vector<PicturedView> matched = photographs.views;
+  if (head != nullptr) {
+    for (size_t i = 0; i < matched.size(); ++i) {
+      const auto map = head->depth[static_cast<int64_t>(i)];
+      matched[i].depth = {map.size(1), map.size(0), numbers_of(map)};
+    }
+  }
+  KernelSettings settings;
+  settings.threads = static_cast<int>(thread_count());
+  StereoScene stereo = stereo_depth(matched, photographs.points_in_world, options, settings);
+  PhotographDepth result;
+  // The prior's unit is free: photographs that agree nowhere leave it open.
+  const bool open_unit = head != nullptr && (!stereo.prior || stereo.prior->pixels == 0);
+  if (open_unit) {
+    result = depth_of_head(views, source_images, head, /*single_source_unit=*/0);
+  } else {
+    result.depth = matched_source_depth(stereo);
+    result.depth.from = head != nullptr ? "photographs and geometry head" : "photographs";
+    if (head != nullptr) result.head = depth_in_unit(*head, views.num_sources, stereo.prior->scale);
+  }
+  result.stereo = std::move(stereo);
+  return result;
+}
+
 }  // namespace
 
 SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor& source_images) {
@@ -37,39 +74,17 @@ SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor&
 
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
-                                 const StereoOptions& options) {
-  PhotographDepth result;
-  SourceDepth& depth = result.depth;
-  if (views.num_sources < 2) {
-    depth.doubt = "the depth of a single source view has no scale";
-    return result;
-  }
-  std::vector<PicturedView> matched = photographs.views;
-  if (head != nullptr) {
-    for (size_t i = 0; i < matched.size(); ++i) {
-      const auto map = head->depth[static_cast<int64_t>(i)];
-      matched[i].depth = {map.size(1), map.size(0), numbers_of(map)};
-    }
-  }
-  KernelSettings settings;
-  settings.threads = static_cast<int>(thread_count());
-  result.stereo = stereo_depth(matched, photographs.points_in_world, options, settings);
-  // The prior's unit is free: photographs that agree nowhere leave it open.
-  const bool open_unit = head != nullptr && (!result.stereo.prior || result.stereo.prior->pixels == 0);
-  if (open_unit) {
-    depth = source_depth_of_head(views, source_images, *head, /*single_source_unit=*/0);
-    result.head = depth.views;
-    return result;
-  }
-  depth = matched_source_depth(result.stereo);
-  depth.from = head != nullptr ? "photographs and geometry head" : "photographs";
-  if (head != nullptr) result.head = depth_in_unit(*head, views.num_sources, result.stereo.prior->scale);
-  return result;
+                                 const PhotographDepthOptions& options) {
+  if (!options.stereo || views.num_sources == 1)
+    return depth_of_head(views, source_images, head, options.single_source_unit);
+  PhotographDepth found = matched_depth(views, source_images, photographs, head, *options.stereo);
+  if (options.refinement != nullptr) refine(*options.refinement, photographs, found);
+  return found;
 }
 
 std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
                                     int64_t side) {
-  if (!found.depth.known() || found.head.empty()) return std::nullopt;
+  if (!found.depth.known() || found.head.empty() || found.stereo.views.empty()) return std::nullopt;
   ToldDepth told;
   told.head = found.head;
   told.belief = belief_in_prior(found.stereo.prior);

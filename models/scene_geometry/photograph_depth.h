@@ -32,19 +32,28 @@ struct PhotographDepth {
   std::vector<PlanarDepth> head;  // the geometry head's alone, in the unit of the cameras; none without it
 };
 
-// Depth of the source views that their photographs agree on. head: what a geometry head says of the source views alone,
-// depth and rays in its own unit, as the prior of the match; null for none. Where hardly any pixel tells the unit, the
-// head's depth counts as source_depth_of_head() brings it to the cameras' unit, or nothing is known.
+// How the depth of source views is found.
+struct PhotographDepthOptions {
+  std::optional<StereoOptions> stereo = StereoOptions();  // how photographs are matched; none: they are not
+  const DepthRefinement* refinement = nullptr;            // mends what was matched; null for none
+  double single_source_unit = 0;                          // as source_depth_of_head() takes it
+};
+
+// The depth of the source views that sampling, training and evaluation carry them by: what their photographs agree on.
+// head: what a geometry head says of the source views alone, depth and rays in its own unit, as the prior of the match;
+// null for none. Nothing of one photograph can be matched: there, where photographs are not to be matched, and where
+// hardly any pixel tells the unit, the head's depth counts as source_depth_of_head() brings it to the cameras' unit, or
+// nothing is known.
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
-                                 const StereoOptions& options);
+                                 const PhotographDepthOptions& options);
 
 // What a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is not
-// known or no head was asked.
+// known, no head was asked or nothing was matched.
 std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
                                     int64_t side);
 
-// Has the network mend found.depth.
+// Has the network mend found.depth, where told_depth() has something to show it.
 void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found);
 
 // The depth of views in the unit of their cameras: what photographs agree on, as far as they show a view, and what a

@@ -80,8 +80,6 @@ torch::Tensor agreement_of(const CarriedPicture& carried, const torch::Tensor& m
   return seen * torch::exp(-(colours_of(carried) - mean).abs().mean(0) / kFarOff);
 }
 
-constexpr const char* kOneSource = "the depth of a single source view has no scale";
-
 std::vector<Camera> source_cameras(const Views& views) {
   return {views.cameras.begin(), views.cameras.begin() + static_cast<std::ptrdiff_t>(views.num_sources)};
 }
@@ -151,7 +149,7 @@ SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source
     if (single_source_unit > 0) {
       depth.views = depth_in_unit(source_geometry, 1, single_source_unit);
     } else {
-      depth.doubt = kOneSource;
+      depth.doubt = kNoScaleOfOneSource;
     }
     return depth;
   }

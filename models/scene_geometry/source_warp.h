@@ -25,6 +25,9 @@ struct SourceWarp {
   std::string doubt;  // why nothing was carried; empty where something was
 };
 
+// Why nothing is known of a single source view's depth where nobody guesses its unit.
+inline constexpr const char* kNoScaleOfOneSource = "the depth of a single source view has no scale";
+
 // A geometry head's depth, one map a view, times the length of its unit in that of the cameras.
 std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t views, double unit);
 

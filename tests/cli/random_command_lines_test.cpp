@@ -1,5 +1,6 @@
-// Whatever is asked for, valid or not, stopped or killed at any moment: the program ends with 0, 1 or 2 (130 where it was
-// stopped), says at most one error, in one sentence of the agreed form, and changes nothing but the folder of --out.
+// Whatever is asked for, valid or not, stopped or killed at any moment: the program ends with 0, 1 or 2 (130 where it
+// was stopped), says at most one error, in one sentence of the agreed form, and changes nothing but the folder of
+// --out.
 //
 // Each case is drawn from the registry of commands and options, and runs as a process of its own on a small scene with
 // the small model. The default run is for CI; any number by hand, each repeat with the next seed:

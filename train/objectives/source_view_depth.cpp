@@ -1,9 +1,8 @@
 #include "train/objectives/source_view_depth.h"
 
 #include "models/conditioning/source_conditioning.h"
-#include "models/scene_geometry/source_warp.h"
 
-#include <utility>
+#include <optional>
 
 #include <torch/autograd.h>
 
@@ -29,22 +28,20 @@ PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& 
   const torch::NoGradGuard no_grad;
   const auto pictures = source_pictures(scene);
   const GeometryOutput said = said_of_sources(space, head, pictures);
-  return photograph_depth(scene.views, pictures, photographs, &said, StereoOptions());
+  return photograph_depth(scene.views, pictures, photographs, &said, PhotographDepthOptions());
 }
 
 SourceDepth sampled_source_depth(const LatentSpace& space, const GeometryHead& head,
                                  const DepthRefinement* refinement, const TrainingScene& scene,
                                  const SourcePhotographs& photographs, double single_source_unit) {
-  if (scene.views.num_sources == 1) {
-    const torch::NoGradGuard no_grad;
-    const auto pictures = source_pictures(scene);
-    const GeometryOutput said =
-        single_source_unit > 0 ? said_of_sources(space, head, pictures) : GeometryOutput();
-    return source_depth_of_head(scene.views, pictures, said, single_source_unit);
-  }
-  PhotographDepth found = source_view_depth(space, head, scene, photographs);
-  if (refinement != nullptr) refine(*refinement, photographs, found);
-  return std::move(found.depth);
+  const torch::NoGradGuard no_grad;
+  const auto pictures = source_pictures(scene);
+  PhotographDepthOptions options;
+  options.refinement = refinement;
+  options.single_source_unit = single_source_unit;
+  std::optional<GeometryOutput> said;
+  if (scene.views.num_sources > 1 || single_source_unit > 0) said = said_of_sources(space, head, pictures);
+  return photograph_depth(scene.views, pictures, photographs, said ? &*said : nullptr, options).depth;
 }
 
 }  // namespace gld

@@ -63,6 +63,10 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
       verdict_of(one).sentence,
       "One photograph does not tell how far away things are, the model guesses it; 44 % of the target views come from "
       "that photograph: expect bends and inventions; take a second one, a step to the side.");
+  one.unit_log_deviation = 0.1595;
+  EXPECT_THAT(
+      verdict_of(one).sentence,
+      HasSubstr("the model guesses it (27 % nearer or 38 % farther would not surprise); 44 % of the target"));
   PictureEvidence generated = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
   generated.keeps_photographs = false;
   EXPECT_THAT(verdict_of(generated).sentence, Not(HasSubstr("These pictures are as good")));

@@ -165,8 +165,12 @@ TEST_F(Sampling, ASingleSourceHasTheUsualUnit) {
   EXPECT_GE(std::log(scale.at("interval").at(1).get<double>() / scale.at("scale").get<double>()),
             2 * deviation);
   EXPECT_THAT(report.at("warnings").dump(), HasSubstr("in the unit that is usual for this model: "));
-  asked.scale_from = {"sparse_points"};
   asked.overwrite = true;
+  asked.outputs = {"image"};
+  EXPECT_THAT(run(asked).at("verdict").at("sentence").get<std::string>(),
+              HasSubstr("the model guesses it (27 % nearer or 38 % farther would not surprise)"));
+  asked.outputs = {"depth"};
+  asked.scale_from = {"sparse_points"};
   const auto untold = run(asked);
   EXPECT_FALSE(untold.contains("depth_scale"));
   EXPECT_TRUE(untold.at("depth_scale_estimates").empty());

@@ -33,8 +33,8 @@ struct PhotographedPlane {
     images = torch::stack(pictures);
     head.depth = torch::stack(depths);
   }
-  PhotographDepth found() const {
-    return photograph_depth(views, images, photographs_of_images(views, images), &head, StereoOptions());
+  PhotographDepth found(const PhotographDepthOptions& options = {}) const {
+    return photograph_depth(views, images, photographs_of_images(views, images), &head, options);
   }
 };
 
@@ -63,8 +63,10 @@ TEST(PhotographDepth, WhatPhotographsDoNotConfirmIsMended) {
   const PhotographedPlane plane;
   const PhotographDepth found = plane.found();
   ASSERT_TRUE(found.depth.known()) << found.depth.doubt;
-  PhotographDepth mended = found;
-  refine(*deepening_network(), photographs_of_images(plane.views, plane.images), mended);
+  const auto network = deepening_network();
+  PhotographDepthOptions options;
+  options.refinement = network.get();
+  const PhotographDepth mended = plane.found(options);
   EXPECT_EQ(mended.depth.from, "photographs and geometry head, mended by a network");
   double confirmed = 0, open = 0;
   for (size_t view = 0; view < 2; ++view) {
@@ -80,14 +82,26 @@ TEST(PhotographDepth, WhatPhotographsDoNotConfirmIsMended) {
   EXPECT_GT(open, 100);
 }
 
-TEST(PhotographDepth, ADepthThatNobodyKnowsIsNotMended) {
+// Nothing of it is matched, and what the network mends is a match.
+TEST(PhotographDepth, OfOnePhotographTheHeadsDepthStaysAsItIs) {
   PhotographedPlane plane;
   plane.views.num_sources = 1;
-  PhotographDepth found = plane.found();
-  EXPECT_FALSE(found.depth.known());
-  refine(*deepening_network(), photographs_of_images(plane.views, plane.images), found);
-  EXPECT_FALSE(found.depth.known());
-  EXPECT_FALSE(told_depth(photographs_of_images(plane.views, plane.images), found, 112));
+  plane.images = plane.images.narrow(0, 0, 1);
+  const auto network = deepening_network();
+  PhotographDepthOptions options;
+  options.refinement = network.get();
+  const PhotographDepth unknown = plane.found(options);
+  EXPECT_EQ(unknown.depth.doubt, "the depth of a single source view has no scale");
+  EXPECT_TRUE(unknown.head.empty());
+  EXPECT_FALSE(told_depth(photographs_of_images(plane.views, plane.images), unknown, 112));
+  options.single_source_unit = 2.5;
+  const PhotographDepth guessed = plane.found(options);
+  EXPECT_EQ(guessed.depth.from, "geometry head, in the usual unit");
+  const auto truth = test::two_views_of_plane();
+  ASSERT_EQ(guessed.depth.views.size(), 1U);
+  for (size_t i = 0; i < truth[0].depth.values.size(); ++i)
+    ASSERT_NEAR(guessed.depth.views[0].values[i], truth[0].depth.values[i], 1e-4) << i;
+  EXPECT_EQ(guessed.head[0].values, guessed.depth.views[0].values);
 }
 
 // Photographs are looked at reduced, however large they are.
