@@ -16,7 +16,6 @@ namespace {
 
 constexpr const char* kThisProgram = "/proc/self/exe";
 
-// Those that a stage can be: they write into a folder.
 void list_stage_commands(const std::vector<Command>& commands, std::vector<Command>& found) {
   for (const Command& command : commands) {
     list_stage_commands(command.subcommands, found);
@@ -29,6 +28,8 @@ std::vector<Command> stage_commands() {
   list_stage_commands(all_commands(), found);
   return found;
 }
+
+}  // namespace
 
 ProgramCommands this_program() {
   ProgramCommands program;
@@ -46,8 +47,6 @@ ProgramCommands this_program() {
   };
   return program;
 }
-
-}  // namespace
 
 Command make_ablate_command() {
   auto options = std::make_shared<AblateOptions>();

@@ -1,8 +1,12 @@
 #pragma once
 
+#include "ablate/plan/program_commands.h"
 #include "cli/command.h"
 
 namespace gld {
+
+// The commands of this program that can be a stage: those that write into a folder.
+ProgramCommands this_program();
 
 Command make_ablate_command();
 

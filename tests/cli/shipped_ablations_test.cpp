@@ -1,0 +1,92 @@
+// The descriptions in configs/ablations: their options exist, and what they have in common runs once.
+#include "ablate/configuration/ablation.h"
+#include "ablate/plan/stage_plan.h"
+#include "cli/ablate_command.h"
+#include "models/bundle/random_bundle.h"
+#include "tests/support/data_folders.h"
+#include "tests/support/temporary_folder.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <set>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+namespace gld {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Descriptions name files by their paths in the repository.
+class ShippedAblations : public testing::Test {
+ protected:
+  ShippedAblations() { fs::current_path(test::source_root()); }
+  ~ShippedAblations() override { fs::current_path(before_); }
+
+  static AblationPlan plan(const fs::path& file) {
+    AblateOptions options;
+    read_ablate_options(file, options);
+    options.out = "run";
+    return plan_ablation(read_ablation(file, options), this_program());
+  }
+
+ private:
+  const fs::path before_ = fs::current_path();
+};
+
+std::vector<fs::path> descriptions_in(const fs::path& folder) {
+  std::vector<fs::path> files;
+  for (const auto& item : fs::directory_iterator(folder)) {
+    if (item.path().extension() == ".yaml") files.push_back(fs::absolute(item.path()));
+  }
+  std::sort(files.begin(), files.end());
+  return files;
+}
+
+TEST_F(ShippedAblations, ArePlanned) {
+  const auto files = descriptions_in("configs/ablations");
+  EXPECT_GE(files.size(), 20U);
+  for (const fs::path& file : files) {
+    // The autoencoder whose latents it compares is not ours to ship (docs/WEIGHTS.md).
+    if (file.stem() == "splatent_baselines") continue;
+    SCOPED_TRACE(file);
+    EXPECT_FALSE(plan(file).tasks.empty());
+  }
+}
+
+TEST_F(ShippedAblations, ArePlannedWhereWeightsAndScenesAreGiven) {
+  auto files = descriptions_in("configs/ablations/paper");
+  files.push_back(fs::absolute("configs/ablations/splatent_baselines.yaml"));
+  const test::TemporaryFolder given;
+  fs::current_path(given.path());
+  for (const char* model : {"models/gld-da3", "models/taef2"})
+    write_random_bundle(model, small_bundle_options(), 1);
+  for (const char* scenes : {"data/re10k_test/scene", "data/scannet_test"}) fs::create_directories(scenes);
+  for (const fs::path& file : files) {
+    SCOPED_TRACE(file);
+    EXPECT_FALSE(plan(file).tasks.empty());
+  }
+}
+
+// Tables 2 and 8 are of the same M0 and M1: hours, trained once where both have one --cache.
+TEST_F(ShippedAblations, BoundaryAndCascadeShareTheirTrainings) {
+  const auto keys_of = [](const AblationPlan& plan, const std::string& stage) {
+    std::set<std::string> keys;
+    for (const StageTask& task : plan.tasks) {
+      if (task.stage == stage) keys.insert(task.key);
+    }
+    return keys;
+  };
+  const AblationPlan boundary = plan("configs/ablations/boundary.yaml"),
+                     cascade = plan("configs/ablations/cascade.yaml");
+  EXPECT_EQ(keys_of(boundary, "statistics"), keys_of(cascade, "statistics"));
+  for (const char* stage : {"m0", "m1"}) {
+    EXPECT_EQ(keys_of(boundary, stage).size(), 3U) << stage;  // one a seed
+    EXPECT_EQ(keys_of(boundary, stage), keys_of(cascade, stage)) << stage;
+  }
+}
+
+}  // namespace
+}  // namespace gld
