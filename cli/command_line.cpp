@@ -14,6 +14,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <map>
 #include <new>
@@ -23,6 +24,8 @@
 #include <c10/util/Exception.h>
 
 #include <CLI/CLI.hpp>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
@@ -113,6 +116,14 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
       if (shortest.empty() || name.size() < shortest.size()) shortest = name;
     }
     if (!shortest.empty()) return shortest;
+    // A group's name: its first options, "--loop.learning-rate.peak" among them for "--learning-rate".
+    constexpr size_t kNamed = 3;
+    const std::string group = "." + flag.substr(2) + ".";
+    std::vector<std::string> inner;
+    for (const auto& name : known) {
+      if (name.find(group) != std::string::npos && inner.size() < kNamed) inner.push_back(name);
+    }
+    if (!inner.empty()) return fmt::format("{}", fmt::join(inner, " or "));
   }
   return meant_name(flag, known);
 }
@@ -197,13 +208,37 @@ void require_argument_count(const Command& command, const std::vector<std::strin
   fail({flag, "a value", "an empty text", "leave it out for the default, or write --set KEY=\"\" or KEY=[]"});
 }
 
+// A file of options says in its first line whose they are, in recipes and in every run folder: "# gld train level:
+// ...".
+std::string command_of_recipe(const std::string& file) {
+  std::ifstream stream(file);
+  std::string first;
+  std::getline(stream, first);
+  const std::string begin = "# gld ";
+  if (first.rfind(begin, 0) != 0) return "";
+  size_t end = first.size();
+  for (const char* behind : {":", " in ", " --", "."}) end = std::min(end, first.find(behind));
+  return first.substr(begin.size(), end - begin.size());
+}
+
+void load_recipe(const Command& command, const std::string& file) {
+  try {
+    load_yaml(*command.options, file);
+  } catch (const Error&) {
+    const std::string other = command_of_recipe(file);
+    if (other.empty() || other == command.name) throw;
+    fail({file, "options of gld " + command.name, "those of gld " + other + ", as its first line says",
+          "give a file of gld " + command.name + ", or run gld " + other});
+  }
+}
+
 void apply(const Collected& collected, const Command& command) {
   OptionsGroup& options = *command.options;
   if (!collected.config_file.empty()) {
     if (command.read_config) {
       command.read_config(collected.config_file);
     } else {
-      load_yaml(options, collected.config_file);
+      load_recipe(command, collected.config_file);
     }
   }
   for (const auto& setting : collected.settings) {
@@ -325,6 +360,7 @@ struct CommandGroup {
   std::string program;  // "gld train"
   std::string description;
   const std::vector<Command>& commands;  // outlive what is found among them
+  const std::vector<Command>& whole;     // of the whole program
   const OutermostTypes& outermost;       // of the whole program
 };
 
@@ -346,9 +382,18 @@ void print_overview(const CommandGroup& group) {
          "program this is.\n";
 }
 
+// The command of another group whose last word that is, "train level" for "level"; empty where there is none.
+std::string named_so(const std::vector<Command>& commands, const std::string& word) {
+  for (const auto& command : commands) {
+    if (last_word(command) == word) return command.name;
+    if (const auto inner = named_so(command.subcommands, word); !inner.empty()) return inner;
+  }
+  return "";
+}
+
 std::optional<Invocation> find_and_parse(const CommandGroup& group,
                                          const std::vector<std::string>& arguments) {
-  const auto& [program, description, commands, outermost] = group;
+  const auto& [program, description, commands, whole, outermost] = group;
   if (arguments.empty()) {
     print_overview(group);
     fail({program, "a command", "none", "choose one of the above"});
@@ -380,13 +425,16 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     if (!command.subcommands.empty()) {
       const std::string heading =
           command.summary + (command.description.empty() ? "" : "\n\n" + command.description) + "\n";
-      return find_and_parse({"gld " + command.name, heading, command.subcommands, outermost}, rest);
+      return find_and_parse({"gld " + command.name, heading, command.subcommands, whole, outermost}, rest);
     }
     return parse(command, rest, outermost);
   }
   const auto near = meant_name(arguments[0], names);
+  const auto elsewhere = named_so(whole, arguments[0]);
   fail({program, "a command", "'" + arguments[0] + "'",
-        near.empty() ? "see " + program + " --help" : "did you mean '" + near + "'?"});
+        !elsewhere.empty() ? "did you mean gld " + elsewhere + "?"
+        : near.empty()     ? "see " + program + " --help"
+                           : "did you mean '" + near + "'?"});
 }
 
 }  // namespace
@@ -396,7 +444,7 @@ int run_command_line(const std::vector<Command>& commands, const std::vector<std
   install_interrupt_handler(StopDeadline::kOneSecond);
   try {
     const OutermostTypes outermost = outermost_types(commands);
-    const auto invocation = find_and_parse({"gld", "", commands, outermost}, arguments);
+    const auto invocation = find_and_parse({"gld", "", commands, commands, outermost}, arguments);
     if (invocation) status_of_error = kFailed;
     const int status = invocation ? run_invocation(*invocation) : 0;
     status_of_error = kFailed;

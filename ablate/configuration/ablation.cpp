@@ -112,7 +112,10 @@ struct KeyReader {
 void require_key(const OptionsGroup& group, const std::vector<std::string>& others, const std::string& key,
                  const std::string& where) {
   std::vector<std::string> known = others;
-  for (const auto& field : describe_options(group)) known.push_back(field.key);
+  for (const auto& field : describe_options(group)) {
+    // A section and an option may have one name: smoke.
+    if (std::find(known.begin(), known.end(), field.key) == known.end()) known.push_back(field.key);
+  }
   if (std::find(known.begin(), known.end(), key) != known.end()) return;
   fail({where + ", key " + quoted_text(key), "a known key", "an unknown one", remedy_for(key, known)});
 }
@@ -283,11 +286,17 @@ void check_claims(const Ablation& ablation, const std::vector<std::string>& all,
   }
 }
 
+// By its name, or by that of a column of gld eval that ends so, "generated_psnr": then the longest such name.
 const Metric* known_metric(const std::string& name) {
+  const Metric* found = nullptr;
   for (const Metric& metric : metric_list()) {
     if (metric.name == name) return &metric;
+    const std::string end = "_" + metric.name;
+    const bool ends_so =
+        name.size() > end.size() && name.compare(name.size() - end.size(), end.size(), end) == 0;
+    if (ends_so && (found == nullptr || metric.name.size() > found->name.size())) found = &metric;
   }
-  return nullptr;
+  return found;
 }
 
 }  // namespace

@@ -189,8 +189,10 @@ class Planner {
     }
     if (!stage.config.empty()) load_yaml(*options, stage.config);
     for (const OptionSetting& setting : ablation_.settings_of(run.variant, stage)) {
+      refuse_own(setting);
       apply_setting(*options, setting.key, setting.value, setting.where);
     }
+    check_smoke_settings(stage);
     const std::string seed = stage.seed.empty() ? seed_field(*options) : stage.seed;
     if (!stage.shared && !seed.empty()) {
       set(*options, seed, std::to_string(integer_field(*options, seed) + kSeedStride * run.seed), run, stage);
@@ -223,6 +225,26 @@ class Planner {
       task.needs.push_back(earlier);
     }
     if (makes_bundle(stage.command)) task.bundle = std::make_shared<BundleOptions>(bundle_of(task));
+  }
+
+  // What the ablation gives each stage itself.
+  static void refuse_own(const OptionSetting& setting) {
+    for (const char* own : {"out", "overwrite", "resume", "model"}) {
+      if (setting.key != own) continue;
+      fail({setting.where + ", key '" + setting.key + "'", "an option that changes a result",
+            "one that the ablation sets itself",
+            setting.key == "model" ? "write 'model' beside 'options', for the stage or the variant"
+                                   : "remove it"});
+    }
+  }
+
+  // A wrong name there would be found by the next smoke run alone.
+  void check_smoke_settings(const StageDescription& stage) const {
+    const auto found = ablation_.smoke.find(stage.name);
+    if (found == ablation_.smoke.end()) return;
+    const auto options = commands_.options(stage.command);
+    for (const OptionSetting& setting : found->second)
+      apply_setting(*options, setting.key, setting.value, setting.where);
   }
 
   void set(OptionsGroup& options, const std::string& key, const std::string& value, const Run& run,
@@ -279,6 +301,26 @@ bool is_stage_key(const std::string& text) {
 
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands) {
   return Planner(ablation, commands).plan();
+}
+
+std::vector<std::pair<std::string, std::string>> equal_variants(const Ablation& ablation,
+                                                                const AblationPlan& plan) {
+  std::vector<std::pair<std::string, std::string>> equal;
+  const auto results_of = [&](size_t variant) {
+    std::map<int64_t, std::vector<size_t>> results;
+    for (const VariantRun& run : plan.runs) {
+      if (run.variant == variant) results[run.seed] = run.results;
+    }
+    return results;
+  };
+  for (size_t first = 0; first < ablation.variants.size(); ++first) {
+    for (size_t second = first + 1; second < ablation.variants.size(); ++second) {
+      const VariantDescription &a = ablation.variants[first], &b = ablation.variants[second];
+      if (a.rows == b.rows && a.columns == b.columns && results_of(first) == results_of(second))
+        equal.emplace_back(a.name, b.name);
+    }
+  }
+  return equal;
 }
 
 }  // namespace gld

@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace gld {
@@ -53,6 +54,10 @@ struct AblationPlan {
 // Throws Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
 // missing.
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);
+
+// Variants that cannot differ, "a" and "b": the same rows and columns of the same stages.
+std::vector<std::pair<std::string, std::string>> equal_variants(const Ablation& ablation,
+                                                                const AblationPlan& plan);
 
 // Whether text looks like StageTask::key.
 bool is_stage_key(const std::string& text);

@@ -7,6 +7,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <set>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -54,6 +56,39 @@ std::string label_of(const Ablation& ablation, const std::string& variant) {
   return found == nullptr ? variant : found->label;
 }
 
+// Of so few scenes the bootstrap draws the same ones again and again: its p-value says nothing.
+std::string p_text(double p, int64_t scenes) {
+  constexpr int64_t kFewest = 8;
+  return scenes < kFewest ? "-" : short_number(p);
+}
+
+// Metrics whose means are not of the same scenes in every variant, a sentence each: such means must not be compared,
+// claims are of the scenes that both have.
+std::string unlike_scenes_text(const Ablation& ablation, const AblationResults& results) {
+  std::string text;
+  for (const MetricDescription& metric : ablation.metrics) {
+    std::set<std::set<std::pair<int64_t, std::string>>> kinds;
+    std::string counts;
+    for (const VariantNumbers& numbers : results.numbers) {
+      const auto found = numbers.metrics.find(metric.name);
+      if (found == numbers.metrics.end()) continue;
+      std::set<std::pair<int64_t, std::string>> scenes;
+      for (const auto& [seed, values] : scene_means(found->second)) {
+        for (const auto& [scene, value] : values) scenes.emplace(seed, scene);
+      }
+      counts += fmt::format("{}{} {}", counts.empty() ? "" : ", ", label_of(ablation, numbers.variant),
+                            scenes.size());
+      kinds.insert(std::move(scenes));
+    }
+    if (kinds.size() < 2) continue;
+    text += fmt::format(
+        "\n{} is not known in the same scenes of every variant (scenes of all seeds: {}): its means are not of the "
+        "same scenes, what the claims say is.\n",
+        metric.name, counts);
+  }
+  return text;
+}
+
 std::string variants_table(const Ablation& ablation, const AblationResults& results) {
   std::vector<std::string> header{"variant"};
   for (const MetricDescription& metric : ablation.metrics) {
@@ -87,10 +122,10 @@ std::string claims_table(const Ablation& ablation, const AblationResults& result
         {label_of(ablation, result.claim.better) + " over " + label_of(ablation, result.claim.worse),
          with_unit(ablation.metric(result.claim.metric)), number_text(comparison.mean, comparison.interval),
          fmt::format("{} : {}", comparison.signs.positive, comparison.signs.negative),
-         short_number(comparison.signs.p_value), short_number(comparison.p_value),
-         short_number(comparison.holm_p_value), comparison.scenes,
+         short_number(comparison.signs.p_value), p_text(comparison.p_value, comparison.scenes),
+         p_text(comparison.holm_p_value, comparison.scenes), comparison.scenes,
          fmt::format("{} of {}", comparison.seeds_in_favour, comparison.seeds), result.claim.paper,
-         verdict_name(comparison.verdict) +
+         verdict_name(comparison.verdict, result.claim.paper) +
              (comparison.reason.empty() ? "" : " (" + comparison.reason + ")")});
   }
   return table.markdown();
@@ -102,6 +137,7 @@ std::string command_text(const Ablation& ablation) {
   const AblateOptions defaults;
   std::string text = "gld ablate --config " + ablation.file.string() + " --out " + options.out;
   text += " --model " + options.model + " --seeds " + list(options.seeds);
+  if (!options.cache.empty()) text += " --cache " + options.cache;
   if (options.smoke) text += " --smoke";
   if (!options.only.empty()) text += " --only " + list(options.only);
   if (!options.overrides.empty()) text += " --overrides " + list(options.overrides);
@@ -129,7 +165,7 @@ std::string ablation_markdown(const Ablation& ablation, const AblationPlan& plan
   }
   text +=
       "Means over scenes and seeds with 95 % intervals of the hierarchical bootstrap (seeds, then scenes).\n\n";
-  text += variants_table(ablation, results);
+  text += variants_table(ablation, results) + unlike_scenes_text(ablation, results);
   if (!results.claims.empty()) {
     text += "\nClaims, paired by scene, noise and seed; positive where the claim holds:\n\n" +
             claims_table(ablation, results);
@@ -216,7 +252,7 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
                                  {"scenes", comparison.scenes},
                                  {"seeds", comparison.seeds},
                                  {"seeds_in_favour", comparison.seeds_in_favour},
-                                 {"verdict", verdict_name(comparison.verdict)}};
+                                 {"verdict", verdict_name(comparison.verdict, result.claim.paper)}};
     if (!comparison.reason.empty()) claim["reason"] = comparison.reason;
     json["claims"].push_back(std::move(claim));
   }

@@ -66,6 +66,11 @@ void check_same_question(const Ablation& ablation, const fs::path& folder) {
 AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& commands) {
   const AblateOptions& options = ablation.options;
   const AblationPlan plan = plan_ablation(ablation, commands);
+  for (const auto& [first, second] : equal_variants(ablation, plan)) {
+    std::cerr << fmt::format(
+        "warning: variants '{}' and '{}' are the same rows and columns of the same stages: nothing tells them apart.\n",
+        first, second);
+  }
   const fs::path own_cache = fs::path(options.out) / "cache";
   const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
   if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};

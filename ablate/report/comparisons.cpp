@@ -64,16 +64,24 @@ void check_result_columns(const Ablation& ablation, const AblationPlan& plan, co
     const VariantDescription& variant = ablation.variants[run.variant];
     const StageTask& stage = plan.tasks[task];
     const ResultRows rows = read_result_rows(cache.run(stage) / ablation.stage(stage.stage).results);
-    for (const MetricDescription& metric : ablation.metrics) {
-      const std::string column = column_of(variant, metric);
-      if (has_column(rows, column)) {
-        numbers_by_scene(rows, column, variant.rows);  // refuses rows that are not there
-        continue;
-      }
+    const auto require_column = [&](const std::string& column, const std::string& what) {
+      if (has_column(rows, column)) return;
       const auto near = nearest_name(column, rows.columns);
-      fail({fmt::format("{}, metric '{}' of variant '{}'", ablation.file.string(), metric.name, variant.name),
+      fail({fmt::format("{}, {} of variant '{}'", ablation.file.string(), what, variant.name),
             fmt::format("a column of {}", rows.file.string()), "'" + column + "'",
             near.empty() ? "choose one of its first line" : "did you mean '" + near + "'?"});
+    };
+    for (const auto& [column, text] : variant.rows) require_column(column, "rows");
+    for (const MetricDescription& metric : ablation.metrics) {
+      const std::string column = column_of(variant, metric);
+      require_column(column, "metric '" + metric.name + "'");
+      try {
+        numbers_by_scene(rows, column, variant.rows);  // refuses rows that are not there
+      } catch (const Error& error) {
+        const ErrorParts& parts = error.parts();
+        fail({fmt::format("{}, variant '{}': {}", ablation.file.string(), variant.name, parts.where),
+              parts.expected, parts.found, parts.remedy});
+      }
     }
   }
 }

@@ -215,8 +215,11 @@ class Scheduler {
 
   [[noreturn]] void stop() {
     stop_running();
-    stop_if_interrupted("the ablation stopped after " + std::to_string(ended()) + " of " +
-                        std::to_string(outcomes_.size()) + " stages; the same command goes on with it");
+    const auto done =
+        std::count_if(outcomes_.begin(), outcomes_.end(), [](const TaskOutcome& task) { return task.done; });
+    stop_if_interrupted(
+        fmt::format("the ablation stopped with {} of {} stages done; the same command goes on with it", done,
+                    outcomes_.size()));
     fail({"gld ablate", "a stop that was asked for", "none", "report this"});
   }
 

@@ -1,7 +1,6 @@
 #include "ablate/statistics/verdict.h"
 
 #include <algorithm>
-#include <array>
 
 #include <fmt/format.h>
 
@@ -35,7 +34,7 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
                   claims, claim.p_value, claim.holm_p_value, kVerdictLevel)
             : fmt::format("p {:.2g}, a verdict needs less than {}", claim.p_value, kVerdictLevel);
   } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
-    claim.verdict = Verdict::kReproduced;
+    claim.verdict = Verdict::kHolds;
   } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {
     claim.verdict = Verdict::kOpposite;
   } else {
@@ -45,9 +44,16 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
 
 }  // namespace
 
-std::string verdict_name(Verdict verdict) {
-  static const std::array<std::string, 3> names{"reproduced", "opposite", "undecided"};
-  return names.at(static_cast<size_t>(verdict));
+std::string verdict_name(Verdict verdict, const std::string& paper) {
+  switch (verdict) {
+    case Verdict::kHolds:
+      return paper.empty() ? "supported" : "reproduced";
+    case Verdict::kOpposite:
+      return "opposite";
+    case Verdict::kUndecided:
+      break;
+  }
+  return "undecided";
 }
 
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options) {

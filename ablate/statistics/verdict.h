@@ -9,11 +9,12 @@
 namespace gld {
 
 enum class Verdict {
-  kReproduced,  // the difference is what was claimed
-  kOpposite,    // it has the other sign
+  kHolds,     // the difference is what was claimed
+  kOpposite,  // it has the other sign
   kUndecided,
 };
-std::string verdict_name(Verdict verdict);  // "reproduced"
+// "reproduced" of what a paper reports (that text is not empty), "supported" of a claim of our own.
+std::string verdict_name(Verdict verdict, const std::string& paper);
 
 // What the seeds of a table are of: noise of evaluations, or trainings too, which differ by more.
 enum class SeedsOf { kEvaluations, kTrainings };
@@ -46,9 +47,9 @@ struct Comparison {
 // reason.
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options = {});
 
-// The verdicts of claims that are made together, those of one table. Reproduced (or opposite) where the 95 % interval
-// lies above (below) 0, Holm's p-value over all of them is below kVerdictLevel, and the mean of every seed has that
-// sign too; undecided, with the reason, where it is not, and whatever the interval with fewer scenes than
+// The verdicts of claims that are made together, those of one table. It holds (or the opposite does) where the 95 %
+// interval lies above (below) 0, Holm's p-value over all of them is below kVerdictLevel, and the mean of every seed
+// has that sign too; undecided, with the reason, where it is not, and whatever the interval with fewer scenes than
 // kFewestVerdictScenes or fewer seeds than fewest_verdict_seeds(). Seeds that gave the same numbers count as one. A
 // claim that has a reason already keeps it and is undecided; it counts among all, so that leaving some out makes no
 // other one easier.

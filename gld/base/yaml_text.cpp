@@ -76,7 +76,10 @@ YAML::Node parse_yaml(const std::string& text, const std::string& where) {
     return document;
   } catch (const YAML::Exception& error) {
     const std::string line = error.mark.line >= 0 ? ":" + std::to_string(error.mark.line + 1) : "";
-    fail({where + line, "valid YAML", error.msg, "correct the text"});
+    // yaml-cpp's words for "title: a: b".
+    const bool colon = error.msg.find("illegal map value") != std::string::npos;
+    fail({where + line, "valid YAML", error.msg,
+          colon ? "put a text that has a colon in it in quotes" : "correct the text"});
   }
 }
 

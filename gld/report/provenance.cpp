@@ -5,9 +5,9 @@
 #include "gld/base/dashed_name.h"
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
+#include "gld/report/shell_word.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cstring>
 #include <filesystem>
 
@@ -25,17 +25,6 @@ void shorten_paths(nlohmann::json& values) {
     if (!path.is_absolute()) continue;
     value = (path.has_filename() ? path : path.parent_path()).filename().string();
   }
-}
-
-// As a shell takes it for one word.
-std::string shell_word(const std::string& text) {
-  const bool plain = !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char c) {
-    return std::isalnum(c) != 0 || std::strchr("_-./,:+=@%", c) != nullptr;
-  });
-  if (plain) return text;
-  std::string quoted = "'";
-  for (const char c : text) quoted += c == '\'' ? std::string("'\\''") : std::string(1, c);
-  return quoted + "'";
 }
 
 // A value as a flag takes it: lists are divided at commas.

@@ -7,6 +7,7 @@
 #include "gld/base/json_text.h"
 #include "gld/base/option_differences.h"
 #include "gld/base/printable_text.h"
+#include "gld/report/shell_word.h"
 
 #include <algorithm>
 #include <cerrno>
@@ -79,6 +80,14 @@ std::string command_of_run(const std::filesystem::path& folder) {
   const size_t end = line.find(": the options");
   if (line.rfind(before, 0) != 0 || end == std::string::npos) return {};
   return line.substr(before.size(), end - before.size());
+}
+
+std::string resume_command(const std::filesystem::path& folder) {
+  const std::string command = command_of_run(folder);
+  const bool resumes = command == "sample" || command == "eval" || command == "splat fit" ||
+                       command == "splat pairs" || command.rfind("train ", 0) == 0;
+  return "gld " + command + " --config " + shell_word((folder / kRunConfiguration).string()) + " --out " +
+         shell_word(folder.string()) + (resumes ? " --resume" : " --overwrite");
 }
 
 EarlierRun earlier_run(bool overwrite) { return overwrite ? EarlierRun::kOverwrite : EarlierRun::kRefuse; }

@@ -26,6 +26,9 @@ EarlierRun earlier_run(bool overwrite);
 // The command of the run that is in a folder, finished or not, "sample"; empty where there is none.
 std::string command_of_run(const std::filesystem::path& folder);
 
+// What goes on with the run in a folder, or begins it anew where its command has no --resume: a line for a shell.
+std::string resume_command(const std::filesystem::path& folder);
+
 // Throws Error where RunFolder of the same arguments would, as far as that can be told beforehand. Touches nothing: for
 // commands that have something long to do before they write.
 void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier);

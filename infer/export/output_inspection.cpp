@@ -10,9 +10,9 @@
 #include "gld/files/ply_vertices.h"
 #include "gld/files/weight_file.h"
 #include "gld/report/run_folder.h"
+#include "gld/report/shell_word.h"
 
 #include <algorithm>
-#include <cctype>
 #include <charconv>
 #include <fstream>
 #include <map>
@@ -81,18 +81,6 @@ ordered_json checkpoints_of(const std::filesystem::path& folder) {
   return summaries;
 }
 
-// As a shell takes it for one word.
-std::string shell_word(const std::string& text) {
-  const bool plain = !text.empty() && std::all_of(text.begin(), text.end(), [](unsigned char letter) {
-    return std::isalnum(letter) != 0 ||
-           std::string_view("/._-+,:=@").find(static_cast<char>(letter)) != std::string_view::npos;
-  });
-  if (plain) return text;
-  std::string word = "'";
-  for (const char letter : text) word += letter == '\'' ? std::string("'\\''") : std::string(1, letter);
-  return word + "'";
-}
-
 // What usually follows a run of a kind that is finished; RUN stands for its folder.
 const std::map<std::string, std::string>& following_commands() {
   static const std::map<std::string, std::string> commands{
@@ -145,10 +133,7 @@ ordered_json next_command(const std::string& kind, const std::string& state,
     return command.replace(at, end - at, shell_word(run + command.substr(at + 3, end - at - 3)));
   }
   if (kind == "ablate") return ablation_command(folder);
-  const bool resumes = kind == "sample" || kind == "eval" || kind == "splat fit" || kind == "splat pairs" ||
-                       kind.rfind("train ", 0) == 0;
-  return "gld " + kind + " --config " + shell_word((folder / kRunConfiguration).string()) + " --out " +
-         shell_word(run) + (resumes ? " --resume" : " --overwrite");
+  return resume_command(folder);
 }
 
 ordered_json inspect_run(const std::filesystem::path& folder, const std::string& kind) {
@@ -261,10 +246,14 @@ std::string run_text(const ordered_json& inspection) {
       text += printable_text(checkpoint["problem"].get<std::string>()) + "\n";
       continue;
     }
-    text += "step " + (checkpoint["step"].is_null() ? "unknown" : checkpoint["step"].dump()) + ", loss " +
-            number_text(checkpoint["loss"]);
+    text += "step " + (checkpoint["step"].is_null() ? "unknown" : checkpoint["step"].dump());
+    // Before the first step there is none.
+    if (checkpoint["step"] != 0) text += ", loss " + number_text(checkpoint["loss"]);
     if (checkpoint["best_validation_loss"].is_number())
       text += ", least validation loss " + number_text(checkpoint["best_validation_loss"]);
+    if (checkpoint["step"] == 0 && checkpoint["file"] == "checkpoints/best.safetensors" &&
+        inspection["state"] == "finished")
+      text += ": on held-out scenes no step was better than what it began with";
     text += "\n";
   }
   if (inspection["next"].is_string())

@@ -138,7 +138,10 @@ ModelBundle ModelBundle::open(const std::filesystem::path& asked) {
           std::filesystem::is_directory(folder) ? "a folder without it"
           : std::filesystem::exists(folder)     ? "a file; name its folder"
                                                 : "no such folder",
-          "make one with gld convert or gld train, or check the path"});
+          // The folder of a run of gld train or gld stats.
+          std::filesystem::is_regular_file(folder / "model" / kOptionsFile)
+              ? "did you mean " + (folder / "model").string() + "?"
+              : "make one with gld convert or gld train, or check the path"});
   }
   ModelBundle bundle;
   bundle.folder_ = folder;

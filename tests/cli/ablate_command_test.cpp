@@ -180,7 +180,7 @@ TEST_F(AblateCommand, StopsWhenItIsAskedToAndLosesNoStep) {
   }
   process.stop();
   EXPECT_EQ(finish(process), 130);
-  EXPECT_THAT(text_, HasSubstr("interrupted: the ablation stopped after"));
+  EXPECT_THAT(text_, HasSubstr("interrupted: the ablation stopped with"));
   EXPECT_TRUE(any_checkpoint());
   for (const auto& stage : stages("level")) {
     if (fs::exists(stage / "run" / "checkpoints")) {

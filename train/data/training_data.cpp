@@ -181,8 +181,13 @@ std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options,
     key.index = static_cast<uint64_t>(index);
     const auto views = sample_views(sampling, static_cast<int64_t>(scene.frames.size()), key);
     if (!views) {
-      fail({"scene " + scene.name, "at least " + std::to_string(sampling.views) + " frames",
-            std::to_string(scene.frames.size()), "validate on longer scenes"});
+      fail(
+          {"scene " + scene.name, "at least " + std::to_string(sampling.views) + " frames",
+           std::to_string(scene.frames.size()),
+           options.validation_folder.empty()
+               ? "that room is drawn for validation: raise --data.synthetic.frames, or validate on scenes of your "
+                 "own with --validation-folder"
+               : "validate on longer scenes"});
     }
     scenes.push_back(training_scene(scene, *views, size, parts, options.loading.crop_centre));
   }

@@ -2,6 +2,7 @@
 
 #include "gld/base/interrupt.h"
 #include "gld/base/interrupted_end.h"
+#include "gld/report/run_folder.h"
 
 #include <chrono>
 #include <exception>
@@ -9,6 +10,8 @@
 #include <utility>
 
 #include <torch/autograd.h>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -20,6 +23,13 @@ constexpr auto kBetweenLooks = std::chrono::milliseconds(50);
 constexpr auto kGrace = std::chrono::milliseconds(500);
 
 }  // namespace
+
+std::string stopped_text(const std::filesystem::path& run, int64_t step,
+                         const std::filesystem::path& checkpoint) {
+  return fmt::format("training stopped after step {}, kept in {}; {}", step, checkpoint.string(),
+                     command_of_run(run).empty() ? "the same command with --resume goes on"
+                                                 : "go on with: " + resume_command(run));
+}
 
 CheckpointOnStop::CheckpointOnStop(const CheckpointFolder& folder, std::function<void()> stopped)
     : folder_(folder), stopped_(std::move(stopped)), watcher_([this] { watch(); }) {}
@@ -51,12 +61,14 @@ void CheckpointOnStop::watch() {
     if (ended_ || !interrupt_requested()) continue;
     if (!asked) asked = Clock::now();
     if (!state_ || Clock::now() - *asked < kGrace) continue;
-    std::string done = "training stopped after step " + std::to_string(state_->step);
+    std::string done;
     try {
       const torch::NoGradGuard no_grad;
-      done += "; continue with --resume (" + folder_.save(*state_).string() + ")";
+      const auto file = folder_.save(*state_);
+      done = stopped_text(folder_.path().parent_path(), state_->step, file);
     } catch (const std::exception& error) {
-      done += "; its checkpoint was not written: " + std::string(error.what());
+      done = "training stopped after step " + std::to_string(state_->step) +
+             "; its checkpoint was not written: " + error.what();
     }
     if (stopped_) stopped_();
     end_interrupted_process(done);

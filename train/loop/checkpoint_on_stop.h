@@ -3,12 +3,19 @@
 #include "train/loop/checkpoint.h"
 
 #include <condition_variable>
+#include <cstdint>
+#include <filesystem>
 #include <functional>
 #include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 
 namespace gld {
+
+// What a run that was asked to stop says at last: its step, the checkpoint of it, and the command that goes on.
+std::string stopped_text(const std::filesystem::path& run, int64_t step,
+                         const std::filesystem::path& checkpoint);
 
 // A step of a large model takes minutes: who asks a run to stop does not wait for it. While the loop is in work that
 // leaves the state of the last complete step alone (Steady), a thread of its own sees that a stop was asked for

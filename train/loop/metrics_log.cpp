@@ -28,15 +28,15 @@ std::optional<nlohmann::ordered_json> read_line(const std::string& line) {
 }  // namespace
 
 MetricsLog::MetricsLog(std::filesystem::path file, int64_t last_step) : file_(std::move(file)) {
+  // A run that is refused before its first line leaves nothing behind.
+  if (!std::filesystem::exists(file_)) return;
   std::string kept;
-  if (std::filesystem::exists(file_)) {
-    std::istringstream text(read_file(file_));
-    for (std::string line; std::getline(text, line);) {
-      auto object = read_line(line);
-      if (!object || object->at("step").get<int64_t>() > last_step) continue;
-      kept += json_text(*object) + "\n";
-      lines_.push_back(*std::move(object));
-    }
+  std::istringstream text(read_file(file_));
+  for (std::string line; std::getline(text, line);) {
+    auto object = read_line(line);
+    if (!object || object->at("step").get<int64_t>() > last_step) continue;
+    kept += json_text(*object) + "\n";
+    lines_.push_back(*std::move(object));
   }
   write_file_atomically(file_, kept);
 }

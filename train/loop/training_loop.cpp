@@ -452,10 +452,9 @@ TrainingSummary Session::run() {
       if (leads()) file = checkpoints_.save(snapshot(state));
       team_.finish();
       if (leads()) draw_loss_curve(*metrics_, run_.folder / "loss");
-      std::string text =
-          fmt::format("training stopped after step {}; continue with --resume ({})", step_, file.string());
+      std::string text = stopped_text(run_.folder, step_, file);
       if (step_ > 0)
-        text += fmt::format(", or have the model of this step written with --resume --steps {}", step_);
+        text += fmt::format(" (with --steps {} behind it the model of this step is written)", step_);
       throw Interrupted(text);
     }
     const double rate = learning_rate(options_.learning_rate, step_, options_.steps);

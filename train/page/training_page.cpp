@@ -21,6 +21,8 @@ namespace {
 using Points = std::vector<std::pair<double, double>>;
 using Courses = std::vector<std::pair<std::string, Points>>;
 
+constexpr const char* kHeldOut = "validation_";
+
 // A browser draws no more than this of one curve.
 constexpr size_t kMostPoints = 600;
 
@@ -83,7 +85,7 @@ std::vector<PlotPanel> panels_of(const Courses& courses) {
     panels[i].y.scale = AxisScale::kLog;
   }
   panels[2].y.scale = panels[4].y.scale = AxisScale::kLinear;
-  const std::string held_out = "validation_";
+  const std::string held_out = kHeldOut;
   for (const auto& [key, points] : courses) {
     size_t panel = 0;
     if (key == "data_wait_fraction" || key == "skipped_steps" || key == "seconds" ||
@@ -121,7 +123,8 @@ std::vector<std::pair<std::string, std::string>> validation_pictures(const std::
   for (const std::string& name : names) {
     const size_t digits = name.find_first_not_of('0', name.find('_') + 1);
     const std::string step = digits == std::string::npos ? name : name.substr(digits);
-    pictures.emplace_back("after step " + step, "validation/" + name + ".png");
+    pictures.emplace_back(digits == std::string::npos ? "before the first step" : "after step " + step,
+                          "validation/" + name + ".png");
   }
   if (pictures.empty() && std::filesystem::is_regular_file(run / "validation.png", error)) {
     pictures.emplace_back("the last validation", "validation.png");
@@ -134,7 +137,7 @@ ResultTable validation_table(const Courses& courses) {
   table.title = "Held-out scenes";
   table.columns = {"", "first", "best", "last", "step of the last"};
   for (const auto& [key, points] : courses) {
-    if (key.rfind("validation_", 0) != 0) continue;
+    if (key.rfind(kHeldOut, 0) != 0) continue;
     const bool higher = key.find("psnr") != std::string::npos;
     const auto less = [](const auto& a, const auto& b) { return a.second < b.second; };
     const auto best = higher ? std::max_element(points.begin(), points.end(), less)
@@ -148,10 +151,35 @@ ResultTable validation_table(const Courses& courses) {
   return table;
 }
 
+const Points* course_of(const Courses& courses, const std::string& key) {
+  const auto found =
+      std::find_if(courses.begin(), courses.end(), [&](const auto& course) { return course.first == key; });
+  return found == courses.end() || found->second.empty() ? nullptr : &found->second;
+}
+
+// The losses at the first and the last lines of the log, of held-out scenes where it was measured there twice.
+std::string course_of_loss(const Courses& courses) {
+  std::string text;
+  if (const Points* loss = course_of(courses, "loss")) {
+    text += "; the loss ended at " + short_number(loss->back().second);
+    if (loss->size() > 1) text += ", from " + short_number(loss->front().second);
+  }
+  // The first number of a validation is what chooses the best checkpoint; less is better.
+  const auto held_out = std::find_if(courses.begin(), courses.end(), [](const auto& course) {
+    return course.first.rfind(kHeldOut, 0) == 0 && course.second.size() > 1;
+  });
+  if (held_out == courses.end()) return text;
+  std::string name = held_out->first.substr(std::string(kHeldOut).size());
+  std::replace(name.begin(), name.end(), '_', ' ');
+  const double first = held_out->second.front().second, last = held_out->second.back().second;
+  return text + "; on held-out scenes " + name + " went from " + short_number(first) + " to " +
+         short_number(last) + (last < first ? "" : ": no better there than at first");
+}
+
 void add_courses(Page& page, const std::filesystem::path& run, const Courses& courses) {
   add_charts(page, "How it went", panels_of(courses));
   add_table(page, validation_table(courses));
-  add_pictures(page, "What it generates", "Scenes that it was not trained on.", run,
+  add_pictures(page, "Pictures of held-out scenes", "Scenes that it was not trained on.", run,
                validation_pictures(run));
 }
 
@@ -172,8 +200,7 @@ Page training_page(const std::filesystem::path& run) {
     if (seconds.is_number()) {
       page.verdict += ", the last part of them in " + short_number(seconds.get<double>() / 60) + " minutes";
     }
-    const auto& loss = report_value(report, "/final_loss");
-    page.verdict += loss.is_number() ? "; the loss ended at " + short_number(loss.get<double>()) + "." : ".";
+    page.verdict += course_of_loss(courses) + ".";
   }
   const auto& skipped = report_value(report, "/skipped_steps");
   if (skipped.is_number() && skipped.get<double>() > 0) {

@@ -112,7 +112,12 @@ TrainingStage scene_stage(const std::string& command, const TrainOptions& option
             "--validation-folder\n",
             given.validation_scenes);
       }
-      return validation_scenes(options.data, size, parts);
+      auto scenes = validation_scenes(options.data, size, parts);
+      if (static_cast<int64_t>(scenes.size()) < given.validation_scenes) {
+        std::cerr << fmt::format("note: validation is on the {} scenes that {} has, not on {}\n",
+                                 scenes.size(), given.validation_folder, given.validation_scenes);
+      }
+      return scenes;
     };
     data.report = [batches] {
       const LoadingReport loading = batches->report();
@@ -272,7 +277,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
     print_warnings({"this processor has no unit for " + compute_precision_name(precision) +
                     ", which makes it slower here than --loop.precision float32"});
   }
-  if (run.begins_trained) print_warnings(warnings_of_short_runs(options.loop));
+  print_warnings(warnings_of_short_runs(options.loop));
   LiveTrainingPage page(folder.path());
   run.on_log = [&page] { page.follow(); };
   run.on_stop = [&page] { page.stop(); };

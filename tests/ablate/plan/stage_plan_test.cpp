@@ -254,5 +254,29 @@ TEST_F(StagePlan, CostsAreMeasuredOrUnknown) {
   EXPECT_THAT(plan_text(plan, cache, 1), testing::HasSubstr("1 done, 3 to run"));
 }
 
+TEST_F(StagePlan, WhatTheAblationSetsItselfIsRefused) {
+  const std::string variants = "variants: {a: {}}\n";
+  EXPECT_EQ(error("stages: {eval: {command: eval, options: {out: here}}}\n" + variants),
+            "a.yaml:3, stage 'eval', key 'out': expected an option that changes a result, found one that the "
+            "ablation sets itself; remove it.");
+  EXPECT_THAT(error("stages: {eval: {command: eval, options: {model: here}}}\n" + variants),
+              testing::HasSubstr("write 'model' beside 'options', for the stage or the variant."));
+}
+
+// Not first by the next smoke run.
+TEST_F(StagePlan, SmokeSettingsAreCheckedWithEveryPlan) {
+  EXPECT_THAT(error(std::string(kTwoStages) + "variants: {a: {}}\nsmoke: {eval: {romms: 1}}\n"),
+              testing::HasSubstr("expected a known option, found an unknown one; did you mean 'rooms'?"));
+}
+
+TEST_F(StagePlan, VariantsThatCannotDifferAreTold) {
+  const Ablation ablation =
+      read(std::string(kTwoStages) +
+           "variants: {a: {}, b: {options: {eval: {rooms: 9}}}, c: {options: {eval: {rooms: 4}}}, "
+           "d: {columns: {psnr: other}}}\n");
+  const auto equal = equal_variants(ablation, plan_ablation(ablation, small_commands()));
+  EXPECT_EQ(equal, (std::vector<std::pair<std::string, std::string>>{{"a", "c"}}));
+}
+
 }  // namespace
 }  // namespace gld

@@ -29,13 +29,13 @@ Comparison judged(const NumbersBySeed& gain) {
 
 TEST(Verdict, IsReproducedOrOppositeWhereIntervalAndSeedsAgree) {
   const Comparison better = judged(around({0.5, 0.6, 0.4}, 64));
-  EXPECT_EQ(better.verdict, Verdict::kReproduced);
+  EXPECT_EQ(better.verdict, Verdict::kHolds);
   EXPECT_EQ(better.reason, "");
   EXPECT_NEAR(better.mean, 0.5, 1e-12);
   EXPECT_EQ(better.signs.positive, 64);
   EXPECT_EQ(better.seeds_in_favour, 3);
   EXPECT_EQ(judged(around({-0.5, -0.6, -0.4}, 64)).verdict, Verdict::kOpposite);
-  EXPECT_EQ(verdict_name(Verdict::kOpposite), "opposite");
+  EXPECT_EQ(verdict_name(Verdict::kOpposite, ""), "opposite");
 }
 
 TEST(Verdict, IsUndecidedForOneReasonThatItSays) {
@@ -61,14 +61,14 @@ TEST(Verdict, IsUndecidedWhereSeedsDisagreeThoughTheIntervalLiesOnOneSide) {
 TEST(Verdict, OfEvaluationsNeedsTwoSeeds) {
   std::vector<Comparison> claims{compare(around({0.5, 0.6}, 64))};
   judge(claims, SeedsOf::kEvaluations);
-  EXPECT_EQ(claims[0].verdict, Verdict::kReproduced);
+  EXPECT_EQ(claims[0].verdict, Verdict::kHolds);
 }
 
 TEST(Verdict, OfManyClaimsNeedsMoreThanEachAlone) {
   // Means of 64 scenes at 2.4 of their own deviations: p near 0.016, which is enough alone and not among six.
   const NumbersBySeed weak = around({0.0299, 0.030, 0.0301}, 64);
   const Comparison alone = judged(weak);
-  EXPECT_EQ(alone.verdict, Verdict::kReproduced);
+  EXPECT_EQ(alone.verdict, Verdict::kHolds);
   EXPECT_EQ(alone.holm_p_value, alone.p_value);
   EXPECT_GT(alone.p_value, 0.0125);
   EXPECT_LT(alone.p_value, 0.025);
@@ -81,7 +81,7 @@ TEST(Verdict, OfManyClaimsNeedsMoreThanEachAlone) {
   EXPECT_EQ(claims[0].verdict, Verdict::kUndecided);
   EXPECT_EQ(claims[0].holm_p_value, 5 * claims[0].p_value);  // the strong one comes first, of six
   EXPECT_EQ(claims[0].reason.rfind("clear of 0 alone, not among 6 claims: p 0.0", 0), 0U) << claims[0].reason;
-  EXPECT_EQ(claims[4].verdict, Verdict::kReproduced);
+  EXPECT_EQ(claims[4].verdict, Verdict::kHolds);
   EXPECT_EQ(claims[4].holm_p_value, 6 * claims[4].p_value);
   EXPECT_EQ(claims[5].reason, "not run");
   EXPECT_EQ(claims[5].verdict, Verdict::kUndecided);
@@ -96,7 +96,7 @@ TEST(Verdict, OfTrainingsThatDifferIsNotDecidedByTheirScenes) {
   EXPECT_EQ(by_trainings.reason, "p 0.18, a verdict needs less than 0.05");
   std::vector<Comparison> by_evaluations{compare(chance)};
   judge(by_evaluations, SeedsOf::kEvaluations);
-  EXPECT_EQ(by_evaluations[0].verdict, Verdict::kReproduced);
+  EXPECT_EQ(by_evaluations[0].verdict, Verdict::kHolds);
 }
 
 }  // namespace

@@ -27,7 +27,8 @@ TEST(TrainingPage, ShowsHowARunWent) {
   EXPECT_EQ(page.title, "gld train level");
   EXPECT_EQ(
       page.verdict,
-      "400 steps were done with 5451811 parameters, the last part of them in 41.6 minutes; the loss ended at 0.223.");
+      "400 steps were done with 5451811 parameters, the last part of them in 41.6 minutes; the loss ended at 0.241, from "
+      "0.251; on held-out scenes flow loss went from 0.134 to 0.122.");
   EXPECT_THAT(page.doubts, testing::IsEmpty());
   const auto& parts = page.data.at("parts");
   ASSERT_EQ(parts.size(), 3u);
@@ -47,18 +48,23 @@ TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
   for (int step = 1; step <= 5000; ++step) {
     lines += "{\"step\":" + std::to_string(step) + ",\"loss\":" + std::to_string(step) + ",\"reward\":-1}\n";
   }
-  lines += "{\"step\":5000,\"validation_psnr\":null}\n\n";
+  lines +=
+      "{\"step\":0,\"validation_error\":1}\n{\"step\":5000,\"validation_error\":2,\"validation_psnr\":null}\n\n";
   write_file_atomically(run.path() / "metrics.jsonl", lines);
   write_file_atomically(
       run.path() / "report.json",
       "{\"command\": \"train decoder\", \"steps\": 5000, \"skipped_steps\": 2, \"messages\": [\"a message\"]}");
   std::filesystem::create_directories(run.path() / "validation");
-  for (const int step : {100, 200, 300, 400}) {
-    write_file_atomically(run.path() / "validation" / ("step_000000" + std::to_string(step) + ".png"),
-                          std::string("\x89PNG\r\n\x1a\n", 8));
+  for (const int step : {0, 200, 300, 400}) {
+    write_file_atomically(
+        run.path() / "validation" / ("step_000000" + std::to_string(step + 1000).substr(1) + ".png"),
+        std::string("\x89PNG\r\n\x1a\n", 8));
   }
   const Page page = training_page(run.path());
-  EXPECT_EQ(page.verdict, "5000 steps were done.");
+  EXPECT_EQ(
+      page.verdict,
+      "5000 steps were done; the loss ended at 5e+03, from 1; on held-out scenes error went from 1 to 2: no "
+      "better there than at first.");
   EXPECT_THAT(page.doubts,
               ElementsAre("2 steps were left out because their loss was not finite.", "a message"));
   const auto& chart = page.data.at("parts")[0].at("charts")[0];
@@ -70,9 +76,9 @@ TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
   for (const auto& point : points) sum += point[1].get<double>() / 600;
   EXPECT_NEAR(sum, 2500.5, 5);
   std::string names;
-  for (const auto& picture : page.data.at("parts")[1].at("pictures"))
+  for (const auto& picture : page.data.at("parts")[2].at("pictures"))
     names += picture.at("name").get<std::string>() + ", ";
-  EXPECT_EQ(names, "after step 100, after step 300, after step 400, ");
+  EXPECT_EQ(names, "before the first step, after step 300, after step 400, ");
 }
 
 // As the training loop leaves it in between.
@@ -127,8 +133,9 @@ TEST(LiveTrainingPage, IsOfARunThatGoesOnThenOfAStoppedOrFinishedOne) {
     write_file_atomically(run.path() / "report.json", R"({"command": "train level", "steps": 100})");
     page.end();
   }
-  EXPECT_THAT(read_file(file), testing::AllOf(HasSubstr("100 steps were done."),
-                                              testing::Not(HasSubstr("http-equiv=\"refresh\""))));
+  EXPECT_THAT(read_file(file),
+              testing::AllOf(HasSubstr("100 steps were done; the loss ended at 0.4, from 0.5."),
+                             testing::Not(HasSubstr("http-equiv=\"refresh\""))));
 }
 
 TEST(TrainingPage, DoesWithoutMetricsAndRefusesBrokenOnes) {
