@@ -16,7 +16,8 @@ A figure is named in a comment below the paragraph or the table that has it, whi
 (or with "; " in the place of new lines). First the figure as the text has it ("21 min 50 s" is one), then where the report has it: keys and numbers of JSON between dots, a
 column of CSV with the cells that choose its one row, `rows[...]` (how many such rows there are) or `bytes` (of all files of the name, which may hold *), or arithmetic of such in braces, of other
 files as {FILE: ...}. The steps `sum` and `largest` go through a list: stages.sum.seconds. The report's value has to round to the figure. The figure has to stand in the text between the comment and
-the one before it, or the heading. In the pages of WHOLE every number with a decimal point has to be named, or listed as `given`: a
+the one before it, or the heading. A page that is read as text, README.md, has `<!-- figures: see NAME -->` instead, and what would stand in the comment below a line `NAME:` of
+docs/measured/figures/README.txt, a figure a line. In the pages of WHOLE every number with a decimal point has to be named, or listed as `given`: a
 version, a setting, what a paper says, and no measurement.
 """
 import argparse
@@ -38,6 +39,25 @@ OPERATIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.m
 
 class Wrong(Exception):
     pass
+
+
+def with_comments(page, text, root):
+    """The page's text with its comments in full."""
+    path = root / "docs/measured/figures" / (pathlib.Path(page).stem + ".txt")
+    sections, name = {}, None
+    for line in path.read_text().splitlines() if path.is_file() else []:
+        if re.fullmatch(r"\w+:", line):
+            name = line[:-1]
+            sections[name] = []
+        elif line.strip():
+            sections[name].append(line.strip())
+
+    def full(reference):
+        if reference[1] not in sections:
+            raise SystemExit(f"check_figures: {page}: expected a line '{reference[1]}:' in {path}, found none.")
+        return "<!-- " + "\n".join(sections[reference[1]]) + " -->"
+
+    return re.sub(r"<!-- figures: see (\w+) -->", full, text)
 
 
 class Reports:
@@ -204,7 +224,7 @@ def main():
         str(path.relative_to(root)) for pattern in ("*.md", "docs/*.md", "configs/*/*.md") for path in root.glob(pattern))
     reports, problems, compared = Reports(root), [], 0
     for page in pages:
-        found, count = check(page, (root / page).read_text(), reports, page in WHOLE)
+        found, count = check(page, with_comments(page, (root / page).read_text(), root), reports, page in WHOLE)
         problems += found
         compared += count
     if not compared and not problems:

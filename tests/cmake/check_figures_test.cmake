@@ -47,3 +47,9 @@ check("Two ways, 2.2 times as fast." "${csv}2.2 {seconds[method=exact]} / {secon
 check("It has 27.4 dB." "${json}27.4 means.ssim.mean" "expected means.ssim.mean, found no ssim")
 check("It has 27.4 dB." "figures: docs/measured/b/report.json\n27.4 means.psnr.mean" "expected a report docs/measured/b/report.json, found none")
 check("It has 27 dB." "no figure" "no figure was found at all")
+
+# What a page has no comments for stands in a file of its own.
+file(WRITE ${SCRATCH}/docs/measured/figures/README.txt "quality:\n${json}27.4 means.psnr.mean\n")
+check("It has 27.4 dB." "figures: see quality" "")
+check("It has 27.5 dB." "figures: see quality" "figure 27.4: expected it in the text above its comment")
+check("It has 27.4 dB." "figures: see speed" "README.md: expected a line 'speed:' in")
