@@ -15,6 +15,8 @@ PhotographDepth used_source_depth(const PipelineModels& models, const Photograph
   options.stereo = use.matches() ? std::optional(use.stereo) : std::nullopt;
   options.refinement = refinement.get();
   options.single_source_unit = single_source_unit;
+  // A model that takes the head's depth as it is was trained on that.
+  options.follows_edges = use.matches();
   return photograph_depth(views, source_images, photographs, head, options);
 }
 

@@ -1,6 +1,7 @@
 #include "models/scene_geometry/photograph_depth.h"
 
 #include "gld/cameras/resized_camera.h"
+#include "gld/photogrammetry/edge_following_depth.h"
 #include "gld/photogrammetry/fused_view_depth.h"
 #include "gld/photogrammetry/matched_source_depth.h"
 #include "gld/photogrammetry/photograph_composition.h"
@@ -57,6 +58,16 @@ PhotographDepth matched_depth(const Views& views, const torch::Tensor& source_im
   return result;
 }
 
+// What photographs confirm stays.
+void follow_edges(const SourcePhotographs& photographs, PhotographDepth& found) {
+  for (size_t view = 0; view < found.depth.views.size(); ++view) {
+    PlanarDepth& depth = found.depth.views[view];
+    const ConfidenceMap confirmed =
+        view < found.stereo.views.size() ? confirmation(found.stereo.views[view], depth) : ConfidenceMap();
+    depth = edge_following_depth(depth, photographs.views[view], confirmed, static_cast<int>(thread_count()));
+  }
+}
+
 }  // namespace
 
 SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor& source_images) {
@@ -75,10 +86,14 @@ SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor&
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const PhotographDepthOptions& options) {
-  if (!options.stereo || views.num_sources == 1)
-    return depth_of_head(views, source_images, head, options.single_source_unit);
-  PhotographDepth found = matched_depth(views, source_images, photographs, head, *options.stereo);
-  if (options.refinement != nullptr) refine(*options.refinement, photographs, found);
+  PhotographDepth found;
+  if (!options.stereo || views.num_sources == 1) {
+    found = depth_of_head(views, source_images, head, options.single_source_unit);
+  } else {
+    found = matched_depth(views, source_images, photographs, head, *options.stereo);
+    if (options.refinement != nullptr) refine(*options.refinement, photographs, found);
+  }
+  if (options.follows_edges) follow_edges(photographs, found);
   return found;
 }
 

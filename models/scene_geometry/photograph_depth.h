@@ -37,6 +37,7 @@ struct PhotographDepthOptions {
   std::optional<StereoOptions> stereo = StereoOptions();  // how photographs are matched; none: they are not
   const DepthRefinement* refinement = nullptr;            // mends what was matched; null for none
   double single_source_unit = 0;                          // as source_depth_of_head() takes it
+  bool follows_edges = true;  // at last, its edges are those of the photographs (edge_following_depth.h)
 };
 
 // The depth of the source views that sampling, training and evaluation carry them by: what their photographs agree on.

@@ -28,7 +28,9 @@ PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& 
   const torch::NoGradGuard no_grad;
   const auto pictures = source_pictures(scene);
   const GeometryOutput said = said_of_sources(space, head, pictures);
-  return photograph_depth(scene.views, pictures, photographs, &said, PhotographDepthOptions());
+  PhotographDepthOptions options;
+  options.follows_edges = false;
+  return photograph_depth(scene.views, pictures, photographs, &said, options);
 }
 
 SourceDepth sampled_source_depth(const LatentSpace& space, const GeometryHead& head,

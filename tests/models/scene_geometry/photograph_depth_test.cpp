@@ -61,10 +61,10 @@ TEST(PhotographDepth, TheHeadsDepthIsToldInTheUnitOfTheCameras) {
 
 TEST(PhotographDepth, WhatPhotographsDoNotConfirmIsMended) {
   const PhotographedPlane plane;
-  const PhotographDepth found = plane.found();
-  ASSERT_TRUE(found.depth.known()) << found.depth.doubt;
   const auto network = deepening_network();
   PhotographDepthOptions options;
+  options.follows_edges = false;
+  const PhotographDepth found = plane.found(options);
   options.refinement = network.get();
   const PhotographDepth mended = plane.found(options);
   EXPECT_EQ(mended.depth.from, "photographs and geometry head, mended by a network");
@@ -95,6 +95,7 @@ TEST(PhotographDepth, OfOnePhotographTheHeadsDepthStaysAsItIs) {
   EXPECT_TRUE(unknown.head.empty());
   EXPECT_FALSE(told_depth(photographs_of_images(plane.views, plane.images), unknown, 112));
   options.single_source_unit = 2.5;
+  options.follows_edges = false;
   const PhotographDepth guessed = plane.found(options);
   EXPECT_EQ(guessed.depth.from, "geometry head, in the usual unit");
   const auto truth = test::two_views_of_plane();
@@ -102,6 +103,31 @@ TEST(PhotographDepth, OfOnePhotographTheHeadsDepthStaysAsItIs) {
   for (size_t i = 0; i < truth[0].depth.values.size(); ++i)
     ASSERT_NEAR(guessed.depth.views[0].values[i], truth[0].depth.values[i], 1e-4) << i;
   EXPECT_EQ(guessed.head[0].values, guessed.depth.views[0].values);
+}
+
+// The depth of one photograph too, whose head smears an edge of the picture.
+TEST(PhotographDepth, FollowsTheEdgesOfThePhotographs) {
+  PhotographedPlane plane;
+  plane.views.num_sources = 1;
+  plane.images = plane.images.narrow(0, 0, 1).clone();
+  const int64_t middle = plane.images.size(3) / 2;
+  plane.images.slice(3, 0, middle).fill_(0.1);
+  plane.images.slice(3, middle).fill_(0.9);
+  auto& depth = plane.head.depth;
+  depth.slice(2, 0, middle).fill_(1);
+  depth.slice(2, middle).fill_(2);
+  depth.slice(2, middle - 2, middle + 2).fill_(1.5);
+  PhotographDepthOptions options;
+  options.single_source_unit = 1;
+  const auto edge_of = [&](bool follows_edges) {
+    options.follows_edges = follows_edges;
+    const PlanarDepth found = plane.found(options).depth.views.at(0);
+    const auto row = static_cast<size_t>(found.height / 2 * found.width + middle);
+    return std::vector<float>(found.values.begin() + static_cast<std::ptrdiff_t>(row) - 2,
+                              found.values.begin() + static_cast<std::ptrdiff_t>(row) + 2);
+  };
+  EXPECT_EQ(edge_of(false), (std::vector<float>{1.5F, 1.5F, 1.5F, 1.5F}));
+  EXPECT_EQ(edge_of(true), (std::vector<float>{1, 1, 2, 2}));
 }
 
 // Photographs are looked at reduced, however large they are.
