@@ -11,9 +11,9 @@
 namespace gld {
 namespace {
 
-// Chosen on drawn rooms (seeds 900000 and 31003) and the Lund door, TartanAir and RealEstate10K of docs/RESULTS.md, by the
-// PSNR of carried photographs; half or twice of each changes it by less than half of what is gained.
-constexpr int kSamplesAside = 5;  // of the window, to each side
+// Chosen on drawn rooms (seeds 900000 and 31003) and the Lund door, TartanAir and RealEstate10K of docs/RESULTS.md,
+// by the PSNR of carried photographs; half or twice of each changes it by less than half of what is gained.
+constexpr int kSamplesAside = 5;        // of the window, to each side
 constexpr double kSamplesAcross = 112;  // of the longer side: so far apart they are, however large the map is
 constexpr double kNearSamples = 4;      // one standard deviation
 constexpr double kAlikeColours = 0.1;   // of colours' distance, one standard deviation
@@ -59,7 +59,7 @@ class EdgeFollowing {
   // Of the logarithms of depth around that pixel, whose own is known; NaN is not known.
   float median(const std::vector<float>& logs, int64_t x, int64_t y) const {
     const float own = logs[static_cast<size_t>(y * width_ + x)];
-    std::array<WeightedDepth, static_cast<size_t>(kWindowSide* kWindowSide)> around;
+    std::array<WeightedDepth, static_cast<size_t>(kWindowSide * kWindowSide)> around;
     size_t count = 0;
     float least = own, most = own;
     for (int row = -kSamplesAside; row <= kSamplesAside; ++row) {
@@ -70,8 +70,10 @@ class EdgeFollowing {
         if (from_x < 0 || from_x >= width_) continue;
         const float value = logs[static_cast<size_t>(from_y * width_ + from_x)];
         if (std::isnan(value)) continue;
-        around[count++] = {value, nearness_[static_cast<size_t>((row + kSamplesAside) * kWindowSide + column + kSamplesAside)] *
-                                      likeness(x, y, from_x, from_y)};
+        around[count++] = {
+            value,
+            nearness_[static_cast<size_t>((row + kSamplesAside) * kWindowSide + column + kSamplesAside)] *
+                likeness(x, y, from_x, from_y)};
         least = std::min(least, value);
         most = std::max(most, value);
       }
@@ -95,7 +97,8 @@ class EdgeFollowing {
     const float* a = &colours_[static_cast<size_t>(3 * (y * width_ + x))];
     const float* b = &colours_[static_cast<size_t>(3 * (other_y * width_ + other_x))];
     float squares = 0;
-    for (int channel = 0; channel < 3; ++channel) squares += (a[channel] - b[channel]) * (a[channel] - b[channel]);
+    for (int channel = 0; channel < 3; ++channel)
+      squares += (a[channel] - b[channel]) * (a[channel] - b[channel]);
     return std::exp(squares * static_cast<float>(-1 / (2 * kAlikeColours * kAlikeColours)));
   }
 
@@ -111,9 +114,8 @@ PlanarDepth edge_following_depth(const PlanarDepth& depth, const PicturedView& p
   if (depth.values.empty() || picture.rgb.empty()) return depth;
   const EdgeFollowing edges(depth, picture);
   std::vector<float> logs(depth.values.size());
-  std::transform(depth.values.begin(), depth.values.end(), logs.begin(), [](float value) {
-    return PlanarDepth::known(value) ? std::log(value) : std::nanf("");
-  });
+  std::transform(depth.values.begin(), depth.values.end(), logs.begin(),
+                 [](float value) { return PlanarDepth::known(value) ? std::log(value) : std::nanf(""); });
   for (int pass = 0; pass < kMedianPasses; ++pass) {
     std::vector<float> next = logs;
 #pragma omp parallel for num_threads(threads) schedule(dynamic, 8)

@@ -16,6 +16,7 @@
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <csignal>
 #include <cstdlib>
@@ -24,6 +25,7 @@
 #include <map>
 #include <random>
 #include <set>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
@@ -254,6 +256,9 @@ double processor_seconds(pid_t process) {
 }
 
 Ended run(const Words& words, std::chrono::milliseconds patience, int ending, const Sandbox& sandbox) {
+  // Patience begins when the child has: on a busy machine a signal would come before it takes any.
+  std::array<int, 2> begun_pipe{};
+  if (::pipe2(begun_pipe.data(), O_CLOEXEC) != 0) throw std::runtime_error("no pipe");
   const pid_t child = ::fork();
   if (child == 0) {
     const int said = ::open(sandbox.said().c_str(), O_CREAT | O_TRUNC | O_WRONLY, 0600);
@@ -264,9 +269,15 @@ Ended run(const Words& words, std::chrono::milliseconds patience, int ending, co
     ::setenv("XDG_CACHE_HOME", sandbox.cache().c_str(), 1);
     // What a shell starts in the background ignores it.
     ::signal(SIGINT, SIG_DFL);
-    if (::chdir(sandbox.folder().c_str()) != 0) ::_exit(99);
+    if (::chdir(sandbox.folder().c_str()) != 0 || ::write(begun_pipe[1], "!", 1) != 1) ::_exit(99);
+    ::close(begun_pipe[0]);
+    ::close(begun_pipe[1]);
     ::_exit(run_command_line(all_commands(), words));
   }
+  ::close(begun_pipe[1]);
+  char sign = 0;
+  if (::read(begun_pipe[0], &sign, 1) != 1) throw std::runtime_error("a child that did not begin");
+  ::close(begun_pipe[0]);
   Ended ended;
   const auto begun = Clock::now();
   int status = 0;

@@ -20,7 +20,8 @@ PicturedView two_halves(int64_t enlarged = 1) {
   picture.camera.height = picture.height;
   for (int64_t y = 0; y < picture.height; ++y) {
     for (int64_t x = 0; x < picture.width; ++x)
-      for (int channel = 0; channel < 3; ++channel) picture.rgb.push_back(2 * x < picture.width ? 0.2F : 0.8F);
+      for (int channel = 0; channel < 3; ++channel)
+        picture.rgb.push_back(2 * x < picture.width ? 0.2F : 0.8F);
   }
   return picture;
 }
