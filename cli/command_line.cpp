@@ -386,7 +386,7 @@ void print_overview(const CommandGroup& group) {
 std::string named_so(const std::vector<Command>& commands, const std::string& word) {
   for (const auto& command : commands) {
     if (last_word(command) == word) return command.name;
-    if (const auto inner = named_so(command.subcommands, word); !inner.empty()) return inner;
+    if (auto inner = named_so(command.subcommands, word); !inner.empty()) return inner;
   }
   return "";
 }

@@ -22,7 +22,12 @@ constexpr int kMedianPasses = 2;
 // pixel's own there is none at that pixel, but a slope, which a median of one side would shift.
 constexpr float kFlat = 0.02F, kSlope = 0.03F;
 
-constexpr int kWindowSide = 2 * kSamplesAside + 1;
+constexpr size_t kWindowSide = 2 * kSamplesAside + 1;
+
+// The number of a sample of the window.
+size_t sample(int row, int column) {
+  return static_cast<size_t>(row + kSamplesAside) * kWindowSide + static_cast<size_t>(column + kSamplesAside);
+}
 
 // (height, width, 3) of the depth's size.
 std::vector<float> colours_of(const PicturedView& picture, const PlanarDepth& depth) {
@@ -51,7 +56,7 @@ class EdgeFollowing {
     apart_ = std::max<int64_t>(1, std::llround(longer / kSamplesAcross));
     for (int y = -kSamplesAside; y <= kSamplesAside; ++y) {
       for (int x = -kSamplesAside; x <= kSamplesAside; ++x)
-        nearness_[static_cast<size_t>((y + kSamplesAside) * kWindowSide + x + kSamplesAside)] =
+        nearness_[sample(y, x)] =
             static_cast<float>(std::exp(-(x * x + y * y) / (2 * kNearSamples * kNearSamples)));
     }
   }
@@ -59,7 +64,7 @@ class EdgeFollowing {
   // Of the logarithms of depth around that pixel, whose own is known; NaN is not known.
   float median(const std::vector<float>& logs, int64_t x, int64_t y) const {
     const float own = logs[static_cast<size_t>(y * width_ + x)];
-    std::array<WeightedDepth, static_cast<size_t>(kWindowSide * kWindowSide)> around;
+    std::array<WeightedDepth, kWindowSide * kWindowSide> around;
     size_t count = 0;
     float least = own, most = own;
     for (int row = -kSamplesAside; row <= kSamplesAside; ++row) {
@@ -70,10 +75,7 @@ class EdgeFollowing {
         if (from_x < 0 || from_x >= width_) continue;
         const float value = logs[static_cast<size_t>(from_y * width_ + from_x)];
         if (std::isnan(value)) continue;
-        around[count++] = {
-            value,
-            nearness_[static_cast<size_t>((row + kSamplesAside) * kWindowSide + column + kSamplesAside)] *
-                likeness(x, y, from_x, from_y)};
+        around[count++] = {value, nearness_[sample(row, column)] * likeness(x, y, from_x, from_y)};
         least = std::min(least, value);
         most = std::max(most, value);
       }
@@ -104,7 +106,7 @@ class EdgeFollowing {
 
   int64_t width_, height_, apart_ = 1;
   std::vector<float> colours_;
-  std::array<float, static_cast<size_t>(kWindowSide* kWindowSide)> nearness_{};
+  std::array<float, kWindowSide * kWindowSide> nearness_{};
 };
 
 }  // namespace

@@ -135,13 +135,12 @@ void check_what_is_shown(int64_t sources_of_scene) {
   };
   const DitSceneInputs by_head =
       inputs_by(source_depth_of_head(scene.views, sources, geometry, small.single_source_unit));
-  // Nothing of a single photograph can be matched.
-  const DitSceneInputs by_photographs =
-      sources_of_scene == 1 ? by_head
-                            : inputs_by(source_view_depth(*space, *frozen.geometry_head, scene,
-                                                          photographs_of_images(scene.views, sources))
-                                            .depth);
-  EXPECT_EQ(torch::equal(by_head.warped_features, by_photographs.warped_features), sources_of_scene == 1);
+  PhotographDepthOptions sampled;
+  sampled.single_source_unit = small.single_source_unit;
+  const DitSceneInputs by_photographs = inputs_by(
+      photograph_depth(scene.views, sources, photographs_of_images(scene.views, sources), &geometry, sampled)
+          .depth);
+  EXPECT_FALSE(torch::equal(by_head.warped_features, by_photographs.warped_features));
   for (const bool dropped : {false, true}) {
     for (const auto& [carried_by, inputs, kept_gib] :
          {std::tuple(CarryingDepth::kHead, by_head, 0.0), std::tuple(CarryingDepth::kHead, by_head, 1.0),
