@@ -187,7 +187,7 @@ TensorEntry checked_entry(const HeaderTensor& tensor, ByteView data, const std::
     for (const uint64_t offset : tensor.offsets)
       found += (found.empty() ? "" : ", ") + std::to_string(offset);
     fail({where, "data_offsets within the " + std::to_string(data.size) + " data bytes of the file",
-          "[" + found + "]", "get it again, it may be cut short"});
+          "[" + found + "]", "get the file again, it may be cut short"});
   }
   if (tensor.offsets[1] - tensor.offsets[0] != static_cast<uint64_t>(bytes)) {
     fail({where,
@@ -234,13 +234,13 @@ void check_tiling(const std::vector<TensorEntry>& entries, ByteView data, const 
 
 ParsedWeights parse_safetensors(ByteView file, const std::string& where) {
   if (file.size < kLengthBytes) {
-    fail({where, "a safetensors file", "only " + std::to_string(file.size) + " bytes", "get it again"});
+    fail({where, "a safetensors file", "only " + std::to_string(file.size) + " bytes", "get the file again"});
   }
   uint64_t length = 0;
   std::memcpy(&length, file.data, sizeof length);
   if (length > file.size - kLengthBytes) {
     fail({where, "a header within the file's " + std::to_string(file.size) + " bytes",
-          "a header length of " + std::to_string(length), "get it again, it may be cut short"});
+          "a header length of " + std::to_string(length), "get the file again, it may be cut short"});
   }
   if (length > kMaximumSafetensorsHeader) {
     fail({where, "a header of at most " + std::to_string(kMaximumSafetensorsHeader) + " bytes",

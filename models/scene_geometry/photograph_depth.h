@@ -44,7 +44,7 @@ struct PhotographDepthOptions {
 // head: what a geometry head says of the source views alone, depth and rays in its own unit, as the prior of the match;
 // null for none. Nothing of one photograph can be matched: there, where photographs are not to be matched, and where
 // hardly any pixel tells the unit, the head's depth counts as source_depth_of_head() brings it to the cameras' unit, or
-// nothing is known.
+// nothing is known. Of several photographs that are not to be matched a head has to say something.
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const PhotographDepthOptions& options);

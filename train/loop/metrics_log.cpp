@@ -43,6 +43,8 @@ MetricsLog::MetricsLog(std::filesystem::path file, int64_t last_step) : file_(st
 
 void MetricsLog::append(const nlohmann::ordered_json& line) {
   const std::string text = line.dump();
+  // So that it is noted among what the run wrote, which --overwrite removes.
+  if (!std::filesystem::exists(file_)) write_file_atomically(file_, "");
   std::ofstream stream(file_, std::ios::app);
   stream << text << '\n' << std::flush;
   if (!stream) {

@@ -13,7 +13,8 @@ namespace gld {
 // metrics.jsonl of a training run: one JSON object a line, each with a "step". Lines are appended and flushed.
 class MetricsLog {
  public:
-  // Lines of steps behind last_step (written after the checkpoint that the run resumes from) are removed.
+  // Lines of steps behind last_step (written after the checkpoint that the run resumes from) are removed. A file that
+  // is not there is made with the first line.
   MetricsLog(std::filesystem::path file, int64_t last_step);
 
   void append(const nlohmann::ordered_json& line);

@@ -7,8 +7,8 @@
 
 namespace gld {
 
-// The depth of a scene's source views before the network mends it that follows: what frozen backbone and
-// geometry head and the photographs themselves say. photographs: of the source views, as large as the scene's images.
+// The depth of a scene's source views as the network that mends depth is shown it: what frozen backbone and geometry
+// head and the photographs themselves say. photographs: of the source views, as large as the scene's images.
 PhotographDepth source_view_depth(const LatentSpace& space, const GeometryHead& head,
                                   const TrainingScene& scene, const SourcePhotographs& photographs);
 

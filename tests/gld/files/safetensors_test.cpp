@@ -91,15 +91,15 @@ TEST(Safetensors, HeaderThatIsWrittenIsRead) {
 
 TEST(Safetensors, RefusesBrokenLengths) {
   EXPECT_EQ(safetensors_refusal(""),
-            "w.safetensors: expected a safetensors file, found only 0 bytes; get it again.");
+            "w.safetensors: expected a safetensors file, found only 0 bytes; get the file again.");
   EXPECT_EQ(safetensors_refusal("1234567"),
-            "w.safetensors: expected a safetensors file, found only 7 bytes; get it again.");
+            "w.safetensors: expected a safetensors file, found only 7 bytes; get the file again.");
   EXPECT_EQ(safetensors_refusal(std::string(7, '\xff') + '\x7f' + "{}"),
             "w.safetensors: expected a header within the file's 10 bytes, "
-            "found a header length of 9223372036854775807; get it again, it may be cut short.");
+            "found a header length of 9223372036854775807; get the file again, it may be cut short.");
   EXPECT_EQ(safetensors_refusal(safetensors_text(kOneTensor, "").substr(0, 20)),
             "w.safetensors: expected a header within the file's 20 bytes, found a header length of 54; "
-            "get it again, it may be cut short.");
+            "get the file again, it may be cut short.");
 }
 
 TEST(Safetensors, RefusesAHugeHeader) {
@@ -178,16 +178,16 @@ TEST(Safetensors, RefusesHostileHeaders) {
        tensor + "expected a shape whose size fits 63 bits, found sizes that overflow" + again},
       {"beyond the file", one(R"("dtype":"F32","shape":[2],"data_offsets":[4,12])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [4, 12]; "
-                "get it again, it may be cut short."},
+                "get the file again, it may be cut short."},
       {"one byte beyond the file", one(R"("dtype":"U8","shape":[8],"data_offsets":[1,9])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [1, 9]; "
-                "get it again, it may be cut short."},
+                "get the file again, it may be cut short."},
       {"reversed", one(R"("dtype":"F32","shape":[2],"data_offsets":[8,0])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [8, 0]; "
-                "get it again, it may be cut short."},
+                "get the file again, it may be cut short."},
       {"one offset", one(R"("dtype":"F32","shape":[2],"data_offsets":[0])"), "12345678",
        tensor + "expected data_offsets within the 8 data bytes of the file, found [0]; "
-                "get it again, it may be cut short."},
+                "get the file again, it may be cut short."},
       {"bytes and shape disagree", one(R"("dtype":"F32","shape":[3],"data_offsets":[0,8])"), "12345678",
        tensor + "expected 12 bytes for shape (3) in float32, found 8 bytes between its data_offsets" + again},
       {"bytes and dtype disagree", one(R"("dtype":"F16","shape":[2],"data_offsets":[0,8])"), "12345678",

@@ -376,21 +376,6 @@ TEST(TrainingLoop, OtherOptionsThanTheCheckpointsAreAnErrorNotDamage) {
       << error;
 }
 
-TEST(MetricsLog, DamagedLinesAreLeftOut) {
-  const test::TemporaryFolder folder;
-  const auto file = folder.path() / "metrics.jsonl";
-  write_file_atomically(
-      file,
-      "{\"step\": 1, \"loss\": 2}\n"
-      "{\"step\": \"2\", \"loss\": 3}\n"
-      "{\"loss\": 3}\n[1]\n\xFF\n{\"step\": 3, \"loss\": 1e999}\n{\"step\": -4}\n{\"step\": 2.5}\n" +
-          std::string(100'000, '[') + "\n{\"step\": 5, \"loss\": 4}\n{\"step\": 6, \"lo");
-  const MetricsLog log(file, 5);
-  const std::vector<std::pair<double, double>> expected = {{1, 2}, {5, 4}};
-  EXPECT_EQ(log.series("loss"), expected);
-  EXPECT_EQ(read_file(file), "{\"step\":1,\"loss\":2}\n{\"step\":5,\"loss\":4}\n");
-}
-
 // A stop in the middle of a step that would take long leaves the checkpoint of the last complete one.
 TEST(TrainingLoop, AStopDoesNotWaitForTheEndOfALongStep) {
   const test::TemporaryFolder whole, stopped;
