@@ -308,6 +308,10 @@ void AblateOptions::visit(FieldVisitor& visitor) {
       cache);
   visitor.text({"model", "bundle folder of the base"}, model);
   visitor.integers({"seeds", "each stage with random numbers runs once for each"}, seeds, {0, 1'000'000});
+  visitor.texts(
+      {"with_runs",
+       "run folders of the same question under other seeds, of another day or machine: their rows count as well"},
+      with_runs);
   visitor.texts({"only", "variants to run; none: all"}, only);
   visitor.texts(
       {"overrides", "options of stages, STAGE.KEY=VALUE, for all variants and above everything else"},

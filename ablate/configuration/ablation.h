@@ -19,6 +19,7 @@ struct AblateOptions : OptionsGroup {
   std::string cache;  // empty: cache/ in the run folder
   std::string model = "configs/tiny";
   std::vector<int64_t> seeds{0, 1, 2};
+  std::vector<std::string> with_runs;  // folders of this ablation under other seeds, which count as well
   std::vector<std::string> only;       // variants; empty: all
   std::vector<std::string> overrides;  // "STAGE.KEY=VALUE"
   bool smoke = false;

@@ -144,16 +144,21 @@ class Planner {
     task.stage = stage.name;
     task.command = stage.command;
     task.alone = stage.alone;
+    std::string without_seed;  // task.options
     if (stage.command == kAssembleCommand) {
       plan_assembly(run, stage, task);
+      without_seed = task.options;
     } else {
-      plan_command(run, stage, task);
-      task.options = replaced(task.options, "${number}", fmt::format("{:06d}", number));
+      without_seed = plan_command(run, stage, task);
+      for (std::string* options : {&task.options, &without_seed})
+        *options = replaced(*options, "${number}", fmt::format("{:06d}", number));
     }
     std::sort(task.needs.begin(), task.needs.end());
     task.needs.erase(std::unique(task.needs.begin(), task.needs.end()), task.needs.end());
-    task.depends = dependencies(task);
+    const std::string by_program = "gld ablation stage 1\nprogram: " + commands_.version + "\n";
+    task.depends = by_program + dependencies(task, task.options, &StageTask::key);
     task.key = hash_key(task.depends);
+    task.question = hash_key(dependencies(task, without_seed, &StageTask::question));
     const auto known = numbers_.find(task.key);
     if (known != numbers_.end()) return known->second;
     numbers_[task.key] = plan_.tasks.size();
@@ -180,7 +185,8 @@ class Planner {
     task.options = to_yaml(*task.bundle);
   }
 
-  void plan_command(const Run& run, const StageDescription& stage, StageTask& task) {
+  // Returns task.options as they are for every seed.
+  std::string plan_command(const Run& run, const StageDescription& stage, StageTask& task) {
     const auto options = commands_.options(stage.command);
     if (!options) {
       const auto near = nearest_name(stage.command, commands_.names);
@@ -194,9 +200,9 @@ class Planner {
     }
     check_smoke_settings(stage);
     const std::string seed = stage.seed.empty() ? seed_field(*options) : stage.seed;
-    if (!stage.shared && !seed.empty()) {
-      set(*options, seed, std::to_string(integer_field(*options, seed) + kSeedStride * run.seed), run, stage);
-    }
+    const bool seeded = !stage.shared && !seed.empty();
+    const int64_t first_seed = seeded ? integer_field(*options, seed) : 0;
+    if (seeded) set(*options, seed, std::to_string(first_seed + kSeedStride * run.seed), run, stage);
     task.takes_threads = has_field(*options, "threads");
     task.takes_model = has_field(*options, "model");
     if (task.takes_model) {
@@ -225,6 +231,8 @@ class Planner {
       task.needs.push_back(earlier);
     }
     if (makes_bundle(stage.command)) task.bundle = std::make_shared<BundleOptions>(bundle_of(task));
+    if (seeded) set(*options, seed, std::to_string(first_seed), run, stage);
+    return to_yaml_without(*options, beside);
   }
 
   // What the ablation gives each stage itself.
@@ -268,20 +276,19 @@ class Planner {
     }
   }
 
-  std::string dependencies(const StageTask& task) {
-    const auto key = [&](size_t number) { return plan_.tasks[number].key; };
-    std::string text =
-        "gld ablation stage 1\nprogram: " + commands_.version + "\ncommand: " + task.command + "\n";
+  // What a task's result follows from, those that it needs by their `name`. options: of it, in the form that counts.
+  std::string dependencies(const StageTask& task, std::string options, std::string StageTask::*name) {
+    const auto named = [&](size_t number) { return plan_.tasks[number].*name; };
+    std::string text = "command: " + task.command + "\n";
     if (task.model) {
-      text += "model: stage " + key(*task.model) + "\n";
+      text += "model: stage " + named(*task.model) + "\n";
     } else if (task.takes_model) {
       text += "model: bundle " + base(task.base_model).hash + "\n";
     }
-    for (const size_t part : task.parts) text += "parts: stage " + key(part) + "\n";
-    if (task.resumed) text += "resume: stage " + key(*task.resumed) + "\n";
-    std::string options = task.options;
-    for (const auto& [name, number] : task.named) {
-      options = replaced(options, fmt::format("${{{}}}", name), "stage " + key(number));
+    for (const size_t part : task.parts) text += "parts: stage " + named(part) + "\n";
+    if (task.resumed) text += "resume: stage " + named(*task.resumed) + "\n";
+    for (const auto& [stage, number] : task.named) {
+      options = replaced(options, fmt::format("${{{}}}", stage), "stage " + named(number));
     }
     return text + options;
   }

@@ -20,6 +20,9 @@ struct StageTask {
   std::string stage;    // name in the description
   std::string command;  // "train level", "assemble"
   std::string depends;  // the text whose hash the key is
+  // Likewise of everything but the seed and the program's version: what tasks of other seeds and days have in common
+  // that answer the same question.
+  std::string question;
   // YAML of all options of the command but those that only say how it runs; ${STAGE} stands for the folder of the run
   // of an earlier stage. Of assemble: model.yaml.
   std::string options;

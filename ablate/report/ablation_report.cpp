@@ -137,6 +137,7 @@ std::string command_text(const Ablation& ablation) {
   const AblateOptions defaults;
   std::string text = "gld ablate --config " + ablation.file.string() + " --out " + options.out;
   text += " --model " + options.model + " --seeds " + list(options.seeds);
+  if (!options.with_runs.empty()) text += " --with-runs " + list(options.with_runs);
   if (!options.cache.empty()) text += " --cache " + options.cache;
   if (options.smoke) text += " --smoke";
   if (!options.only.empty()) text += " --only " + list(options.only);
@@ -152,6 +153,18 @@ nlohmann::ordered_json number_or_nothing(double value) {
 
 nlohmann::ordered_json interval_json(const Interval& interval) {
   return {number_or_nothing(interval.low), number_or_nothing(interval.high)};
+}
+
+std::string other_runs_text(const AblationResults& results) {
+  if (results.others.empty()) return "";
+  constexpr double kSecondsInAnHour = 3600;
+  Table table({"run", "seeds", "program", "hours"});
+  for (const OtherRun& other : results.others) {
+    table.add_row({other.folder.string(), fmt::format("{}", fmt::join(other.seeds, ", ")), other.program,
+                   fmt::format("{:.2f}", other.seconds / kSecondsInAnHour)});
+  }
+  return "\nSeeds that other runs of the same question measured, whose stages are not listed below:\n\n" +
+         table.markdown();
 }
 
 }  // namespace
@@ -177,6 +190,7 @@ std::string ablation_markdown(const Ablation& ablation, const AblationPlan& plan
     }
   }
   if (!problems.empty()) text += "\nNot everything ran:\n\n" + problems;
+  text += other_runs_text(results);
   Table stages({"stage", "used by", "seconds", "memory, MB", "disk, MB", "cache"});
   for (const StageTask& task : plan.tasks) {
     const auto cost = cache.cost(task);
@@ -218,7 +232,14 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
                               {"description", ablation.file.string()},
                               {"program", results.program},
                               {"repeat_with", command_text(ablation)},
-                              {"smoke", ablation.options.smoke}};
+                              {"smoke", ablation.options.smoke},
+                              {"seeds", ablation.options.seeds}};
+  for (const OtherRun& other : results.others) {
+    json["other_runs"].push_back({{"run", other.folder.string()},
+                                  {"seeds", other.seeds},
+                                  {"program", other.program},
+                                  {"seconds", other.seconds}});
+  }
   for (const VariantNumbers& numbers : results.numbers) {
     nlohmann::ordered_json variant{{"name", numbers.variant}, {"label", label_of(ablation, numbers.variant)}};
     for (const MetricDescription& metric : ablation.metrics) {
@@ -257,8 +278,11 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
     json["claims"].push_back(std::move(claim));
   }
   for (const StageTask& task : plan.tasks) {
-    nlohmann::ordered_json stage{
-        {"stage", task.stage}, {"command", task.command}, {"cache", task.key}, {"used_by", task.used_by}};
+    nlohmann::ordered_json stage{{"stage", task.stage},
+                                 {"command", task.command},
+                                 {"cache", task.key},
+                                 {"question", task.question},
+                                 {"used_by", task.used_by}};
     if (const auto cost = cache.cost(task)) {
       stage["seconds"] = cost->seconds;
       stage["peak_bytes"] = cost->peak_bytes;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "ablate/report/comparisons.h"
+#include "ablate/report/other_runs.h"
 #include "gld/report/plot.h"
 
 #include <string>
@@ -12,13 +13,14 @@ namespace gld {
 
 // What came out of an ablation.
 struct AblationResults {
-  std::string program;  // ProgramCommands::version
-  std::vector<VariantNumbers> numbers;
+  std::string program;                  // ProgramCommands::version
+  std::vector<VariantNumbers> numbers;  // of this run and the others
+  std::vector<OtherRun> others;
   std::vector<ClaimResult> claims;
 };
 
-// ablation.md: title, a table of variants and metrics, the claims with their verdicts, what each stage took, how to
-// repeat it.
+// ablation.md: title, a table of variants and metrics, the claims with their verdicts, other runs whose seeds count, what
+// each stage took, how to repeat it.
 std::string ablation_markdown(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
                               const AblationResults& results);
 // ablation.csv: a row for every variant, seed, scene, target view and metric.

@@ -4,6 +4,7 @@
 #include "ablate/plan/stage_cache.h"
 #include "ablate/plan/stage_plan.h"
 #include "ablate/report/ablation_report.h"
+#include "ablate/report/other_runs.h"
 #include "ablate/run/stage_runner.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"
@@ -17,6 +18,7 @@
 #include <algorithm>
 #include <iostream>
 #include <set>
+#include <utility>
 
 #include <fmt/format.h>
 
@@ -71,6 +73,7 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
         "warning: variants '{}' and '{}' are the same rows and columns of the same stages: nothing tells them apart.\n",
         first, second);
   }
+  std::vector<OtherRun> others = read_other_runs(ablation, plan);
   const fs::path own_cache = fs::path(options.out) / "cache";
   const StageCache cache(options.cache.empty() ? own_cache : fs::path(options.cache));
   if (options.plan) return {plan_text(plan, cache, options.jobs_to_use()), true};
@@ -90,6 +93,8 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   AblationResults results;
   results.program = commands.version;
   results.numbers = collect_numbers(ablation, plan, cache, outcomes);
+  add_other_runs(others, results.numbers);
+  results.others = std::move(others);
   results.claims = judge_claims(ablation, results.numbers);
   const std::string markdown = ablation_markdown(ablation, plan, cache, results);
   write_file_atomically(folder.path() / "ablation.md", markdown);

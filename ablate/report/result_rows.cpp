@@ -116,7 +116,28 @@ void add_leaves(const nlohmann::json& value, const std::string& path, ResultRows
   }
 }
 
+// Columns by number, and the texts that a row must have in them.
+using Conditions = std::vector<std::pair<size_t, std::string>>;
+
+Conditions conditions_of(const ResultRows& rows, const std::map<std::string, std::string>& where) {
+  Conditions conditions;
+  conditions.reserve(where.size());
+  for (const auto& [name, text] : where) conditions.emplace_back(column_number(rows, name), text);
+  return conditions;
+}
+
+bool meets(const std::vector<std::string>& row, const Conditions& conditions) {
+  return std::all_of(conditions.begin(), conditions.end(),
+                     [&](const auto& condition) { return row[condition.first] == condition.second; });
+}
+
 }  // namespace
+
+bool any_row(const ResultRows& rows, const std::map<std::string, std::string>& where) {
+  const Conditions conditions = conditions_of(rows, where);
+  return std::any_of(rows.rows.begin(), rows.rows.end(),
+                     [&](const auto& row) { return meets(row, conditions); });
+}
 
 bool has_column(const ResultRows& rows, const std::string& name) {
   return std::find(rows.columns.begin(), rows.columns.end(), name) != rows.columns.end();
@@ -151,9 +172,7 @@ std::map<std::string, std::map<std::string, double>> numbers_by_scene(
   const size_t value_column = column_number(rows, column);
   const std::optional<size_t> scene_column = scene_column_of(rows);
   const auto target = std::find(rows.columns.begin(), rows.columns.end(), "target");
-  std::vector<std::pair<size_t, std::string>> conditions;
-  conditions.reserve(where.size());
-  for (const auto& [name, text] : where) conditions.emplace_back(column_number(rows, name), text);
+  const Conditions conditions = conditions_of(rows, where);
   struct Sum {
     double sum = 0;
     int64_t count = 0;
@@ -162,10 +181,7 @@ std::map<std::string, std::map<std::string, double>> numbers_by_scene(
   bool any = false;
   for (size_t number = 0; number < rows.rows.size(); ++number) {
     const auto& row = rows.rows[number];
-    const bool wanted = std::all_of(conditions.begin(), conditions.end(), [&](const auto& condition) {
-      return row[condition.first] == condition.second;
-    });
-    if (!wanted) continue;
+    if (!meets(row, conditions)) continue;
     any = true;
     if (row[value_column].empty()) continue;
     const std::string view =

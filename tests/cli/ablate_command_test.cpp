@@ -220,6 +220,62 @@ TEST_F(AblateCommand, AColumnThatResultsDoNotHaveIsSaidWhenTheFirstOnesAreThere)
   EXPECT_EQ(gld_ablate({"--smoke"}), 0) << text_;
 }
 
+TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
+  // Without the training: each seed draws noise of its own.
+  std::string text = kDescription;
+  text.replace(text.find("stages:\n"), text.find("  eval:\n") - text.find("stages:\n"), "stages:\n");
+  text.replace(text.find("smoke:\n"), std::string::npos, "");
+  write_file_atomically(folder_.path() / "a.yaml", text);
+  const auto folder = [&](const std::string& name) { return (folder_.path() / name).string(); };
+  const auto run_seeds = [&](const std::string& name, const std::string& seeds,
+                             const std::vector<std::string>& more = {}) {
+    fs::remove(log());
+    std::vector<std::string> words{GLD_PROGRAM,  "ablate",  "--config",      folder("a.yaml"), "--out",
+                                   folder(name), "--model", folder("model"), "--seeds",        seeds};
+    words.insert(words.end(), more.begin(), more.end());
+    ChildProcess process(words, log(), -1);
+    return finish(process);
+  };
+  const auto report_of = [&](const std::string& name) {
+    return parse_json(read_file(folder_.path() / name / "report.json"), "report.json");
+  };
+  ASSERT_EQ(run_seeds("together", "0,1"), 0) << text_;
+  ASSERT_EQ(run_seeds("zero", "0"), 0) << text_;
+  ASSERT_EQ(run_seeds("one", "1", {"--with-runs", folder("zero")}), 0) << text_;
+  EXPECT_EQ(read_file(folder_.path() / "one" / "ablation.csv"),
+            read_file(folder_.path() / "together" / "ablation.csv"));
+  EXPECT_EQ(report_of("one").at("claims"), report_of("together").at("claims"));
+  EXPECT_EQ(report_of("one").at("variants"), report_of("together").at("variants"));
+  EXPECT_EQ(report_of("one").at("other_runs").at(0).at("seeds"), nlohmann::json({0}));
+  EXPECT_EQ(report_of("one").at("stages").size(), 2U);
+  EXPECT_THAT(text_, HasSubstr("Seeds that other runs of the same question measured"));
+
+  // What cannot be counted together is refused before anything runs.
+  EXPECT_EQ(run_seeds("two", "0,2", {"--with-runs", folder("zero")}), 2);
+  EXPECT_EQ(text_, "error: --with-runs: expected every seed once, found seed 0 of '" + folder("zero") +
+                       "', which is this ablation's too; choose other --seeds, or leave the folder out.\n");
+  EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("zero") + "," + folder("together")}), 2);
+  EXPECT_EQ(text_, "error: --with-runs: expected every seed once, found seed 0 of '" + folder("together") +
+                       "', which is that of '" + folder("zero") +
+                       "' too; choose other --seeds, or leave the folder out.\n");
+  EXPECT_EQ(
+      run_seeds("two", "2", {"--with-runs", folder("zero"), "--overrides", "eval.solver.evaluations=3"}), 2);
+  EXPECT_EQ(
+      text_,
+      "error: --with-runs: expected stage 'eval' as it is here in everything but its seed, found another one in '" +
+          folder("zero") +
+          "'; give it the same description, model, --overrides and --smoke, or leave the folder out.\n");
+  EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("three")}), 2);
+  EXPECT_EQ(text_,
+            "error: --with-runs: expected the run folder of a finished gld ablate, found '" +
+                folder("three") +
+                "' without report.json and ablation.csv; let that ablation end, or leave the folder out.\n");
+  ASSERT_EQ(run_seeds("plain", "3", {"--only", "plain"}), 0) << text_;
+  EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("plain")}), 2);
+  EXPECT_THAT(text_, HasSubstr("expected stage 'eval' as it is here"));
+  EXPECT_FALSE(fs::exists(folder_.path() / "two"));
+}
+
 TEST_F(AblateCommand, SaysWhatIsWrongBeforeAnythingRuns) {
   EXPECT_EQ(gld_ablate({"--only", "gided"}), 2);
   EXPECT_EQ(text_,

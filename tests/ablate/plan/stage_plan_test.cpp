@@ -144,6 +144,34 @@ TEST_F(StagePlan, KeysFollowFromAllThatAResultDependsOnAndNothingElse) {
   EXPECT_NE(keys(kTwoStages + variants).first, before.first);
 }
 
+TEST_F(StagePlan, AQuestionIsOfEverySeedAndProgramAndOfNoOtherOptionsOrBundle) {
+  const auto questions_of = [&](const std::string& settings, int64_t seed, const std::string& program) {
+    options_.seeds = {seed};
+    ProgramCommands commands = small_commands();
+    commands.version = program;
+    std::vector<std::string> questions;
+    for (const StageTask& task :
+         plan_ablation(read(std::string(kTwoStages) + "variants: {a: {options: {" + settings + "}}}\n"),
+                       commands)
+             .tasks)
+      questions.push_back(task.question);
+    return questions;
+  };
+  const auto asked = questions_of("", 0, "gld 1");
+  EXPECT_EQ(questions_of("", 7, "gld 2"), asked);
+  // A training's steps change it and what is measured of it; rooms change the measurement alone.
+  const auto longer = questions_of("train: {loop: {steps: 11}}", 0, "gld 1");
+  EXPECT_NE(longer[0], asked[0]);
+  EXPECT_NE(longer[1], asked[1]);
+  const auto more_rooms = questions_of("eval: {rooms: 9}", 0, "gld 1");
+  EXPECT_EQ(more_rooms[0], asked[0]);
+  EXPECT_NE(more_rooms[1], asked[1]);
+  // A seed that the description sets is part of the question: others are counted from there.
+  EXPECT_NE(questions_of("eval: {seed: 3}", 0, "gld 1")[1], asked[1]);
+  write_random_bundle(folder_.path() / "model", small_bundle_options(), 2);
+  EXPECT_NE(questions_of("", 0, "gld 1")[0], asked[0]);
+}
+
 TEST_F(StagePlan, SharedStagesKeepTheirSeed) {
   options_.seeds = {0, 1, 2};
   const AblationPlan plan = this->plan(R"(stages:

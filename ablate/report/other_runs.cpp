@@ -1,0 +1,142 @@
+#include "ablate/report/other_runs.h"
+
+#include "ablate/report/result_rows.h"
+#include "gld/base/atomic_file.h"
+#include "gld/base/error.h"
+#include "gld/base/json_text.h"
+
+#include <algorithm>
+#include <map>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+namespace gld {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+constexpr const char* kWhere = "--with-runs";
+
+// By stage, what its tasks ask: several, where variants give a stage other options.
+using Questions = std::map<std::string, std::set<std::string>>;
+
+// Of the variants that are compared alone: the other run may have more, or fewer where it need not have them.
+Questions questions_of(const AblationPlan& plan) {
+  Questions questions;
+  for (const StageTask& task : plan.tasks) questions[task.stage].insert(task.question);
+  return questions;
+}
+
+Json read_report(const fs::path& folder) {
+  const fs::path file = folder / "report.json";
+  if (!fs::is_regular_file(file) || !fs::is_regular_file(folder / "ablation.csv")) {
+    fail({kWhere, "the run folder of a finished gld ablate",
+          "'" + folder.string() + "' without report.json and ablation.csv",
+          "let that ablation end, or leave the folder out"});
+  }
+  Json report = parse_json(read_file(file), file.string());
+  const auto is_list = [&](const char* key) { return report.contains(key) && report.at(key).is_array(); };
+  if (report.value("command", "") != "ablate" || !is_list("variants") || !is_list("stages")) {
+    fail({file.string(), "the report of gld ablate", "another one",
+          "give --with-runs folders that gld ablate wrote"});
+  }
+  if (!is_list("seeds")) {
+    fail(
+        {file.string(), "the seeds and the questions of its stages",
+         "the report of a program that did not note them",
+         "run it again with --overwrite: stages that are done in its cache are taken where the program is the same"});
+  }
+  return report;
+}
+
+void check_questions(const Json& report, const fs::path& folder, const AblationPlan& plan) {
+  Questions others;
+  for (const Json& stage : report.at("stages"))
+    others[stage.value("stage", "")].insert(stage.value("question", ""));
+  for (const auto& [stage, questions] : questions_of(plan)) {
+    const auto found = others.find(stage);
+    const bool has_all = found != others.end() && std::includes(found->second.begin(), found->second.end(),
+                                                                questions.begin(), questions.end());
+    if (has_all) continue;
+    fail({kWhere, fmt::format("stage '{}' as it is here in everything but its seed", stage),
+          fmt::format("{} in '{}'", found == others.end() ? "none" : "another one", folder.string()),
+          "give it the same description, model, --overrides and --smoke, or leave the folder out"});
+  }
+}
+
+// A metric without a row was absent in every scene.
+std::vector<VariantNumbers> read_numbers(const Ablation& ablation, const OtherRun& run) {
+  const ResultRows rows = read_result_rows(run.folder / "ablation.csv");
+  const auto found = [&](const std::map<std::string, std::string>& where) {
+    return any_row(rows, where) ? numbers_by_scene(rows, "value", where)
+                                : std::map<std::string, std::map<std::string, double>>();
+  };
+  std::vector<VariantNumbers> all;
+  for (const VariantDescription& variant : ablation.variants) {
+    VariantNumbers numbers;
+    numbers.variant = variant.name;
+    for (const int64_t seed : run.seeds) {
+      const std::string number = std::to_string(seed);
+      if (!any_row(rows, {{"variant", variant.name}, {"seed", number}})) {
+        fail({rows.file.string(), fmt::format("rows of variant '{}', seed {}", variant.name, seed), "none",
+              "run that ablation without --only, or this one with it"});
+      }
+      for (const MetricDescription& metric : ablation.metrics) {
+        numbers.metrics[metric.name][seed] =
+            found({{"variant", variant.name}, {"seed", number}, {"metric", metric.name}});
+      }
+    }
+    all.push_back(std::move(numbers));
+  }
+  return all;
+}
+
+}  // namespace
+
+std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan) {
+  std::map<int64_t, std::string> owners;
+  for (const int64_t seed : ablation.options.seeds) owners[seed] = "this ablation's";
+  std::vector<OtherRun> others;
+  for (const std::string& name : ablation.options.with_runs) {
+    const fs::path folder = name;
+    const Json report = read_report(folder);
+    OtherRun other;
+    other.folder = folder;
+    other.program = report.value("program", "");
+    for (const Json& seed : report.at("seeds")) {
+      other.seeds.push_back(seed.get<int64_t>());
+      const auto [owner, is_new] = owners.emplace(other.seeds.back(), "that of '" + name + "'");
+      if (!is_new) {
+        fail({kWhere, "every seed once",
+              fmt::format("seed {} of '{}', which is {} too", other.seeds.back(), name, owner->second),
+              "choose other --seeds, or leave the folder out"});
+      }
+    }
+    for (const Json& variant : report.at("variants")) {
+      if (!variant.contains("problems")) continue;
+      fail({kWhere, "a run in which everything ran",
+            fmt::format("'{}', whose variant '{}' did not", name, variant.value("name", "")),
+            "run its command again, or leave the folder out"});
+    }
+    for (const Json& stage : report.at("stages")) other.seconds += stage.value("seconds", 0.0);
+    check_questions(report, folder, plan);
+    other.numbers = read_numbers(ablation, other);
+    others.push_back(std::move(other));
+  }
+  return others;
+}
+
+void add_other_runs(const std::vector<OtherRun>& others, std::vector<VariantNumbers>& numbers) {
+  for (const OtherRun& other : others) {
+    for (size_t i = 0; i < numbers.size(); ++i) {
+      for (const auto& [metric, by_seed] : other.numbers[i].metrics)
+        numbers[i].metrics[metric].insert(by_seed.begin(), by_seed.end());
+    }
+  }
+}
+
+}  // namespace gld

@@ -1,0 +1,31 @@
+#pragma once
+
+#include "ablate/configuration/ablation.h"
+#include "ablate/plan/stage_plan.h"
+#include "ablate/report/comparisons.h"
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace gld {
+
+// A finished run folder of gld ablate with the same question under other seeds: of another day or machine.
+struct OtherRun {
+  std::filesystem::path folder;
+  std::vector<int64_t> seeds;
+  std::string program;  // ProgramCommands::version of its own
+  double seconds = 0;   // of its stages together
+  std::vector<VariantNumbers> numbers;
+};
+
+// Those of ablation.options.with_runs. Throws Error where one is not finished, has not measured a variant of this
+// ablation, has a seed that this ablation or another one of them has, or asks another question: stages that differ by
+// more than their seed and the program's version (StageTask::question).
+std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan);
+
+// As if this ablation had run their seeds too.
+void add_other_runs(const std::vector<OtherRun>& others, std::vector<VariantNumbers>& numbers);
+
+}  // namespace gld
