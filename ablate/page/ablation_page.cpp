@@ -125,9 +125,12 @@ Page ablation_page(const std::filesystem::path& run) {
   add_table(page, claims_table(report));
   add_table(page, variants_table(report));
   std::error_code error;
-  if (std::filesystem::is_regular_file(run / "ablation.png", error)) {
-    add_pictures(page, "Means and intervals", "", run, {{"ablation.png", "ablation.png"}});
-  }
+  const auto show = [&](const std::string& name, const std::string& title, const std::string& hint) {
+    if (std::filesystem::is_regular_file(run / name, error))
+      add_pictures(page, title, hint, run, {{name, name}});
+  };
+  show("claims.png", "What is claimed", "A claim holds above the dotted line, with its 95 % interval.");
+  show("ablation.png", "Means and intervals", "");
   for (const Json& stage : report_value(report, "/stages")) {
     if (!report_value(stage, "/stage").is_string()) continue;
     std::string name = report_text_at(stage, "/stage");
@@ -141,6 +144,11 @@ Page ablation_page(const std::filesystem::path& run) {
   }
   add_fact(page, "Description", report_text_at(report, "/description"));
   add_fact(page, "Program", report_text_at(report, "/program"));
+  for (const Json& other : report_value(report, "/other_runs")) {
+    add_fact(page, "Seeds of another run",
+             fmt::format("{} of {} ({})", report_value(other, "/seeds").dump(), report_text_at(other, "/run"),
+                         report_text_at(other, "/program")));
+  }
   page.data["command"] = report_text_at(report, "/repeat_with");
   return page;
 }

@@ -113,20 +113,23 @@ std::string variants_table(const Ablation& ablation, const AblationResults& resu
   return table.markdown();
 }
 
+std::string claim_text(const Ablation& ablation, const ClaimDescription& claim) {
+  return label_of(ablation, claim.better) + " over " + label_of(ablation, claim.worse);
+}
+
 std::string claims_table(const Ablation& ablation, const AblationResults& results) {
   Table table({"claim", "metric", "better by", "scenes won : lost", "sign test p", "p", "p by Holm", "scenes",
                "seeds in favour", "paper", "verdict"});
   for (const ClaimResult& result : results.claims) {
     const Comparison& comparison = result.comparison;
-    table.add_row(
-        {label_of(ablation, result.claim.better) + " over " + label_of(ablation, result.claim.worse),
-         with_unit(ablation.metric(result.claim.metric)), number_text(comparison.mean, comparison.interval),
-         fmt::format("{} : {}", comparison.signs.positive, comparison.signs.negative),
-         short_number(comparison.signs.p_value), p_text(comparison.p_value, comparison.scenes),
-         p_text(comparison.holm_p_value, comparison.scenes), comparison.scenes,
-         fmt::format("{} of {}", comparison.seeds_in_favour, comparison.seeds), result.claim.paper,
-         verdict_name(comparison.verdict, result.claim.paper) +
-             (comparison.reason.empty() ? "" : " (" + comparison.reason + ")")});
+    table.add_row({claim_text(ablation, result.claim), with_unit(ablation.metric(result.claim.metric)),
+                   number_text(comparison.mean, comparison.interval),
+                   fmt::format("{} : {}", comparison.signs.positive, comparison.signs.negative),
+                   short_number(comparison.signs.p_value), p_text(comparison.p_value, comparison.scenes),
+                   p_text(comparison.holm_p_value, comparison.scenes), comparison.scenes,
+                   fmt::format("{} of {}", comparison.seeds_in_favour, comparison.seeds), result.claim.paper,
+                   verdict_name(comparison.verdict, result.claim.paper) +
+                       (comparison.reason.empty() ? "" : " (" + comparison.reason + ")")});
   }
   return table.markdown();
 }
@@ -331,6 +334,34 @@ Figure ablation_figure(const Ablation& ablation, const AblationResults& results)
       line->points.emplace_back(variant.x, summary.mean);
     }
     if (!panel.series.empty()) figure.panels.push_back(std::move(panel));
+  }
+  return figure;
+}
+
+Figure claims_figure(const Ablation& ablation, const AblationResults& results) {
+  Figure figure;
+  figure.title = ablation.title + ": what is claimed";
+  figure.panel_width = 420;
+  for (const MetricDescription& metric : ablation.metrics) {
+    PlotPanel panel;
+    panel.title = metric.name;
+    panel.y.label = "better by" + (metric.unit.empty() ? "" : ", " + metric.unit);
+    panel.x.label = "claim";
+    double place = 0;
+    for (const ClaimResult& result : results.claims) {
+      const Comparison& comparison = result.comparison;
+      if (result.claim.metric != metric.name || !std::isfinite(comparison.mean)) continue;
+      place += 1;
+      panel.series.push_back(
+          {claim_text(ablation, result.claim),
+           SeriesStyle::kLine,
+           {{place, comparison.interval.low}, {place, comparison.mean}, {place, comparison.interval.high}}});
+    }
+    if (panel.series.empty()) continue;
+    panel.x.low = 0.5;
+    panel.x.high = 0.5 + place;
+    panel.series.push_back({"no difference", SeriesStyle::kLevel, {{panel.x.low, 0}, {panel.x.high, 0}}});
+    figure.panels.push_back(std::move(panel));
   }
   return figure;
 }

@@ -99,14 +99,16 @@ AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& co
   const std::string markdown = ablation_markdown(ablation, plan, cache, results);
   write_file_atomically(folder.path() / "ablation.md", markdown);
   write_file_atomically(folder.path() / "ablation.csv", ablation_csv(results));
-  const Figure figure = ablation_figure(ablation, results);
   folder.note("results", "ablation.md");
   folder.note("rows", "ablation.csv");
-  if (!figure.panels.empty()) {
-    write_svg(figure, folder.path() / "ablation.svg");
-    write_png(figure, folder.path() / "ablation.png");
-    folder.note("plot", "ablation.png");
-  }
+  const auto draw = [&](const Figure& figure, const std::string& name, const std::string& noted) {
+    if (figure.panels.empty()) return;
+    write_svg(figure, folder.path() / (name + ".svg"));
+    write_png(figure, folder.path() / (name + ".png"));
+    folder.note(noted, name + ".png");
+  };
+  draw(ablation_figure(ablation, results), "ablation", "plot");
+  draw(claims_figure(ablation, results), "claims", "claims");
   const auto report = ablation_json(ablation, plan, cache, results);
   folder.write_report(report);
   folder.note("report", "report.json");

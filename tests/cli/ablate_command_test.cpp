@@ -142,8 +142,8 @@ TEST_F(AblateCommand, GoesOnAfterItWasKilledAndRunsEveryStageOnce) {
   EXPECT_EQ(report.at("claims").at(0).at("reason"), "2 scenes, a verdict needs 64");
   EXPECT_EQ(report.at("claims").at(0).at("seeds"), 2);
   EXPECT_THAT(text_, HasSubstr("| claim"));
-  for (const char* name : {"ablation.md", "ablation.csv", "ablation.svg", "ablation.png", "ablation.yaml",
-                           "config.yaml", "report.html", "progress.json"}) {
+  for (const char* name : {"ablation.md", "ablation.csv", "ablation.svg", "ablation.png", "claims.svg",
+                           "claims.png", "ablation.yaml", "config.yaml", "report.html", "progress.json"}) {
     EXPECT_TRUE(fs::is_regular_file(run() / name)) << name;
   }
   const std::string csv = read_file(run() / "ablation.csv");
