@@ -101,6 +101,15 @@ std::string last_line(const fs::path& log) {
   return printable_text(last);
 }
 
+// At most sixty letters of a line, whole words.
+std::string shortened(const std::string& line) {
+  constexpr size_t kLongest = 60;
+  if (line.size() <= kLongest) return line;
+  const size_t space = line.rfind(' ', kLongest);
+  const size_t end = space == std::string::npos ? kLongest : line.find_last_not_of(' ', space) + 1;
+  return line.substr(0, end) + " ...";
+}
+
 std::string with_folders(std::string text, const StageTask& task, const AblationPlan& plan,
                          const StageCache& cache) {
   for (const auto& [name, number] : task.named) {
@@ -192,9 +201,8 @@ class Scheduler {
     for (const RunningTask& task : running_) {
       const StageTask& stage = plan_.tasks[task.number];
       const std::string line = last_line(cache_.folder(stage) / "log.txt");
-      constexpr size_t kLongest = 60;
       text += "; " + stage.stage + " " + stage.key.substr(0, 6);
-      if (!line.empty()) text += ": " + (line.size() > kLongest ? line.substr(0, kLongest) : line);
+      if (!line.empty()) text += ": " + shortened(line);
     }
     return text;
   }
