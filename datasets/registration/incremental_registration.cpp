@@ -405,12 +405,14 @@ bool Incremental::locate(size_t view, const std::vector<std::pair<SeenPlace, Eig
       focal_lengths.push_back(lens.focal_length * factor);
   }
   std::vector<cv::Point3d> points;
+  points.reserve(known.size());
   for (const auto& [place, point] : known) points.emplace_back(point.x(), point.y(), point.z());
   std::vector<int> best;
   double best_focal_length = 0;
   for (const double focal_length : focal_lengths) {
     lens.focal_length = focal_length;
     std::vector<cv::Point2d> positions;
+    positions.reserve(known.size());
     for (const auto& [place, point] : known) positions.push_back(to_cv(ideal(place)));
     cv::Mat rotation, translation;
     std::vector<int> fits;

@@ -6,6 +6,8 @@
 #include "gld/kernels/kernel_table.h"
 #include "gld/kernels/simd.h"
 
+#include <type_traits>
+
 namespace gld {
 namespace {
 
@@ -127,43 +129,50 @@ void sum_splat_feature_gradients(const SplatSums& tile, int64_t first) {
   }
 }
 
-// Calls run<n>(first) for blocks of up to eight channels.
-#define GLD_SPLAT_CHANNEL_BLOCKS(run, arguments, count)                                \
-  for (int64_t first = 0; first < (count); first += kSplatChannelBlock) {              \
-    switch ((count)-first < kSplatChannelBlock ? (count)-first : kSplatChannelBlock) { \
-      case 1:                                                                          \
-        run<1>(arguments, first);                                                      \
-        break;                                                                         \
-      case 2:                                                                          \
-        run<2>(arguments, first);                                                      \
-        break;                                                                         \
-      case 3:                                                                          \
-        run<3>(arguments, first);                                                      \
-        break;                                                                         \
-      case 4:                                                                          \
-        run<4>(arguments, first);                                                      \
-        break;                                                                         \
-      case 5:                                                                          \
-        run<5>(arguments, first);                                                      \
-        break;                                                                         \
-      case 6:                                                                          \
-        run<6>(arguments, first);                                                      \
-        break;                                                                         \
-      case 7:                                                                          \
-        run<7>(arguments, first);                                                      \
-        break;                                                                         \
-      default:                                                                         \
-        run<8>(arguments, first);                                                      \
-    }                                                                                  \
+// Calls run(number of channels, the first) for blocks of up to eight of count channels; the number is known when this
+// is compiled.
+template <typename Run>
+void for_channel_blocks(int64_t count, const Run& run) {
+  static_assert(kSplatChannelBlock == 8);
+  for (int64_t first = 0; first < count; first += kSplatChannelBlock) {
+    const int64_t left = count - first;
+    switch (left < kSplatChannelBlock ? left : kSplatChannelBlock) {
+      case 1:
+        run(std::integral_constant<int, 1>(), first);
+        break;
+      case 2:
+        run(std::integral_constant<int, 2>(), first);
+        break;
+      case 3:
+        run(std::integral_constant<int, 3>(), first);
+        break;
+      case 4:
+        run(std::integral_constant<int, 4>(), first);
+        break;
+      case 5:
+        run(std::integral_constant<int, 5>(), first);
+        break;
+      case 6:
+        run(std::integral_constant<int, 6>(), first);
+        break;
+      case 7:
+        run(std::integral_constant<int, 7>(), first);
+        break;
+      default:
+        run(std::integral_constant<int, 8>(), first);
+    }
   }
+}
 
 void composite_splat_channels(const SplatChannels& strip) {
-  GLD_SPLAT_CHANNEL_BLOCKS(sum_splat_channels, strip, strip.channels)
+  for_channel_blocks(strip.channels,
+                     [&](auto channels, int64_t first) { sum_splat_channels<channels>(strip, first); });
 }
 
 void splat_slopes_of_strip(const SplatSlopes& strip) {
   if (strip.slope != nullptr) {
-    GLD_SPLAT_CHANNEL_BLOCKS(project_splat_channels, strip, strip.channels)
+    for_channel_blocks(strip.channels,
+                       [&](auto channels, int64_t first) { project_splat_channels<channels>(strip, first); });
   }
   const Vector one = Simd::broadcast(1.0f), zero = Simd::zero(), dense = Simd::broadcast(kDensestAlpha);
   Vector behind = zero;
@@ -193,7 +202,9 @@ void splat_slopes_of_strip(const SplatSlopes& strip) {
 }
 
 void sum_splat_gradients(const SplatSums& tile) {
-  GLD_SPLAT_CHANNEL_BLOCKS(sum_splat_feature_gradients, tile, tile.channels)
+  for_channel_blocks(tile.channels, [&](auto channels, int64_t first) {
+    sum_splat_feature_gradients<channels>(tile, first);
+  });
   if (tile.slope == nullptr) return;
   const Vector lane = lane_numbers();
   for (int64_t j = 0; j < tile.count; ++j) {

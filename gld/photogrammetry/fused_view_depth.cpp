@@ -124,6 +124,7 @@ double belief_in_prior(const std::optional<PriorAgreement>& prior) {
 FusedViewDepth fused_target_depth(const std::vector<ConfirmedDepth>& sources, double reach,
                                   const Camera& target, const PredictedDepth& predicted) {
   std::vector<PicturedView> views;
+  views.reserve(sources.size());
   for (const ConfirmedDepth& source : sources) views.push_back(source.view);
   const Camera camera = resized_camera(target, predicted.depth.width, predicted.depth.height);
   CarryOptions carry;

@@ -175,6 +175,7 @@ std::vector<size_t> photographs_for(size_t view, const std::vector<StereoPicture
   std::sort(ranked.begin(), ranked.end());
   if (static_cast<int64_t>(ranked.size()) > most) ranked.resize(static_cast<size_t>(most));
   std::vector<size_t> result;
+  result.reserve(ranked.size());
   for (const auto& entry : ranked) result.push_back(entry.second);
   return result;
 }

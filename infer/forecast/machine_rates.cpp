@@ -216,11 +216,13 @@ bool has_key(const nlohmann::ordered_json& entry, const RateKey& key) {
 MeasuredSpeed measure_machine_speed() {
   const torch::NoGradGuard no_gradients;
   std::vector<MachineSpeed> repeats;
+  repeats.reserve(kRepeats);
   for (size_t i = 0; i < kRepeats; ++i) repeats.push_back(one_repeat());
   MeasuredSpeed measured;
   measured.measured_at = static_cast<int64_t>(std::time(nullptr));
   for (const auto& [name, value] : kEntries) {
     std::vector<double> values;
+    values.reserve(repeats.size());
     for (const auto& repeat : repeats) values.push_back(repeat.*value);
     std::sort(values.begin(), values.end());
     if (value == &MachineSpeed::multiply_add_peak) {

@@ -30,7 +30,7 @@ std::string asked_of_sample(const nlohmann::ordered_json& report) {
 }
 
 std::string verdict_of_sample(const nlohmann::ordered_json& report) {
-  const std::string sentence = report_text_at(report, "/verdict/sentence");
+  std::string sentence = report_text_at(report, "/verdict/sentence");
   if (!sentence.empty()) return sentence;
   return "No pictures were asked for, so that nothing is said of their quality.";
 }

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include <Eigen/Geometry>
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -122,7 +123,7 @@ ColmapCounts export_colmap(const std::filesystem::path& folder, const FinishedRu
     counts.seen_nowhere += sights.empty() ? 1 : 0;
     model.point_looks.push_back({cloud.colours[point], disagreement(views, sights)});
   }
-  for (const auto& [name, value] : provenance) model.comments.push_back(name + " " + value);
+  for (const auto& [name, value] : provenance) model.comments.push_back(fmt::format("{} {}", name, value));
   write_colmap_model(binary, model, ColmapForm::kBinary);
   write_colmap_model(text, model, ColmapForm::kText);
   return counts;

@@ -1,5 +1,7 @@
 #include "infer/run_export/export_provenance.h"
 
+#include <fmt/format.h>
+
 namespace gld {
 namespace {
 
@@ -51,7 +53,7 @@ std::string xmp_packet(const TextItems& items) {
       "<rdf:Description rdf:about=\"\" xmlns:xmp=\"http://ns.adobe.com/xap/1.0/\" xmlns:gld=\"urn:gld:\">\n";
   for (const auto& [name, value] : items) {
     const std::string element = element_name(name);
-    text += "<" + element + ">" + escaped(value) + "</" + element + ">\n";
+    text += fmt::format("<{}>{}</{}>\n", element, escaped(value), element);
   }
   return text + "</rdf:Description>\n</rdf:RDF>\n</x:xmpmeta>\n<?xpacket end=\"r\"?>";
 }

@@ -128,6 +128,7 @@ Film make_film(const FinishedRun& run, const FilmOptions& options, const std::fi
   check_film(run, options.between);
   const std::vector<size_t> filmed = filmed_views(run);
   std::vector<Camera> cameras;
+  cameras.reserve(filmed.size());
   for (const size_t view : filmed) cameras.push_back(run.views[view].camera);
   Film film;
   film.width = cameras.front().width;

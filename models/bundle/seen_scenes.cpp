@@ -6,6 +6,7 @@
 #include "gld/base/sha256.h"
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <string>
 #include <utility>
@@ -28,7 +29,7 @@ std::string statistics_hash(const ModelBundle& bundle, int64_t level) {
 SeenLevel seen_level(int64_t level, std::vector<double> divergences) {
   std::sort(divergences.begin(), divergences.end());
   const auto at = [&](double share) {
-    return divergences[static_cast<size_t>(share * static_cast<double>(divergences.size() - 1) + 0.5)];
+    return divergences[static_cast<size_t>(std::lround(share * static_cast<double>(divergences.size() - 1)))];
   };
   return {level, at(0.5), at(0.99), divergences.back()};
 }

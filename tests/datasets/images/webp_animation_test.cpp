@@ -38,6 +38,7 @@ std::string film(const std::vector<Image>& frames, const std::string& xmp) {
 
 TEST(WebpAnimation, IsDecodedToItsFramesAtTheirTimes) {
   std::vector<Image> frames;
+  frames.reserve(4);
   for (int i = 0; i < 4; ++i) frames.push_back(drawn(61, 44, 0.6 * i));
   const std::string bytes = film(frames, "<x>one &amp; two</x>");
   EXPECT_EQ(bytes, film(frames, "<x>one &amp; two</x>"));

@@ -192,6 +192,7 @@ TEST_P(StereoRows, CostIsOfTheBetterHalf) {
 
 TEST_P(StereoRows, PriorCostsAreAParabolaCutOff) {
   std::vector<float> places;
+  places.reserve(37);
   for (int i = 0; i < 37; ++i) places.push_back(0.05F * static_cast<float>(i));
   std::vector<uint8_t> cost(37, 100);
   kernels().add_prior_costs({37, places.data(), 0.7F, 200, 60, cost.data()});

@@ -19,7 +19,7 @@ namespace {
 
 torch::Tensor grey(double value) { return torch::full({1, 3, 8, 8}, value); }
 
-torch::Tensor random_pictures(std::vector<int64_t> shape, uint64_t seed) {
+torch::Tensor random_pictures(at::IntArrayRef shape, uint64_t seed) {
   return torch::rand(shape, at::detail::createCPUGenerator(seed));
 }
 
@@ -199,7 +199,7 @@ TEST(EnergyScore, PrefersSamplesWherePsnrPrefersABlur) {
 // Samples of too little and of too much difference, Gaussian in every pixel.
 TEST(EnergyScore, IsLeastForSamplesThatDifferAsMuchAsTheTruthDoes) {
   const int64_t count = 1500;
-  const auto noise = [&](std::vector<int64_t> shape, uint64_t seed) {
+  const auto noise = [&](at::IntArrayRef shape, uint64_t seed) {
     return torch::randn(shape, at::detail::createCPUGenerator(seed)) * 0.1;
   };
   // Few places, so that by chance samples of a room are near or far.

@@ -104,6 +104,7 @@ TEST(SceneStatistics, LeaveOutWhatIsNotFiniteAndCountIt) {
 
 TEST(SceneStatistics, IntervalHasTheWidthOfTheStandardErrorForManyScenes) {
   std::vector<double> values;
+  values.reserve(400);
   for (int i = 0; i < 400; ++i) values.push_back(10 + (i % 2 == 0 ? 1.0 : -1.0));  // deviation 1
   const Interval interval = statistics_over_scenes(values).interval;
   // A percentile of 10,000 means scatters by 0.027 standard errors of 0.05; this is six of these.

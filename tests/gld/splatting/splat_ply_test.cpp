@@ -5,9 +5,11 @@
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
+#include <array>
 #include <cstring>
 #include <string>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -67,7 +69,9 @@ TEST(SplatPly, HasTheLayoutOfViewers) {
   const float expected[26] = {1,  2,  3,  0,  0,  0, 4,  5,  6,  11,   21,    31,     12,
                               22, 32, 13, 23, 33, 7, -1, -2, -3, 0.5F, 0.25F, 0.125F, 1};
   ASSERT_EQ(bytes.size(), header.size() + sizeof(expected));
-  EXPECT_EQ(std::memcmp(bytes.data() + header.size(), expected, sizeof(expected)), 0);
+  std::array<float, 26> read{};
+  std::memcpy(read.data(), bytes.data() + header.size(), sizeof(expected));
+  EXPECT_THAT(read, testing::ElementsAreArray(expected));
 }
 
 TEST(SplatPly, FarScenesKeepTheirOrigin) {
