@@ -246,7 +246,7 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
             read_file(folder_.path() / "together" / "ablation.csv"));
   EXPECT_EQ(report_of("one").at("claims"), report_of("together").at("claims"));
   EXPECT_EQ(report_of("one").at("variants"), report_of("together").at("variants"));
-  EXPECT_EQ(report_of("one").at("other_runs").at(0).at("seeds"), nlohmann::json({0}));
+  EXPECT_EQ(report_of("one").at("other_runs").at(0).at("seeds"), nlohmann::json::array({0}));
   EXPECT_EQ(report_of("one").at("stages").size(), 2U);
   EXPECT_THAT(text_, HasSubstr("Seeds that other runs of the same question measured"));
 

@@ -110,7 +110,7 @@ TEST_F(Verification, PassesOnlyWhenEveryExpectedTensorDoes) {
   const auto json = verification_json({good, missing});
   EXPECT_FALSE(json.at("passed").get<bool>());
   EXPECT_TRUE(json.at("cases")[0].at("passed").get<bool>());
-  EXPECT_EQ(json.at("cases")[0].at("tensors")[0].at("worst_index"), nlohmann::json({0}));
+  EXPECT_EQ(json.at("cases")[0].at("tensors")[0].at("worst_index"), nlohmann::json::array({0}));
   EXPECT_TRUE(json.at("cases")[1].at("tensors")[0].at("max").is_null());
 }
 

@@ -74,8 +74,10 @@ inline std::vector<DrawnView> write_drawn_run(const std::filesystem::path& folde
   provenance.program = "gld";
   provenance.seed = 7;
   std::vector<DrawnView> views;
+  views.reserve(scene.frames.size());
   for (const Frame& frame : scene.frames) views.push_back(drawn_view(frame, run));
   std::vector<DepthMap> maps;
+  maps.reserve(views.size());
   for (const DrawnView& view : views) maps.push_back(view.depth);
   const double unit = choose_depth_unit(maps);
   CameraList list;

@@ -37,7 +37,7 @@ class FilmExport : public ::testing::Test {
     run_ = open_finished_run(place);
     FilmOptions options;
     options.views_a_second = 5;
-    const Film film = make_film(run_, options, folder_.path());
+    Film film = make_film(run_, options, folder_.path());
     texts_ = film_provenance(run_, film, export_provenance(run_, R"({"between":0})"));
     return film;
   }

@@ -242,7 +242,7 @@ std::optional<Eigen::Matrix4d> assimp_pose(const nlohmann::json& node, const std
   if (node.at("name") == name) return pose;
   if (!node.contains("children")) return std::nullopt;
   for (const auto& child : node.at("children")) {
-    if (const auto found = assimp_pose(child, name, pose)) return found;
+    if (auto found = assimp_pose(child, name, pose)) return found;
   }
   return std::nullopt;
 }

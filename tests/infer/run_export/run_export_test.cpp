@@ -138,7 +138,7 @@ TEST_F(RunExport, WarnsOfWhatIsNotThere) {
 
 TEST_F(RunExport, RefusesBeforeItWrites) {
   const auto refusal = [&](const ExportOptions& asked) {
-    const std::string said = error_of([&] { run_export(asked); });
+    std::string said = error_of([&] { run_export(asked); });
     EXPECT_FALSE(std::filesystem::exists(asked.out)) << said;
     return said;
   };
