@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -41,7 +42,7 @@ std::string value_without_use(const OptionUse& use, const Command& command, cons
     if (option.type.rfind("list", 0) == 0 || option.type == "text") return "some_folder";
     for (size_t begin = 0; begin != std::string::npos;) {
       const size_t bar = option.type.find('|', begin);
-      const std::string name = option.type.substr(begin, bar - begin);
+      std::string name = option.type.substr(begin, bar - begin);
       if (std::find(use.values.begin(), use.values.end(), name) == use.values.end()) return name;
       begin = bar == std::string::npos ? bar : bar + 1;
     }
@@ -66,7 +67,7 @@ TEST(OptionUses, EveryRuleRefusesWhatHasNoEffect) {
           const std::string needed = needed_key(use, command, key);
           ASSERT_NE(needed, "") << command.name << " " << key << " needs " << use.needs;
           const std::string value = value_without_use(use, command, needed);
-          if (!value.empty()) apply_setting(*command.options, needed + "=" + value);
+          if (!value.empty()) apply_setting(*command.options, fmt::format("{}={}", needed, value));
         }
         const std::string flag = "--" + dashed_name(key);
         EXPECT_THAT(test::error_of([&] {

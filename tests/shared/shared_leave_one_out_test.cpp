@@ -17,6 +17,7 @@ namespace {
 LeftOutPhotograph predicted(const std::string& name, const std::vector<size_t>& frames) {
   const Scene scene = open_scene(shared_data() / "scenes" / name);
   std::vector<PicturedView> views;
+  views.reserve(frames.size());
   for (const size_t frame : frames) views.push_back(pictured(scene.frames[frame], 448, FrameParts::kImage));
   LeaveOneOutOptions options;
   options.block = 4;
@@ -30,7 +31,7 @@ LeftOutPhotograph predicted(const std::string& name, const std::vector<size_t>& 
               << ", nearest " << one.psnr_nearest << ", mean " << one.psnr_mean << "), " << 100 * one.covered
               << " % covered\n";
   }
-  const LeftOutPhotograph mean = mean_of(left_out);
+  LeftOutPhotograph mean = mean_of(left_out);
   std::cout << name << " mean of " << frames.size() << ": " << mean.psnr << " dB (covered "
             << mean.psnr_covered << ", nearest " << mean.psnr_nearest << ", mean " << mean.psnr_mean << "), "
             << 100 * mean.covered << " % covered, " << taken << " CPU s\n";

@@ -89,6 +89,7 @@ TEST(SharedStereo, TartanAirAgreesWithItsDepth) {
   const Scene scene = open_scene(shared_data() / "scenes" / "tartanair_hospital");
   for (const auto& frames : {std::vector<size_t>{0, 3}, std::vector<size_t>{0, 2, 4, 6}}) {
     std::vector<PicturedView> views;
+    views.reserve(frames.size());
     for (const size_t frame : frames)
       views.push_back(pictured(scene.frames[frame], 448, FrameParts::kImageAndDepth));
     KernelSettings settings;
