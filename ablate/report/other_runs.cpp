@@ -21,14 +21,18 @@ using Json = nlohmann::json;
 
 constexpr const char* kWhere = "--with-runs";
 
-// By stage, what its tasks ask: several, where variants give a stage other options.
+// By stage, what its tasks ask: several, where variants give a stage other options. The other run may have asked more.
 using Questions = std::map<std::string, std::set<std::string>>;
 
-// Of the variants that are compared alone: the other run may have more, or fewer where it need not have them.
 Questions questions_of(const AblationPlan& plan) {
   Questions questions;
   for (const StageTask& task : plan.tasks) questions[task.stage].insert(task.question);
   return questions;
+}
+
+[[noreturn]] void refuse_report(const fs::path& folder) {
+  fail({(folder / "report.json").string(), "the report of gld ablate", "another file",
+        "give --with-runs folders that gld ablate wrote"});
 }
 
 Json read_report(const fs::path& folder) {
@@ -40,10 +44,7 @@ Json read_report(const fs::path& folder) {
   }
   Json report = parse_json(read_file(file), file.string());
   const auto is_list = [&](const char* key) { return report.contains(key) && report.at(key).is_array(); };
-  if (report.value("command", "") != "ablate" || !is_list("variants") || !is_list("stages")) {
-    fail({file.string(), "the report of gld ablate", "another one",
-          "give --with-runs folders that gld ablate wrote"});
-  }
+  if (!is_list("variants") || !is_list("stages")) refuse_report(folder);
   if (!is_list("seeds")) {
     fail(
         {file.string(), "the seeds and the questions of its stages",
@@ -95,6 +96,29 @@ std::vector<VariantNumbers> read_numbers(const Ablation& ablation, const OtherRu
   return all;
 }
 
+// What the run says of itself; owners: of each seed so far, whose it is.
+OtherRun described_run(const fs::path& folder, const Json& report, std::map<int64_t, std::string>& owners) {
+  OtherRun run;
+  run.folder = folder;
+  run.program = report.value("program", "");
+  for (const Json& entry : report.at("seeds")) {
+    const int64_t seed = run.seeds.emplace_back(entry.get<int64_t>());
+    const auto [owner, is_new] = owners.emplace(seed, "that of '" + folder.string() + "'");
+    if (is_new) continue;
+    fail({kWhere, "every seed once",
+          fmt::format("seed {} of '{}', which is {} too", seed, folder.string(), owner->second),
+          "choose other --seeds, or leave the folder out"});
+  }
+  for (const Json& variant : report.at("variants")) {
+    if (!variant.contains("problems")) continue;
+    fail({kWhere, "a run in which everything ran",
+          fmt::format("'{}', whose variant '{}' did not", folder.string(), variant.value("name", "")),
+          "run its command again, or leave the folder out"});
+  }
+  for (const Json& stage : report.at("stages")) run.seconds += stage.value("seconds", 0.0);
+  return run;
+}
+
 }  // namespace
 
 std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan) {
@@ -102,30 +126,14 @@ std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPl
   for (const int64_t seed : ablation.options.seeds) owners[seed] = "this ablation's";
   std::vector<OtherRun> others;
   for (const std::string& name : ablation.options.with_runs) {
-    const fs::path folder = name;
-    const Json report = read_report(folder);
-    OtherRun other;
-    other.folder = folder;
-    other.program = report.value("program", "");
-    for (const Json& seed : report.at("seeds")) {
-      other.seeds.push_back(seed.get<int64_t>());
-      const auto [owner, is_new] = owners.emplace(other.seeds.back(), "that of '" + name + "'");
-      if (!is_new) {
-        fail({kWhere, "every seed once",
-              fmt::format("seed {} of '{}', which is {} too", other.seeds.back(), name, owner->second),
-              "choose other --seeds, or leave the folder out"});
-      }
+    const Json report = read_report(name);
+    try {
+      others.push_back(described_run(name, report, owners));
+      check_questions(report, name, plan);
+    } catch (const Json::exception&) {  // something in it is of another kind
+      refuse_report(name);
     }
-    for (const Json& variant : report.at("variants")) {
-      if (!variant.contains("problems")) continue;
-      fail({kWhere, "a run in which everything ran",
-            fmt::format("'{}', whose variant '{}' did not", name, variant.value("name", "")),
-            "run its command again, or leave the folder out"});
-    }
-    for (const Json& stage : report.at("stages")) other.seconds += stage.value("seconds", 0.0);
-    check_questions(report, folder, plan);
-    other.numbers = read_numbers(ablation, other);
-    others.push_back(std::move(other));
+    others.back().numbers = read_numbers(ablation, others.back());
   }
   return others;
 }

@@ -270,6 +270,17 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
             "error: --with-runs: expected the run folder of a finished gld ablate, found '" +
                 folder("three") +
                 "' without report.json and ablation.csv; let that ablation end, or leave the folder out.\n");
+  const std::string report = read_file(folder_.path() / "zero" / "report.json");
+  for (const char* other : {"{}", R"({"seeds": ["0"], "variants": [], "stages": []})"}) {
+    write_file_atomically(folder_.path() / "zero" / "report.json", other);
+    EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("zero")}), 1);
+    EXPECT_EQ(
+        text_,
+        "error: " + folder("zero/report.json") +
+            ": expected the report of gld ablate, found another file; give --with-runs folders that gld "
+            "ablate wrote.\n");
+  }
+  write_file_atomically(folder_.path() / "zero" / "report.json", report);
   ASSERT_EQ(run_seeds("plain", "3", {"--only", "plain"}), 0) << text_;
   EXPECT_EQ(run_seeds("two", "2", {"--with-runs", folder("plain")}), 2);
   EXPECT_THAT(text_, HasSubstr("expected stage 'eval' as it is here"));
