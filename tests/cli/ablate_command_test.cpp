@@ -230,8 +230,9 @@ TEST_F(AblateCommand, SeedsOfOtherRunsCountAsIfThisOneHadRunThem) {
   const auto run_seeds = [&](const std::string& name, const std::string& seeds,
                              const std::vector<std::string>& more = {}) {
     fs::remove(log());
-    std::vector<std::string> words{GLD_PROGRAM,  "ablate",  "--config",      folder("a.yaml"), "--out",
-                                   folder(name), "--model", folder("model"), "--seeds",        seeds};
+    std::vector<std::string> words{GLD_PROGRAM, "ablate",        "--config", folder("a.yaml"),
+                                   "--out",     folder(name),    "--model",  folder("model"),
+                                   "--cache",   folder("cache"), "--seeds",  seeds};
     words.insert(words.end(), more.begin(), more.end());
     ChildProcess process(words, log(), -1);
     return finish(process);
