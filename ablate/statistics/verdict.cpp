@@ -1,6 +1,7 @@
 #include "ablate/statistics/verdict.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 
@@ -14,6 +15,27 @@ bool all_equal(const NumbersBySeed& numbers) {
                      [&](const auto& seed) { return seed.second == numbers.begin()->second; });
 }
 
+// Deviations from 0 of a normal number's two-sided p-value.
+double deviations_of(double p) {
+  double low = 0, high = 40;
+  for (int i = 0; i < 60; ++i) {
+    const double middle = 0.5 * (low + high);
+    (std::erfc(middle / std::sqrt(2.0)) > p ? low : high) = middle;
+  }
+  return low;
+}
+
+// What would decide an undecided claim.
+std::string what_would_decide(const Comparison& claim) {
+  constexpr double kMost = 1000;
+  // Holm's factor stays.
+  const double times = times_as_much(claim.p_value, kVerdictLevel * claim.p_value / claim.holm_p_value);
+  const std::string number = !(times < kMost) ? fmt::format("more than {:.0f}", kMost)
+                             : times < 10     ? fmt::format("about {:.1f}", std::max(times, 1.1))
+                                              : fmt::format("about {:.0f}", times);
+  return fmt::format("; {} times as many scenes and seeds would decide, if the mean stays", number);
+}
+
 void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
   if (claim.scenes < kFewestVerdictScenes) {
     claim.reason = fmt::format("{} scene{}, a verdict needs {}", claim.scenes, claim.scenes == 1 ? "" : "s",
@@ -24,7 +46,7 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
   } else if (claim.seeds_are_equal) {
     claim.reason = "all seeds gave the same numbers, which counts as one seed";
   } else if (!(claim.interval.low > 0) && !(claim.interval.high < 0)) {
-    claim.reason = "the interval contains 0";
+    claim.reason = "the interval contains 0" + what_would_decide(claim);
   } else if (!(claim.holm_p_value < kVerdictLevel)) {
     claim.reason =
         claim.p_value < kVerdictLevel
@@ -33,6 +55,7 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
                   "less than {}",
                   claims, claim.p_value, claim.holm_p_value, kVerdictLevel)
             : fmt::format("p {:.2g}, a verdict needs less than {}", claim.p_value, kVerdictLevel);
+    claim.reason += what_would_decide(claim);
   } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
     claim.verdict = Verdict::kHolds;
   } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {
@@ -43,6 +66,11 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
 }
 
 }  // namespace
+
+double times_as_much(double p, double needed_p) {
+  const double ratio = deviations_of(needed_p) / deviations_of(p);
+  return ratio * ratio;
+}
 
 std::string verdict_name(Verdict verdict, const std::string& paper) {
   switch (verdict) {

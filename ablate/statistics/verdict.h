@@ -25,6 +25,10 @@ int64_t fewest_verdict_seeds(SeedsOf seeds);  // 2, 3
 // What Holm's p-value of a claim has to be below: of twenty tables in which nothing is so, about one decides something.
 constexpr double kVerdictLevel = 0.05;
 
+// How many times as much has to be measured until a p-value of p is needed_p, if the mean stays as it is: its deviation
+// falls with the root of that. Of normal means and two-sided p-values; infinite for p = 1.
+double times_as_much(double p, double needed_p);
+
 // A paired comparison of two variants: positive differences speak for the one that is claimed to be better.
 struct Comparison {
   double mean = 0;  // of the differences; NaN where there are none

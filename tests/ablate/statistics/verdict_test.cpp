@@ -1,8 +1,10 @@
 #include "ablate/statistics/verdict.h"
 
+#include <limits>
 #include <string>
 #include <vector>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -44,7 +46,9 @@ TEST(Verdict, IsUndecidedForOneReasonThatItSays) {
   EXPECT_EQ(few.reason, "63 scenes, a verdict needs 64");
   EXPECT_EQ(judged(around({0.5}, 64)).reason, "1 seed, a verdict needs 3");
   EXPECT_EQ(judged(around({0.5, 0.6}, 64)).reason, "2 seeds, a verdict needs 3");
-  EXPECT_EQ(judged(around({0.001, -0.001, 0.001}, 64)).reason, "the interval contains 0");
+  EXPECT_EQ(
+      judged(around({0.001, -0.001, 0.001}, 64)).reason,
+      "the interval contains 0; more than 1000 times as many scenes and seeds would decide, if the mean stays");
   EXPECT_EQ(judged(around({0.5, 0.5, 0.5}, 64)).reason,
             "all seeds gave the same numbers, which counts as one seed");
   EXPECT_EQ(judged({}).reason, "0 scenes, a verdict needs 64");
@@ -56,6 +60,14 @@ TEST(Verdict, IsUndecidedWhereSeedsDisagreeThoughTheIntervalLiesOnOneSide) {
   EXPECT_GT(mixed.interval.low, 0);
   EXPECT_EQ(mixed.verdict, Verdict::kUndecided);
   EXPECT_EQ(mixed.reason, "the seeds disagree: 9 of 10 in favour");
+}
+
+TEST(Verdict, SaysHowMuchMoreWouldDecide) {
+  // p-values of one, two and three deviations.
+  EXPECT_NEAR(times_as_much(0.317310508, 0.045500264), 4, 1e-6);
+  EXPECT_NEAR(times_as_much(0.045500264, 0.002699796), 2.25, 1e-6);
+  EXPECT_NEAR(times_as_much(0.2, 0.2), 1, 1e-9);
+  EXPECT_EQ(times_as_much(1, 0.05), std::numeric_limits<double>::infinity());
 }
 
 TEST(Verdict, OfEvaluationsNeedsTwoSeeds) {
@@ -81,6 +93,9 @@ TEST(Verdict, OfManyClaimsNeedsMoreThanEachAlone) {
   EXPECT_EQ(claims[0].verdict, Verdict::kUndecided);
   EXPECT_EQ(claims[0].holm_p_value, 5 * claims[0].p_value);  // the strong one comes first, of six
   EXPECT_EQ(claims[0].reason.rfind("clear of 0 alone, not among 6 claims: p 0.0", 0), 0U) << claims[0].reason;
+  // .05 among six is 2.64 deviations, 1.21 times as much as 2.4 of them.
+  EXPECT_THAT(claims[0].reason,
+              testing::HasSubstr("; about 1.2 times as many scenes and seeds would decide"));
   EXPECT_EQ(claims[4].verdict, Verdict::kHolds);
   EXPECT_EQ(claims[4].holm_p_value, 6 * claims[4].p_value);
   EXPECT_EQ(claims[5].reason, "not run");
@@ -93,7 +108,9 @@ TEST(Verdict, OfTrainingsThatDifferIsNotDecidedByTheirScenes) {
   const Comparison by_trainings = judged(chance);
   EXPECT_GT(by_trainings.interval.low, 0);
   EXPECT_EQ(by_trainings.verdict, Verdict::kUndecided);
-  EXPECT_EQ(by_trainings.reason, "p 0.18, a verdict needs less than 0.05");
+  EXPECT_EQ(
+      by_trainings.reason,
+      "p 0.18, a verdict needs less than 0.05; about 2.2 times as many scenes and seeds would decide, if the mean stays");
   std::vector<Comparison> by_evaluations{compare(chance)};
   judge(by_evaluations, SeedsOf::kEvaluations);
   EXPECT_EQ(by_evaluations[0].verdict, Verdict::kHolds);
