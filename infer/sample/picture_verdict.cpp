@@ -22,6 +22,11 @@ constexpr double kBetterBy = 1;
 // real places, for a model that has seen drawn rooms only.
 constexpr double kOtherShape = 0.25;
 
+// What photographs show of a target view, over what they show of each other, below which it lies beyond them, and from
+// which on beside them: .54 in a drawn room whose cameras leave the two photographs (20 dB, and 28 would be expected as of
+// a view between them), .87 to 1 of views between photographs.
+constexpr double kBeyond = 0.6, kBeside = 0.85;
+
 // Share of the target views' pixels that reads as 100 %.
 constexpr double kWhole = 0.995;
 // dB that a view is expected to be worse than the middle one, to be named.
@@ -55,6 +60,11 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
   const std::string measured =
       fmt::format("{:.0f} dB where they show the same, {:.0f} dB in all, {:.0f} % shown", mean.psnr_covered,
                   mean.psnr, 100 * mean.covered);
+  const bool beyond = evidence.keeps_photographs && evidence.kept < kBeyond * mean.covered;
+  const std::string beyond_text = fmt::format(
+      "{:.0f} % of the target views come from no photograph: expect inventions there; of each other the photographs tell "
+      "{}",
+      100 * (1 - evidence.kept), measured);
   switch (agree) {
     case PhotographsAgree::kOne:
       break;
@@ -68,9 +78,11 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
           "they have {:.0f}): expect inventions{}",
           mean.psnr, trivial, kept);
     case PhotographsAgree::kRoughly:
+      if (beyond) return beyond_text;
       return fmt::format("These pictures are rough, as the photographs' predictions of each other are ({}){}",
                          measured, kept);
     case PhotographsAgree::kWell:
+      if (beyond) return beyond_text;
       return fmt::format("{} the photographs' predictions of each other are ({}){}",
                          evidence.keeps_photographs ? "These pictures are as good as"
                                                     : "The photographs fit their cameras: as good as this",
@@ -138,7 +150,12 @@ std::vector<ExpectedView> expected_views(const PictureEvidence& evidence) {
   if (evidence.left_out.empty()) return {};
   const LeftOutPhotograph mean = mean_of(evidence.left_out);
   std::vector<ExpectedView> views = evidence.views;
-  for (ExpectedView& view : views) view.psnr += mean.psnr - mean.expected;
+  const double wrong_by = mean.psnr - mean.expected;
+  for (ExpectedView& view : views) {
+    const double as_much = mean.covered > 0 ? view.kept / mean.covered : 1;
+    const double beside = std::clamp((as_much - kBeyond) / (kBeside - kBeyond), 0.0, 1.0);
+    view.psnr += wrong_by > 0 ? beside * wrong_by : wrong_by;
+  }
   return views;
 }
 

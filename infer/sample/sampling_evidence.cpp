@@ -30,7 +30,8 @@ PictureEvidence sampling_evidence(const PreparedSampling& prepared, const Pipeli
     evidence.kept = result.composed->shown.mean().item<double>();
     for (int64_t target = 0; target < prepared.scene.views.num_targets(); ++target) {
       const auto view = static_cast<size_t>(prepared.scene.views.num_sources + target);
-      evidence.views.push_back({prepared.scene.view_names[view], expected_psnr(*result.composed, target)});
+      evidence.views.push_back({prepared.scene.view_names[view], expected_psnr(*result.composed, target),
+                                result.composed->shown[target].mean().item<double>()});
     }
   }
   if (result.stereo) evidence.prior = result.stereo->prior;

@@ -106,6 +106,30 @@ TEST(PictureVerdict, ViewsFarBehindTheOthersAreNamed) {
   EXPECT_TRUE(expected_views(evidence).empty());
 }
 
+TEST(PictureVerdict, ViewsBeyondThePhotographsAreNotAsGoodAsThese) {
+  // Photographs side by side predict each other far better than expected; one view lies beside them, one beyond.
+  PictureEvidence evidence = evidence_of(left_out(0.92, 35, 31, 18.4));
+  for (LeftOutPhotograph& one : evidence.left_out) one.expected = 23;
+  evidence.views = {{"beside", 22, 0.8}, {"beyond", 20, 0.5}};
+  EXPECT_NEAR(expected_views(evidence)[0].psnr, 30, 1e-9);
+  EXPECT_NEAR(expected_views(evidence)[1].psnr, 20, 1e-9);
+  evidence.views[1].kept = 0.92 * 0.725;  // half way between
+  EXPECT_NEAR(expected_views(evidence)[1].psnr, 24, 1e-9);
+  // What was promised too much is taken back everywhere.
+  for (LeftOutPhotograph& one : evidence.left_out) one.expected = 33;
+  evidence.views[1].kept = 0.5;
+  EXPECT_NEAR(expected_views(evidence)[1].psnr, 18, 1e-9);
+  for (LeftOutPhotograph& one : evidence.left_out) one.expected = 23;
+  evidence.kept = 0.46;
+  EXPECT_EQ(
+      verdict_of(evidence).sentence,
+      "54 % of the target views come from no photograph: expect inventions there; of each other the photographs "
+      "tell 35 dB where they show the same, 31 dB in all, 92 % shown; about 30 dB can be expected of the views, only "
+      "20 dB of beyond.");
+  evidence.kept = 0.56;
+  EXPECT_THAT(verdict_of(evidence).sentence, HasSubstr("These pictures are as good as"));
+}
+
 TEST(PictureVerdict, AModelNoticesWhatItHasNotSeen) {
   PictureEvidence evidence = evidence_of(left_out(0.93, 30.1, 29.5, 18.4));
   evidence.drawn_rooms_only = true;
