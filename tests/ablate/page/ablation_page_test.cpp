@@ -18,16 +18,17 @@ using testing::HasSubstr;
 TEST(AblationPage, ShowsTheClaimsFirst) {
   const Page page = ablation_page(test::source_root() / "docs/measured/ablations/sources");
   EXPECT_EQ(page.heading, "Number of source views (Table 4)");
-  EXPECT_EQ(page.verdict, "Of 4 claims: 3 reproduced, 1 undecided.");
+  EXPECT_EQ(page.verdict, "Of 3 claims: 2 reproduced, 1 undecided.");
   const auto& parts = page.data.at("parts");
-  ASSERT_EQ(parts.size(), 3u);
+  ASSERT_EQ(parts.size(), 4u);
   EXPECT_EQ(
       parts[0].at("rows")[1].dump(),
-      "[\"3 sources over 2 sources\",\"psnr\",\"0.882 [0.62, 1.15]\",\"52 : 12\",\"0.0006\",\"better with N = 4 than "
+      "[\"3 sources over 2 sources\",\"psnr\",\"0.851 [0.458, 1.28]\",\"58 : 11\",\"0.0008\",\"better with N = 4 than "
       "with 2\",\"reproduced\"]");
   EXPECT_THAT(parts[1].at("columns").dump(), HasSubstr("\"psnr, dB (higher)\""));
-  EXPECT_THAT(parts[1].at("rows").dump(), HasSubstr("[\"1 source\",\"17.6 [17, 18.1]\""));
-  EXPECT_EQ(parts[2].at("type"), "pictures");
+  EXPECT_THAT(parts[1].at("rows").dump(), HasSubstr("[\"1 source\",\"21.5 [19.8, 23.5]\""));
+  EXPECT_EQ(parts[2].at("title"), "What is claimed");
+  EXPECT_EQ(parts[3].at("type"), "pictures");
   EXPECT_EQ(page.data.at("stages")[0].at("stage"), "eval: n1, seed 0 and 2 more");
   EXPECT_THAT(page.data.at("command").get<std::string>(),
               HasSubstr("gld ablate --config configs/ablations/sources.yaml"));
