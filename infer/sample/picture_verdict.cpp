@@ -23,8 +23,8 @@ constexpr double kBetterBy = 1;
 constexpr double kOtherShape = 0.25;
 
 // What photographs show of a target view, over what they show of each other, below which it lies beyond them, and from
-// which on beside them: .54 in a drawn room whose cameras leave the two photographs (20 dB, and 28 would be expected as of
-// a view between them), .87 to 1 of views between photographs.
+// which on beside them: .54 in a drawn room whose cameras leave the two photographs (20 dB, and 28 would be expected as
+// of a view between them), .87 to 1 of views between photographs.
 constexpr double kBeyond = 0.6, kBeside = 0.85;
 
 // Share of the target views' pixels that reads as 100 %.
@@ -61,7 +61,7 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
       fmt::format("{:.0f} dB where they show the same, {:.0f} dB in all, {:.0f} % shown", mean.psnr_covered,
                   mean.psnr, 100 * mean.covered);
   const bool beyond = evidence.keeps_photographs && evidence.kept < kBeyond * mean.covered;
-  const std::string beyond_text = fmt::format(
+  std::string beyond_text = fmt::format(
       "{:.0f} % of the target views come from no photograph: expect inventions there; of each other the photographs tell "
       "{}",
       100 * (1 - evidence.kept), measured);

@@ -54,11 +54,11 @@ struct PictureVerdict {
 };
 
 // The PSNR that the target views can be expected to have: what expected_variance() says, moved by what it was wrong by
-// where the truth is known, the mean over the photographs that were left out; upwards only as far as photographs show as
-// much of a view as of each other, since they lie side by side where a view lies beyond them. None where none was left
-// out, or no photographs are kept. On 25 views of six real places this was off by 2.6 dB (RMS; 1.3 too low on average, since photographs that
-// are left out lie farther from the others), with a correlation of .96 (docs/RESULTS.md, "What can be expected of a
-// view"). Of pictures of the model's size.
+// where the truth is known, the mean over the photographs that were left out; upwards only as far as photographs show
+// as much of a view as of each other, since they lie side by side where a view lies beyond them. None where none was
+// left out, or no photographs are kept. On 25 views of six real places this was off by 2.6 dB (RMS; 1.3 too low on
+// average, since photographs that are left out lie farther from the others), with a correlation of .96
+// (docs/RESULTS.md, "What can be expected of a view"). Of pictures of the model's size.
 std::vector<ExpectedView> expected_views(const PictureEvidence& evidence);
 
 // One sentence for people.
