@@ -50,6 +50,11 @@ bool is_unfamiliar(const PictureEvidence& evidence) {
   return false;
 }
 
+// Whether photographs that agree so let something be expected of the views.
+bool promises(PhotographsAgree agree) {
+  return agree == PhotographsAgree::kWell || agree == PhotographsAgree::kRoughly;
+}
+
 std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& evidence) {
   const LeftOutPhotograph mean = mean_of(evidence.left_out);
   const double trivial = std::max(mean.psnr_nearest, mean.psnr_mean);
@@ -61,10 +66,12 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
       fmt::format("{:.0f} dB where they show the same, {:.0f} dB in all, {:.0f} % shown", mean.psnr_covered,
                   mean.psnr, 100 * mean.covered);
   const bool beyond = evidence.keeps_photographs && evidence.kept < kBeyond * mean.covered;
-  std::string beyond_text = fmt::format(
-      "{:.0f} % of the target views come from no photograph: expect inventions there; of each other the photographs tell "
-      "{}",
-      100 * (1 - evidence.kept), measured);
+  if (beyond && promises(agree)) {
+    return fmt::format(
+        "{:.0f} % of the target views come from no photograph: expect inventions there; of each other the photographs "
+        "tell {}",
+        100 * (1 - evidence.kept), measured);
+  }
   switch (agree) {
     case PhotographsAgree::kOne:
       break;
@@ -78,11 +85,9 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
           "they have {:.0f}): expect inventions{}",
           mean.psnr, trivial, kept);
     case PhotographsAgree::kRoughly:
-      if (beyond) return beyond_text;
       return fmt::format("These pictures are rough, as the photographs' predictions of each other are ({}){}",
                          measured, kept);
     case PhotographsAgree::kWell:
-      if (beyond) return beyond_text;
       return fmt::format("{} the photographs' predictions of each other are ({}){}",
                          evidence.keeps_photographs ? "These pictures are as good as"
                                                     : "The photographs fit their cameras: as good as this",
@@ -163,11 +168,10 @@ PictureVerdict verdict_of(const PictureEvidence& evidence) {
   PictureVerdict verdict;
   verdict.photographs = agreement_of(evidence.left_out);
   verdict.unfamiliar = is_unfamiliar(evidence);
-  const bool promises =
-      verdict.photographs == PhotographsAgree::kWell || verdict.photographs == PhotographsAgree::kRoughly;
-  verdict.sentence =
-      photographs_sentence(verdict.photographs, evidence) + (promises ? views_sentence(evidence) : "") +
-      (verdict.unfamiliar && !nothing_generated(evidence) ? model_sentence(evidence) : "") + ".";
+  verdict.sentence = photographs_sentence(verdict.photographs, evidence) +
+                     (promises(verdict.photographs) ? views_sentence(evidence) : "") +
+                     (verdict.unfamiliar && !nothing_generated(evidence) ? model_sentence(evidence) : "") +
+                     ".";
   return verdict;
 }
 
