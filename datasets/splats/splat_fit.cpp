@@ -150,13 +150,14 @@ SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFit
   SplatFeatures features;
   features.values = colours.data();
   features.channels = 3;
-  const ImageLoss loss =
-      image_loss(composite(view, features, settings).image, shown.target, options.dissimilarity, settings);
+  TileLists lists;
+  const ImageLoss loss = image_loss(composite(view, features, settings, &lists).image, shown.target,
+                                    options.dissimilarity, settings);
   ColourGradients gradients;
   render_colours_backward(fit.set, view, colours, loss.gradient,
                           moved_by_colours(options.geometry_from) ? SplatGradients::kFeaturesAndShapes
                                                                   : SplatGradients::kFeatures,
-                          settings, gradients);
+                          settings, gradients, &lists);
   SplatFitStep result;
   result.loss = loss.loss;
   if (moved_by_latents(options.geometry_from)) {

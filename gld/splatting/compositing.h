@@ -1,6 +1,7 @@
 #pragma once
 
 #include "gld/splatting/splat_view.h"
+#include "gld/splatting/tile_records.h"
 
 #include <cstdint>
 #include <vector>
@@ -36,8 +37,13 @@ struct CompositedView {
   SplatImage image;
   SplatImage transmittance;  // one channel: what is left behind the last Gaussian
 };
-CompositedView composite(const SplatView& view, const SplatFeatures& features,
-                         const KernelSettings& settings);
+// The records of a view's tiles, which composite_backward() need not find again. They are of one view, its Gaussians and one
+// instruction set.
+struct TileLists {
+  std::vector<TileRecords> tiles;
+};
+CompositedView composite(const SplatView& view, const SplatFeatures& features, const KernelSettings& settings,
+                         TileLists* keep = nullptr);
 
 // d loss / d what was composited, for every splat of the view. Sums go by Gaussian in the order of tiles: they are
 // equal to the bit whatever settings.threads is.
@@ -50,7 +56,7 @@ struct CompositingGradients {
 enum class SplatGradients { kFeatures, kFeaturesAndShapes };
 CompositingGradients composite_backward(const SplatView& view, const SplatFeatures& features,
                                         const SplatImage& of_image, SplatGradients wanted,
-                                        const KernelSettings& settings);
+                                        const KernelSettings& settings, const TileLists* kept = nullptr);
 
 // d loss / d the splat's place, covariance and opacity, from its moments.
 ProjectedGradient projected_gradient(const VisibleSplat& splat, const float* moments);
@@ -75,10 +81,12 @@ struct ColourGradients {
   std::vector<float> of_means_in_picture;
 };
 // colours: view_colours of the same set. kFeatures: of colours and harmonics alone, with geometry's left 0.
-// gradients.of_set is reused where it has the set's size; what it held is gone.
+// gradients.of_set is reused where it has the set's size; what it held is gone. kept: as composite() kept them for the
+// same colours, or null.
 void render_colours_backward(const GaussianSet& set, const SplatView& view, const std::vector<float>& colours,
                              const SplatImage& of_image, SplatGradients wanted,
-                             const KernelSettings& settings, ColourGradients& gradients);
+                             const KernelSettings& settings, ColourGradients& gradients,
+                             const TileLists* kept = nullptr);
 
 // A picture of a set's features.
 CompositedView render_features(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);

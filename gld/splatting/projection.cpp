@@ -182,10 +182,17 @@ void seen_colour(const GaussianSet& set, int64_t i, const Eigen::Vector3d& from_
   const int64_t others = harmonic_coefficients(set.degree) - 1;
   const float* first = set.colours.data() + 3 * i;
   const float* rest = set.harmonics.data() + 3 * others * i;
+  // Two coefficients, of three channels each, at a time: vectors without a stride.
+  double sums[6] = {};
+  int64_t k = 0;
+  for (; k + 2 <= others; k += 2) {
+    const double a = colour.harmonics[k + 1], b = colour.harmonics[k + 2];
+    const double harmonics[6] = {a, a, a, b, b, b};
+    for (int i = 0; i < 6; ++i) sums[i] += harmonics[i] * static_cast<double>(rest[3 * k + i]);
+  }
   for (int c = 0; c < 3; ++c) {
-    double sum = kHarmonicGrey + colour.harmonics[0] * first[c];
-    for (int64_t k = 0; k < others; ++k) sum += colour.harmonics[k + 1] * rest[3 * k + c];
-    colour.rgb[c] = std::max(0.0, sum);
+    if (k < others) sums[c] += colour.harmonics[k + 1] * static_cast<double>(rest[3 * k + c]);
+    colour.rgb[c] = std::max(0.0, kHarmonicGrey + colour.harmonics[0] * first[c] + sums[c] + sums[c + 3]);
   }
 }
 

@@ -143,7 +143,11 @@ SplatView view_of_splats(const GaussianSet& set, const SplatCamera& camera, cons
     for (const VisibleSplat& splat : here) depths.push_back(splat.depth);
   }
   view.splats.reserve(all.size());
-  for (const int32_t i : sorted_by_depth(depths)) view.splats.push_back(all[static_cast<size_t>(i)]);
+  view.by_index.resize(all.size());
+  for (const int32_t i : sorted_by_depth(depths)) {
+    view.by_index[static_cast<size_t>(i)] = static_cast<int32_t>(view.splats.size());
+    view.splats.push_back(all[static_cast<size_t>(i)]);
+  }
   list_tiles(view);
   return view;
 }
@@ -152,8 +156,8 @@ std::vector<float> view_colours(const GaussianSet& set, const SplatView& view,
                                 const KernelSettings& settings) {
   std::vector<float> colours(view.splats.size() * 3);
 #pragma omp parallel for num_threads(settings.threads) schedule(static)
-  for (int64_t i = 0; i < view.size(); ++i) {
-    const int64_t index = view.splats[static_cast<size_t>(i)].index;
+  for (int64_t place = 0; place < view.size(); ++place) {
+    const int64_t i = view.splat_in_order(place), index = view.splats[static_cast<size_t>(i)].index;
     Eigen::Vector3d mean;
     for (int k = 0; k < 3; ++k) mean[k] = set.means[static_cast<size_t>(3 * index + k)];
     SeenColour colour;

@@ -26,12 +26,23 @@ struct VisibleSplat {
   int32_t first_column, end_column, first_row, end_row;  // pixels that it may cover: alpha >= 1/255
 };
 
+// Of a splat that is read soon, and lies anywhere.
+inline void fetch(const VisibleSplat& splat) {
+  const char* const begin = reinterpret_cast<const char*>(&splat);
+  __builtin_prefetch(begin);
+  __builtin_prefetch(begin + sizeof(VisibleSplat) - 1);
+}
+// How many are read before it.
+constexpr int64_t kFetchedAhead = 6;
+
 // What a view shows of a set: Gaussians front to back, those at one depth by index, and for each tile those that reach
 // it, in the same order.
 struct SplatView {
   SplatCamera camera;
   int64_t tile_columns = 0, tile_rows = 0;
   std::vector<VisibleSplat> splats;
+  std::vector<int32_t>
+      by_index;  // numbers of splats in the order of the set: what reads that reads it in a row
   std::vector<int32_t> tile_first;     // (tiles + 1) into tile_splats
   std::vector<int32_t> tile_splats;    // numbers of splats
   std::vector<int32_t> splat_first;    // (splats + 1) into splat_entries
@@ -39,6 +50,12 @@ struct SplatView {
 
   int64_t size() const { return static_cast<int64_t>(splats.size()); }
   int64_t tiles() const { return tile_columns * tile_rows; }
+  // by_index[place], while the one that is some places ahead is fetched.
+  int64_t splat_in_order(int64_t place) const {
+    if (place + kFetchedAhead < size())
+      fetch(splats[static_cast<size_t>(by_index[static_cast<size_t>(place + kFetchedAhead)])]);
+    return by_index[static_cast<size_t>(place)];
+  }
 };
 
 // Projects, sorts and lists. The result does not depend on settings.threads.
