@@ -16,7 +16,7 @@ fi
 seconds=${1:-10}
 [ $# -gt 0 ] && shift
 kinds=("$@")
-[ ${#kinds[@]} -gt 0 ] || kinds=(safetensors torch_archive npy hdf5 json yaml image colmap re10k)
+[ ${#kinds[@]} -gt 0 ] || kinds=(safetensors torch_archive npy hdf5 json yaml image colmap re10k ffprobe)
 
 # For seconds they are taken from the build of scripts/test.sh, which is optimised a little; for longer they are worth their own.
 if [ "$seconds" -le 10 ]; then

@@ -2,17 +2,16 @@
 
 #include "datasets/images/image_file.h"
 #include "datasets/video/ffmpeg.h"
+#include "datasets/video/video_stream.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/child_process.h"
 #include "gld/base/error.h"
-#include "gld/base/json_text.h"
 #include "gld/base/work_folder.h"
 
 #include <algorithm>
 #include <array>
 #include <cctype>
 #include <cmath>
-#include <cstdlib>
 #include <string>
 
 #include <fmt/format.h>
@@ -49,29 +48,6 @@ void run(const std::vector<std::string>& command, WorkFolder& work, const std::f
         "see there, or give single pictures"});
 }
 
-double number_of(const nlohmann::ordered_json& json, const char* key) {
-  const auto found = json.find(key);
-  if (found == json.end() || !found->is_string()) return 0;
-  const double value = std::strtod(found->get<std::string>().c_str(), nullptr);
-  return std::isfinite(value) && value > 0 ? value : 0;
-}
-
-// "30000/1001"
-double rate_of(const nlohmann::ordered_json& stream) {
-  const auto found = stream.find("avg_frame_rate");
-  if (found == stream.end() || !found->is_string()) return 0;
-  const auto text = found->get<std::string>();
-  char* end = nullptr;
-  const double above = std::strtod(text.c_str(), &end);
-  const double below = *end == '/' ? std::strtod(end + 1, nullptr) : 1;
-  return above > 0 && below > 0 && std::isfinite(above / below) ? above / below : 0;
-}
-
-struct VideoStream {
-  double seconds = 0;
-  double pictures_a_second = 0;
-};
-
 VideoStream stream_of(const std::filesystem::path& video, WorkFolder& work) {
   const auto answer = work.path() / "stream.json";
   run({require_program("ffprobe", video).string(), "-v", "error", "-protocol_whitelist", "file",
@@ -79,22 +55,7 @@ VideoStream stream_of(const std::filesystem::path& video, WorkFolder& work) {
        "stream=duration,avg_frame_rate:format=duration", "-of", "json", "-o", answer.string(),
        as_file(video)},
       work, video);
-  const auto json = parse_ordered_json(read_file(answer), answer.string());
-  const auto streams = json.find("streams");
-  if (streams == json.end() || !streams->is_array() || streams->empty()) {
-    fail({video.string(), "a video", "a file without pictures", "check the name"});
-  }
-  VideoStream stream;
-  stream.pictures_a_second = rate_of(streams->front());
-  stream.seconds = number_of(streams->front(), "duration");
-  if (const auto format = json.find("format"); stream.seconds <= 0 && format != json.end()) {
-    stream.seconds = number_of(*format, "duration");
-  }
-  if (stream.seconds <= 0 || stream.pictures_a_second <= 0) {
-    fail({video.string(), "a video that says how long it is and how many pictures it shows a second",
-          "one that does not", "convert it with ffmpeg"});
-  }
-  return stream;
+  return parse_video_stream(read_file(answer), video);
 }
 
 // The pictures at `rate` a second that pass `filter`, as 000001.png, ...

@@ -60,6 +60,8 @@ TEST(FuzzCorpus, Colmap) { EXPECT_GE(replay("colmap", test::read_as_colmap), 5U)
 
 TEST(FuzzCorpus, Re10k) { EXPECT_GE(replay("re10k", test::read_as_re10k), 1U); }
 
+TEST(FuzzCorpus, Ffprobe) { EXPECT_GE(replay("ffprobe", test::read_as_ffprobe), 4U); }
+
 TEST(FuzzCorpus, Npy) { EXPECT_GE(replay("npy", test::read_as_npy), 4U); }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include "datasets/formats/colmap_model.h"
 #include "datasets/formats/re10k_reader.h"
 #include "datasets/images/image_file.h"
+#include "datasets/video/video_stream.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
@@ -14,6 +15,7 @@
 #include "gld/files/zip_archive.h"
 
 #include <array>
+#include <cmath>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -225,6 +227,18 @@ void read_as_colmap(const uint8_t* data, size_t size) {
 void read_as_re10k(const uint8_t* data, size_t size) {
   try {
     read_re10k_rows(scratch().write("clip.txt", data, size));
+  } catch (const Error&) {
+    return;
+  }
+}
+
+void read_as_ffprobe(const uint8_t* data, size_t size) {
+  try {
+    const VideoStream stream =
+        parse_video_stream(std::string(reinterpret_cast<const char*>(data), size), kWhere);
+    // What the times of pictures are computed with.
+    if (!(stream.seconds > 0) || !(stream.pictures_a_second > 0)) std::abort();
+    if (!std::isfinite(stream.seconds / stream.pictures_a_second * 1000)) std::abort();
   } catch (const Error&) {
     return;
   }

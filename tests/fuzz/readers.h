@@ -15,6 +15,7 @@ void read_as_yaml(const uint8_t* data, size_t size);           // options of eve
 void read_as_image(const uint8_t* data, size_t size);          // of every format, with its EXIF metadata
 void read_as_colmap(const uint8_t* data,
                     size_t size);  // by the first byte: cameras, images or points, binary or text
-void read_as_re10k(const uint8_t* data, size_t size);  // the rows of a camera file
+void read_as_re10k(const uint8_t* data, size_t size);    // the rows of a camera file
+void read_as_ffprobe(const uint8_t* data, size_t size);  // what the program ffprobe says of a video
 
 }  // namespace gld::test

@@ -8,6 +8,7 @@
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
+#include <cstdlib>
 #include <string>
 #include <vector>
 
@@ -104,6 +105,26 @@ TEST_F(VideoFrames, OfNoVideoAreRefusedInASentence) {
   write_file_atomically(cut, whole.substr(0, 200));
   EXPECT_THAT(error_of([&] { sharpest_frames(cut, 3, frames_folder()); }),
               HasSubstr("cut.mkv: expected a video"));
+}
+
+// Whatever the program of that name on the PATH writes.
+TEST_F(VideoFrames, OfAnFfprobeThatSaysNothingAreRefusedInASentence) {
+  const auto file = video("walk.mkv", {});
+  const auto programs = folder_.path() / "programs";
+  std::filesystem::create_directories(programs);
+  write_file_atomically(
+      programs / "ffprobe",
+      "#!/bin/sh\nwhile [ \"$1\" != -o ]; do shift; done\nprintf '{\"streams\": [' > \"$2\"\n");
+  std::filesystem::permissions(programs / "ffprobe", std::filesystem::perms::owner_all);
+  const char* before = std::getenv("PATH");
+  const std::string path = before == nullptr ? "" : before;
+  ::setenv("PATH", (programs.string() + ":" + path).c_str(), 1);
+  const std::string refused = error_of([&] { sharpest_frames(file, 3, frames_folder()); });
+  ::setenv("PATH", path.c_str(), 1);
+  EXPECT_EQ(refused,
+            file.string() +
+                ": expected ffprobe to describe it as JSON, found a syntax error; install FFmpeg again "
+                "(apt install ffmpeg), or give single pictures.");
 }
 
 // A list names another file: it is not opened, though it is there and would do.
