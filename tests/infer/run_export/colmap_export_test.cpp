@@ -9,6 +9,7 @@
 
 #include <map>
 #include <sstream>
+#include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -152,40 +153,82 @@ TEST_F(ColmapExport, SaysByHowMuchDepthsDisagree) {
   EXPECT_GT(mean_error("off"), exact + 0.05);
 }
 
-// Debian's COLMAP reads both forms, and writes what we read again.
+// Cameras, images and the places of points are the same, as far as the digits of the text form tell.
+void expect_equal_models(const ColmapModel& read, const ColmapModel& expected) {
+  ASSERT_EQ(read.images.size(), expected.images.size());
+  EXPECT_EQ(read.cameras.size(), expected.cameras.size());
+  for (size_t i = 0; i < expected.images.size(); ++i) {
+    EXPECT_EQ(read.images[i].name, expected.images[i].name);
+    EXPECT_LT((read.images[i].rotation.coeffs() - expected.images[i].rotation.coeffs()).norm(), 1e-12);
+    EXPECT_LT((read.images[i].translation - expected.images[i].translation).norm(), 1e-12);
+    const ColmapCamera& camera = read.cameras.at(read.images[i].camera_id);
+    const ColmapCamera& expected_camera = expected.cameras.at(expected.images[i].camera_id);
+    EXPECT_EQ(camera.model, expected_camera.model);
+    EXPECT_EQ(camera.width, expected_camera.width);
+    EXPECT_EQ(camera.height, expected_camera.height);
+    EXPECT_EQ(camera.parameters, expected_camera.parameters);
+  }
+  ASSERT_EQ(read.points_in_world.size(), expected.points_in_world.size());
+  for (size_t i = 0; i < expected.points_in_world.size(); ++i)
+    ASSERT_LT((read.points_in_world[i] - expected.points_in_world[i]).norm(), 1e-9);
+}
+
+void expect_equal_sightings(const ColmapSightings& read, const ColmapSightings& expected) {
+  EXPECT_EQ(read.points_in_world.size(), expected.points_in_world.size());
+  ASSERT_EQ(read.images.size(), expected.images.size());
+  for (const auto& [name, places] : expected.images) {
+    ASSERT_EQ(read.images.at(name).size(), places.size());
+    for (size_t i = 0; i < places.size(); ++i) {
+      ASSERT_EQ(read.images.at(name)[i].point, places[i].point);
+      ASSERT_LT((read.images.at(name)[i].position - places[i].position).norm(), 1e-9);
+    }
+  }
+}
+
+// Of points3D.txt: place, colour, error and track of each point.
+void expect_equal_points(const std::filesystem::path& read_from, const std::filesystem::path& expected_from) {
+  constexpr size_t kTrack = 8;
+  const auto read = numbered_lines(read_from / "points3D.txt");
+  const auto expected = numbered_lines(expected_from / "points3D.txt");
+  ASSERT_EQ(read.size(), expected.size());
+  for (const auto& [number, fields] : expected) {
+    const auto& found = read.at(number);
+    ASSERT_EQ(found.size(), fields.size()) << number;
+    for (size_t i = 0; i < kTrack; ++i)
+      ASSERT_NEAR(std::stod(found[i]), std::stod(fields[i]), 1e-9) << number;
+    for (size_t i = kTrack; i < fields.size(); ++i) ASSERT_EQ(found[i], fields[i]) << number;
+  }
+}
+
+// Debian's COLMAP reads both forms, which are one model to it, and writes what we read again.
 TEST_F(ColmapExport, IsReadByColmap) {
   const ColmapCounts counts = exported({});
-  for (const auto& model : {binary(), out() / "sparse_txt"}) {
+  const auto text = out() / "sparse_txt";
+  const ColmapModel ours = read_colmap_model(binary(), ColmapForm::kBinary);
+  EXPECT_EQ(ours.points_in_world.size(), static_cast<size_t>(counts.points));
+  for (const auto& model : {binary(), text}) {
+    SCOPED_TRACE(model);
     const auto analysis = test::run_program("colmap", {"model_analyzer", "--path", model.string()});
     EXPECT_EQ(analysis.status, 0) << analysis.text;
     EXPECT_THAT(analysis.text, HasSubstr("Cameras: 4\n"));
     EXPECT_THAT(analysis.text, HasSubstr("Registered images: 4\n"));
     EXPECT_THAT(analysis.text, HasSubstr("Points: " + std::to_string(counts.points) + "\n"));
     EXPECT_THAT(analysis.text, HasSubstr("Observations: " + std::to_string(counts.sightings) + "\n"));
-  }
-  const auto converted = folder_.path() / "converted";
-  std::filesystem::create_directory(converted);
-  const auto conversion =
-      test::run_program("colmap", {"model_converter", "--input_path", (out() / "sparse_txt").string(),
-                                   "--output_path", converted.string(), "--output_type", "BIN"});
-  EXPECT_EQ(conversion.status, 0) << conversion.text;
-  const ColmapModel theirs = read_colmap_model(converted, ColmapForm::kBinary);
-  const ColmapModel ours = read_colmap_model(binary(), ColmapForm::kBinary);
-  ASSERT_EQ(theirs.images.size(), ours.images.size());
-  for (size_t i = 0; i < ours.images.size(); ++i) {
-    EXPECT_EQ(theirs.images[i].name, ours.images[i].name);
-    EXPECT_LT((theirs.images[i].rotation.coeffs() - ours.images[i].rotation.coeffs()).norm(), 1e-12);
-    EXPECT_LT((theirs.images[i].translation - ours.images[i].translation).norm(), 1e-12);
-    EXPECT_EQ(theirs.cameras.at(theirs.images[i].camera_id).parameters,
-              ours.cameras.at(ours.images[i].camera_id).parameters);
-  }
-  const ColmapSightings read = read_colmap_sightings(converted), written = read_colmap_sightings(binary());
-  EXPECT_EQ(read.points_in_world.size(), written.points_in_world.size());
-  for (const auto& [name, places] : written.images) {
-    ASSERT_EQ(read.images.at(name).size(), places.size());
-    for (size_t i = 0; i < places.size(); ++i) {
-      ASSERT_EQ(read.images.at(name)[i].point, places[i].point);
-      ASSERT_LT((read.images.at(name)[i].position - places[i].position).norm(), 1e-9);
+    for (const auto& [type, form] :
+         {std::pair("BIN", ColmapForm::kBinary), std::pair("TXT", ColmapForm::kText)}) {
+      SCOPED_TRACE(type);
+      const auto converted = folder_.path() / (model.filename().string() + "_" + type);
+      std::filesystem::create_directory(converted);
+      const auto conversion =
+          test::run_program("colmap", {"model_converter", "--input_path", model.string(), "--output_path",
+                                       converted.string(), "--output_type", type});
+      ASSERT_EQ(conversion.status, 0) << conversion.text;
+      expect_equal_models(read_colmap_model(converted, form), ours);
+      if (form == ColmapForm::kBinary) {
+        expect_equal_sightings(read_colmap_sightings(converted), read_colmap_sightings(binary()));
+      } else {
+        expect_equal_points(converted, text);
+      }
     }
   }
 }

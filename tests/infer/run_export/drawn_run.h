@@ -20,6 +20,7 @@ namespace gld::test {
 
 // What a run of gld sample would be that gave a drawn room exactly, with the files that it writes.
 struct DrawnRun {
+  int64_t room = 3;
   int64_t views = 4;
   int64_t sources = 1;
   int64_t width = 48;
@@ -68,7 +69,7 @@ inline std::vector<DrawnView> write_drawn_run(const std::filesystem::path& folde
   options.frames = run.views;
   options.width = run.width;
   options.height = run.height;
-  const Scene scene = make_synthetic_scene(options, 3);
+  const Scene scene = make_synthetic_scene(options, run.room);
   for (const char* name : {"sources", "images", "depth"}) std::filesystem::create_directories(folder / name);
   Provenance provenance;
   provenance.program = "gld";

@@ -9,10 +9,12 @@
 #include "tests/support/temporary_folder.h"
 
 #include <cmath>
+#include <exception>
 #include <optional>
 #include <sstream>
 
 #include <gmock/gmock.h>
+#include <gtest/gtest-spi.h>
 #include <gtest/gtest.h>
 
 namespace gld {
@@ -138,6 +140,53 @@ TEST_F(GlbFile, ShowsPointsThroughItsCameras) {
   // The picture is the run's file.
   const auto& view = gltf.at("bufferViews", gltf.at("images", 0).at("bufferView"));
   EXPECT_EQ(gltf.binary.substr(view.at("byteOffset"), view.at("byteLength")), scene.views[0].png);
+}
+
+// Whether expect_valid_gltf() would say something.
+bool is_refused(const GltfFile& gltf) {
+  ::testing::TestPartResultArray failures;
+  const ::testing::ScopedFakeTestPartResultReporter reporter(
+      ::testing::ScopedFakeTestPartResultReporter::INTERCEPT_ONLY_CURRENT_THREAD, &failures);
+  try {
+    test::expect_valid_gltf(gltf);
+  } catch (const std::exception&) {  // of what has another type, or is not there
+    return true;
+  }
+  return failures.size() > 0;
+}
+
+// What stands in for the JSON schema refuses what that refuses: one change of each kind that it knows.
+TEST_F(GlbFile, IsHeldToTheSchema) {
+  const GltfFile gltf = written(scene_of({}));
+  ASSERT_FALSE(is_refused(gltf));
+  const auto changes = nlohmann::json::parse(R"([
+    ["/asset/version", "2"], ["/asset/generator", 3], ["/scene", 7], ["/scene", -1], ["/scene", 0.5],
+    ["/scenes/0/nodes", []], ["/scenes/0/nodes", [0, 0]], ["/scenes", []], ["/extensionsUsed", []],
+    ["/buffers/0/byteLength", 0], ["/buffers/0/uri", 1], ["/bufferViews/0/byteLength", 0],
+    ["/bufferViews/0/byteOffset", -4], ["/bufferViews/0/byteStride", 256], ["/bufferViews/0/byteStride", 2],
+    ["/bufferViews/0/buffer", -1], ["/bufferViews/0/target", "vertices"], ["/accessors/0/componentType", "float"],
+    ["/accessors/0/count", 0], ["/accessors/0/type", 3], ["/accessors/0/normalized", 1], ["/accessors/0/min", []],
+    ["/accessors/0/sparse", {}], ["/meshes/0/primitives", []], ["/meshes/0/name", 3],
+    ["/meshes/0/primitives/0/attributes", {}], ["/meshes/0/primitives/0/attributes/POSITION", -1],
+    ["/meshes/0/primitives/0/indices", 0.5], ["/meshes/0/primitives/0/mode", "points"],
+    ["/meshes/0/primitives/0/targets", []], ["/materials/0/pbrMetallicRoughness/metallicFactor", 2],
+    ["/materials/0/pbrMetallicRoughness/baseColorFactor", [1, 1, 1]],
+    ["/materials/0/pbrMetallicRoughness/baseColorFactor", [1, 1, 1, 2]],
+    ["/materials/0/pbrMetallicRoughness/baseColorTexture/index", -1],
+    ["/materials/0/pbrMetallicRoughness/baseColorTexture/texCoord", -1], ["/materials/0/doubleSided", "yes"],
+    ["/materials/0/extensions/KHR_materials_unlit", 3], ["/materials/0/alphaCutoff", 1],
+    ["/samplers/0/wrapS", "clamp"], ["/samplers/0/minFilter", 9728.5], ["/textures/0/source", -1],
+    ["/textures/0/sampler", "linear"], ["/images/0/uri", "a.png"], ["/images/0/bufferView", -1],
+    ["/images/0/mimeType", 3], ["/cameras/0/type", 3], ["/cameras/0/orthographic", {}],
+    ["/cameras/0/perspective/yfov", 0], ["/cameras/0/perspective/znear", 0], ["/cameras/0/perspective/zfar", 0],
+    ["/cameras/0/perspective/aspectRatio", 0], ["/nodes/0/rotation", [1, 0, 0]], ["/nodes/0/rotation", [2, 0, 0, 0]],
+    ["/nodes/2/translation", [0, 0]], ["/nodes/2/translation", ["0", 0, 0]], ["/nodes/1/children", []],
+    ["/nodes/1/children", [2, 2]], ["/nodes/0/mesh", -1], ["/nodes/0/matrix", [1]], ["/nodes/0/skin", 0]])");
+  for (const auto& change : changes) {
+    GltfFile changed = gltf;
+    changed.json[nlohmann::json::json_pointer(change[0].get<std::string>())] = change[1];
+    EXPECT_TRUE(is_refused(changed)) << change;
+  }
 }
 
 // Pixels that are not square are an aspect ratio to glTF; a principal point off the middle is nothing that it knows.

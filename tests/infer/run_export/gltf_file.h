@@ -16,6 +16,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
@@ -145,15 +146,83 @@ inline void expect_keys(const nlohmann::json& object, const std::string& what, c
     EXPECT_EQ(known.count(item.key()), 1U) << what << " has " << item.key();
 }
 
-// The structure that glTF 2.0 asks for: keys, types, numbers of other objects, a tree of nodes, ranges, alignment,
-// sizes, values that are finite, and exact bounds of positions.
+// Numbers of that count between two bounds, where the key is there.
+inline void expect_numbers(const nlohmann::json& object, const char* key, size_t count,
+                           double low = -std::numeric_limits<double>::max(),
+                           double high = std::numeric_limits<double>::max()) {
+  if (!object.contains(key)) return;
+  ASSERT_TRUE(object.at(key).is_array()) << key;
+  EXPECT_EQ(object.at(key).size(), count) << key;
+  for (const auto& value : object.at(key)) {
+    ASSERT_TRUE(value.is_number()) << key;
+    EXPECT_GE(value.get<double>(), low) << key;
+    EXPECT_LE(value.get<double>(), high) << key;
+  }
+}
+
+// A number between two bounds, where the key is there.
+inline void expect_number(const nlohmann::json& object, const char* key, double low, double high) {
+  if (!object.contains(key)) return;
+  ASSERT_TRUE(object.at(key).is_number()) << key;
+  EXPECT_GE(object.at(key).get<double>(), low) << key;
+  EXPECT_LE(object.at(key).get<double>(), high) << key;
+}
+
+// Whole numbers from 0 on, where the keys are there.
+inline void expect_whole(const nlohmann::json& object, const std::vector<const char*>& keys) {
+  for (const char* key : keys) {
+    EXPECT_TRUE(!object.contains(key) || object.at(key).is_number_unsigned())
+        << key << " of " << object.dump();
+  }
+}
+
+// One of the values that the specification lists, where the key is there.
+inline void expect_one_of(const nlohmann::json& object, const char* key, const nlohmann::json& values) {
+  if (!object.contains(key)) return;
+  EXPECT_NE(std::find(values.begin(), values.end(), object.at(key)), values.end())
+      << key << " of " << object.dump();
+}
+
+// Whole numbers from 0 on, each once and one at least, where the key is there.
+inline void expect_ids(const nlohmann::json& object, const char* key, size_t end) {
+  if (!object.contains(key)) return;
+  ASSERT_TRUE(object.at(key).is_array()) << key;
+  EXPECT_FALSE(object.at(key).empty()) << key;
+  std::set<size_t> numbers;
+  for (const auto& value : object.at(key)) {
+    ASSERT_TRUE(value.is_number_unsigned()) << key;
+    EXPECT_LT(value.get<size_t>(), end) << key;
+    EXPECT_TRUE(numbers.insert(value.get<size_t>()).second) << key << " twice";
+  }
+}
+
+// All that the JSON schema of glTF 2.0 (Khronos, specification/2.0/schema) demands of the objects that an export has:
+// glTF, glTFid, glTFProperty (extensions and extras), asset, buffer, bufferView, accessor, camera, camera.perspective,
+// image, sampler, texture, textureInfo, material, material.pbrMetallicRoughness, mesh, mesh.primitive, node and scene,
+// their keys, required ones, types, enumerations, bounds, numbers of elements and what excludes what, where the schema
+// lets unknown keys and values pass, too; and KHR_materials_unlit. An export has none of the others, whose keys are
+// refused: accessor.sparse and its parts, animation and its parts, camera.orthographic, skin, morph targets and
+// weights, material's normal, occlusion and emissive textures and alpha, node's matrix, scale and skin, uri.
+// Beyond the schema: a tree of nodes, alignment, sizes, values that are finite, and exact bounds of positions.
 inline void expect_valid_gltf(const GltfFile& file) {
   const auto& json = file.json;
   expect_keys(
       json, "file",
       "!asset accessors bufferViews buffers cameras extensionsUsed images materials meshes nodes samplers scene "
       "scenes textures");
+  expect_keys(json.at("asset"), "asset", "!version generator");
   EXPECT_EQ(json.at("asset").at("version"), "2.0");
+  const auto expect_property = [&](const nlohmann::json& object) {
+    for (const char* key : {"name", "generator"})
+      EXPECT_TRUE(!object.contains(key) || object.at(key).is_string()) << key;
+    if (!object.contains("extensions")) return;
+    ASSERT_TRUE(object.at("extensions").is_object());
+    for (const auto& extension : object.at("extensions").items()) {
+      EXPECT_TRUE(extension.value().is_object()) << extension.key();
+      EXPECT_THAT(json.at("extensionsUsed"), ::testing::Contains(extension.key()));
+    }
+  };
+  expect_property(json.at("asset"));
   const auto in_range = [&](const nlohmann::json& object, const char* key, const char* list) {
     if (!object.contains(key)) return;
     EXPECT_TRUE(object.at(key).is_number_unsigned()) << key;
@@ -161,14 +230,18 @@ inline void expect_valid_gltf(const GltfFile& file) {
   };
   for (const char* list : {"accessors", "bufferViews", "buffers", "cameras", "images", "materials", "meshes",
                            "nodes", "samplers", "scenes", "textures"}) {
-    if (json.contains(list)) {
-      EXPECT_FALSE(json.at(list).empty()) << list << " may not be empty";
-    }
+    if (!json.contains(list)) continue;
+    ASSERT_TRUE(json.at(list).is_array()) << list;
+    EXPECT_FALSE(json.at(list).empty()) << list << " may not be empty";
+    for (const auto& object : json.at(list)) expect_property(object);
   }
+  in_range(json, "scene", "scenes");
   EXPECT_LE(file.count("buffers"), 1U);
   if (file.count("buffers") == 1) {
+    expect_keys(file.at("buffers", 0), "buffer", "!byteLength");
+    expect_whole(file.at("buffers", 0), {"byteLength"});
     const size_t length = file.at("buffers", 0).at("byteLength");
-    EXPECT_FALSE(file.at("buffers", 0).contains("uri"));
+    EXPECT_GE(length, 1U);
     EXPECT_GE(file.binary.size(), length);
     EXPECT_LE(file.binary.size(), length + 3);
   }
@@ -177,13 +250,20 @@ inline void expect_valid_gltf(const GltfFile& file) {
     const auto& view = file.at("bufferViews", i);
     expect_keys(view, "bufferView", "!buffer !byteLength byteOffset byteStride target");
     in_range(view, "buffer", "buffers");
+    expect_one_of(view, "target", {34962, 34963});
+    expect_number(view, "byteStride", 4, 252);
+    expect_whole(view, {"byteOffset", "byteLength", "byteStride"});
     EXPECT_GE(view.at("byteLength").get<size_t>(), 1U);
     EXPECT_LE(view.value("byteOffset", size_t{0}) + view.at("byteLength").get<size_t>(),
               file.at("buffers", 0).at("byteLength").get<size_t>());
   }
   for (size_t i = 0; i < file.count("accessors"); ++i) {
     const auto& accessor = file.at("accessors", i);
-    expect_keys(accessor, "accessor", "!componentType !count !type bufferView byteOffset min max normalized");
+    expect_keys(accessor, "accessor",
+                "!componentType !count !type !bufferView byteOffset min max normalized");
+    expect_whole(accessor, {"count", "byteOffset"});
+    EXPECT_TRUE(!accessor.contains("normalized") || accessor.at("normalized").is_boolean());
+    expect_one_of(accessor, "type", {"SCALAR", "VEC2", "VEC3", "VEC4"});
     in_range(accessor, "bufferView", "bufferViews");
     const auto& view = file.at("bufferViews", accessor.at("bufferView"));
     const int type = accessor.at("componentType");
@@ -216,14 +296,17 @@ inline void expect_valid_gltf(const GltfFile& file) {
   for (size_t i = 0; i < file.count("meshes"); ++i) {
     const auto& mesh = file.at("meshes", i);
     expect_keys(mesh, "mesh", "!primitives name");
+    ASSERT_TRUE(mesh.at("primitives").is_array());
     EXPECT_GE(mesh.at("primitives").size(), 1U);
     for (const auto& primitive : mesh.at("primitives")) {
       expect_keys(primitive, "primitive", "!attributes indices material mode");
       in_range(primitive, "material", "materials");
       in_range(primitive, "indices", "accessors");
+      expect_one_of(primitive, "mode", {0, 4});  // points and triangles, of the seven
       size_t count = 0;
       EXPECT_TRUE(primitive.at("attributes").contains("POSITION"));
       for (const auto& item : primitive.at("attributes").items()) {
+        in_range(primitive.at("attributes"), item.key().c_str(), "accessors");
         EXPECT_EQ(std::set<std::string>({"POSITION", "TEXCOORD_0", "COLOR_0"}).count(item.key()), 1U);
         const auto& accessor = file.at("accessors", item.value());
         if (count == 0) count = accessor.at("count");
@@ -257,9 +340,24 @@ inline void expect_valid_gltf(const GltfFile& file) {
     expect_keys(material, "material", "name pbrMetallicRoughness doubleSided");
     EXPECT_TRUE(material.at("extensions").at("KHR_materials_unlit").is_object());
     EXPECT_TRUE(material.at("doubleSided"));
+    EXPECT_TRUE(material.at("extensions").at("KHR_materials_unlit").empty());
     const auto& colour = material.at("pbrMetallicRoughness");
-    if (colour.contains("baseColorTexture")) in_range(colour.at("baseColorTexture"), "index", "textures");
+    expect_keys(colour, "pbrMetallicRoughness",
+                "baseColorFactor baseColorTexture metallicFactor roughnessFactor");
+    expect_numbers(colour, "baseColorFactor", 4, 0, 1);
+    for (const char* key : {"metallicFactor", "roughnessFactor"}) expect_number(colour, key, 0, 1);
+    if (colour.contains("baseColorTexture")) {
+      expect_keys(colour.at("baseColorTexture"), "textureInfo", "!index");
+      in_range(colour.at("baseColorTexture"), "index", "textures");
+    }
     EXPECT_EQ(json.at("extensionsUsed"), nlohmann::json({"KHR_materials_unlit"}));
+  }
+  for (size_t i = 0; i < file.count("samplers"); ++i) {
+    const auto& sampler = file.at("samplers", i);
+    expect_keys(sampler, "sampler", "magFilter minFilter wrapS wrapT name");
+    expect_one_of(sampler, "magFilter", {9728, 9729});
+    expect_one_of(sampler, "minFilter", {9728, 9729, 9984, 9985, 9986, 9987});
+    for (const char* key : {"wrapS", "wrapT"}) expect_one_of(sampler, key, {33071, 33648, 10497});
   }
   for (size_t i = 0; i < file.count("textures"); ++i) {
     expect_keys(file.at("textures", i), "texture", "!source !sampler");
@@ -279,7 +377,8 @@ inline void expect_valid_gltf(const GltfFile& file) {
   for (const auto& use : uses) EXPECT_EQ(use.size(), 1U) << "a bufferView is for one thing";
   for (size_t i = 0; i < file.count("cameras"); ++i) {
     const auto& camera = file.at("cameras", i);
-    expect_keys(camera, "camera", "!type perspective name");
+    expect_keys(camera, "camera", "!type !perspective name");
+    EXPECT_EQ(camera.at("type"), "perspective");
     expect_keys(camera.at("perspective"), "perspective", "!yfov !znear aspectRatio zfar");
     EXPECT_GT(camera.at("perspective").at("znear"), 0);
     EXPECT_GT(camera.at("perspective").at("zfar"), camera.at("perspective").at("znear"));
@@ -293,18 +392,20 @@ inline void expect_valid_gltf(const GltfFile& file) {
     expect_keys(node, "node", "name translation rotation mesh camera children");
     in_range(node, "mesh", "meshes");
     in_range(node, "camera", "cameras");
+    expect_ids(node, "children", parents.size());
+    expect_numbers(node, "translation", 3);
+    expect_numbers(node, "rotation", 4, -1, 1);
     if (node.contains("rotation")) {
       double square = 0;
       for (const double value : node.at("rotation").get<std::vector<double>>()) square += value * value;
       EXPECT_NEAR(square, 1, 1e-12);
     }
     if (!node.contains("children")) continue;
-    for (const size_t child : node.at("children").get<std::vector<size_t>>()) {
-      ASSERT_LT(child, parents.size());
-      ++parents[child];
-    }
+    for (const size_t child : node.at("children").get<std::vector<size_t>>()) ++parents.at(child);
   }
   EXPECT_EQ(json.at("scenes").size(), 1U);
+  expect_keys(json.at("scenes").at(0), "scene", "!nodes name");
+  expect_ids(json.at("scenes").at(0), "nodes", parents.size());
   for (const size_t root : json.at("scenes").at(0).at("nodes").get<std::vector<size_t>>()) ++parents.at(root);
   for (const int count : parents) EXPECT_EQ(count, 1) << "nodes are a tree";
 }
