@@ -9,7 +9,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -19,7 +21,7 @@ namespace {
 
 constexpr double kLargestDirectionError = 5;  // degrees, as the median over a photograph's rays
 constexpr double kLargestOriginError = 0.3;   // of the spread of the centres
-constexpr double kLargestFocalSpread = 1.5;   // between photographs of one lens
+constexpr double kLargestFocalSpread = 1.5;   // between photographs of one lens, or EXIF and model
 constexpr double kLargestCheck = 1.25;  // factor between depth as predicted and as the photographs match
 
 double median_of(std::vector<double> values) {
@@ -59,21 +61,66 @@ RecoveredCamera recovered_camera(const GeometryOutput& geometry, size_t photogra
   }
 }
 
+double focal_length_of(const RecoveredCamera& recovered) {
+  const Eigen::Matrix3d& intrinsics = recovered.camera.intrinsics;
+  return std::sqrt(intrinsics(0, 0) * intrinsics(1, 1));
+}
+
 // Of photographs whose cameras were found each for itself.
 SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
                        const std::vector<PhotographLens>& lenses, const std::vector<size_t>& photographs) {
   std::vector<double> logs;
   for (const size_t i : photographs) {
-    const Eigen::Matrix3d& intrinsics = recovered[i].camera.intrinsics;
-    logs.push_back(0.5 * std::log(intrinsics(0, 0) * intrinsics(1, 1)) - std::log(lenses[i].longer_side));
+    logs.push_back(std::log(focal_length_of(recovered[i]) / lenses[i].longer_side));
   }
   std::sort(logs.begin(), logs.end());
   SharedLens shared;
   shared.photographs = photographs;
-  shared.focal_length = std::exp(0.5 * (logs[(logs.size() - 1) / 2] + logs[logs.size() / 2]));
+  shared.exif_focal_length = lenses[photographs.front()].exif_focal_length;
+  shared.seen_focal_length = std::exp(0.5 * (logs[(logs.size() - 1) / 2] + logs[logs.size() / 2]));
   shared.lowest = std::exp(logs.front());
   shared.highest = std::exp(logs.back());
   return shared;
+}
+
+// Of all photographs in which EXIF is far from what the model sees; empty where there are none.
+std::string exif_doubt(const std::vector<PhotographFocalLength>& focal_lengths) {
+  std::vector<size_t> photographs;
+  double lowest = std::numeric_limits<double>::infinity(), highest = 0;
+  for (size_t i = 0; i < focal_lengths.size(); ++i) {
+    if (focal_lengths[i].by_exif <= 0) continue;
+    const double factor = focal_lengths[i].by_exif / focal_lengths[i].seen;
+    if (std::max(factor, 1 / factor) <= kLargestFocalSpread) continue;
+    photographs.push_back(i);
+    lowest = std::min(lowest, factor);
+    highest = std::max(highest, factor);
+  }
+  if (photographs.empty()) return "";
+  std::string factors = fmt::format("{:.2f}", lowest);
+  if (const auto largest = fmt::format("{:.2f}", highest); largest != factors) factors += " to " + largest;
+  return fmt::format(
+      "by EXIF the focal length of {} is {} times what the model sees{} (without EXIF the model's is taken)",
+      photographs.size() == 1 ? fmt::format("photograph {}", photographs.front())
+                              : fmt::format("{} photographs", photographs.size()),
+      factors, highest < 1 ? ", as in pictures that were cropped" : "");
+}
+
+// Both are said: which of them is right, who took the photograph knows.
+std::string focal_length_text(const PhotographFocalLength& focal_length) {
+  if (focal_length.by_exif <= 0) {
+    return fmt::format("the model sees a focal length of {:.0f} px; EXIF names none", focal_length.seen);
+  }
+  return fmt::format("focal length {:.0f} px by EXIF; the model sees {:.0f} px", focal_length.by_exif,
+                     focal_length.seen);
+}
+
+std::string shared_lens_text(const SharedLens& lens) {
+  std::string seen = fmt::format("{:.3f} to {:.3f} by each alone", lens.lowest, lens.highest);
+  if (lens.exif_focal_length > 0) {
+    seen = fmt::format("by EXIF; the model sees {:.3f}, {}", lens.seen_focal_length, seen);
+  }
+  return fmt::format("one lens took {} of them: its focal length is {:.3f} of the longer side ({})",
+                     lens.photographs.size(), lens.focal_length(), seen);
 }
 
 }  // namespace
@@ -81,12 +128,16 @@ SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
 std::vector<std::string> PhotoCameras::doubts() const {
   std::vector<std::string> phrases;
   for (size_t i = 0; i < recovered.size(); ++i) {
-    if (recovered[i].direction_error <= kLargestDirectionError) continue;
-    phrases.push_back(fmt::format("the rays of photograph {} fit no camera to better than {:.1f} degrees", i,
-                                  recovered[i].direction_error));
+    // EXIF may contradict rays that are those of a camera: that is another doubt.
+    const double error =
+        focal_lengths[i].by_exif > 0 ? focal_lengths[i].direction_error : recovered[i].direction_error;
+    if (error <= kLargestDirectionError) continue;
+    phrases.push_back(
+        fmt::format("the rays of photograph {} fit no camera to better than {:.1f} degrees", i, error));
   }
+  if (std::string doubt = exif_doubt(focal_lengths); !doubt.empty()) phrases.push_back(std::move(doubt));
   for (const SharedLens& lens : lenses) {
-    if (lens.highest <= kLargestFocalSpread * lens.lowest) continue;
+    if (lens.exif_focal_length > 0 || lens.highest <= kLargestFocalSpread * lens.lowest) continue;
     phrases.push_back(fmt::format(
         "the {} photographs of one lens ask for focal lengths from {:.2f} to {:.2f} of their longer "
         "side (--photo-lens own gives each its own)",
@@ -119,16 +170,20 @@ PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& 
   const ImageSize size{photographs.size(3), photographs.size(2)};
   for (size_t i = 0; i < static_cast<size_t>(photographs.size(0)); ++i) {
     found.recovered.push_back(recovered_camera(geometry, i, size, {}));
+    const PhotographLens lens = lenses.empty() ? PhotographLens() : lenses[i];
+    found.focal_lengths.push_back({lens.exif_focal_length * lens.longer_side * lens.taken_pixels,
+                                   focal_length_of(found.recovered.back()) * lens.taken_pixels,
+                                   found.recovered.back().direction_error});
   }
   std::map<int64_t, std::vector<size_t>> photographs_of;
   for (size_t i = 0; i < lenses.size(); ++i) photographs_of[lenses[i].number].push_back(i);
   for (const auto& [number, taken] : photographs_of) {
-    if (taken.size() < 2) continue;
     const SharedLens shared = shared_lens(found.recovered, lenses, taken);
+    if (taken.size() < 2 && shared.exif_focal_length <= 0) continue;
     for (const size_t i : taken) {
-      found.recovered[i] = recovered_camera(geometry, i, size, shared.focal_length * lenses[i].longer_side);
+      found.recovered[i] = recovered_camera(geometry, i, size, shared.focal_length() * lenses[i].longer_side);
     }
-    found.lenses.push_back(shared);
+    if (taken.size() > 1) found.lenses.push_back(shared);
   }
   std::vector<double> origin_errors;
   for (const RecoveredCamera& recovered : found.recovered) origin_errors.push_back(recovered.origin_error);
@@ -155,17 +210,22 @@ nlohmann::ordered_json photo_cameras_json(const PhotoCameras& found, const std::
   auto cameras = nlohmann::ordered_json::array();
   for (size_t i = 0; i < names.size(); ++i) {
     const RecoveredCamera& recovered = found.recovered[i];
-    cameras.push_back({{"name", names[i]},
-                       {"degrees_wide", degrees_wide(found.cameras[i])},
-                       {"direction_error_degrees", recovered.direction_error},
-                       {"origin_error", recovered.origin_error},
-                       {"inliers", recovered.inliers}});
+    nlohmann::ordered_json camera{{"name", names[i]}, {"degrees_wide", degrees_wide(found.cameras[i])}};
+    const PhotographFocalLength& focal_length = found.focal_lengths[i];
+    if (focal_length.by_exif > 0) camera["exif_focal_length_pixels"] = focal_length.by_exif;
+    camera["seen_focal_length_pixels"] = focal_length.seen;
+    camera["direction_error_degrees"] = recovered.direction_error;
+    camera["origin_error"] = recovered.origin_error;
+    camera["inliers"] = recovered.inliers;
+    cameras.push_back(camera);
   }
   auto lenses = nlohmann::ordered_json::array();
   for (const SharedLens& lens : found.lenses) {
-    lenses.push_back({{"photographs", lens.photographs},
-                      {"focal_length", lens.focal_length},
-                      {"alone", {lens.lowest, lens.highest}}});
+    nlohmann::ordered_json entry{{"photographs", lens.photographs}, {"focal_length", lens.focal_length()}};
+    if (lens.exif_focal_length > 0) entry["exif_focal_length"] = lens.exif_focal_length;
+    entry["seen_focal_length"] = lens.seen_focal_length;
+    entry["alone"] = {lens.lowest, lens.highest};
+    lenses.push_back(entry);
   }
   nlohmann::ordered_json json{{"cameras", cameras},
                               {"shared_lenses", lenses},
@@ -183,15 +243,12 @@ std::string photo_cameras_text(const PhotoCameras& found, const std::vector<std:
     const RecoveredCamera& recovered = found.recovered[i];
     const Eigen::Vector3d centre = found.cameras[i].world_from_camera.translation();
     text += fmt::format(
-        "  {}: at ({:.3f}, {:.3f}, {:.3f}), {:.0f} degrees wide; its rays fit to {:.2f} degrees, {:.0f} % of them\n",
+        "  {}: at ({:.3f}, {:.3f}, {:.3f}), {:.0f} degrees wide ({}); its rays fit to {:.2f} degrees, "
+        "{:.0f} % of them\n",
         names[i], centre.x(), centre.y(), centre.z(), degrees_wide(found.cameras[i]),
-        recovered.direction_error, 100 * recovered.inliers);
+        focal_length_text(found.focal_lengths[i]), recovered.direction_error, 100 * recovered.inliers);
   }
-  for (const SharedLens& lens : found.lenses) {
-    text += fmt::format(
-        "  one lens took {} of them: its focal length is {:.3f} of the longer side ({:.3f} to {:.3f} by each alone)\n",
-        lens.photographs.size(), lens.focal_length, lens.lowest, lens.highest);
-  }
+  for (const SharedLens& lens : found.lenses) text += "  " + shared_lens_text(lens) + "\n";
   text += fmt::format("  median depth {:.3f}; the centres are {:.3f} apart, known to {:.3f}\n",
                       found.median_depth, found.spread, found.origin_error);
   if (found.depth_check) {

@@ -7,6 +7,7 @@
 #include "datasets/images/image_probe.h"
 #include "datasets/registration/colmap_registration.h"
 #include "datasets/registration/feature_registration.h"
+#include "datasets/registration/registered_lenses.h"
 #include "datasets/scenes/resize_crop.h"
 #include "datasets/video/video_frames.h"
 #include "gld/base/error.h"
@@ -176,9 +177,11 @@ void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords&
       small.push_back(resize_crop(original, plan));
       const ImageSize kept = kept_size(original.width, original.height, request);
       made.images.push_back(resize_crop(original, plan_resize_crop(original.width, original.height, kept)));
-      lenses.push_back({photograph.lens, static_cast<double>(std::max(original.width, original.height)) *
-                                             static_cast<double>(plan.resized_width) /
-                                             static_cast<double>(plan.window_width)});
+      const double taken_pixels =
+          static_cast<double>(plan.window_width) / static_cast<double>(plan.resized_width);
+      lenses.push_back({photograph.lens,
+                        static_cast<double>(std::max(original.width, original.height)) / taken_pixels,
+                        exif_focal_length(made.photographs, photograph.lens), taken_pixels});
     }
     photographs = stacked(small);
     seen = geometry_of_pictures(request.geometry(), photographs, GeometryMaps::kDepthAndRays, request.device);

@@ -6,8 +6,10 @@
 
 #include <algorithm>
 #include <limits>
+#include <string>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -86,7 +88,7 @@ TEST(PhotoCameras, PhotographsOfOneLensGetOneFocalLength) {
   ASSERT_EQ(found.lenses.size(), 1U);
   EXPECT_EQ(found.lenses[0].photographs, (std::vector<size_t>{0, 1, 2}));
   const double focal = truth[0].intrinsics(0, 0) / longer_side;
-  EXPECT_NEAR(found.lenses[0].focal_length, focal, 1e-4);
+  EXPECT_NEAR(found.lenses[0].focal_length(), focal, 1e-4);
   EXPECT_NEAR(found.lenses[0].lowest, 0.9 * focal, 1e-4);
   EXPECT_NEAR(found.lenses[0].highest, 1.3 * focal, 1e-4);
   for (size_t i = 0; i < 3; ++i) {
@@ -102,6 +104,92 @@ TEST(PhotoCameras, PhotographsOfOneLensGetOneFocalLength) {
                                          {{0, longer_side}, {1, longer_side}, {2, longer_side}});
   EXPECT_TRUE(own.lenses.empty());
   EXPECT_NEAR(own.cameras[2].intrinsics(0, 0), 1.3 * truth[2].intrinsics(0, 0), 1e-2);
+}
+
+// Rays that ask for less or more; photographs are four times as large as what the model sees.
+class ExifFocalLength : public testing::Test {
+ protected:
+  // exif: over the true one, a photograph; 0 where there is none.
+  PhotoCameras found(const std::vector<double>& rays, const std::vector<int64_t>& lenses,
+                     const std::vector<double>& exif) const {
+    const Photographed plane = photographed_plane(rays);
+    std::vector<PhotographLens> taken;
+    for (size_t i = 0; i < lenses.size(); ++i)
+      taken.push_back({lenses[i], kSide, exif[i] * kTrue / kSide, kTaken});
+    return photo_cameras(plane.geometry, plane.photographs, taken);
+  }
+  static std::string pixels(double factor) { return fmt::format("{:.0f} px", factor * kTrue * kTaken); }
+
+  const std::vector<std::string> names_{"a", "b", "c"};
+  static inline const double kTrue = true_cameras()[0].intrinsics(0, 0);
+  static inline const double kSide =
+      static_cast<double>(std::max(true_cameras()[0].width, true_cameras()[0].height));
+  static constexpr double kTaken = 4;
+};
+
+TEST_F(ExifFocalLength, IsTakenAndSaidBesideWhatTheModelSees) {
+  const PhotoCameras cameras = found({0.9, 0.9, 1.2}, {0, 1, 2}, {1, 0, 1});
+  const auto truth = true_cameras();
+  for (const size_t i : {0, 2}) {
+    EXPECT_LT((cameras.cameras[i].intrinsics - truth[i].intrinsics).norm(), 1e-9) << i;
+    EXPECT_NEAR(cameras.focal_lengths[i].by_exif, kTaken * kTrue, 1e-9);
+  }
+  EXPECT_NEAR(cameras.cameras[1].intrinsics(0, 0), 0.9 * kTrue, 1e-2);
+  EXPECT_EQ(cameras.focal_lengths[1].by_exif, 0);
+  EXPECT_TRUE(cameras.lenses.empty());
+  const std::string text = photo_cameras_text(cameras, names_);
+  EXPECT_THAT(text, HasSubstr(" degrees wide (focal length " + pixels(1) + " by EXIF; the model sees " +
+                              pixels(0.9) + "); its rays fit to "));
+  EXPECT_THAT(text, HasSubstr(" degrees wide (the model sees a focal length of " + pixels(0.9) +
+                              "; EXIF names none); its rays fit to 0.00 degrees, "));
+  EXPECT_THAT(text,
+              HasSubstr("(focal length " + pixels(1) + " by EXIF; the model sees " + pixels(1.2) + ")"));
+  EXPECT_THAT(text, testing::Not(HasSubstr("by EXIF the focal length")));
+  const auto json = photo_cameras_json(cameras, names_).at("cameras");
+  EXPECT_NEAR(json[0].at("exif_focal_length_pixels").get<double>(), kTaken * kTrue, 1e-9);
+  EXPECT_NEAR(json[0].at("seen_focal_length_pixels").get<double>(), 0.9 * kTaken * kTrue, 1e-2);
+  EXPECT_FALSE(json[1].contains("exif_focal_length_pixels"));
+  EXPECT_NEAR(json[1].at("seen_focal_length_pixels").get<double>(), 0.9 * kTaken * kTrue, 1e-2);
+}
+
+TEST_F(ExifFocalLength, IsThatOfAllPhotographsOfALens) {
+  const PhotoCameras cameras = found({0.9, 1.05, 1.2}, {0, 0, 0}, {1, 1, 1});
+  for (const Camera& camera : cameras.cameras) EXPECT_NEAR(camera.intrinsics(0, 0), kTrue, 1e-9);
+  EXPECT_THAT(
+      photo_cameras_text(cameras, names_),
+      HasSubstr(fmt::format("\n  one lens took 3 of them: its focal length is {:.3f} of the longer side (by "
+                            "EXIF; the model sees {:.3f}, {:.3f} to {:.3f} by each alone)\n",
+                            kTrue / kSide, 1.05 * kTrue / kSide, 0.9 * kTrue / kSide, 1.2 * kTrue / kSide)));
+  const auto lens = photo_cameras_json(cameras, names_).at("shared_lenses").at(0);
+  EXPECT_NEAR(lens.at("focal_length").get<double>(), kTrue / kSide, 1e-9);
+  EXPECT_EQ(lens.at("exif_focal_length"), lens.at("focal_length"));
+  EXPECT_NEAR(lens.at("seen_focal_length").get<double>(), 1.05 * kTrue / kSide, 1e-4);
+}
+
+TEST_F(ExifFocalLength, FarFromWhatTheModelSeesIsADoubt) {
+  using testing::AllOf;
+  using testing::Contains;
+  using testing::Each;
+  using testing::Not;
+  // The model sees rays of a camera, only not of EXIF's, which is one doubt and not two.
+  const auto no_other =
+      Each(Not(testing::AnyOf(HasSubstr("fit no camera"), HasSubstr("ask for focal lengths"))));
+  EXPECT_THAT(
+      found({1, 1, 1}, {0, 1, 2}, {0, 0.5, 1}).doubts(),
+      AllOf(Contains("by EXIF the focal length of photograph 1 is 0.50 times what the model sees, as in "
+                     "pictures that were cropped (without EXIF the model's is taken)"),
+            no_other));
+  EXPECT_THAT(
+      found({1, 1, 1}, {0, 1, 2}, {1, 1, 1.8}).doubts(),
+      AllOf(Contains("by EXIF the focal length of photograph 2 is 1.80 times what the model sees (without "
+                     "EXIF the model's is taken)"),
+            no_other));
+  EXPECT_THAT(
+      found({1, 0.9, 0.7}, {0, 0, 0}, {0.5, 0.5, 0.5}).doubts(),
+      AllOf(Contains("by EXIF the focal length of 2 photographs is 0.50 to 0.56 times what the model sees, "
+                     "as in pictures that were cropped (without EXIF the model's is taken)"),
+            no_other));
+  EXPECT_THAT(found({1, 1, 1}, {0, 1, 2}, {1, 1, 1}).doubts(), testing::IsEmpty());
 }
 
 // A picture of half the size from the same lens: the same focal length over its longer side.

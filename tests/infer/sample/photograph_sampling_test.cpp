@@ -8,6 +8,7 @@
 #include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
 #include "tests/support/error_of.h"
+#include "tests/support/exif_jpeg.h"
 
 #include <cmath>
 #include <filesystem>
@@ -127,6 +128,60 @@ TEST_F(PhotographSampling, OnePhotographIsOrbitedAtItsDepth) {
   run(asked);
   EXPECT_NEAR(turned(), 60, 1e-3);
   EXPECT_THAT(printed_, HasSubstr(", 7 away: "));
+}
+
+// A photograph as a telephone writes it: its EXIF says the focal length, or nothing, or what was true before a crop.
+TEST_F(PhotographSampling, EXIFSaysTheFocalLength) {
+  SyntheticOptions room;
+  room.width = room.height = 336;
+  room.frames = 1;
+  const Frame taken = make_synthetic_scene(room, 0).frames.front();
+  const auto folder = folder_->path() / "taken";
+  std::filesystem::create_directories(folder);
+  const auto file = folder / "photograph.jpg";
+  auto asked = with_shipped_model(options("telephone"));
+  asked.photos.files = {file.string()};
+  asked.scene.clear();
+  asked.views.sources = {};
+  asked.views.targets = {};
+  asked.views.path.frames = 1;
+  asked.outputs = {"image"};
+  asked.overwrite = true;
+  // Over the diagonal of 36x24 mm, in whole millimetres.
+  const auto film_diagonal = std::hypot(36.0, 24.0), diagonal = std::hypot(336.0, 336.0);
+  const auto truth =
+      static_cast<uint16_t>(std::lround(taken.camera.intrinsics(0, 0) / diagonal * film_diagonal));
+  for (const uint16_t millimetres : {truth, uint16_t{0}, static_cast<uint16_t>(truth / 3)}) {
+    write_jpeg(file, taken.image(), 95);
+    if (millimetres != 0) {
+      test::ExifEntries exif;
+      exif.focal_length_in_35mm_film = millimetres;
+      test::add_exif(file, exif);
+    }
+    const auto report = run(asked);
+    const auto camera = report.at("photo_cameras").at("cameras").at(0);
+    const double seen = camera.at("seen_focal_length_pixels");
+    const double by_exif = millimetres * diagonal / film_diagonal;
+    const double used = millimetres != 0 ? by_exif : seen;
+    EXPECT_EQ(camera.contains("exif_focal_length_pixels"), millimetres != 0);
+    EXPECT_THAT(
+        printed_,
+        HasSubstr(millimetres != 0
+                      ? fmt::format("(focal length {:.0f} px by EXIF; the model sees {:.0f} px)", used, seen)
+                      : fmt::format("(the model sees a focal length of {:.0f} px; EXIF names none)", seen)));
+    // What the model sees need not be square.
+    const auto found = open_scene(std::filesystem::path(asked.out) / "photo_scene").frames.at(0).camera;
+    EXPECT_NEAR(std::sqrt(found.intrinsics(0, 0) * found.intrinsics(1, 1)), used, 1e-6 * used);
+    const std::string warning = fmt::format(
+        "the cameras estimated from the photographs are not sure: by EXIF the focal length of photograph 0 is {:.2f} "
+        "times what the model sees, as in pictures that were cropped (without EXIF the model's is taken)",
+        used / seen);
+    if (millimetres == truth / 3) {
+      EXPECT_THAT(report.at("warnings").get<std::vector<std::string>>(), testing::Contains(warning));
+    } else {
+      EXPECT_THAT(report.at("warnings").dump(), Not(HasSubstr("by EXIF the focal length")));
+    }
+  }
 }
 
 // Its camera and its depth have one unit, the model's, so that it is carried: what it shows is kept and not generated.
