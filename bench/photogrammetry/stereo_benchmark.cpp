@@ -1,9 +1,9 @@
 #include "bench/photogrammetry/stereo_benchmark.h"
 
+#include "bench/support/benchmark_report.h"
 #include "gld/base/command_options.h"
 #include "gld/base/configuration.h"
 #include "gld/base/interrupt.h"
-#include "gld/kernels/multiply_add_peak.h"
 #include "gld/machine/timing.h"
 #include "gld/photogrammetry/plane_sweep.h"
 #include "gld/photogrammetry/semi_global_matching.h"
@@ -120,17 +120,16 @@ void StereoBenchmarkOptions::check() const {
   stereo.check();
 }
 
-std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptions& options) {
+std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptions& options,
+                                                      PeakMeter& meter) {
   const auto views = painted_wall(options.photograph_count, options.side);
   KernelSettings settings;
   settings.threads = static_cast<int>(threads_to_use(options.threads));
   const KernelTable& kernels = kernel_table(settings.instruction_set);
   const OneView one(views, options.stereo);
-  PeakMeasurement peak;
-  peak.settings.threads = settings.threads;
   std::vector<PicturedView> without_prior = views;
   for (PicturedView& view : without_prior) view.depth = {};
-  std::vector<double> sweep, matching, whole, fractions;
+  std::vector<double> sweep, matching, whole;
   const int64_t height = one.pictures[0].height, parts = (height + kRowsAPart - 1) / kRowsAPart;
   const auto planes = static_cast<double>(options.stereo.planes);
   const double cells = planes * static_cast<double>(one.pictures[0].width * height);
@@ -138,7 +137,7 @@ std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptio
   StereoScene scene;
   // The first round warms up memory and clock.
   for (int64_t repeat = -1; repeat < options.repeats; ++repeat) {
-    const double flops = measure_multiply_add_peak(peak);
+    meter.measure(settings.threads);
     const double sweep_seconds = seconds_of([&] {
 #pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
       for (int64_t part = 0; part < parts; ++part) {
@@ -155,14 +154,14 @@ std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptio
     sweep.push_back(sweep_seconds);
     matching.push_back(matching_seconds);
     whole.push_back(whole_seconds);
-    fractions.push_back(samples * sweep_operations(options.stereo.window / 2) / sweep_seconds / flops);
   }
   std::vector<StereoBenchmarkRow> rows;
   rows.push_back(row_of("sweep", settings.threads, sweep, planes));
   rows.back().gigabytes = 1e-9 * samples * sweep_bytes() / rows.back().seconds;
-  rows.back().gigaoperations =
-      1e-9 * samples * sweep_operations(options.stereo.window / 2) / rows.back().seconds;
-  rows.back().fraction_of_peak = spread_of(fractions).median;
+  const double operations = samples * sweep_operations(options.stereo.window / 2);
+  rows.back().gigaoperations = 1e-9 * operations / rows.back().seconds;
+  rows.back().fraction_of_peak = operations / rows.back().seconds / meter.peak(settings.threads);
+  meter.reached("sweep", operations, rows.back().seconds_low, settings.threads);
   rows.push_back(row_of("matching", 1, matching, planes));
   rows.back().gigabytes = 1e-9 * cells * semi_global_traffic() / rows.back().seconds;
   rows.back().gigaoperations = 1e-9 * cells * semi_global_operations() / rows.back().seconds;
@@ -202,11 +201,11 @@ Table stereo_benchmark_table(const std::vector<StereoBenchmarkRow>& rows) {
 
 int run_stereo_benchmark(const StereoBenchmarkOptions& options) {
   RunFolder folder(options.out, "bench stereo", options, earlier_run(options.overwrite));
-  PeakMeasurement peak;
-  peak.settings.threads = static_cast<int>(threads_to_use(options.threads));
-  const double multiply_add = measure_multiply_add_peak(peak);
+  const int threads = static_cast<int>(threads_to_use(options.threads));
+  PeakMeter meter;
   const double copy = copy_peak();
-  const Table table = stereo_benchmark_table(stereo_benchmark_rows(options));
+  const Table table = stereo_benchmark_table(stereo_benchmark_rows(options, meter));
+  const double multiply_add = meter.peak(threads);
   const std::string text = fmt::format(
       "# Depth that photographs agree on\n"
       "\n"
@@ -215,7 +214,7 @@ int run_stereo_benchmark(const StereoBenchmarkOptions& options) {
       "\n"
       "{}",
       options.photograph_count, options.side, options.side, options.stereo.planes,
-      instruction_set_name(best_instruction_set()), peak.settings.threads, multiply_add * 1e-9, copy * 1e-9,
+      instruction_set_name(best_instruction_set()), threads, multiply_add * 1e-9, copy * 1e-9,
       table.markdown());
   BenchmarkResults results;
   results.text = text;
@@ -223,11 +222,9 @@ int run_stereo_benchmark(const StereoBenchmarkOptions& options) {
   results.report = {{"command", "bench stereo"},
                     {"options", to_json(options)},
                     {"multiply_add_peak", multiply_add},
-                    {"copy_peak", copy},
-                    {"vectors", instruction_set_name(best_instruction_set())}};
+                    {"copy_peak", copy}};
   results.notes = {{"table", "stereo.md"}};
-  finish_benchmark(folder, results);
-  return 0;
+  return finish_measured_benchmark(folder, results, meter.problems());
 }
 
 }  // namespace gld

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "bench/support/peak_meter.h"
 #include "gld/base/options.h"
 #include "gld/photogrammetry/plane_sweep_stereo.h"
 #include "gld/report/table.h"
@@ -40,11 +41,13 @@ struct StereoBenchmarkRow {
   double confident_share = 0;   // "whole" only
 };
 
-std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptions& options);
+// meter: of the run, measured between what is timed.
+std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptions& options,
+                                                      PeakMeter& meter);
 // Columns as the fields of a row.
 Table stereo_benchmark_table(const std::vector<StereoBenchmarkRow>& rows);
 
-// Writes stereo.csv, stereo.md and report.json into options.out. Returns the exit status.
+// Writes stereo.csv, stereo.md and report.json into options.out. Returns the exit status: 1 where the peak was missed.
 int run_stereo_benchmark(const StereoBenchmarkOptions& options);
 
 }  // namespace gld

@@ -3,8 +3,10 @@
 #include "tests/support/temporary_folder.h"
 
 #include <filesystem>
+#include <fstream>
 
 #include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
 
 namespace gld {
 namespace {
@@ -21,7 +23,8 @@ StereoBenchmarkOptions small() {
 }
 
 TEST(StereoBenchmark, ReportsItsStages) {
-  const auto rows = stereo_benchmark_rows(small());
+  PeakMeter meter;
+  const auto rows = stereo_benchmark_rows(small(), meter);
   ASSERT_EQ(rows.size(), 3U);
   EXPECT_EQ(rows[0].stage, "sweep");
   EXPECT_EQ(rows[1].stage, "matching");
@@ -32,7 +35,7 @@ TEST(StereoBenchmark, ReportsItsStages) {
     EXPECT_LE(row.seconds, row.seconds_high);
   }
   EXPECT_GT(rows[0].gigaoperations, 0);
-  EXPECT_LT(rows[0].fraction_of_peak, 1);
+  EXPECT_NEAR(rows[0].fraction_of_peak, 1e9 * rows[0].gigaoperations / meter.peak(2), 1e-9);
   EXPECT_GT(rows[1].gigabytes, 0);
   EXPECT_GT(rows[2].confident_share, 0.3);
   // A plane of 64 is a few pixels of parallax; the parabola finds a tenth of one.
@@ -44,9 +47,12 @@ TEST(StereoBenchmark, WritesItsRunFolder) {
   StereoBenchmarkOptions options = small();
   options.repeats = 1;
   options.out = (folder.path() / "run").string();
-  EXPECT_EQ(run_stereo_benchmark(options), 0);
-  for (const char* name : {"stereo.csv", "stereo.md", "report.json"})
+  const int status = run_stereo_benchmark(options);
+  for (const char* name : {"stereo.csv", "stereo.md"})
     EXPECT_TRUE(std::filesystem::exists(folder.path() / "run" / name)) << name;
+  const auto report = nlohmann::json::parse(std::ifstream(folder.path() / "run" / "report.json"));
+  EXPECT_EQ(status, report.at("problems").empty() ? 0 : 1);
+  EXPECT_TRUE(report.at("measured_with").contains("commit"));
 }
 
 }  // namespace
