@@ -3,6 +3,7 @@
 #include "cli/help_text.h"
 #include "cli/manual_page.h"
 #include "cli/option_uses.h"
+#include "cli/version_text.h"
 #include "gld/base/configuration.h"
 #include "gld/base/dashed_name.h"
 #include "gld/base/error.h"
@@ -10,7 +11,6 @@
 #include "gld/base/interrupt.h"
 #include "gld/base/printable_text.h"
 #include "gld/report/progress.h"
-#include "gld/report/provenance.h"
 
 #include <algorithm>
 #include <filesystem>
@@ -413,7 +413,7 @@ std::optional<Invocation> find_and_parse(const CommandGroup& group,
     return std::nullopt;
   }
   if (arguments[0] == "--version" && program == "gld") {
-    std::cout << program_version() << "\n";
+    std::cout << version_text() << "\n";
     return std::nullopt;
   }
   std::vector<std::string> names;

@@ -139,6 +139,21 @@ function(gld_room)
 endfunction()
 
 # gld_rooms_included(ROOMS SOURCE): the libraries of the rooms that a test includes, itself or through a header of tests/.
+# gld_knows_commit(TARGET SOURCE): a source of the room in the current folder may include gld_commit.h, which defines GLD_COMMIT,
+# the commit of the tree as it is when the program is built. Such a source is compiled alone, since every commit changes it.
+function(gld_knows_commit target source)
+  if(NOT TARGET ${target})
+    return()
+  endif()
+  set(folder ${PROJECT_BINARY_DIR}/commit)
+  if(NOT TARGET gld_commit)
+    add_custom_target(gld_commit COMMAND ${CMAKE_COMMAND} -DROOT=${PROJECT_SOURCE_DIR} -DFILE=${folder}/gld_commit.h
+      -P ${PROJECT_SOURCE_DIR}/cmake/write_commit.cmake BYPRODUCTS ${folder}/gld_commit.h)
+  endif()
+  add_dependencies(${target} gld_commit)
+  set_source_files_properties(${source} PROPERTIES INCLUDE_DIRECTORIES ${folder} SKIP_UNITY_BUILD_INCLUSION ON)
+endfunction()
+
 function(gld_rooms_included result source)
   file(STRINGS ${PROJECT_SOURCE_DIR}/${source} lines ENCODING UTF-8 REGEX "^#include \"[^\"]+\"")
   set(libraries "")
@@ -173,10 +188,10 @@ function(gld_test_suites result source)
   set(${result} ${suites} PARENT_SCOPE)
 endfunction()
 
-# What a machine may lack: a label each. A test for it is instantiated with the prefix on_LABEL and becomes a ctest entry of
+# What a machine, or its LibTorch, may lack: a label each. A test for it is instantiated with the prefix on_LABEL and becomes a ctest entry of
 # its own, x_test_on_LABEL, which fails where the hardware is missing; who runs tests leaves out and counts the labels that
 # gld_missing_hardware names (scripts/hardware_labels.sh).
-set(GLD_TEST_HARDWARE avx2 avx512 avx512_bf16 avx512_vnni amx_bf16 amx_int8 gpu)
+set(GLD_TEST_HARDWARE avx2 avx512 avx512_bf16 avx512_vnni amx_bf16 amx_int8 gpu libtorch_1 libtorch_2)
 
 # gld_test_hardware(LABELS SOURCE): those of the hardware for which a test file instantiates suites.
 function(gld_test_hardware result source)

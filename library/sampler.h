@@ -102,7 +102,7 @@ struct SampleResult {
 GLD_SAMPLER_API std::optional<SampleResult> sample(const SampleRequest& request,
                                                    const SampleCallbacks& callbacks = {});
 
-// "0.1.0"
+// "gld 0.1.0"
 GLD_SAMPLER_API std::string version();
 
 }  // namespace gld::sampler

@@ -172,7 +172,8 @@ TEST_F(CommandLine, HelpAndVersionAreFoundWhereTheyAreLookedFor) {
   EXPECT_EQ(run({"help", "paint"}), 0);
   EXPECT_EQ(output_text_, help);
   EXPECT_EQ(run({"--version"}), 0);
-  EXPECT_THAT(output_text_, testing::MatchesRegex("gld [0-9.]+\n"));
+  EXPECT_THAT(output_text_, testing::MatchesRegex(
+                                "gld [0-9.]+, commit ([0-9a-f]{8}[+]?|unknown), LibTorch [0-9.]+[^ ]*\n"));
 }
 
 TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {

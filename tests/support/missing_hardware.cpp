@@ -6,6 +6,8 @@
 #include <iostream>
 
 #ifdef GLD_WITH_LIBTORCH
+#include "gld/tensors/torch_version.h"
+
 #include <torch/cuda.h>
 #endif
 
@@ -35,5 +37,7 @@ int main() {
   say("amx_int8", holds(int8, MatrixUnit::kAmx));
 #ifdef GLD_WITH_LIBTORCH
   say("gpu", torch::cuda::is_available());
+  say("libtorch_1", gld::torch_version()[0] == '1');
+  say("libtorch_2", gld::torch_version()[0] != '1');
 #endif
 }
