@@ -24,6 +24,10 @@ struct CameraList {
   std::vector<CameraRecord> records;
 };
 
+// Beside cameras.json where depth maps have another size than images: their cameras, by the same names, with depth and
+// without images.
+inline constexpr const char* kDepthCamerasFile = "depth_cameras.json";
+
 // The format that we read and write ourselves. Numbers keep every bit; additional keys are ignored. Throws Error that
 // names the file, the frame and the key: not JSON, a missing or mistyped key, two frames of one name, no frame, or a
 // camera that datasets/scenes/frame_checks.h refuses.

@@ -6,7 +6,9 @@
 #include "datasets/formats/frame_pixels.h"
 #include "gld/base/error.h"
 
+#include <map>
 #include <optional>
+#include <string>
 
 namespace gld {
 namespace {
@@ -14,6 +16,20 @@ namespace {
 std::filesystem::path list_file(const std::filesystem::path& path) {
   const auto file = path.filename() == "cameras.json" ? path : path / "cameras.json";
   return std::filesystem::is_regular_file(file) ? file : std::filesystem::path();
+}
+
+// Depth that has cameras of its own is brought to its image's size when it is read.
+void add_depth_of_other_size(const std::filesystem::path& folder, CameraList& cameras) {
+  const auto file = folder / kDepthCamerasFile;
+  if (!std::filesystem::is_regular_file(file)) return;
+  std::map<std::string, CameraRecord> of_depth;
+  for (const CameraRecord& record : read_cameras_json(file).records) of_depth[record.name] = record;
+  for (CameraRecord& record : cameras.records) {
+    const auto found = of_depth.find(record.name);
+    if (!record.depth.empty() || found == of_depth.end()) continue;
+    record.depth = found->second.depth;
+    record.depth_unit = found->second.depth_unit;
+  }
 }
 
 }  // namespace
@@ -27,7 +43,8 @@ Scene CamerasJsonReader::read(const std::filesystem::path& path, const SceneRead
   if (file.empty())
     fail({path.string(), "cameras.json", "none", "check the folder or choose another format"});
   const auto folder = file.parent_path();
-  const CameraList cameras = read_cameras_json(file);
+  CameraList cameras = read_cameras_json(file);
+  add_depth_of_other_size(folder, cameras);
   SceneBuilder builder(name(), folder, reading);
   FrameMaker maker;
   for (const CameraRecord& record : cameras.records) {

@@ -51,6 +51,16 @@ ImageSize fit_size(const Scene& scene, int64_t side) {
           std::max<int64_t>(1, std::lround(shrink * static_cast<double>(first.height)))};
 }
 
+SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held_out,
+                         const SplatFitOptions& options) {
+  SplatWork work;
+  work.views = std::max<int64_t>(1, static_cast<int64_t>(pictured_frames(scene).size()) - held_out);
+  work.width = size.width;
+  work.height = size.height;
+  work.gaussians = most_gaussians_of(work, options);
+  return work;
+}
+
 SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t held_out,
                              const KernelSettings& settings) {
   const auto frames = pictured_frames(scene);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "datasets/scenes/scene.h"
+#include "datasets/splats/splat_cost.h"
 #include "datasets/splats/splat_fit.h"
 #include "gld/cameras/image_size.h"
 #include "gld/report/provenance.h"
@@ -31,6 +32,9 @@ struct SplatFitViews {
   std::vector<SplatPicture> pictures;  // of those that are fitted, for the start
   std::vector<FittedView> fitted, held_out;
 };
+// What load_fit_views() will give to a fit of such options, without reading a picture.
+SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held_out,
+                         const SplatFitOptions& options);
 // Frames with pictures, resized and cropped to that size; held_out of them, evenly spread between the first and the
 // last, are kept apart. Error where fewer than one is left to be fitted.
 SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t held_out,

@@ -246,10 +246,9 @@ GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
                             const std::string& where) {
   const std::vector<SurfacePoint> surface = surface_points(pictures, reach.middle);
   if (surface.empty() && points_in_world.empty()) {
-    fail(
-        {where, "measured or predicted depth, or sparse points, to start from", "neither",
-         "give the scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth "
-         "without --size photographs"});
+    fail({where, "measured or predicted depth, or sparse points, to start from", "neither",
+          "give the scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs "
+          "image,depth"});
   }
   GaussianSet set = surface.empty()
                         ? start_from_points(pictures, points_in_world, reach, most_gaussians, options)

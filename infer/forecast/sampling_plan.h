@@ -37,6 +37,7 @@ struct PlanRequest {
   // cameras.
   int64_t photographs = 0;
   int64_t photograph_pixels = 0;          // of the largest, as it was taken
+  int64_t picture_magnification = 1;      // of the pictures that are made, in the grid's
   std::optional<SceneFitOptions> splats;  // where Gaussians are fitted to the run's pictures
   int64_t preview_every = 0;              // PipelineRequest::preview_every
   // ModelBundle::converted_bytes of parts, by name; of those that are left out 0.

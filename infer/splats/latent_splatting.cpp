@@ -3,6 +3,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
 
 #include <utility>
@@ -78,6 +79,8 @@ torch::Tensor LatentSplats::encoded(size_t level, int64_t first, int64_t end) co
 LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
                            const LatentSplattingOptions& options, const KernelSettings& settings) {
   const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
+  require_memory_for_fit(scene_fit_work(scene, size, options.held_out, options.fit), options.fit,
+                         available_memory_bytes(), scene.name);
   SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
   thin_out(views.fitted, options.input_views);
   thin_out(views.pictures, options.input_views);

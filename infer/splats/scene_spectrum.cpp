@@ -1,6 +1,7 @@
 #include "infer/splats/scene_spectrum.h"
 
 #include "datasets/splats/splat_picture.h"
+#include "gld/machine/stage_record.h"
 #include "gld/metrics/latent_spectrum.h"
 #include "infer/splats/world_noise.h"
 
@@ -79,8 +80,10 @@ LatentTag tag_of(const std::string& space) {
 
 SceneSpectrum scene_spectrum(const Scene& scene, const SpectrumSettings& settings) {
   SplatFitOptions fit_options = settings.fit;
-  const SplatFitViews views =
-      load_fit_views(scene, ImageSize{settings.side, settings.side}, settings.held_out, settings.kernels);
+  const ImageSize size{settings.side, settings.side};
+  require_memory_for_fit(scene_fit_work(scene, size, settings.held_out, fit_options), fit_options,
+                         available_memory_bytes(), scene.name);
+  const SplatFitViews views = load_fit_views(scene, size, settings.held_out, settings.kernels);
   SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name);
   while (fit.step < fit_options.steps)
     splat_fit_step(views.fitted, fit_options, static_cast<uint64_t>(settings.seed), settings.kernels, fit);

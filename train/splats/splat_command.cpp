@@ -8,6 +8,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
+#include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
@@ -65,7 +66,10 @@ class FitInSteps {
         table_({"step", "loss", "absolute", "ssim", "latent", "gaussians", "seen", "seconds",
                 "processor_seconds", "held_out_psnr"}) {
     settings_.threads = static_cast<int>(threads_to_use(options.threads));
-    views_ = load_fit_views(scene, fit_size(scene, options.side), options.held_out, settings_);
+    const ImageSize size = fit_size(scene, options.side);
+    work_ = scene_fit_work(scene, size, options.held_out, fit_options_);
+    require_memory_for_fit(work_, fit_options_, available_memory_bytes(), options.where());
+    views_ = load_fit_views(scene, size, options.held_out, settings_);
     if (moved_by_latents(options.fit.geometry_from)) latents.before(scene, views_);
     processor_at_first_ = processor_seconds();
     if (resumes) {
@@ -76,6 +80,17 @@ class FitInSteps {
     views_.pictures.clear();
     processor_before_ = state_.processor_seconds;
     for (const auto& row : state_.rows) table_.add_row(row);
+  }
+
+  // Seconds and memory, before the first step; of latents, nothing.
+  std::string forecast() const {
+    constexpr double kMegabyte = 1e6;
+    const double steps = static_cast<double>(fit_options_.steps - state_.fit.step),
+                 share = steps / static_cast<double>(std::max<int64_t>(1, fit_options_.steps));
+    const double seconds = share * splat_fit_seconds(work_, fit_options_, settings_.threads);
+    return fmt::format("about {} for {} steps, at most {:.0f} MB of pictures and Gaussians",
+                       duration_text(seconds), fit_options_.steps - state_.fit.step,
+                       static_cast<double>(splat_fit_bytes(work_, fit_options_)) / kMegabyte);
   }
 
   // Until all steps are done or Ctrl-C is pressed; then there is a checkpoint.
@@ -153,6 +168,7 @@ class FitInSteps {
   bool more_follows_;
   std::filesystem::path checkpoint_file_;
   KernelSettings settings_;
+  SplatWork work_;
   SplatFitViews views_;
   SplatCheckpoint state_;
   Table table_;
@@ -262,6 +278,7 @@ void run_splat_fit(const SplatCommandOptions& options, const SplatFitLatents& la
   FitInSteps fit(options, scene, latents, resumes);
   RunFolder run(options.out, "splat fit", options, earlier);
   print_warnings(scene.warnings);
+  if (!fit.finished()) std::cout << fit.forecast() << "\n" << std::flush;
   fit.run();
   write_fitted_splats(run.path() / kSplatFile, fit.set(), scene.name, options);
   write_cameras(run, fit.views(), scene.metric);

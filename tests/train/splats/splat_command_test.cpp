@@ -1,20 +1,25 @@
 #include "train/splats/splat_command.h"
 
 #include "datasets/formats/cameras_json.h"
+#include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
 #include "datasets/splats/splat_picture.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/cameras/resized_camera.h"
 #include "gld/splatting/splat_ply.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 #include "train/splats/splat_checkpoint.h"
 
+#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <thread>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 #include <sys/wait.h>
@@ -247,8 +252,58 @@ TEST_F(FittedSplats, StartsFromSparsePointsWithoutDepth) {
   EXPECT_EQ(
       error_of([&] { start_gaussians(without, {}, reach, 1000, {}, "rooms/a"); }),
       "rooms/a: expected measured or predicted depth, or sparse points, to start from, found neither; give the "
-      "scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs image,depth "
-      "without --size photographs.");
+      "scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs "
+      "image,depth.");
+}
+
+// As gld sample --size photographs leaves them.
+TEST_F(FittedSplats, StartsFromDepthThatIsSmallerThanItsPictures) {
+  CameraList cameras = read_cameras_json(scene() / "cameras.json");
+  CameraList of_depth = cameras;
+  for (size_t i = 0; i < cameras.records.size(); ++i) {
+    CameraRecord& record = cameras.records[i];
+    const Image picture = read_image(scene() / record.image);
+    Image large(2 * picture.width, 2 * picture.height);
+    for (int64_t y = 0; y < large.height; ++y) {
+      for (int64_t x = 0; x < large.width; ++x)
+        std::copy_n(picture.pixel(x / 2, y / 2), 3, large.pixel(x, y));
+    }
+    write_png(scene() / record.image, large);
+    record.camera = resized_camera(record.camera, large.width, large.height);
+    record.depth.clear();
+    record.depth_unit = 0;
+    of_depth.records[i].image.clear();
+  }
+  write_cameras_json(scene() / "cameras.json", cameras);
+  EXPECT_FALSE(open_scene(scene()).frames[0].has_depth());
+  write_cameras_json(scene() / kDepthCamerasFile, of_depth);
+  const Scene read = open_scene(scene());
+  const DepthMap depth = read.frames[0].depth();
+  EXPECT_EQ(depth.width, cameras.records[0].camera.width);
+  for (int64_t x = 0; x < depth.width; ++x) EXPECT_EQ(depth.at(x, 9), depth.at(x / 2 * 2, 8)) << x;
+  SplatCommandOptions options = quick(scene(), out());
+  run_splat_fit(options);
+  EXPECT_GT(report_of(out()).at("fitted_psnr"), 18);
+}
+
+TEST_F(FittedSplats, RefusesWhatHasNoRoomInMemory) {
+  const Scene of_folder = open_scene(scene());
+  SplatFitOptions options;
+  options.density.most_gaussians = 50000;
+  const SplatWork work = scene_fit_work(of_folder, {100, 80}, 2, options);
+  EXPECT_EQ(work.views, static_cast<int64_t>(of_folder.frames.size()) - 2);
+  EXPECT_EQ(work.gaussians, 50000);
+  const SplatWork small = scene_fit_work(of_folder, {10, 8}, 2, options);
+  EXPECT_EQ(small.gaussians, small.views * 80);
+  const int64_t bytes = splat_fit_bytes(work, options);
+  EXPECT_GT(bytes, int64_t{4} * 50000 * (14 + 45) * 4);
+  EXPECT_NO_THROW(require_memory_for_fit(work, options, bytes, "rooms/a"));
+  EXPECT_NO_THROW(require_memory_for_fit(work, options, 0, "rooms/a"));
+  EXPECT_THAT(
+      error_of([&] { require_memory_for_fit(work, options, bytes - 1, "rooms/a"); }),
+      testing::MatchesRegex(
+          "rooms/a: expected 0[.][0-9] GB of memory for 8 views of 100x80 and up to 50000 Gaussians, "
+          "found 0[.][0-9] GB that are free; make --side or --most-gaussians smaller, or the views fewer[.]"));
 }
 
 TEST_F(FittedSplats, RefusesWhatItCannotFit) {
