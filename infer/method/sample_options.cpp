@@ -276,10 +276,6 @@ void SampleOptions::check() const {
     fail({"--scale-from", fmt::format("{}", fmt::join(known, ", ")), "'" + kind + "'",
           near.empty() ? "choose among them" : "did you mean '" + near + "'?"});
   }
-  if (requested().splats && size == kPhotographSize) {
-    fail({"--outputs splats", "pictures of the model's size, which have depth", "--size photographs",
-          "leave out one of the two"});
-  }
   refuse_two_methods(*this);
   refuse_without_effect(*this);
   if (resume && overwrite) {

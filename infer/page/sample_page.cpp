@@ -80,8 +80,8 @@ std::vector<PageView> read_views(RunParts& parts, const Json& report, bool& metr
       views.push_back(std::move(view));
     }
   });
-  if (parts.has("depth_cameras.json")) {
-    parts.read("depth_cameras.json", [&](const auto& file) {
+  if (parts.has(kDepthCamerasFile)) {
+    parts.read(kDepthCamerasFile, [&](const auto& file) {
       for (const CameraRecord& record : read_cameras_json(file).records) {
         for (PageView& view : views) {
           if (view.record.name != record.name) continue;

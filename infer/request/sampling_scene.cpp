@@ -225,16 +225,22 @@ int64_t largest_photograph_side(const std::string& size) {
   return size == kPhotographSize ? kLargestPhotographSide : kMatchedPhotographSide;
 }
 
-void load_source_photographs(const Scene& scene, const ViewSelection& asked, int64_t largest_side,
-                             SamplingScene& sampling) {
+int64_t photograph_magnification(const Scene& scene, const ViewSelection& asked, int64_t largest_side,
+                                 const ImageSize& size) {
   const ViewSelection selection = looked_up(asked, scene);
-  const ImageSize& size = sampling.size;
   int64_t times = std::max<int64_t>(1, largest_side / std::max(size.width, size.height));
   for (const int64_t number : selection.sources) {
     const Camera& camera = frame_of(scene, number, "--sources").camera;
     times = std::min({times, camera.width / size.width, camera.height / size.height});
   }
-  times = std::max<int64_t>(times, 1);
+  return std::max<int64_t>(times, 1);
+}
+
+void load_source_photographs(const Scene& scene, const ViewSelection& asked, int64_t largest_side,
+                             SamplingScene& sampling) {
+  const ViewSelection selection = looked_up(asked, scene);
+  const ImageSize& size = sampling.size;
+  const int64_t times = photograph_magnification(scene, selection, largest_side, size);
   sampling.photographs.points_in_world = sampling.points_in_world;
   sampling.photographs.views.clear();
   const ImageSize large{times * size.width, times * size.height};
@@ -247,6 +253,19 @@ void load_source_photographs(const Scene& scene, const ViewSelection& asked, int
     view.rgb.reserve(frame.image.rgb.size());
     for (const uint8_t value : frame.image.rgb) view.rgb.push_back(static_cast<float>(value) / 255.0F);
     sampling.photographs.views.push_back(std::move(view));
+  }
+}
+
+void load_large_true_images(const Scene& scene, const ViewSelection& asked, SamplingScene& sampling) {
+  const ViewSelection selection = looked_up(asked, scene);
+  const PicturedView& kept = sampling.photographs.views.at(0);
+  sampling.large_true_images.clear();
+  sampling.large_true_images.resize(sampling.true_images.size());
+  if (!selection.path.path.empty()) return;
+  for (size_t i = 0; i < selection.targets.size(); ++i) {
+    const Frame& frame = frame_of(scene, selection.targets[i], "--targets");
+    if (!frame.has_image()) continue;
+    sampling.large_true_images[i] = load_sized(frame, {kept.width, kept.height}, FrameParts::kImage).image;
   }
 }
 

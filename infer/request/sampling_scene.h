@@ -54,7 +54,9 @@ struct SamplingScene {
       source_depths;  // measured, one a source view; empty unless load_source_depths was called
   // What a model sees of the source views, in the unit of the cameras, where it saw these too: that of one photograph.
   std::optional<SourceDepth> seen_depth;
-  std::vector<Image> true_images;     // one a target view; empty where the scene has none
+  std::vector<Image> true_images;  // one a target view; empty where the scene has none
+  // The same as large as the photographs of the source views; empty unless load_large_true_images was called.
+  std::vector<Image> large_true_images;
   std::vector<DepthMap> true_depths;  // one a target view; empty where the scene has none
   std::vector<Eigen::Vector3d>
       points_in_world;                // sparse points of a reconstruction, where the scene has them
@@ -87,10 +89,18 @@ constexpr const char* kPhotographSize = "photographs";
 // Pixels of the longer side that photographs are kept at, by what --size says.
 int64_t largest_photograph_side(const std::string& size);
 
+// How many times as large as the size photographs are kept: whole times, as all source views' frames were taken, with a longer
+// side of at most `largest_side` pixels.
+int64_t photograph_magnification(const Scene& scene, const ViewSelection& selection, int64_t largest_side,
+                                 const ImageSize& size);
 // The photographs of the source views as large as all of them were taken, in whole multiples of the size, of which the
 // longer side is at most `largest_side` pixels.
 void load_source_photographs(const Scene& scene, const ViewSelection& selection, int64_t largest_side,
                              SamplingScene& sampling);
+
+// The target views' images as large as photographs are kept, to stand beside pictures of that size. After
+// load_source_photographs.
+void load_large_true_images(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling);
 
 // "504x280" -> that size; "auto" and "photographs" -> the trained size whose aspect is nearest to the first
 // frame's. Sides must be whole patches. Throws Error otherwise.

@@ -15,7 +15,6 @@ namespace {
 
 constexpr const char* kReport = "report.json";
 constexpr const char* kCameras = "cameras.json";
-constexpr const char* kDepthCameras = "depth_cameras.json";
 constexpr const char* kCloud = "points.ply";
 constexpr double kFarthestStep = 65535;
 
@@ -112,8 +111,8 @@ FinishedRun open_finished_run(const std::filesystem::path& folder) {
   run.metric = cameras.metric;
   // With --size photographs depth has cameras of its own.
   std::map<std::string, CameraRecord> of_depth;
-  if (std::filesystem::is_regular_file(folder / kDepthCameras)) {
-    for (const CameraRecord& record : read_cameras_json(folder / kDepthCameras).records)
+  if (std::filesystem::is_regular_file(folder / kDepthCamerasFile)) {
+    for (const CameraRecord& record : read_cameras_json(folder / kDepthCamerasFile).records)
       of_depth[record.name] = record;
   }
   for (const CameraRecord& record : cameras.records) {

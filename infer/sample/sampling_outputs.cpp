@@ -1,5 +1,6 @@
 #include "infer/sample/sampling_outputs.h"
 
+#include "datasets/formats/cameras_json.h"
 #include "datasets/formats/scene_reader.h"
 #include "datasets/images/pfm_file.h"
 #include "datasets/loading/batching.h"
@@ -276,11 +277,11 @@ void SamplingOutputs::write_true_images() {
                                [](const Image& image) { return !image.empty(); });
   if (!any) return;
   const auto folder = run_.subfolder(kTruthFolder);
-  for (size_t i = 0; i < scene_.true_images.size(); ++i) {
-    if (scene_.true_images[i].empty()) continue;
+  const std::vector<Image>& truth = magnification() > 1 ? scene_.large_true_images : scene_.true_images;
+  for (size_t i = 0; i < truth.size(); ++i) {
+    if (truth[i].empty()) continue;
     const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
-    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), scene_.true_images[i],
-                 provenance_);
+    export_image(folder / (view_name(view, scene_.views.size()) + ".png"), truth[i], provenance_);
   }
 }
 
@@ -304,7 +305,7 @@ void SamplingOutputs::write_cameras() {
   CameraList list;
   list.metric = scene_.metric && model_cameras.empty();
   const bool with_depth = requested_.depth && (!of_model || !model_cameras.empty());
-  cameras_have_depth_ = with_depth && magnification() == 1;
+  cameras_have_depth_ = with_depth;
   for (int64_t view = 0; view < scene_.views.size(); ++view) {
     const bool target = view >= scene_.views.num_sources;
     CameraRecord record;
@@ -332,8 +333,8 @@ void SamplingOutputs::write_cameras() {
     // Depth has the model's size, and a camera is of one.
     CameraList of_depth = list;
     for (CameraRecord& record : of_depth.records) record.image.clear();
-    write_cameras_json(run_.path() / "depth_cameras.json", of_depth);
-    run_.note("cameras of depth", "depth_cameras.json");
+    write_cameras_json(run_.path() / kDepthCamerasFile, of_depth);
+    run_.note("cameras of depth", kDepthCamerasFile);
   }
   write_cameras_json(run_.path() / "cameras.json", of_pictures(std::move(list)));
   run_.note("cameras", "cameras.json");

@@ -80,7 +80,7 @@ class SamplingOutputs {
   GeometryPlacement placement_;   // empty where no rays were asked for
   double depth_unit_ = 0;
   bool depth_has_scene_unit_ = false;  // otherwise the geometry model's own
-  bool cameras_have_depth_ = false;    // in cameras.json
+  bool cameras_have_depth_ = false;    // in cameras.json, or in the file of their own
   int64_t first_geometry_view_ = 0;    // 0, or the first target where only rays were asked for
   nlohmann::ordered_json findings_ = nlohmann::ordered_json::object();
   std::vector<std::string> warnings_;

@@ -1,5 +1,8 @@
 // gld sample --outputs splats beside gld splat fit --run.
 #include "datasets/formats/cameras_json.h"
+#include "datasets/formats/scene_writer.h"
+#include "datasets/images/image_file.h"
+#include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
 #include "gld/splatting/splat_ply.h"
 #include "infer/forecast/splat_forecast.h"
@@ -71,13 +74,32 @@ TEST_F(SampledSplats, AreRefusedWhereNothingWouldComeOfThem) {
   EXPECT_EQ(test::error_of([&] { asked.check(); }),
             "--side: expected splats among --outputs, without which nothing looks at it, found none; add it, "
             "or leave --side out.");
-  asked.named = {};
-  asked.outputs = {"splats"};
+}
+
+// Their depth is smaller than they are, and what is to be expected is of the large ones.
+TEST_F(SampledSplats, AreFittedToPicturesAsLargeAsPhotographs) {
+  SyntheticOptions room;
+  room.width = room.height = 224;
+  room.frames = 4;
+  const auto scene = folder_->path() / "large_room";
+  write_scene(make_synthetic_scene(room, 0), "cameras-json", scene);
+  auto asked = with_shipped_model(options("large"));
+  asked.scene = scene.string();
+  asked.outputs = {"splats", "page"};
+  asked.splats.fit.steps = 5;
   asked.size = "photographs";
-  EXPECT_EQ(
-      test::error_of([&] { asked.check(); }),
-      "--outputs splats: expected pictures of the model's size, which have depth, found --size photographs; "
-      "leave out one of the two.");
+  const auto report = run(asked);
+  EXPECT_EQ(report.at("scene").at("width"), 112);
+  EXPECT_EQ(report.at("splats").at("steps"), 5);
+  EXPECT_THAT(report.at("plan").back().at("reason").get<std::string>(),
+              testing::HasSubstr("views of 224x224"));
+  const std::filesystem::path out = asked.out;
+  EXPECT_TRUE(std::filesystem::exists(out / kDepthCamerasFile));
+  EXPECT_GT(read_splat_ply(out / kSplatFile).size(), 0);
+  for (const char* folder : {"images", "truth"}) {
+    const std::filesystem::path first = *std::filesystem::directory_iterator(out / folder);
+    EXPECT_EQ(read_image(first).width, 224) << folder;
+  }
 }
 
 }  // namespace
