@@ -16,9 +16,9 @@ A figure is named in a comment below the paragraph or the table that has it, whi
 (or with "; " in the place of new lines). First the figure as the text has it ("21 min 50 s" is one), then where the report has it: keys and numbers of JSON between dots, a
 column of CSV with the cells that choose its one row, `rows[...]` (how many such rows there are) or `bytes` (of all files of the name, which may hold *), or arithmetic of such in braces, of other
 files as {FILE: ...}. The steps `sum` and `largest` go through a list: stages.sum.seconds. The report's value has to round to the figure. The figure has to stand in the text between the comment and
-the one before it, or the heading. A page that is read as text, README.md, has `<!-- figures: see NAME -->` instead, and what would stand in the comment below a line `NAME:` of
-docs/measured/figures/README.txt, a figure a line. In the pages of WHOLE every number with a decimal point has to be named, or listed as `given`: a
-version, a setting, what a paper says, and no measurement.
+the one before it, or the heading. A page that is read as text, such as README.md, has `<!-- figures: see NAME -->` instead, and what would stand in the comment below a line `NAME:` of
+docs/measured/figures/README.txt (of another page: its name), a figure a line. In the pages of WHOLE every number with a decimal point has to be named, or listed as `given`: a
+version, a setting, what a paper says, what is counted, what the text says there is no report of; and no measurement of this program.
 """
 import argparse
 import ast
@@ -29,7 +29,7 @@ import pathlib
 import re
 import sys
 
-WHOLE = ["README.md", "docs/RESULTS.md", "configs/tiny/README.md"]
+WHOLE = ["README.md", "docs/RESULTS.md", "docs/NUMBERS.md", "docs/TRAINING.md", "configs/tiny/README.md"]
 NUMBER = r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 # The comment as a whole, headings, code: what is no text of a paragraph.
 COMMENT = re.compile(r"<!-- *((?:figures|given):.*?)-->", re.S)
@@ -172,9 +172,10 @@ def plain(text):
     """Without code, links, headings and other comments: numbers there are no figures."""
     text = re.sub(r"<!--.*?-->", " ", text, flags=re.S)
     text = re.sub(r"```.*?```", " ", text, flags=re.S)
+    # Before spans of code become blanks, which a line of text may begin with.
+    text = "\n".join(line for line in text.split("\n") if not line.startswith(("    ", "#")))
     text = re.sub(r"`[^`]*`", " ", text)
-    text = re.sub(r"\]\([^)]*\)", "] ", text)
-    return "\n".join(line for line in text.split("\n") if not line.startswith(("    ", "#")))
+    return re.sub(r"\]\([^)]*\)", "] ", text)
 
 
 def check(page, text, reports, whole):

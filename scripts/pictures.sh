@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Makes the pictures that README.md and docs/ show, in docs/pictures; plots of measurements are made by their runs in docs/measured.
-# Needs the built program, Python 3 with Pillow and NumPy, and the folder of shared data for the photographs of the Lund door.
+# Needs the built program, Python 3 with Pillow and NumPy, Debian's chromium, and the folder of shared data for the photographs of the
+# Lund door. The picture of a run's page can be made alone: scripts/page_picture.sh.
 #   scripts/pictures.sh [SHARED]    by default ../shared
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -19,6 +20,10 @@ if ! python3 -c 'import numpy, PIL' 2>/dev/null; then
   echo "pictures: expected Python 3 with Pillow and NumPy, found them not; apt install python3-pil python3-numpy." >&2
   exit 1
 fi
+if ! command -v chromium >/dev/null; then
+  echo "pictures: expected chromium, found it not; scripts/setup.sh --testing installs it." >&2
+  exit 1
+fi
 mkdir -p "$work" "$pictures"
 
 # The room of scripts/demo.sh: the first of its seed. Two views between each two photographs, four together, as the model was trained.
@@ -26,6 +31,7 @@ mkdir -p "$work" "$pictures"
 room=$(find "$work/scene" -name cameras.json -printf '%h\n' | sort | head -1)
 "$gld" sample --model "$model" --scene "$room" --sources 0,3 --targets 1,2 --size photographs --overwrite --out "$work/room_1"
 "$gld" sample --model "$model" --scene "$room" --sources 3,6 --targets 4,5 --size photographs --overwrite --out "$work/room_2"
+scripts/page_picture.sh "$work/room_1" "$pictures/page.webp"
 
 # Photographs of a real place: the setting lund_door_4 of docs/measured/photographs, at the photographs' size.
 "$gld" sample --model "$model" --scene "$door" --sources 2,4,6,8 --targets 3,5,7 --size photographs --overwrite \

@@ -38,6 +38,8 @@ check("It has 27.4 dB." "${json}28.5 means.psnr.interval.1" "figure 28.5: expect
 check("It has 127.4 or 27.41 dB." "${json}27.4 means.psnr.mean\ngiven: 127.4 27.41" "figure 27.4: expected it in the text")
 check("It has 27.4 of 30.1 dB." "${json}27.4 means.psnr.mean" "figure 30.1: expected a report that has it, found none named")
 check("It has 27.4 of 30.1 dB, by `--x 0.5` and LibTorch 2.13." "${json}27.4 means.psnr.mean\ngiven: 30.1 2.13" "")
+# A line that begins with a span of code is no line of code.
+check("It has 27.4 dB, and\n  `x` 30.1 of it." "${json}27.4 means.psnr.mean" "figure 30.1: expected a report that has it, found none named")
 check("It took 21 min 50 s." "${json}21 min 50 s stages.sum.seconds" "")
 check("It took 21 min 52 s." "${json}21 min 52 s stages.sum.seconds" "report.json has 1310 (stages.sum.seconds)")
 check("It took 1300 s at most, 0.7 % the rest." "${json}1300 stages.largest.seconds\n0.7 {stages.[stage=rest].seconds} / {stages.sum.seconds} * 100" "")
