@@ -17,6 +17,8 @@ namespace gld {
 namespace {
 
 constexpr size_t kKeyDigits = 16;
+constexpr const char* kTrainBackboneCommand = "train backbone";
+constexpr const char* kBenchPrefix = "bench ";
 constexpr int64_t kSmokeRepeats = 2;
 
 std::string hash_key(const std::string& text) {
@@ -127,16 +129,35 @@ class Planner {
   struct Base {
     BundleOptions options;
     std::string hash;
+    bool has_backbone = false;
   };
   const Base& base(const std::filesystem::path& folder) {
     const auto known = bases_.find(folder.string());
     if (known != bases_.end()) return known->second;
     const auto bundle = ModelBundle::open(folder);
-    return bases_.emplace(folder.string(), Base{bundle.options(), bundle.content_hash()}).first->second;
+    const Base made{bundle.options(), bundle.content_hash(), bundle.has(BundlePart::backbone())};
+    return bases_.emplace(folder.string(), made).first->second;
   }
 
   const BundleOptions& bundle_of(const StageTask& task) {
     return task.model ? *plan_.tasks[*task.model].bundle : base(task.base_model).options;
+  }
+
+  bool makes_backbone(const StageTask& task) const {
+    const auto made = [&](size_t number) { return makes_backbone(plan_.tasks[number]); };
+    return task.command == kTrainBackboneCommand || (task.model && made(*task.model)) ||
+           std::any_of(task.parts.begin(), task.parts.end(), made);
+  }
+
+  // Without the weights of what encodes pictures nothing but its own training runs: better said before hours of stages.
+  void require_backbone(const Run& run, const StageDescription& stage, const StageTask& task) {
+    if (task.command == kTrainBackboneCommand || task.command.rfind(kBenchPrefix, 0) == 0) return;
+    if (makes_backbone(task)) return;
+    const StageTask* first = &task;
+    while (first->model) first = &plan_.tasks[*first->model];
+    if (base(first->base_model).has_backbone) return;
+    fail({where(run, stage), "a backbone with weights in " + first->base_model.string(), "none",
+          "train it or convert it into that folder (docs/WEIGHTS.md), or name another --model"});
   }
 
   size_t add_task(const Run& run, const StageDescription& stage, int64_t number) {
@@ -207,6 +228,7 @@ class Planner {
     task.takes_model = has_field(*options, "model");
     if (task.takes_model) {
       choose_model(run, stage, task);
+      require_backbone(run, stage, task);
       set(*options, "model", "bundle", run, stage);  // for the checks alone
     }
     set(*options, "out", "run", run, stage);
