@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
+#include <csignal>
 #include <cstring>
 #include <exception>
 #include <future>
@@ -459,6 +460,8 @@ class GlooTeam final : public ProcessTeam {
 std::vector<std::string> process_engines() { return {"gloo"}; }
 
 std::unique_ptr<ProcessTeam> join_processes(const ProcessPlacement& placement) {
+  // A write to a process that is gone would end this one by SIGPIPE before it can say so; it is an error like others then.
+  std::signal(SIGPIPE, SIG_IGN);
   return std::make_unique<GlooTeam>(placement);
 }
 
