@@ -307,6 +307,7 @@ function(gld_folder_tests folder)
   if(arg_TORCH_TESTS AND NOT GLD_SANITIZE)
     gld_test_program(${program}_torch_tests ${folder} "${arg_TORCH_TESTS}" ${arg_LIBRARIES})
     target_sources(${program}_torch_tests PRIVATE ${arg_SOURCES})
+    target_link_libraries(${program}_torch_tests PRIVATE gld_test_seeded)
     gld_use_headers(torch ${program}_torch_tests)
     if(NOT arg_LABEL)
       # Benchmarks, ablations and evaluation call nothing of LibTorch that these rooms do not: a second build is for them.
