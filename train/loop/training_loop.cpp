@@ -444,6 +444,7 @@ TrainingSummary Session::run() {
   }
   Averages averages;
   int64_t scenes = 0;
+  std::string note;  // of the last line of metrics.jsonl
   auto logged = std::chrono::steady_clock::now();
   while (step_ < options_.steps) {
     if (stop_requested()) {
@@ -500,14 +501,14 @@ TrainingSummary Session::run() {
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
-      progress->update(step_, "loss " + four_digits(last_loss_) + ", rate " + four_digits(rate) + ", " +
-                                  four_digits(line["samples_per_second"].get<double>()) +
-                                  " scenes/s, data wait " +
-                                  four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %");
+      note = "loss " + four_digits(last_loss_) + ", rate " + four_digits(rate) + ", " +
+             four_digits(line["samples_per_second"].get<double>()) + " scenes/s, data wait " +
+             four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %";
       averages.clear();
       scenes = 0;
-      if (run_.on_log) run_.on_log();
     }
+    progress->update(step_, note);
+    if (run_.on_step) run_.on_step();
     if (validates) {
       validate(state);
       draw_loss_curve(*metrics_, run_.folder / "loss");

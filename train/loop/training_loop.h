@@ -52,8 +52,8 @@ struct TrainingRun {
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
-  // Called after lines of metrics.jsonl; may be empty.
-  std::function<void()> on_log;
+  // Called after every step, with what there is of it in metrics.jsonl and progress.json; may be empty.
+  std::function<void()> on_step;
   // Called where a stop ends the process in the middle of a step, by another thread, after the checkpoint; may be
   // empty, and must not throw. A stop between two steps throws Interrupted.
   std::function<void()> on_stop;

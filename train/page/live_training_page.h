@@ -17,7 +17,7 @@ class LiveTrainingPage {
   LiveTrainingPage(const LiveTrainingPage&) = delete;
   LiveTrainingPage& operator=(const LiveTrainingPage&) = delete;
 
-  // Something is new in metrics.jsonl.
+  // A step is done: slow ones are followed as often as fast ones.
   void follow();
   // The training is stopped, and this object's end will not come. Does not throw.
   void stop() noexcept;

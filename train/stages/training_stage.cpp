@@ -279,7 +279,7 @@ std::string run_training_stage(const StageOptions& options, const OptionsGroup& 
   }
   print_warnings(warnings_of_short_runs(options.loop));
   LiveTrainingPage page(folder.path());
-  run.on_log = [&page] { page.follow(); };
+  run.on_step = [&page] { page.follow(); };
   run.on_stop = [&page] { page.stop(); };
   const TrainingSummary summary = train(run, options.loop, start);
   copy_other_parts(bundle, folder.path() / "model", stage.made);

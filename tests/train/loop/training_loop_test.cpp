@@ -110,7 +110,11 @@ TEST(TrainingLoop, WorkersGiveTheSameBytesWhateverTheirTiming) {
 TEST(TrainingLoop, LogsEveryNumberThatARunIsJudgedBy) {
   const test::TemporaryFolder folder;
   test::ToyObjective objective;
-  train(test::toy_run(folder.path(), objective), short_run(), TrainingStart::kFresh);
+  TrainingRun run = test::toy_run(folder.path(), objective);
+  int64_t followed = 0;  // also where no line is written
+  run.on_step = [&] { ++followed; };
+  train(run, short_run(), TrainingStart::kFresh);
+  EXPECT_EQ(followed, 24);
   const MetricsLog log(folder.path() / "metrics.jsonl", 24);
   EXPECT_EQ(log.series("loss").size(), 6U);
   EXPECT_EQ(log.series("validation_error").size(), 3U);
