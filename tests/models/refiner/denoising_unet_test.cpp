@@ -50,20 +50,24 @@ torch::Tensor random_views(int64_t views, int64_t height, int64_t width) {
 }
 
 TEST(OneStepUpdate, GainsAreThoseOfTheSchedule) {
+  // Of the product in 40 decimal digits.
   struct Row {
     int64_t timestep;
-    double latent, noise;
+    double signal, latent, noise;
   };
-  for (const Row& row : {Row{10, 1.005, 0.098}, Row{100, 1.057, 0.344}, Row{300, 1.301, 0.833},
-                         Row{500, 1.902, 1.618}, Row{900, 8.41, 8.35}}) {
+  for (const Row& row : {Row{10, 0.9904313091, 1.004818956, 0.098291074},
+                         Row{100, 0.8942234776, 1.057491697, 0.343931226},
+                         Row{300, 0.5905010588, 1.301336646, 0.832752703},
+                         Row{500, 0.2763326838, 1.902321308, 1.618278826},
+                         Row{900, 0.0141511420, 8.406287828, 8.346596615}}) {
+    EXPECT_NEAR(alpha_bar(row.timestep), row.signal, 1e-9) << row.timestep;
     const OneStepGains published = one_step_gains(row.timestep, OneStepForm::kPublished);
     const OneStepGains identity = one_step_gains(row.timestep, OneStepForm::kIdentity);
-    EXPECT_NEAR(published.latent, row.latent, 6e-4 * row.latent) << row.timestep;
-    EXPECT_NEAR(published.prediction, -row.noise, 3e-3 * row.noise) << row.timestep;
+    EXPECT_NEAR(published.latent, row.latent, 1e-8) << row.timestep;
+    EXPECT_NEAR(published.prediction, -row.noise, 1e-8) << row.timestep;
     EXPECT_EQ(identity.latent, 1);
     EXPECT_EQ(identity.prediction, -published.prediction);
   }
-  EXPECT_NEAR(alpha_bar(300), 0.5905, 5e-5);
   EXPECT_THAT(error_of([] { alpha_bar(1000); }),
               testing::StrEq("timestep: expected 0 to 999, found 1000; choose one of them."));
 }
