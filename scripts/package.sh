@@ -40,7 +40,8 @@ mv "$root"/share/doc/gld/* "$root/"
 rm -r "$root/share/doc"
 
 # notice_of FILE: the copyright file of the Debian package that FILE is of, which may list it below /lib instead of /usr/lib.
-mkdir -p "$root/share/gld/notices"
+mkdir -p "$root/share/gld"
+mv "$root/notices" "$root/share/gld/notices"
 notice_of() {
   local package
   package=$( (dpkg-query -S "$1" 2>/dev/null || dpkg-query -S "${1#/usr}") | head -1 | cut -d: -f1)
