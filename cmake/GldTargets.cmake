@@ -138,7 +138,6 @@ function(gld_room)
   endif()
 endfunction()
 
-# gld_rooms_included(ROOMS SOURCE): the libraries of the rooms that a test includes, itself or through a header of tests/.
 # gld_knows_commit(TARGET SOURCE): a source of the room in the current folder may include gld_commit.h, which defines GLD_COMMIT,
 # the commit of the tree as it is when the program is built. Such a source is compiled alone, since every commit changes it.
 function(gld_knows_commit target source)
@@ -154,6 +153,7 @@ function(gld_knows_commit target source)
   set_source_files_properties(${source} PROPERTIES INCLUDE_DIRECTORIES ${folder} SKIP_UNITY_BUILD_INCLUSION ON)
 endfunction()
 
+# gld_rooms_included(ROOMS SOURCE): the libraries of the rooms that a test includes, itself or through a header of tests/.
 function(gld_rooms_included result source)
   file(STRINGS ${PROJECT_SOURCE_DIR}/${source} lines ENCODING UTF-8 REGEX "^#include \"[^\"]+\"")
   set(libraries "")
