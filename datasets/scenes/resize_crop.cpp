@@ -126,6 +126,13 @@ ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropC
   return plan;
 }
 
+ResizeCrop magnified(ResizeCrop plan, int64_t times) {
+  for (int64_t* pixels : {&plan.resized_width, &plan.resized_height, &plan.left, &plan.top,
+                          &plan.target.width, &plan.target.height})
+    *pixels *= times;
+  return plan;
+}
+
 Camera resize_crop(const Camera& camera, const ResizeCrop& plan) {
   check_source(camera.width, camera.height, plan);
   Camera result = camera;
@@ -188,6 +195,14 @@ SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts pa
   if (frame.load_validity) sized.validity = resize_crop(frame.validity(), plan);
   if (parts == FrameParts::kImageAndDepth && frame.has_depth())
     sized.depth = resize_crop(frame.depth(), plan);
+  return sized;
+}
+
+SizedFrame load_magnified(const Frame& frame, const ImageSize& target, int64_t times) {
+  const ResizeCrop plan = magnified(plan_resize_crop(frame.camera.width, frame.camera.height, target), times);
+  SizedFrame sized;
+  sized.camera = resize_crop(frame.camera, plan);
+  sized.image = resize_crop(frame.image(), plan);
   return sized;
 }
 

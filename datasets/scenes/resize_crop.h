@@ -39,6 +39,10 @@ ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& targ
 // kPrincipalPoint.
 ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropCentre centre);
 
+// The same crop of the same window at `times` the size, so that its camera is resized_camera() of the small one's: a plan made
+// for the larger size would round to other pixels.
+ResizeCrop magnified(ResizeCrop plan, int64_t times);
+
 // The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
 Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
 // Area averaging when shrinking, bicubic when growing.
@@ -57,5 +61,7 @@ struct SizedFrame {
 enum class FrameParts { kImage, kImageAndDepth };
 SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts,
                       CropCentre centre = CropCentre::kImage);
+// The image and camera of what load_sized() gives, `times` as large.
+SizedFrame load_magnified(const Frame& frame, const ImageSize& target, int64_t times);
 
 }  // namespace gld

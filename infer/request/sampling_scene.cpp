@@ -245,7 +245,7 @@ void load_source_photographs(const Scene& scene, const ViewSelection& asked, int
   sampling.photographs.views.clear();
   const ImageSize large{times * size.width, times * size.height};
   for (const int64_t number : selection.sources) {
-    const SizedFrame frame = load_sized(frame_of(scene, number, "--sources"), large, FrameParts::kImage);
+    const SizedFrame frame = load_magnified(frame_of(scene, number, "--sources"), size, times);
     PicturedView view;
     view.camera = frame.camera;
     view.width = large.width;
@@ -258,14 +258,14 @@ void load_source_photographs(const Scene& scene, const ViewSelection& asked, int
 
 void load_large_true_images(const Scene& scene, const ViewSelection& asked, SamplingScene& sampling) {
   const ViewSelection selection = looked_up(asked, scene);
-  const PicturedView& kept = sampling.photographs.views.at(0);
+  const int64_t times = sampling.photographs.views.at(0).width / sampling.size.width;
   sampling.large_true_images.clear();
   sampling.large_true_images.resize(sampling.true_images.size());
   if (!selection.path.path.empty()) return;
   for (size_t i = 0; i < selection.targets.size(); ++i) {
     const Frame& frame = frame_of(scene, selection.targets[i], "--targets");
     if (!frame.has_image()) continue;
-    sampling.large_true_images[i] = load_sized(frame, {kept.width, kept.height}, FrameParts::kImage).image;
+    sampling.large_true_images[i] = load_magnified(frame, sampling.size, times).image;
   }
 }
 

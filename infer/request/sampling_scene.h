@@ -89,8 +89,8 @@ constexpr const char* kPhotographSize = "photographs";
 // Pixels of the longer side that photographs are kept at, by what --size says.
 int64_t largest_photograph_side(const std::string& size);
 
-// How many times as large as the size photographs are kept: whole times, as all source views' frames were taken, with a longer
-// side of at most `largest_side` pixels.
+// How many times as large as the size photographs are kept: whole times, as all source views' frames were taken, with a
+// longer side of at most `largest_side` pixels.
 int64_t photograph_magnification(const Scene& scene, const ViewSelection& selection, int64_t largest_side,
                                  const ImageSize& size);
 // The photographs of the source views as large as all of them were taken, in whole multiples of the size, of which the

@@ -176,7 +176,7 @@ void take_seen(PhotoScene& made, const PhotoSceneRequest& request, StageRecords&
       const ResizeCrop plan = plan_resize_crop(original.width, original.height, request.size);
       small.push_back(resize_crop(original, plan));
       const ImageSize kept = kept_size(original.width, original.height, request);
-      made.images.push_back(resize_crop(original, plan_resize_crop(original.width, original.height, kept)));
+      made.images.push_back(resize_crop(original, magnified(plan, kept.width / request.size.width)));
       const double taken_pixels =
           static_cast<double>(plan.window_width) / static_cast<double>(plan.resized_width);
       lenses.push_back({photograph.lens,

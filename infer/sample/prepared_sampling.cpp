@@ -246,22 +246,6 @@ void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, 
   choose_views(prepared, size);
 }
 
-namespace {
-
-// As load_source_photographs() will find it; of photographs whose cameras are not known yet, by their sizes.
-int64_t expected_magnification(const PreparedSampling& prepared, const SampleOptions& options) {
-  if (options.size != kPhotographSize) return 1;
-  const ImageSize& size = prepared.scene.size;
-  if (prepared.cameras_known())
-    return photograph_magnification(prepared.found, prepared.selection, kLargestPhotographSide, size);
-  int64_t times = kLargestPhotographSide / std::max(size.width, size.height);
-  for (const Photograph& photograph : prepared.photographs)
-    times = std::min({times, photograph.width / size.width, photograph.height / size.height});
-  return std::max<int64_t>(times, 1);
-}
-
-}  // namespace
-
 PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options) {
   PlanRequest request;
   const ImageSize& size = prepared.scene.size;
@@ -283,7 +267,10 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
     request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
   }
   request.preview_every = options.preview;
-  request.picture_magnification = expected_magnification(prepared, options);
+  if (options.size == kPhotographSize) {
+    request.picture_magnification =
+        photograph_magnification(prepared.found, prepared.selection, kLargestPhotographSide, size);
+  }
   if (options.requested().splats) request.splats = options.splats.scene_fit(options.seed);
   for (const BundlePart& part : needed_parts(prepared.bundle.options(), request.stage_request()))
     request.converted_bytes[bundle_part_name(part)] = prepared.bundle.converted_bytes(part);

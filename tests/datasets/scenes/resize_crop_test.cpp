@@ -1,6 +1,7 @@
 #include "datasets/scenes/resize_crop.h"
 
 #include "datasets/scenes/frame_checks.h"
+#include "gld/cameras/resized_camera.h"
 #include "tests/support/error_of.h"
 
 #include <cmath>
@@ -99,6 +100,26 @@ TEST(ResizeCrop, AboutThePrincipalPointTheLensLooksAlongTheMiddle) {
       }),
       "crop about the principal point: expected a principal point farther than a fifth of the picture's width "
       "(800 pixels) from its edges, found 150; crop about the image's centre (crop_centre: image).");
+}
+
+// A plan of its own for the larger size rounds to other pixels: 11 of them at 18 times the size.
+TEST(ResizeCrop, MagnifiedIsTheSameCropWithTheCameraOfTheSmallOne) {
+  const Camera camera = camera_of(4032, 3024);
+  const ImageSize size{112, 112};
+  Frame frame;
+  frame.camera = camera;
+  frame.load_image = [] { return Image(4032, 3024); };
+  const Camera small = load_sized(frame, size, FrameParts::kImage).camera;
+  for (const int64_t times : {1, 4, 18}) {
+    const SizedFrame large = load_magnified(frame, size, times);
+    const Camera expected = resized_camera(small, times * 112, times * 112);
+    EXPECT_EQ(large.image.width, times * 112);
+    EXPECT_EQ(large.image.height, times * 112);
+    EXPECT_LT((large.camera.intrinsics - expected.intrinsics).cwiseAbs().maxCoeff(), 1e-9) << times;
+  }
+  const Camera planned_apart = load_sized(frame, {18 * 112, 18 * 112}, FrameParts::kImage).camera;
+  const Camera expected = resized_camera(small, 18 * 112, 18 * 112);
+  EXPECT_GT((planned_apart.intrinsics - expected.intrinsics).cwiseAbs().maxCoeff(), 3);
 }
 
 TEST(ResizeCrop, DepthTakesTheNearestPixelAndNeverMixes) {
