@@ -5,10 +5,13 @@
 #include "datasets/formats/file_listing.h"
 #include "datasets/formats/frame_pixels.h"
 #include "gld/base/error.h"
+#include "gld/cameras/resized_camera.h"
 
 #include <map>
 #include <optional>
 #include <string>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -27,6 +30,17 @@ void add_depth_of_other_size(const std::filesystem::path& folder, CameraList& ca
   for (CameraRecord& record : cameras.records) {
     const auto found = of_depth.find(record.name);
     if (!record.depth.empty() || found == of_depth.end()) continue;
+    const Camera &large = record.camera, &small = found->second.camera;
+    const Camera scaled = resized_camera(small, large.width, large.height);
+    constexpr double kPixels = 0.01, kLength = 1e-6;
+    const double off = (scaled.intrinsics - large.intrinsics).cwiseAbs().maxCoeff();
+    const double moved =
+        (small.world_from_camera.matrix() - large.world_from_camera.matrix()).cwiseAbs().maxCoeff();
+    if (!(off <= kPixels) || !(moved <= kLength * (1 + large.world_from_camera.translation().norm()))) {
+      fail({file.string() + " " + record.name, "the camera of the picture in another size",
+            fmt::format("one that is {:.3g} pixels and {:.3g} of the unit beside it", off, moved),
+            "remove the file, or write both from one camera"});
+    }
     record.depth = found->second.depth;
     record.depth_unit = found->second.depth_unit;
   }

@@ -54,7 +54,9 @@ ImageSize fit_size(const Scene& scene, int64_t side) {
 SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held_out,
                          const SplatFitOptions& options) {
   SplatWork work;
-  work.views = std::max<int64_t>(1, static_cast<int64_t>(pictured_frames(scene).size()) - held_out);
+  const auto frames = static_cast<int64_t>(pictured_frames(scene).size());
+  work.views = std::max<int64_t>(1, frames - held_out);
+  work.held_out = frames - work.views;
   work.width = size.width;
   work.height = size.height;
   work.gaussians = most_gaussians_of(work, options);

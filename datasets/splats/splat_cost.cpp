@@ -48,16 +48,17 @@ int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options)
 
 int64_t splat_fit_bytes(const SplatWork& work, const SplatFitOptions& options) {
   const int64_t pixels = work.views * work.width * work.height;
-  const int64_t planes = work.views * padded(work.width) * work.height;
+  const int64_t planes = (work.views + work.held_out) * padded(work.width) * work.height;
   // Bytes and depth, and the picture with its means and squares under SSIM's window.
   const int64_t pictures = pixels * (3 + 4 + 1) + planes * 3 * 3 * 4;
   // Before the first step: places, and their order by voxel twice while it is sorted anew.
   constexpr int64_t kSurfacePoint = 48, kVoxelled = 16;
   const int64_t start = pixels * (kSurfacePoint + 2 * kVoxelled + 8);
   const int64_t numbers = 14 + 3 * (harmonic_coefficients(options.degree) - 1);
-  // Parameters, two moments, gradients; then the lists of a view and the sums of its tiles.
+  // Parameters, two moments, gradients; then the lists of a view, the records of its tiles and their sums.
+  constexpr int64_t kRecords = 10, kRecord = static_cast<int64_t>(sizeof(SplatRow)) + 8 + 4 + 4;
   const int64_t steps = work.gaussians * (4 * numbers * 4 + 3 * static_cast<int64_t>(sizeof(VisibleSplat)) +
-                                          8 * (4 + 4 + 4 * (3 + kSplatMoments)));
+                                          kRecords * kRecord + 8 * (4 + 4 + 4 * (3 + kSplatMoments)));
   return pictures + std::max(start, steps);
 }
 

@@ -69,6 +69,8 @@ class FitInSteps {
     const ImageSize size = fit_size(scene, options.side);
     work_ = scene_fit_work(scene, size, options.held_out, fit_options_);
     require_memory_for_fit(work_, fit_options_, available_memory_bytes(), options.where());
+    // Before the fit has memory of its own: this makes one beside it.
+    whole_seconds_ = splat_fit_seconds(work_, fit_options_, settings_.threads);
     views_ = load_fit_views(scene, size, options.held_out, settings_);
     if (moved_by_latents(options.fit.geometry_from)) latents.before(scene, views_);
     processor_at_first_ = processor_seconds();
@@ -87,9 +89,8 @@ class FitInSteps {
     constexpr double kMegabyte = 1e6;
     const double steps = static_cast<double>(fit_options_.steps - state_.fit.step),
                  share = steps / static_cast<double>(std::max<int64_t>(1, fit_options_.steps));
-    const double seconds = share * splat_fit_seconds(work_, fit_options_, settings_.threads);
-    return fmt::format("about {} for {} steps, at most {:.0f} MB of pictures and Gaussians",
-                       duration_text(seconds), fit_options_.steps - state_.fit.step,
+    return fmt::format("about {} for {} steps, and {:.0f} MB for pictures and Gaussians",
+                       duration_text(share * whole_seconds_), fit_options_.steps - state_.fit.step,
                        static_cast<double>(splat_fit_bytes(work_, fit_options_)) / kMegabyte);
   }
 
@@ -169,6 +170,7 @@ class FitInSteps {
   std::filesystem::path checkpoint_file_;
   KernelSettings settings_;
   SplatWork work_;
+  double whole_seconds_ = 0;  // that all steps may take
   SplatFitViews views_;
   SplatCheckpoint state_;
   Table table_;

@@ -282,8 +282,19 @@ TEST_F(FittedSplats, StartsFromDepthThatIsSmallerThanItsPictures) {
   EXPECT_EQ(depth.width, cameras.records[0].camera.width);
   for (int64_t x = 0; x < depth.width; ++x) EXPECT_EQ(depth.at(x, 9), depth.at(x / 2 * 2, 8)) << x;
   SplatCommandOptions options = quick(scene(), out());
+  testing::internal::CaptureStdout();
   run_splat_fit(options);
+  EXPECT_THAT(testing::internal::GetCapturedStdout(),
+              testing::ContainsRegex("about .* for 60 steps, and [0-9]+ MB for pictures and Gaussians\n"));
   EXPECT_GT(report_of(out()).at("fitted_psnr"), 18);
+  // Depth under another camera is no depth of the picture.
+  of_depth.records[1].camera.intrinsics(0, 2) += 1;
+  write_cameras_json(scene() / kDepthCamerasFile, of_depth);
+  EXPECT_EQ(
+      error_of([&] { open_scene(scene()); }),
+      (scene() / kDepthCamerasFile).string() + " " + of_depth.records[1].name +
+          ": expected the camera of the picture in another size, found one that is 2 pixels and 0 of the unit "
+          "beside it; remove the file, or write both from one camera.");
 }
 
 TEST_F(FittedSplats, RefusesWhatHasNoRoomInMemory) {
