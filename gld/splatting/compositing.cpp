@@ -1,9 +1,12 @@
 #include "gld/splatting/compositing.h"
 
+#include "gld/base/error.h"
 #include "gld/kernels/kernel_table.h"
 
 #include <algorithm>
 #include <cmath>
+
+#include <fmt/format.h>
 
 namespace gld {
 namespace {
@@ -51,13 +54,26 @@ int64_t weigh(const Tile& tile, const TileRecords& records, const Strip& strip, 
                                 scratch.alpha.data(), scratch.weight.data(), transmittance});
 }
 
-// Calls work(tile, its records, kernels, scratch) for every tile, each thread with a scratch of its own. Records are those
-// of `kept` where there are some, else they are found, and go to `keep` where it is there.
+// Calls work(tile, its records, kernels, scratch) for every tile, each thread with a scratch of its own. Records are
+// those of `kept` where there are some, else they are found, and go to `keep` where it is there.
 template <class Work>
 void for_each_tile(const SplatView& view, const SplatFeatures& features, int64_t stride,
                    const KernelSettings& settings, const TileLists* kept, TileLists* keep, const Work& work) {
   const KernelTable& kernels = kernel_table(settings.instruction_set);
-  if (keep != nullptr) keep->tiles.resize(static_cast<size_t>(view.tiles()));
+  if (kept != nullptr &&
+      (static_cast<int64_t>(kept->tiles.size()) != view.tiles() || kept->strip != kernels.splat_strip ||
+       kept->stride != stride || kept->by_index != features.by_index)) {
+    fail({"lists of tiles", fmt::format("those of this view, {} tiles", view.tiles()),
+          fmt::format("{} tiles of another", kept->tiles.size()),
+          "composite again with the same view, features and settings"});
+  }
+  if (keep != nullptr) {
+    *keep = TileLists();
+    keep->tiles.resize(static_cast<size_t>(view.tiles()));
+    keep->strip = kernels.splat_strip;
+    keep->stride = stride;
+    keep->by_index = features.by_index;
+  }
 #pragma omp parallel num_threads(settings.threads)
   {
     TileScratch scratch;

@@ -37,10 +37,13 @@ struct CompositedView {
   SplatImage image;
   SplatImage transmittance;  // one channel: what is left behind the last Gaussian
 };
-// The records of a view's tiles, which composite_backward() need not find again. They are of one view, its Gaussians and one
-// instruction set.
+// The records of a view's tiles, which composite_backward() need not find again: of the same view, and of what else is
+// here, which is compared.
 struct TileLists {
   std::vector<TileRecords> tiles;
+  int64_t strip = 0;      // pixels, of the instruction set
+  int64_t stride = 0;     // of a plane's rows
+  bool by_index = false;  // as SplatFeatures has it
 };
 CompositedView composite(const SplatView& view, const SplatFeatures& features, const KernelSettings& settings,
                          TileLists* keep = nullptr);

@@ -143,9 +143,9 @@ SplatView view_of_splats(const GaussianSet& set, const SplatCamera& camera, cons
     for (const VisibleSplat& splat : here) depths.push_back(splat.depth);
   }
   view.splats.reserve(all.size());
-  view.by_index.resize(all.size());
+  view.in_set_order.resize(all.size());
   for (const int32_t i : sorted_by_depth(depths)) {
-    view.by_index[static_cast<size_t>(i)] = static_cast<int32_t>(view.splats.size());
+    view.in_set_order[static_cast<size_t>(i)] = static_cast<int32_t>(view.splats.size());
     view.splats.push_back(all[static_cast<size_t>(i)]);
   }
   list_tiles(view);

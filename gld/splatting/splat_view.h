@@ -41,8 +41,7 @@ struct SplatView {
   SplatCamera camera;
   int64_t tile_columns = 0, tile_rows = 0;
   std::vector<VisibleSplat> splats;
-  std::vector<int32_t>
-      by_index;  // numbers of splats in the order of the set: what reads that reads it in a row
+  std::vector<int32_t> in_set_order;   // numbers of splats: what reads the set by it reads it in a row
   std::vector<int32_t> tile_first;     // (tiles + 1) into tile_splats
   std::vector<int32_t> tile_splats;    // numbers of splats
   std::vector<int32_t> splat_first;    // (splats + 1) into splat_entries
@@ -50,11 +49,11 @@ struct SplatView {
 
   int64_t size() const { return static_cast<int64_t>(splats.size()); }
   int64_t tiles() const { return tile_columns * tile_rows; }
-  // by_index[place], while the one that is some places ahead is fetched.
+  // in_set_order[place], while the one that is some places ahead is fetched.
   int64_t splat_in_order(int64_t place) const {
     if (place + kFetchedAhead < size())
-      fetch(splats[static_cast<size_t>(by_index[static_cast<size_t>(place + kFetchedAhead)])]);
-    return by_index[static_cast<size_t>(place)];
+      fetch(splats[static_cast<size_t>(in_set_order[static_cast<size_t>(place + kFetchedAhead)])]);
+    return in_set_order[static_cast<size_t>(place)];
   }
 };
 

@@ -3,6 +3,7 @@
 #include "gld/kernels/kernel_table.h"
 #include "gld/splatting/naive_splatting.h"
 #include "tests/gld/splatting/random_gaussians.h"
+#include "tests/support/error_of.h"
 
 #include <algorithm>
 #include <cmath>
@@ -277,6 +278,26 @@ TEST_P(Compositing, FeatureGradientsWithoutShapesAreTheSame) {
   const auto without = composite_backward(view, features, of_image, SplatGradients::kFeatures, settings);
   EXPECT_EQ(with.features, without.features);
   EXPECT_TRUE(without.moments.empty());
+  // Lists that are kept are those that would be found, and of nothing else.
+  TileLists lists;
+  const CompositedView kept = composite(view, features, settings, &lists);
+  EXPECT_EQ(kept.image.values, composite(view, features, settings).image.values);
+  for (const int threads : {1, 3}) {
+    KernelSettings others = settings;
+    others.threads = threads;
+    const auto again =
+        composite_backward(view, features, of_image, SplatGradients::kFeaturesAndShapes, others, &lists);
+    EXPECT_EQ(again.features, with.features) << threads;
+    EXPECT_EQ(again.moments, with.moments) << threads;
+  }
+  SplatFeatures other_rows = features;
+  other_rows.by_index = false;
+  EXPECT_EQ(
+      test::error_of([&] {
+        composite_backward(view, other_rows, of_image, SplatGradients::kFeatures, settings, &lists);
+      }),
+      "lists of tiles: expected those of this view, 9 tiles, found 9 tiles of another; composite again with the "
+      "same view, features and settings.");
   // The picture is linear in the features: <picture(f), g> = <f, gradient>.
   const CompositedView picture = composite(view, features, settings);
   double of_picture = 0, of_features = 0;
