@@ -444,7 +444,7 @@ TrainingSummary Session::run() {
   }
   Averages averages;
   int64_t scenes = 0;
-  std::string note;  // of the last line of metrics.jsonl
+  std::string speed;  // of the last line of metrics.jsonl
   auto logged = std::chrono::steady_clock::now();
   while (step_ < options_.steps) {
     if (stop_requested()) {
@@ -501,13 +501,12 @@ TrainingSummary Session::run() {
       line["skipped_steps"] = skipped_;
       line["seconds"] = elapsed();
       metrics_->append(line);
-      note = "loss " + four_digits(last_loss_) + ", rate " + four_digits(rate) + ", " +
-             four_digits(line["samples_per_second"].get<double>()) + " scenes/s, data wait " +
-             four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %";
+      speed = ", " + four_digits(line["samples_per_second"].get<double>()) + " scenes/s, data wait " +
+              four_digits(100.0 * waited / std::max(seconds, 1e-9)) + " %";
       averages.clear();
       scenes = 0;
     }
-    progress->update(step_, note);
+    progress->update(step_, "loss " + four_digits(last_loss_) + ", rate " + four_digits(rate) + speed);
     if (run_.on_step) run_.on_step();
     if (validates) {
       validate(state);

@@ -52,7 +52,7 @@ struct TrainingRun {
   DType export_dtype = DType::kFloat32;  // of the exported model
   // Draws the rows of a validation (a contact sheet) into a file without its ending; may be empty.
   std::function<void(const Validation& validation, const std::filesystem::path& file)> draw_validation;
-  // Called after every step, with what there is of it in metrics.jsonl and progress.json; may be empty.
+  // Called after every step where metrics.jsonl is written; lines of that come every log_every steps. May be empty.
   std::function<void()> on_step;
   // Called where a stop ends the process in the middle of a step, by another thread, after the checkpoint; may be
   // empty, and must not throw. A stop between two steps throws Interrupted.

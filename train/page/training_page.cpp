@@ -224,7 +224,10 @@ Page training_page(const std::filesystem::path& run) {
 Page unfinished_training_page(const std::filesystem::path& run, UnfinishedTraining state) {
   const std::string command = command_of_run(run);
   Page page = results_page("gld " + (command.empty() ? "train" : command), nlohmann::ordered_json::object());
-  const auto courses = read_courses(run, page);
+  // Its first line may be yet to come.
+  const bool has_metrics = std::filesystem::is_regular_file(run / "metrics.jsonl");
+  const auto courses =
+      state == UnfinishedTraining::kStopped || has_metrics ? read_courses(run, page) : Courses();
   const auto progress = read_run_progress(run);
   const auto& done = report_value(progress, "/done");
   const auto& total = report_value(progress, "/total");

@@ -104,6 +104,9 @@ TEST(TrainingPage, OfOneThatGoesOnSaysHowFarItIsAndLoadsItselfAgain) {
       "training ends.");
   EXPECT_EQ(page.data.at("parts")[0].at("charts")[0].at("series")[0].at("points").size(), 2u);
   EXPECT_THAT(page.data.at("facts").dump(), HasSubstr("loss 0.4"));
+  std::filesystem::remove(run.path() / "metrics.jsonl");
+  EXPECT_THAT(unfinished_training_page(run.path(), UnfinishedTraining::kGoesOn).doubts, testing::IsEmpty());
+  EXPECT_THAT(unfinished_training_page(run.path(), UnfinishedTraining::kStopped).doubts, testing::SizeIs(1));
   std::filesystem::remove(run.path() / kRunProgress);
   EXPECT_THAT(unfinished_training_page(run.path(), UnfinishedTraining::kGoesOn).verdict,
               HasSubstr("The training has begun."));
