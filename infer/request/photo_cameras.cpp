@@ -83,14 +83,18 @@ SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
   return shared;
 }
 
-// Of all photographs in which EXIF is far from what the model sees; empty where there are none.
-std::string exif_doubt(const std::vector<PhotographFocalLength>& focal_lengths) {
+// Of all photographs in which EXIF is far from what the model sees, or rays that fit a camera do not fit that of EXIF;
+// empty where there are none.
+std::string exif_doubt(const std::vector<PhotographFocalLength>& focal_lengths,
+                       const std::vector<RecoveredCamera>& recovered) {
   std::vector<size_t> photographs;
   double lowest = std::numeric_limits<double>::infinity(), highest = 0;
   for (size_t i = 0; i < focal_lengths.size(); ++i) {
     if (focal_lengths[i].by_exif <= 0) continue;
     const double factor = focal_lengths[i].by_exif / focal_lengths[i].seen;
-    if (std::max(factor, 1 / factor) <= kLargestFocalSpread) continue;
+    const bool fits = recovered[i].direction_error <= kLargestDirectionError ||
+                      focal_lengths[i].direction_error > kLargestDirectionError;
+    if (fits && std::max(factor, 1 / factor) <= kLargestFocalSpread) continue;
     photographs.push_back(i);
     lowest = std::min(lowest, factor);
     highest = std::max(highest, factor);
@@ -135,7 +139,8 @@ std::vector<std::string> PhotoCameras::doubts() const {
     phrases.push_back(
         fmt::format("the rays of photograph {} fit no camera to better than {:.1f} degrees", i, error));
   }
-  if (std::string doubt = exif_doubt(focal_lengths); !doubt.empty()) phrases.push_back(std::move(doubt));
+  if (std::string doubt = exif_doubt(focal_lengths, recovered); !doubt.empty())
+    phrases.push_back(std::move(doubt));
   for (const SharedLens& lens : lenses) {
     if (lens.exif_focal_length > 0 || lens.highest <= kLargestFocalSpread * lens.lowest) continue;
     phrases.push_back(fmt::format(

@@ -186,7 +186,7 @@ TEST_F(ExifFocalLength, FarFromWhatTheModelSeesIsADoubt) {
             no_other));
   EXPECT_THAT(
       found({1, 0.9, 0.7}, {0, 0, 0}, {0.5, 0.5, 0.5}).doubts(),
-      AllOf(Contains("by EXIF the focal length of 2 photographs is 0.50 to 0.56 times what the model sees, "
+      AllOf(Contains("by EXIF the focal length of 3 photographs is 0.50 to 0.71 times what the model sees, "
                      "as in pictures that were cropped (without EXIF the model's is taken)"),
             no_other));
   EXPECT_THAT(found({1, 1, 1}, {0, 1, 2}, {1, 1, 1}).doubts(), testing::IsEmpty());
