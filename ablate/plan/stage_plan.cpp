@@ -19,6 +19,7 @@ namespace {
 constexpr size_t kKeyDigits = 16;
 constexpr const char* kTrainBackboneCommand = "train backbone";
 constexpr const char* kBenchPrefix = "bench ";
+constexpr const char* kSampleBenchmark = "bench sample";  // the one that samples
 constexpr int64_t kSmokeRepeats = 2;
 
 std::string hash_key(const std::string& text) {
@@ -149,9 +150,12 @@ class Planner {
            std::any_of(task.parts.begin(), task.parts.end(), made);
   }
 
-  // Without the weights of what encodes pictures nothing but its own training runs: better said before hours of stages.
+  // Without the weights of what encodes pictures nothing but its own training and the benchmarks of random models run:
+  // better said before hours of stages.
   void require_backbone(const Run& run, const StageDescription& stage, const StageTask& task) {
-    if (task.command == kTrainBackboneCommand || task.command.rfind(kBenchPrefix, 0) == 0) return;
+    if (task.command == kTrainBackboneCommand ||
+        (task.command.rfind(kBenchPrefix, 0) == 0 && task.command != kSampleBenchmark))
+      return;
     if (makes_backbone(task)) return;
     const StageTask* first = &task;
     while (first->model) first = &plan_.tasks[*first->model];
