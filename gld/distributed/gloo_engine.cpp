@@ -460,7 +460,8 @@ class GlooTeam final : public ProcessTeam {
 std::vector<std::string> process_engines() { return {"gloo"}; }
 
 std::unique_ptr<ProcessTeam> join_processes(const ProcessPlacement& placement) {
-  // A write to a process that is gone would end this one by SIGPIPE before it can say so; it is an error like others then.
+  // A write to a process that is gone would end this one by SIGPIPE before it can say so. For the whole process, since
+  // gloo writes from threads of its own.
   std::signal(SIGPIPE, SIG_IGN);
   return std::make_unique<GlooTeam>(placement);
 }
