@@ -15,9 +15,11 @@ with the beginning of one command of the block: `left out`, or `with` options th
 commands of the program that have it. --keep leaves the scratch folder at DIR, which must not be there.
 """
 import argparse
+import os
 import pathlib
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -99,18 +101,22 @@ def has_threads(program, text):
     return re.search(r"^  --threads ", told, re.M) is not None
 
 
-def run(text, scratch, what):
-    """Seconds that it took; None and what it said where it failed."""
+def run(text, scratch, failed):
+    """Seconds that it took. Where it does not end with 0 its last lines are shown, and failed is called with its status."""
     begin = time.monotonic()
+    # A session of its own, so that what bash started ends with it.
+    process = subprocess.Popen(["bash", "-euo", "pipefail", "-c", text], cwd=scratch, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                               stderr=subprocess.STDOUT, text=True, errors="replace", start_new_session=True)
     try:
-        done = subprocess.run(["bash", "-euo", "pipefail", "-c", text], cwd=scratch, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                              stderr=subprocess.STDOUT, text=True, errors="replace", timeout=LONGEST_SECONDS)
-        said, status = done.stdout, done.returncode
-    except subprocess.TimeoutExpired as late:
-        said, status = (late.stdout or b"").decode(errors="replace"), f"no end within {LONGEST_SECONDS} s"
+        said, _ = process.communicate(timeout=LONGEST_SECONDS)
+        status = process.returncode
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        said, _ = process.communicate()
+        status = f"no end within {LONGEST_SECONDS} s"
     if status != 0:
         print("\n".join(re.split(r"[\n\r]", said)[-30:]))
-        what(status)
+        failed(status)
     return time.monotonic() - begin
 
 

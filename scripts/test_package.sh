@@ -53,7 +53,8 @@ else
     exit 1
   fi
   echo "test_package: without LibTorch: $said"
-  if [ ! -s "$root/opt/$name/docs/SAMPLING.md" ] || [ ! -s "$root/opt/$name/share/gld/notices/fonts-dejavu-core" ]; then
+  if [ ! -s "$root/opt/$name/docs/SAMPLING.md" ] || [ ! -s "$root/opt/$name/share/gld/notices/fonts-dejavu-core" ] ||
+    [ ! -s "$root/opt/$name/share/gld/notices/libtinygltf-dev" ]; then
     echo "test_package: expected pages and notices in $name, found $(ls "$root/opt/$name" "$root/opt/$name/share/gld")." >&2
     exit 1
   fi

@@ -35,7 +35,7 @@ nlohmann::ordered_json parsed(const std::string& probed, const std::filesystem::
   try {
     return parse_ordered_json(probed, video.string());
   } catch (const Error& error) {
-    fail({video.string(), "ffprobe to describe it as JSON", error.parts().found,
+    fail({video.string(), "ffprobe to describe it as JSON", "text that is none (" + error.parts().found + ")",
           "install FFmpeg again (apt install ffmpeg), or give single pictures"});
   }
 }

@@ -1,9 +1,9 @@
-"""The splats.ply of a run of gld sample, as other programs read and draw it.
+"""The splats.ply that gld splat fit makes of a run of gld sample, as other programs read and draw it.
 
 splat_ply_reader_test.py GLD SCRATCH
 
 GLD is the program. The room, the sources and the orbit are those of scripts/demo.sh, at the size that the model sees,
-since depth has that size. The file is read by pip's plyfile and drawn by a splatter that is written here from what is
+so that a minute is enough. The file is read by pip's plyfile and drawn by a splatter that is written here from what is
 published (Kerbl et al., 3D Gaussian Splatting for Real-Time Radiance Field Rendering, 2023; Zwicker et al., EWA Volume
 Splatting, 2001), not from this project. Debian's python3-numpy and build/venv-testing are what it needs
 (scripts/setup.sh --testing).

@@ -101,9 +101,10 @@ std::vector<std::string> stages_of(const AblationPlan& plan) {
 TEST_F(StagePlan, RefusesAModelWithoutABackbone) {
   const auto model = folder_.path() / "model";
   std::filesystem::remove(ModelBundle::open(model).file(BundlePart::backbone()));
-  EXPECT_EQ(error(std::string(kTwoStages) + "variants: {a: {}, b: {}}\n"),
-            "a.yaml, variant 'a', stage 'train': expected a backbone with weights in " + model.string() +
-                ", found none; train it or convert it into that folder (docs/WEIGHTS.md), or name another --model.");
+  EXPECT_EQ(
+      error(std::string(kTwoStages) + "variants: {a: {}, b: {}}\n"),
+      "a.yaml, variant 'a', stage 'train': expected a backbone with weights in " + model.string() +
+          ", found none; train it or convert it into that folder (docs/WEIGHTS.md), or name another --model.");
 }
 
 TEST_F(StagePlan, RunsOnceWhatVariantsHaveInCommon) {

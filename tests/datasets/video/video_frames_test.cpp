@@ -121,10 +121,11 @@ TEST_F(VideoFrames, OfAnFfprobeThatSaysNothingAreRefusedInASentence) {
   ::setenv("PATH", (programs.string() + ":" + path).c_str(), 1);
   const std::string refused = error_of([&] { sharpest_frames(file, 3, frames_folder()); });
   ::setenv("PATH", path.c_str(), 1);
-  EXPECT_EQ(refused,
-            file.string() +
-                ": expected ffprobe to describe it as JSON, found a syntax error; install FFmpeg again "
-                "(apt install ffmpeg), or give single pictures.");
+  EXPECT_EQ(
+      refused,
+      file.string() +
+          ": expected ffprobe to describe it as JSON, found text that is none (a syntax error); install FFmpeg again "
+          "(apt install ffmpeg), or give single pictures.");
 }
 
 // A list names another file: it is not opened, though it is there and would do.

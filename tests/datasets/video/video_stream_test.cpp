@@ -56,8 +56,8 @@ TEST(VideoStream, WithoutTimeOrRateIsASentence) {
 
 TEST(VideoStream, ThatIsNoJsonIsASentence) {
   const auto expected = [](const std::string& found) {
-    return "walk.mp4: expected ffprobe to describe it as JSON, found " + found +
-           "; install FFmpeg again (apt install ffmpeg), or give single pictures.";
+    return "walk.mp4: expected ffprobe to describe it as JSON, found text that is none (" + found +
+           "); install FFmpeg again (apt install ffmpeg), or give single pictures.";
   };
   EXPECT_EQ(refusal(""), expected("a syntax error"));
   EXPECT_EQ(refusal(R"({"streams": [)"), expected("a syntax error"));

@@ -55,11 +55,10 @@ TEST(OneStepUpdate, GainsAreThoseOfTheSchedule) {
     int64_t timestep;
     double signal, latent, noise;
   };
-  for (const Row& row : {Row{10, 0.9904313091, 1.004818956, 0.098291074},
-                         Row{100, 0.8942234776, 1.057491697, 0.343931226},
-                         Row{300, 0.5905010588, 1.301336646, 0.832752703},
-                         Row{500, 0.2763326838, 1.902321308, 1.618278826},
-                         Row{900, 0.0141511420, 8.406287828, 8.346596615}}) {
+  for (const Row& row :
+       {Row{10, 0.9904313091, 1.004818956, 0.098291074}, Row{100, 0.8942234776, 1.057491697, 0.343931226},
+        Row{300, 0.5905010588, 1.301336646, 0.832752703}, Row{500, 0.2763326838, 1.902321308, 1.618278826},
+        Row{900, 0.0141511420, 8.406287828, 8.346596615}}) {
     EXPECT_NEAR(alpha_bar(row.timestep), row.signal, 1e-9) << row.timestep;
     const OneStepGains published = one_step_gains(row.timestep, OneStepForm::kPublished);
     const OneStepGains identity = one_step_gains(row.timestep, OneStepForm::kIdentity);
