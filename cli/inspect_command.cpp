@@ -22,11 +22,11 @@ Command make_inspect_command() {
   auto options = std::make_shared<InspectOptions>();
   Command command;
   command.name = "inspect";
-  command.summary = "Say what a weight file, model bundle, run folder, PNG or PLY file holds";
+  command.summary = "Say what a weight file, model bundle, run folder, PNG, PLY or GLB file holds";
   command.description =
       "Reads safetensors and PyTorch files (.pt, .pth) without running anything in them. "
       "The parts of a bundle are checked against its model.yaml. Of a run folder it says the kind, the state, "
-      "the checkpoints with step and loss, and the next command; of PNG and PLY files where they come from.";
+      "the checkpoints with step and loss, and the next command; of PNG, PLY and GLB files where they come from.";
   command.arguments = {"FILE|FOLDER", 1, 1};
   command.options = options;
   command.run = [options](const std::vector<std::string>& arguments) {

@@ -10,6 +10,7 @@
 #include <limits>
 #include <map>
 #include <set>
+#include <stdexcept>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -81,8 +82,11 @@ inline std::vector<std::vector<double>> accessor_values(const GltfFile& file, si
                                           std::vector<double>(components));
   for (size_t i = 0; i < values.size(); ++i) {
     for (size_t c = 0; c < components; ++c) {
-      const char* at = file.binary.data() + view.value("byteOffset", size_t{0}) +
-                       accessor.value("byteOffset", size_t{0}) + i * stride + c * size;
+      const size_t place = view.value("byteOffset", size_t{0}) + accessor.value("byteOffset", size_t{0}) +
+                           i * stride + c * size;
+      if (place > file.binary.size() || size > file.binary.size() - place)
+        throw std::out_of_range("an accessor that reaches beyond the binary chunk");
+      const char* at = file.binary.data() + place;
       if (type == 5126) {
         float value = 0;
         std::memcpy(&value, at, 4);
@@ -92,8 +96,8 @@ inline std::vector<std::vector<double>> accessor_values(const GltfFile& file, si
         std::memcpy(&value, at, 4);
         values[i][c] = value;
       } else {
-        uint16_t value = 0;
-        std::memcpy(&value, at, 2);
+        uint16_t value = 0;  // of one byte or two, little endian
+        std::memcpy(&value, at, size);
         values[i][c] = value;
       }
     }
