@@ -69,7 +69,7 @@ fi
 # A configuration of its own: clang cannot read g++'s precompiled header, and a unity build has no commands for single
 # sources. Nothing is built in it but a header that is written.
 cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DGLD_UNITY=$unity -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON >/dev/null
-cmake --build "$build" --target bench_commit gld/page/embedded_page.cpp >/dev/null
+cmake --build "$build" --target gld_commit gld/page/embedded_page.cpp >/dev/null
 
 # Sources that this build leaves out (the fuzzers) have no command.
 known=$(sed -nE 's/^ *"file": "(.*)",?$/\1/p' "$build/compile_commands.json")

@@ -37,7 +37,7 @@ function commandBox() {
       window.getSelection().selectAllChildren(text);
     }
   });
-  return element("div", {className: "command"}, element("div", {className: "hint"}, "The command that makes this again; paths are those of the folder it ran in."), text, copy);
+  return element("div", {className: "command"}, element("div", {className: "hint"}, "The command that makes this again; folders stand here by their last names: put yours in their place."), text, copy);
 }
 
 function showMaking(main) {

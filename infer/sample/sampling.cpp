@@ -245,7 +245,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
                           {"hash", prepared.geometry_model->content_hash()}};
     if (options.geometry_cameras == GeometryCameras::kGiven) report["geometry"]["cameras"] = "given";
   }
-  report["command_line"] = command_line_text("sample", options, SampleOptions());
+  report["command_line"] = command_line_text("sample", options, SampleOptions()) + " --out runs/again";
   report["seed"] = options.seed;
   report["scene"] = {{"name", scene.name},        {"format", prepared.found.format},
                      {"width", scene.size.width}, {"height", scene.size.height},

@@ -102,6 +102,7 @@ TEST_F(Sampling, ThePageIsMadeAgainFromTheFolderAlone) {
   EXPECT_THAT(page, testing::Not(HasSubstr(folder_->path().string())));
   EXPECT_THAT(report.at("command_line").get<std::string>(), HasSubstr("gld sample --model "));
   EXPECT_THAT(report.at("command_line").get<std::string>(), HasSubstr(" --outputs image,page"));
+  EXPECT_THAT(report.at("command_line").get<std::string>(), testing::EndsWith(" --out runs/again"));
   write_run_page(out, PageOptions());
   EXPECT_EQ(read_file(out / "report.html"), page);
   asked = options("without_page");
