@@ -70,6 +70,7 @@ double focal_length_of(const RecoveredCamera& recovered) {
 SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
                        const std::vector<PhotographLens>& lenses, const std::vector<size_t>& photographs) {
   std::vector<double> logs;
+  logs.reserve(photographs.size());
   for (const size_t i : photographs) {
     logs.push_back(std::log(focal_length_of(recovered[i]) / lenses[i].longer_side));
   }
