@@ -39,8 +39,8 @@ ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& targ
 // kPrincipalPoint.
 ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropCentre centre);
 
-// The same crop of the same window at `times` the size, so that its camera is resized_camera() of the small one's: a plan made
-// for the larger size would round to other pixels.
+// The same crop of the same window at `times` the size, so that its camera is resized_camera() of the small one's: a
+// plan made for the larger size would round to other pixels.
 ResizeCrop magnified(ResizeCrop plan, int64_t times);
 
 // The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.

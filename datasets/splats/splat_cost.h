@@ -17,8 +17,8 @@ struct SplatWork {
 // A Gaussian a pixel and view, under the cap; as many as the cap where some are added.
 int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options);
 
-// Bytes of pictures, surface points, parameters with their moments and gradients, and lists of a view, where Gaussians are as
-// small as pixels.
+// Bytes of pictures, surface points, parameters with their moments and gradients, and lists of a view, where Gaussians
+// are as small as pixels.
 int64_t splat_fit_bytes(const SplatWork& work, const SplatFitOptions& options);
 
 // Splatting's speed has little to do with that of matrix products: some steps of a fit of this size are run, on a wavy

@@ -8,8 +8,8 @@
 
 namespace gld {
 
-// Which Gaussians of a view reach which strips (KernelTable::splat_strip pixels of a row) of a tile. Records are those of
-// one Gaussian after another; lists by strip are front to back, since the Gaussians are.
+// Which Gaussians of a view reach which strips (KernelTable::splat_strip pixels of a row) of a tile. Records are those
+// of one Gaussian after another; lists by strip are front to back, since the Gaussians are.
 struct TileRecords {
   std::vector<SplatRow> rows;          // (records)
   std::vector<int64_t> pixel;          // (records) offset of the strip in a plane

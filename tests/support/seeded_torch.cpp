@@ -1,5 +1,5 @@
 // Every test begins with the same random numbers of LibTorch, which seeds its generator from the clock otherwise: what
-// fails fails again. --gtest_random_seed=N draws others, as a bound that was fitted to one draw has to be found by hand.
+// fails fails again. --gtest_random_seed=N draws others, as a bound that was fitted to one draw is found by hand alone.
 // An object, because nobody has to call it.
 #include <torch/utils.h>
 

@@ -188,8 +188,8 @@ TEST_F(FusedAttentionTest, EmptyInputsGiveEmptyOrZeroOutputs) {
   EXPECT_EQ(attention(inputs).numel(), 0);
 }
 
-// The kernel of LibTorch 2 beside ours, and the sentence that LibTorch 1 gets: an entry of its own for each, so that the one
-// that cannot run is counted.
+// The kernel of LibTorch 2 beside ours, and the sentence that LibTorch 1 gets: an entry of its own for each, so that
+// the one that cannot run is counted.
 struct LibTorchsOwnKernel : testing::TestWithParam<ComputePrecision> {
   LibTorchsOwnKernel() { torch::manual_seed(7); }
 };
