@@ -188,7 +188,7 @@ void seen_colour(const GaussianSet& set, int64_t i, const Eigen::Vector3d& from_
   for (; k + 2 <= others; k += 2) {
     const double a = colour.harmonics[k + 1], b = colour.harmonics[k + 2];
     const double harmonics[6] = {a, a, a, b, b, b};
-    for (int i = 0; i < 6; ++i) sums[i] += harmonics[i] * static_cast<double>(rest[3 * k + i]);
+    for (int n = 0; n < 6; ++n) sums[n] += harmonics[n] * static_cast<double>(rest[3 * k + n]);
   }
   for (int c = 0; c < 3; ++c) {
     if (k < others) sums[c] += colour.harmonics[k + 1] * static_cast<double>(rest[3 * k + c]);
