@@ -9,6 +9,12 @@ set(CMAKE_DISABLE_FIND_PACKAGE_MKL ON)
 find_library(GLD_TORCH_CPU_LIBRARY torch_cpu HINTS ${Torch_DIR}/../../../lib)
 get_filename_component(gld_torch_libraries "${GLD_TORCH_CPU_LIBRARY}" DIRECTORY)
 if(GLD_TORCH_CPU_LIBRARY AND EXISTS ${gld_torch_libraries}/libtorch_cuda.so)
+  # The one that scripts/setup.sh lays beside PyTorch's package; elsewhere the system's. LibTorch's own search has another name for it.
+  file(GLOB gld_toolkit_beside ${gld_torch_libraries}/../../nvidia/cu*/bin/nvcc)
+  if(gld_toolkit_beside AND NOT CUDAToolkit_ROOT)
+    get_filename_component(CUDAToolkit_ROOT "${gld_toolkit_beside}/../.." REALPATH)
+    set(CUDA_TOOLKIT_ROOT_DIR "${CUDAToolkit_ROOT}")
+  endif()
   find_package(CUDAToolkit QUIET)
   set(gld_missing "")
   if(NOT CUDAToolkit_NVCC_EXECUTABLE)
@@ -64,6 +70,14 @@ if(TORCH_CXX_FLAGS MATCHES "_GLIBCXX_USE_CXX11_ABI=0")
                         "version, or 2.7 or newer.")
   endif()
   add_compile_definitions(_GLIBCXX_USE_CXX11_ABI=0)
+endif()
+
+# PyTorch's packages with CUDA show parts of a C++ library of their own to the whole process, std::filesystem::remove_all
+# among them, which there calls nothing (2.11: a fault at address 0): the compiler's library is asked first.
+if(Torch_VERSION VERSION_GREATER_EQUAL 2)
+  foreach(kind EXE SHARED)
+    string(PREPEND CMAKE_${kind}_LINKER_FLAGS "-Wl,--push-state,--no-as-needed,-lstdc++,--pop-state ")
+  endforeach()
 endif()
 
 # One OpenMP runtime in the process, LibTorch's where it brings one: a second would have a pool of threads of its own.

@@ -125,6 +125,25 @@ PYTHON
   [ "${kind%% *}" = cuda ] || only=(--no-deps)
   "$environment/bin/pip" install --quiet "${only[@]}" "$wanted"
 fi
+# To link with a LibTorch with CUDA, CMake wants the toolkit: nvcc, which torch does not ask for, and libraries by the names
+# that linkers look for. Packages before CUDA 13 have no toolkit that pip lays together; then the system's is needed.
+toolkit=$("$environment/bin/python" -c 'import importlib.metadata, importlib.util, pathlib
+try:
+    release = importlib.metadata.version("cuda-toolkit")
+except importlib.metadata.PackageNotFoundError:
+    raise SystemExit
+root = pathlib.Path(importlib.util.find_spec("nvidia").submodule_search_locations[0]) / ("cu" + release.split(".")[0])
+print(release, root)')
+if [ -n "$toolkit" ]; then
+  if [ ! -x "${toolkit#* }/bin/nvcc" ] || [ ! -e "${toolkit#* }/include/cccl" ]; then
+    "$environment/bin/pip" install --quiet "cuda-toolkit[nvcc,crt,nvvm,cccl]==${toolkit%% *}"
+  fi
+  [ -e "${toolkit#* }/lib64" ] || ln -s lib "${toolkit#* }/lib64"
+  for library in "${toolkit#* }"/lib/lib*.so.*; do
+    plain=${library%%.so.*}.so
+    [ -e "$plain" ] || ln -s "${library##*/}" "$plain"
+  done
+fi
 libtorch=$("$environment/bin/python" -c 'import importlib.util; print(importlib.util.find_spec("torch").submodule_search_locations[0])')
 echo "setup: LibTorch lies in $libtorch; build with scripts/build.sh --libtorch DIR, test with scripts/test.sh --libtorch DIR:"
 echo "$libtorch"
