@@ -1,5 +1,6 @@
 #include "cli/bench_command.h"
 
+#include "bench/device/device_benchmark.h"
 #include "bench/extremes/extremes_benchmark.h"
 #include "bench/kernels/attention_benchmark.h"
 #include "bench/kernels/forward_benchmark.h"
@@ -63,6 +64,9 @@ Command make_bench_command() {
                      run_splat_benchmark),
       report_command("train", "Training steps, their memory and the optimiser, as fractions of peak",
                      run_train_benchmark),
+      report_command("device",
+                     "M1 on a GPU: an evaluation, training steps and memory, as fractions of its products",
+                     run_device_benchmark),
       report_command(
           "processes",
           "What working together costs training, and a forecast for more; started in every process",

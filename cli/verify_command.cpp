@@ -2,6 +2,8 @@
 
 #include "gld/base/command_options.h"
 #include "gld/base/json_text.h"
+#include "gld/machine/precision_option.h"
+#include "gld/tensors/device.h"
 #include "verify/reference_runners.h"
 #include "verify/verification.h"
 
@@ -14,9 +16,11 @@ namespace {
 
 struct VerifyOptions : OptionsGroup {
   bool json = false;
+  std::string device = "cpu";
   ComputePrecision precision = ComputePrecision::kFloat32;
   void visit(FieldVisitor& visitor) override {
     visit_json(visitor, json);
+    visit_device(visitor, device);
     visit_choice(
         visitor,
         {"precision",
@@ -27,10 +31,12 @@ struct VerifyOptions : OptionsGroup {
 };
 
 int verify(const std::vector<std::string>& folders, const VerifyOptions& options) {
+  check_precision_on(options.device, options.precision);
+  const CaseCompute compute{options.precision, device_from_text(options.device)};
   const auto runners = reference_runners();
   std::vector<CaseVerification> results;
   for (const auto& folder : folders) {
-    results.push_back(verify_case(folder, runners, options.precision));
+    results.push_back(verify_case(folder, runners, compute));
     if (!options.json) std::cout << case_text(results.back()) << std::flush;
   }
   std::cout << (options.json ? json_text(verification_json(results), 2) + "\n" : summary_text(results));

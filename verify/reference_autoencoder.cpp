@@ -10,13 +10,13 @@ namespace gld {
 NamedTensors run_autoencoder_case(const ReferenceCase& reference) {
   BackboneOptions options;
   reference.read_config(options);
-  const auto autoencoder = options.make({});
+  const auto autoencoder = options.make(reference.placement());
   load_strict(*autoencoder, reference.weight_file());
   reference.apply_precision(*autoencoder, ModelKind::kRunOnce);
-  const auto images = reference.input("images", {-1, 3, -1, -1});
+  const auto images = reference.module_input("images", {-1, 3, -1, -1});
   const auto grid = options.grid_of(images.size(0), images.size(2), images.size(3));
   const auto tokens =
-      reference.input("tokens", {grid.views, grid.tokens_per_view(), options.level_channels()});
+      reference.module_input("tokens", {grid.views, grid.tokens_per_view(), options.level_channels()});
   return {{"latent_tokens", autoencoder->encode(images, 0).front()},
           {"images", autoencoder->decode(tokens, grid)}};
 }

@@ -82,10 +82,10 @@ void encode_known_cameras(const ReferenceCase& reference, const Backbone& backbo
 torch::Tensor propagation_input(const ReferenceCase& reference, int64_t level, int64_t channels) {
   const auto number = std::to_string(level);
   const auto whole = "propagate_input_level" + number, patches = "propagate_patches_level" + number;
-  if (reference.inputs.count(whole) > 0) return reference.input(whole, {-1, -1, channels});
+  if (reference.inputs.count(whole) > 0) return reference.module_input(whole, {-1, -1, channels});
   if (reference.inputs.count(patches) == 0) return {};
-  return torch::cat({reference.input("propagate_special_level" + number, {-1, -1, channels}),
-                     reference.input(patches, {-1, -1, channels})},
+  return torch::cat({reference.module_input("propagate_special_level" + number, {-1, -1, channels}),
+                     reference.module_input(patches, {-1, -1, channels})},
                     1);
 }
 
@@ -94,14 +94,14 @@ torch::Tensor propagation_input(const ReferenceCase& reference, int64_t level, i
 NamedTensors run_backbone_case(const ReferenceCase& reference) {
   BackboneOptions options;
   reference.read_config(options);
-  const auto backbone = options.make({});
+  const auto backbone = options.make(reference.placement());
   WeightSelection selection;
   selection.prefix = options.architecture().published_prefix();
   selection.elsewhere = options.architecture().published_elsewhere();
   load_strict(*backbone, reference.weight_file(), selection);
   reference.apply_precision(*backbone, ModelKind::kRunOnce);
 
-  const auto images = reference.input("images", {-1, 3, -1, -1});
+  const auto images = reference.module_input("images", {-1, 3, -1, -1});
   NamedTensors outputs;
   encode_group(reference, *backbone, "all_views", images, outputs);
   if (reference.expects_prefix("source_views.")) {

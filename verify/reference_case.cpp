@@ -67,6 +67,17 @@ torch::Tensor ReferenceCase::input(const std::string& input_name, const std::vec
   return found->second.is_floating_point() ? found->second.to(torch::kFloat32) : found->second;
 }
 
+torch::Tensor ReferenceCase::module_input(const std::string& input_name,
+                                          const std::vector<int64_t>& shape) const {
+  return input(input_name, shape).to(compute.device);
+}
+
+ParameterPlacement ReferenceCase::placement() const {
+  ParameterPlacement placement;
+  placement.device = compute.device;
+  return placement;
+}
+
 int64_t ReferenceCase::integer_input(const std::string& input_name) const {
   return input(input_name, {1}).to(torch::kInt64).item<int64_t>();
 }
@@ -84,8 +95,8 @@ bool ReferenceCase::expects_prefix(const std::string& prefix) const {
 }
 
 void ReferenceCase::apply_precision(torch::nn::Module& module, ModelKind kind) const {
-  if (precision == ComputePrecision::kFloat32) return;
-  use_precision(module, layer_precision(precision, kind));
+  if (compute.precision == ComputePrecision::kFloat32) return;
+  use_precision(module, layer_precision(compute.precision, kind));
   for (const auto& part : module.modules(/*include_self=*/false)) {
     if (dynamic_cast<const PrecisionLayer*>(part.get()) != nullptr) *precision_applied = true;
   }

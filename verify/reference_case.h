@@ -3,6 +3,7 @@
 #include "gld/base/options.h"
 #include "gld/files/weight_file.h"
 #include "models/layers/layer_precision.h"
+#include "models/layers/layers.h"
 
 #include <cstdint>
 #include <filesystem>
@@ -20,6 +21,12 @@ namespace gld {
 
 using NamedTensors = std::map<std::string, torch::Tensor>;
 
+// What modules of a case compute in, and where.
+struct CaseCompute {
+  ComputePrecision precision = ComputePrecision::kFloat32;
+  torch::Device device = torch::kCPU;
+};
+
 // A reference case: a folder with case.json (kind, config, relative_tolerance, note), inputs.safetensors,
 // outputs.safetensors and, where the case has weights, weights.safetensors. What the published implementation
 // computed from the inputs with those weights stands in the outputs.
@@ -33,8 +40,8 @@ struct ReferenceCase {
   std::string note;
   NamedTensors inputs;
   NamedTensors expected;
-  std::shared_ptr<const WeightFile> weights;                // null when the case has none
-  ComputePrecision precision = ComputePrecision::kFloat32;  // of the modules that runners build
+  std::shared_ptr<const WeightFile> weights;  // null when the case has none
+  CaseCompute compute;                        // of the modules that runners build
   // Set by apply_precision where it found layers; what has none runs in float32 and is held to its tolerance.
   std::shared_ptr<bool> precision_applied = std::make_shared<bool>(false);
 
@@ -47,6 +54,10 @@ struct ReferenceCase {
   // The input of that name; floating-point numbers as float32, integers as they are. Throws Error when the case
   // has none, or when its shape does not match: -1 accepts any size.
   torch::Tensor input(const std::string& input_name, const std::vector<int64_t>& shape) const;
+  // The same on the case's device, for a module; cameras stay where they are read.
+  torch::Tensor module_input(const std::string& input_name, const std::vector<int64_t>& shape) const;
+  // Where runners build modules.
+  ParameterPlacement placement() const;
   // An input that holds one integer.
   int64_t integer_input(const std::string& input_name) const;
   // The weights. Throws Error when the case has none.

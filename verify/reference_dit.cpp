@@ -114,8 +114,9 @@ torch::Tensor reference_latent(const ReferenceCase& reference, const std::string
                                const DitCaseOptions& options) {
   const auto grid = options.grid();
   const int64_t channels = options.model.in_channels, special = options.model.num_special_tokens;
-  if (special > 0) return reference.input(name, {grid.views, special + grid.tokens_per_view(), channels});
-  return reference.input(name, {grid.views, channels, grid.height, grid.width})
+  if (special > 0)
+    return reference.module_input(name, {grid.views, special + grid.tokens_per_view(), channels});
+  return reference.module_input(name, {grid.views, channels, grid.height, grid.width})
       .flatten(2)
       .transpose(1, 2)
       .contiguous();
@@ -145,7 +146,7 @@ DitSceneInputs reference_scene(const ReferenceCase& reference, const DitCaseOpti
 
 std::shared_ptr<DitDh> reference_dit(const ReferenceCase& reference, const DitOptions& options,
                                      const std::string& prefix) {
-  auto model = std::make_shared<DitDh>(options, ParameterPlacement{});
+  auto model = std::make_shared<DitDh>(options, reference.placement());
   WeightSelection selection;
   selection.prefix = prefix;
   load_strict(*model, reference.weight_file(), selection);

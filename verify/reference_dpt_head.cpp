@@ -46,7 +46,7 @@ NamedTensors run_vggt_dpt_case(const ReferenceCase& reference) {
   VggtDptCaseOptions options;
   reference.read_config(options);
   const bool depth = options.output == VggtDptOutput::kDepth;
-  VggtDptHead head(options.sizes, options.output, {});
+  VggtDptHead head(options.sizes, options.output, reference.placement());
   WeightSelection selection;
   selection.prefix = depth ? "depth_head." : "point_head.";
   load_strict(head, reference.weight_file(), selection);
@@ -58,8 +58,9 @@ NamedTensors run_vggt_dpt_case(const ReferenceCase& reference) {
   std::vector<torch::Tensor> levels;
   levels.reserve(4);
   for (int level = 0; level < 4; ++level) {
-    levels.push_back(reference.input("level" + std::to_string(level), {-1, tokens, options.sizes.dim_in})
-                         .slice(1, options.num_special_tokens));
+    levels.push_back(
+        reference.module_input("level" + std::to_string(level), {-1, tokens, options.sizes.dim_in})
+            .slice(1, options.num_special_tokens));
   }
   grid.views = levels[0].size(0);
   const auto maps = head.forward(levels, grid);
@@ -100,11 +101,11 @@ struct CameraDecoderCaseOptions : OptionsGroup {
 NamedTensors run_camera_decoder_case(const ReferenceCase& reference) {
   CameraDecoderCaseOptions options;
   reference.read_config(options);
-  CameraDecoder decoder(options.dim_in, {});
+  CameraDecoder decoder(options.dim_in, reference.placement());
   WeightSelection selection;
   selection.prefix = "model.cam_dec.";
   load_strict(decoder, reference.weight_file(), selection);
-  const auto encodings = decoder.forward(reference.input("camera_tokens", {-1, options.dim_in}));
+  const auto encodings = decoder.forward(reference.module_input("camera_tokens", {-1, options.dim_in}));
   std::vector<torch::Tensor> poses, intrinsics;
   for (const Camera& camera : decoded_cameras(encodings, {options.width, options.height})) {
     const Eigen::Matrix<double, 3, 4, Eigen::RowMajor> pose =
@@ -122,11 +123,11 @@ NamedTensors run_camera_decoder_case(const ReferenceCase& reference) {
 NamedTensors run_camera_head_case(const ReferenceCase& reference) {
   CameraHeadCaseOptions options;
   reference.read_config(options);
-  VggtCameraHead head(options.sizes, {});
+  VggtCameraHead head(options.sizes, reference.placement());
   WeightSelection selection;
   selection.prefix = "camera_head.";
   load_strict(head, reference.weight_file(), selection);
-  const auto tokens = reference.input("level3", {-1, -1, options.sizes.dim_in});
+  const auto tokens = reference.module_input("level3", {-1, -1, options.sizes.dim_in});
   const auto cameras = head.forward(tokens.select(1, 0));
   return {{"pose_encoding", cameras.encoding},
           {"camera_from_world", cameras.camera_from_world()},
@@ -137,7 +138,7 @@ NamedTensors run_dpt_head_case(const ReferenceCase& reference) {
   if (reference.config.value("type", "da3") == "vggt") return run_vggt_dpt_case(reference);
   DptHeadCaseOptions options;
   reference.read_config(options);
-  DptHead head(options, {});
+  DptHead head(options, reference.placement());
   WeightSelection selection;
   selection.prefix = DptHead::kPrefix;
   load_strict(head, reference.weight_file(), selection);
@@ -148,8 +149,8 @@ NamedTensors run_dpt_head_case(const ReferenceCase& reference) {
   std::vector<torch::Tensor> levels;
   levels.reserve(4);
   for (int level = 0; level < 4; ++level) {
-    levels.push_back(
-        reference.input("level" + std::to_string(level), {-1, grid.tokens_per_view(), options.dim_in}));
+    levels.push_back(reference.module_input("level" + std::to_string(level),
+                                            {-1, grid.tokens_per_view(), options.dim_in}));
   }
   grid.views = levels[0].size(0);
   const auto maps = head.forward(levels, grid, GeometryMaps::kDepthAndRays);

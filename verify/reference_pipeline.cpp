@@ -52,7 +52,7 @@ std::shared_ptr<Module> loaded(std::shared_ptr<Module> module, const std::string
 }
 
 PipelineModels case_models(const ReferenceCase& reference, const PipelineCaseOptions& options) {
-  const ParameterPlacement placement;
+  const ParameterPlacement placement = reference.placement();
   PipelineModels models;
   models.backbone = [=, &reference] {
     return loaded(options.backbone.make(placement), options.backbone.architecture().published_prefix(),
@@ -75,7 +75,7 @@ PipelineModels case_models(const ReferenceCase& reference, const PipelineCaseOpt
     LevelStatistics statistics;
     statistics.patches = read_latent_statistics(
         reference.weight_file(), fmt::format("stats.level{}.", generator.level), options.stats_eps);
-    models.statistics.push_back(statistics);
+    models.statistics.push_back(statistics.to(reference.compute.device));
   }
   return models;
 }
@@ -92,6 +92,7 @@ NamedTensors run_pipeline_case(const ReferenceCase& reference) {
     dit->num_sources = options.num_sources;
   }
   PipelineRequest request;
+  request.device = reference.compute.device;
   request.views =
       reference_views(reference, {options.num_views, options.num_sources, options.width, options.height});
   request.source_images = reference.input("images", {options.num_views, 3, options.height, options.width})

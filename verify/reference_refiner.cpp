@@ -30,10 +30,10 @@ std::vector<Camera> cameras_of(const torch::Tensor& camera_to_world) {
 NamedTensors run_refiner_case(const ReferenceCase& reference) {
   RefinerOptions options;
   reference.read_config(options);
-  DenoisingUnet unet(options, {});
+  DenoisingUnet unet(options, reference.placement());
   load_strict(unet, reference.weight_file());
   reference.apply_precision(unet, ModelKind::kRunOnce);
-  const auto latents = reference.input("latents", {-1, options.latent_channels, -1, -1}).unsqueeze(0);
+  const auto latents = reference.module_input("latents", {-1, options.latent_channels, -1, -1}).unsqueeze(0);
   const auto cameras = cameras_of(reference.input("camera_to_world", {-1, 4, 4}));
   std::vector<double> left;
   for (int64_t timestep = 0; timestep < kDiffusionSteps; ++timestep) left.push_back(alpha_bar(timestep));

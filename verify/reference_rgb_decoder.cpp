@@ -23,7 +23,7 @@ struct RgbDecoderCaseOptions : RgbDecoderOptions {
 NamedTensors run_rgb_decoder_case(const ReferenceCase& reference) {
   RgbDecoderCaseOptions options;
   reference.read_config(options);
-  RgbDecoder decoder(options, {});
+  RgbDecoder decoder(options, reference.placement());
   WeightSelection selection;
   selection.prefix = RgbDecoder::kPrefix;
   load_strict(decoder, reference.weight_file(), selection);
@@ -32,7 +32,7 @@ NamedTensors run_rgb_decoder_case(const ReferenceCase& reference) {
   LatentGrid grid;
   grid.height = options.height / options.patch_size;
   grid.width = options.width / options.patch_size;
-  const auto features = reference.input("features", {-1, grid.tokens_per_view(), options.in_channels});
+  const auto features = reference.module_input("features", {-1, grid.tokens_per_view(), options.in_channels});
   grid.views = features.size(0);
   const auto logits = decoder.logits(features, grid);
   const auto image = decoder.unpatchify(logits, grid);

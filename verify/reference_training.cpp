@@ -22,7 +22,7 @@ struct TrainingCaseOptions : DitCaseOptions {
 
 NamedTensors run_train_diffusion_case(const ReferenceCase& given) {
   ReferenceCase reference = given;
-  reference.precision = ComputePrecision::kFloat32;  // what the case was made in, and held to
+  reference.compute.precision = ComputePrecision::kFloat32;  // what the case was made in, and held to
   TrainingCaseOptions options;
   reference.read_config(options);
   const auto model = reference_dit(reference, options.model);

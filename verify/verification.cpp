@@ -128,14 +128,14 @@ double tolerance_in(ComputePrecision precision, double relative_tolerance) {
 }
 
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
-                             ComputePrecision precision) {
+                             const CaseCompute& compute) {
   CaseVerification result;
   result.folder = folder;
   torch::NoGradGuard no_grad;
   const auto start = std::chrono::steady_clock::now();
   try {
     auto reference = read_reference_case(folder);
-    reference.precision = precision;
+    reference.compute = compute;
     result.folder = reference.folder;
     result.kind = reference.kind;
     const auto runner = runners.find(reference.kind);
@@ -149,7 +149,7 @@ CaseVerification verify_case(const std::filesystem::path& folder, const Referenc
     }
     const NamedTensors computed = runner->second(reference);
     if (*reference.precision_applied) {
-      reference.relative_tolerance = tolerance_in(precision, reference.relative_tolerance);
+      reference.relative_tolerance = tolerance_in(compute.precision, reference.relative_tolerance);
     }
     result.tensors = compare_outputs(reference, computed);
   } catch (const Interrupted&) {

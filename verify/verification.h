@@ -52,7 +52,7 @@ double tolerance_in(ComputePrecision precision, double relative_tolerance);
 // Reads, runs and compares one case. Never throws for a fault of the case: it becomes the error of the
 // result. Runs without autograd; a runner that needs gradients switches it on for itself.
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
-                             ComputePrecision precision = ComputePrecision::kFloat32);
+                             const CaseCompute& compute = {});
 
 // One line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
 std::string case_text(const CaseVerification& result);

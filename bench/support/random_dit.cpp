@@ -12,9 +12,7 @@ namespace {
 
 constexpr uint64_t kWeightSeed = 1, kSourceSeed = 2, kNoiseSeed = 3;
 
-std::shared_ptr<DitDh> copy_in(const DitDh& model, torch::Dtype dtype) {
-  ParameterPlacement placement;
-  placement.dtype = dtype;
+std::shared_ptr<DitDh> copied(const DitDh& model, const ParameterPlacement& placement) {
   auto copy = std::make_shared<DitDh>(model.options(), placement);
   const at::NoGradGuard no_grad;
   const auto from = model.named_parameters();
@@ -22,9 +20,9 @@ std::shared_ptr<DitDh> copy_in(const DitDh& model, torch::Dtype dtype) {
   return copy;
 }
 
-torch::Tensor random(c10::IntArrayRef sizes, uint64_t seed, torch::Dtype dtype) {
+torch::Tensor random(c10::IntArrayRef sizes, uint64_t seed, const torch::Tensor& like) {
   return torch::randn(sizes, at::detail::createCPUGenerator(seed), torch::TensorOptions(torch::kFloat32))
-      .to(dtype);
+      .to(like.options());
 }
 
 }  // namespace
@@ -45,26 +43,36 @@ std::shared_ptr<DitDh> dit_with_random_weights(const DitOptions& options) {
 }
 
 std::shared_ptr<DitDh> packed_copy(const DitDh& model, ComputePrecision precision) {
-  auto copy = copy_in(model, torch::kFloat32);
+  auto copy = copy_on(model, model.parameters().front().device());
   LayerPrecision layers = layer_precision(precision, ModelKind::kGenerator);
   layers.originals = PackedOriginals::kRelease;
   use_precision(*copy, layers);
   return copy;
 }
 
-std::shared_ptr<DitDh> double_copy(const DitDh& model) { return copy_in(model, torch::kFloat64); }
+std::shared_ptr<DitDh> double_copy(const DitDh& model) {
+  ParameterPlacement placement;
+  placement.dtype = torch::kFloat64;
+  return copied(model, placement);
+}
+
+std::shared_ptr<DitDh> copy_on(const DitDh& model, const torch::Device& device) {
+  ParameterPlacement placement;
+  placement.device = device;
+  return copied(model, placement);
+}
 
 RandomDitScene random_scene_for(const DitDh& model, const RandomDitSceneSettings& settings) {
-  const torch::Dtype dtype = model.parameters().front().scalar_type();
+  const torch::Tensor like = model.parameters().front();
   const int64_t tokens = model.tokens_per_view(settings.grid), channels = model.options().in_channels;
   DitSceneInputs inputs;
   inputs.views = cameras_in_a_row(settings.cameras);
-  inputs.source_features = random({settings.cameras.sources, tokens, channels}, kSourceSeed, dtype);
+  inputs.source_features = random({settings.cameras.sources, tokens, channels}, kSourceSeed, like);
   set_no_warp(inputs, model.options());
   RandomDitScene made;
   made.scene = model.prepare_scene(inputs);
   made.time = model.time_rows({settings.flow_time}).front();
-  made.noisy = random({settings.cameras.views, tokens, channels}, kNoiseSeed, dtype);
+  made.noisy = random({settings.cameras.views, tokens, channels}, kNoiseSeed, like);
   return made;
 }
 

@@ -16,6 +16,8 @@ std::shared_ptr<DitDh> dit_with_random_weights(const DitOptions& options);
 
 // The same weights, packed for a precision; they can be read no more.
 std::shared_ptr<DitDh> packed_copy(const DitDh& model, ComputePrecision precision);
+// The same weights on a device.
+std::shared_ptr<DitDh> copy_on(const DitDh& model, const torch::Device& device);
 // The same weights in float64.
 std::shared_ptr<DitDh> double_copy(const DitDh& model);
 

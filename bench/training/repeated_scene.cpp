@@ -14,17 +14,20 @@ constexpr double kFlowTime = 0.7;
 
 }  // namespace
 
-RepeatedScene::RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size)
+RepeatedScene::RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size,
+                             const torch::Device& device)
     : grid_(bundle.backbone.grid_of(size.views, size.image.height, size.image.width)) {
   auto generator = at::detail::createCPUGenerator(1);
-  dit_ = std::make_shared<DitDh>(options, ParameterPlacement{});
+  ParameterPlacement placement;
+  placement.device = device;
+  dit_ = std::make_shared<DitDh>(options, placement);
   dit_->initialise(generator);
   const int64_t tokens = dit_->tokens_per_view(grid_), channels = options.in_channels;
   inputs_.views = cameras_in_a_row(size);
   set_no_warp(inputs_, options);
-  inputs_.source_features = torch::randn({size.sources, tokens, channels}, generator);
-  clean_ = torch::randn({size.views, tokens, channels}, generator);
-  noise_ = torch::randn({size.views, tokens, channels}, generator);
+  inputs_.source_features = torch::randn({size.sources, tokens, channels}, generator).to(device);
+  clean_ = torch::randn({size.views, tokens, channels}, generator).to(device);
+  noise_ = torch::randn({size.views, tokens, channels}, generator).to(device);
 }
 
 double RepeatedScene::flop() const { return dit_cost(dit_->options(), grid_).flop(); }

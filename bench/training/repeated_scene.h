@@ -20,7 +20,8 @@ constexpr double kForwardsAStep = 3;
 // benchmarks of training compute.
 class RepeatedScene : public Objective {
  public:
-  RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size);
+  RepeatedScene(const BundleOptions& bundle, const DitOptions& options, const CameraRow& size,
+                const torch::Device& device = torch::kCPU);
 
   void store(ActivationStorage storage) { dit_->set_activation_storage(storage); }
   double flop() const;  // of a forward pass
@@ -28,7 +29,7 @@ class RepeatedScene : public Objective {
   torch::Tensor loss() const;
 
   std::string kind() const override { return "bench"; }
-  torch::Device device() const override { return torch::kCPU; }
+  torch::Device device() const override { return clean_.device(); }
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override { return named_parameters(*dit_); }
   Losses losses(const TrainingBatch& /*batch*/, const StepContext& /*context*/) override {

@@ -34,30 +34,35 @@ class RecordOnExit {
     record.name = name_;
     record.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
     record.peak_bytes = peak_resident_bytes();
+    record.device_bytes = device_bytes_;
     records_.push_back(record);
     release_kept_blocks();  // the next stage's tensors have other sizes
   }
   RecordOnExit(const RecordOnExit&) = delete;
   RecordOnExit& operator=(const RecordOnExit&) = delete;
+  void set_device_bytes(int64_t bytes) { device_bytes_ = bytes; }
 
  private:
   std::vector<StageRecord>& records_;
   std::string name_;
   std::chrono::steady_clock::time_point start_;
+  int64_t device_bytes_ = 0;
 };
 
 }  // namespace
 
 void StageRecords::run(const std::string& name, const std::function<void()>& work) {
   if (on_start_) on_start_(name);
-  const RecordOnExit record(records_, name);
+  RecordOnExit record(records_, name);
   work();
+  if (finish_) record.set_device_bytes(finish_());
 }
 
 nlohmann::ordered_json StageRecords::to_json() const {
   auto list = nlohmann::ordered_json::array();
   for (const auto& record : records_) {
     list.push_back({{"stage", record.name}, {"seconds", record.seconds}, {"peak_bytes", record.peak_bytes}});
+    if (record.device_bytes > 0) list.back()["device_bytes"] = record.device_bytes;
   }
   return list;
 }

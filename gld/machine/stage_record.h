@@ -15,6 +15,8 @@ struct StageRecord {
   std::string name;
   double seconds = 0;
   int64_t peak_bytes = 0;  // largest resident memory of the process while the stage ran; 0 where unknown
+  int64_t device_bytes =
+      0;  // most of a GPU's memory that tensors had while the stage ran; 0 without one or where unknown
 };
 
 // Runs stages one after another and keeps their records.
@@ -24,6 +26,9 @@ class StageRecords {
   void run(const std::string& name, const std::function<void()>& work);
   // Called with the name of each stage before it begins.
   void on_start(std::function<void(const std::string& name)> called) { on_start_ = std::move(called); }
+  // Called when a stage's work has returned, within its time: waits for what a device still computes, and says what
+  // device_bytes is.
+  void finish_by(std::function<int64_t()> called) { finish_ = std::move(called); }
 
   const std::vector<StageRecord>& records() const { return records_; }
   nlohmann::ordered_json to_json() const;
@@ -31,6 +36,7 @@ class StageRecords {
  private:
   std::vector<StageRecord> records_;
   std::function<void(const std::string& name)> on_start_;
+  std::function<int64_t()> finish_;
 };
 
 // Largest resident memory of this process since the last reset, in bytes; 0 where the system does not tell (it comes

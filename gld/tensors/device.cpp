@@ -1,13 +1,18 @@
 #include "gld/tensors/device.h"
 
 #include "gld/base/error.h"
+#include "gld/machine/processor_name.h"
 #include "gld/tensors/torch_version.h"
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 
 #include <ATen/Context.h>
 #include <ATen/core/dispatch/Dispatcher.h>
 #include <torch/cuda.h>
+
+#include <dlfcn.h>
 
 namespace gld {
 
@@ -33,6 +38,34 @@ torch::Device device_from_text(const std::string& text) {
   }
   sum_gpu_products_in_float32();
   return {torch::kCUDA, static_cast<c10::DeviceIndex>(std::stoi(number))};
+}
+
+std::string device_name(const torch::Device& device) {
+  if (device.is_cpu()) return processor_name();
+  // The driver's own function, which needs neither CUDA's headers nor its runtime; a LibTorch with CUDA has loaded it.
+  using GetDevice = int (*)(int*, int);
+  using GetName = int (*)(char*, int, int);
+  std::array<char, 256> name{};
+  int handle = 0;
+  void* driver = ::dlopen("libcuda.so.1", RTLD_LAZY);
+  if (driver == nullptr) return device.str();
+  const auto get_device = reinterpret_cast<GetDevice>(::dlsym(driver, "cuDeviceGet"));
+  const auto get_name = reinterpret_cast<GetName>(::dlsym(driver, "cuDeviceGetName"));
+  const bool known = get_device != nullptr && get_name != nullptr &&
+                     get_device(&handle, std::max<int>(0, device.index())) == 0 &&
+                     get_name(name.data(), static_cast<int>(name.size()) - 1, handle) == 0;
+  return known ? name.data() : device.str();
+}
+
+void finish_queued_work(const torch::Device& device) {
+  if (device.is_cuda()) torch::cuda::synchronize(device.index());
+}
+
+int64_t finish_stage_on(const torch::Device& device) {
+  finish_queued_work(device);
+  const int64_t bytes = most_used_device_bytes(device);
+  reset_most_used_device_bytes(device);
+  return bytes;
 }
 
 }  // namespace gld

@@ -1,6 +1,7 @@
 #include "gld/tensors/fused_ops.h"
 
 #include "gld/kernels/kernel_table.h"
+#include "gld/tensors/torch_version.h"
 
 #include <algorithm>
 #include <cmath>
@@ -73,12 +74,27 @@ torch::Tensor composed_rms_norm(const RmsNormInputs& inputs) {
   return inputs.scale.defined() ? y * (1.0 + inputs.scale) + inputs.shift : y;
 }
 
+// On a GPU in few passes over x. Only rows whose squares could overflow are divided, by a power of two beside whose
+// square epsilon is nothing; what is far below sqrt(epsilon) may lose its square.
+torch::Tensor rms_norm_by_library(const RmsNormInputs& inputs) {
+  constexpr double kLargestExponent = 60;  // 2^60, squared and summed over any row, is far from 2^128
+  const auto wide = inputs.x.to(torch::kFloat32);
+  const auto largest = torch::linalg_vector_norm(wide.detach(), std::numeric_limits<double>::infinity(), {-1},
+                                                 /*keepdim=*/true);
+  const auto divisor = torch::exp2(torch::floor(torch::log2(largest)) - kLargestExponent).clamp_min(1.0);
+  const auto y = library_rms_norm(wide / divisor, inputs.weight, inputs.epsilon);
+  if (inputs.scale.defined()) return torch::addcmul(inputs.shift, y, 1.0 + inputs.scale);
+  return inputs.weight.defined() ? y : y.to(inputs.x.scalar_type());
+}
+
 }  // namespace
 
 torch::Tensor rms_norm(const RmsNormInputs& inputs) {
   if (inputs.x.dim() < 1 || inputs.x.numel() == 0 ||
       !one_pass_applies({inputs.x, inputs.weight, inputs.shift, inputs.scale})) {
-    return composed_rms_norm(inputs);
+    const bool library = has_library_rms_norm(inputs.x.device()) && inputs.x.element_size() <= 4 &&
+                         inputs.epsilon > 0 && inputs.x.numel() > 0;
+    return library ? rms_norm_by_library(inputs) : composed_rms_norm(inputs);
   }
   const auto x = inputs.x.contiguous();
   const int64_t channels = x.size(-1), rows = x.numel() / channels;

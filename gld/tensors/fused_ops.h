@@ -5,7 +5,8 @@
 namespace gld {
 
 // Element-wise passes that a composition of library operations makes several times over the same memory. In float32 on
-// the CPU, while no gradients are recorded, each is one pass; otherwise the composition.
+// the CPU, while no gradients are recorded, each is one pass; otherwise the composition, of which LibTorch's own
+// normalisation takes a part where there is one (has_library_rms_norm).
 
 struct RmsNormInputs {
   torch::Tensor x;       // (..., channels)

@@ -5,6 +5,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <optional>
 #include <system_error>
 
 #include <ATen/Context.h>
@@ -13,6 +14,12 @@
 #include <ATen/autocast_mode.h>
 #include <c10/core/CPUAllocator.h>
 #include <torch/version.h>
+#if TORCH_VERSION_MAJOR > 2 || (TORCH_VERSION_MAJOR == 2 && TORCH_VERSION_MINOR >= 9)
+#define GLD_LIBTORCH_2_9
+#include <ATen/ops/mm.h>
+#include <ATen/ops/rms_norm.h>
+#include <c10/core/CachingDeviceAllocator.h>
+#endif
 
 #include <dlfcn.h>
 
@@ -140,6 +147,47 @@ torch::Tensor scaled_dot_product_attention(const torch::Tensor& /*query*/, const
   fail(
       {"scaled_dot_product_attention", "LibTorch 2.0 or newer", torch_version(), "call attention() instead"});
 }
+
+#endif
+
+#ifdef GLD_LIBTORCH_2_9
+
+bool has_library_rms_norm(torch::Device device) { return device.is_cuda(); }
+
+torch::Tensor library_rms_norm(const torch::Tensor& x, const torch::Tensor& weight, double epsilon) {
+  return at::rms_norm(x, {x.size(-1)}, weight.defined() ? std::optional<at::Tensor>(weight) : std::nullopt,
+                      epsilon);
+}
+
+torch::Tensor bfloat16_product(const torch::Tensor& a, const torch::Tensor& b) {
+  return a.is_cuda() ? at::mm(a, b, torch::kFloat32) : at::mm(a, b).to(torch::kFloat32);
+}
+
+int64_t most_used_device_bytes(const torch::Device& device) {
+  if (!device.is_cuda()) return 0;
+  const auto stats = c10::getDeviceAllocator(device.type())->getDeviceStats(device.index());
+  return stats.allocated_bytes[static_cast<size_t>(c10::CachingAllocator::StatType::AGGREGATE)].peak;
+}
+
+void reset_most_used_device_bytes(const torch::Device& device) {
+  if (device.is_cuda()) c10::getDeviceAllocator(device.type())->resetPeakStats(device.index());
+}
+
+#else
+
+bool has_library_rms_norm(torch::Device /*device*/) { return false; }
+
+torch::Tensor library_rms_norm(const torch::Tensor& /*x*/, const torch::Tensor& /*weight*/,
+                               double /*epsilon*/) {
+  fail({"library_rms_norm", "LibTorch 2.9 or newer", torch_version(), "call rms_norm() instead"});
+}
+
+torch::Tensor bfloat16_product(const torch::Tensor& a, const torch::Tensor& b) {
+  return at::mm(a, b).to(torch::kFloat32);
+}
+
+int64_t most_used_device_bytes(const torch::Device& /*device*/) { return 0; }
+void reset_most_used_device_bytes(const torch::Device& /*device*/) {}
 
 #endif
 

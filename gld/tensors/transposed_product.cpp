@@ -65,7 +65,9 @@ torch::Tensor times_transposed(const torch::Tensor& x, const torch::Tensor& weig
 }
 
 torch::Tensor times_rounded(const torch::Tensor& x, const torch::Tensor& weight, const torch::Tensor& bias) {
-  const auto y = times_transposed(x.to(torch::kBFloat16), weight).to(x.scalar_type());
+  auto shape = x.sizes().vec();
+  shape.back() = weight.size(0);
+  const auto y = bfloat16_product(x.reshape({-1, x.size(-1)}).to(torch::kBFloat16), weight.t()).view(shape);
   return bias.defined() ? y + bias : y;
 }
 

@@ -13,7 +13,8 @@ torch::Tensor times_transposed(const torch::Tensor& x, const torch::Tensor& weig
                                const torch::Tensor& bias = {});
 
 // The same for float32 x and bias and a weight in bfloat16, by LibTorch: x is rounded to bfloat16, LibTorch's kernel
-// sums, and the product is rounded to bfloat16 once before the bias is added. Returns float32.
+// sums, and the product is rounded to bfloat16 once at most before the bias is added (bfloat16_product in
+// torch_version.h). Returns float32.
 torch::Tensor times_rounded(const torch::Tensor& x, const torch::Tensor& weight,
                             const torch::Tensor& bias = {});
 // Whether a layer with that float32 weight computes so: in bfloat16 where it is not on the CPU, which has kernels of

@@ -1,5 +1,6 @@
 // What trains, samples and evaluates, whole, on LibTorch's meta device (tests/support/meta_device.h): every tensor is
-// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere.
+// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere. The same on a
+// GPU (ctest -L gpu).
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
@@ -14,6 +15,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <memory>
 #include <string>
 
@@ -25,49 +27,56 @@ namespace gld {
 namespace {
 
 template <class Options>
-Options training_options(const std::filesystem::path& model, const std::filesystem::path& out) {
+Options training_options(const std::string& device, const std::filesystem::path& model,
+                         const std::filesystem::path& out) {
   auto options = test::training_options<Options>(model, out);
-  options.device = "meta";
+  options.device = device;
   return options;
 }
 
-// One folder with all stages, each on the device and from what the one before wrote.
-class CommandsOnDevice : public testing::Test {
+// One folder a device with all stages, each on the device and from what the one before wrote.
+class CommandsOnDevice : public testing::TestWithParam<std::string> {
  protected:
-  static void SetUpTestSuite() {
-    folder_ = std::make_unique<test::TemporaryFolder>();
+  void SetUp() override {
+    if (std::unique_ptr<test::TemporaryFolder>& folder = folders_[GetParam()]; !folder) {
+      folder = std::make_unique<test::TemporaryFolder>();
+      train_all();
+    }
+  }
+  void train_all() {
     ::setenv("XDG_CACHE_HOME", path("cache").c_str(), 1);  // no rates of the tester's
     BundleOptions model = test::small_model();
     model.generator(level_model(1)).dit.warped_sources = 2;
     save_bundle_options(path("empty"), model);
-    train_backbone(training_options<TrainBackboneOptions>(path("empty"), path("backbone")), {});
-    auto decoder = training_options<TrainDecoderOptions>(path("backbone/model"), path("decoder"));
+    train_backbone(training_options<TrainBackboneOptions>(GetParam(), path("empty"), path("backbone")), {});
+    auto decoder = training_options<TrainDecoderOptions>(GetParam(), path("backbone/model"), path("decoder"));
     decoder.objective.adversarial.convolutional.channels = 8;
     train_decoder(decoder, {});
     StatsOptions statistics;
     statistics.model = path("decoder/model").string();
     statistics.out = path("stats").string();
-    statistics.device = "meta";
+    statistics.device = GetParam();
     statistics.threads = 1;
     statistics.data = test::small_data();
     statistics.scene_count = 2;
     compute_statistics(statistics);
-    auto level = training_options<TrainLevelOptions>(path("stats/model"), path("level"));
+    auto level = training_options<TrainLevelOptions>(GetParam(), path("stats/model"), path("level"));
     level.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
     train_level(level, {});
-    train_cascade(training_options<TrainCascadeOptions>(path("level/model"), path("cascade")), {});
+    train_cascade(training_options<TrainCascadeOptions>(GetParam(), path("level/model"), path("cascade")),
+                  {});
     SyntheticOptions drawn;
     drawn.frames = 4;
     drawn.width = drawn.height = 56;
     write_scene(make_synthetic_scene(drawn, 0), "cameras-json", path("scene"));
   }
-  static void TearDownTestSuite() { folder_.reset(); }
-  static std::filesystem::path path(const std::string& name) { return folder_->path() / name; }
-  static SampleOptions sampling_options(const std::string& run) {
+  static void TearDownTestSuite() { folders_.clear(); }
+  std::filesystem::path path(const std::string& name) const { return folders_.at(GetParam())->path() / name; }
+  SampleOptions sampling_options(const std::string& run) const {
     SampleOptions options;
     options.model = path("cascade/model").string();
     options.scene = path("scene").string();
-    options.device = "meta";
+    options.device = GetParam();
     options.views.sources = {0, 3};
     options.views.targets = {1, 2};
     options.outputs = {"image", "depth", "rays", "points", "latents"};
@@ -76,16 +85,16 @@ class CommandsOnDevice : public testing::Test {
     options.out = path(run).string();
     return options;
   }
-  static nlohmann::json report(const std::string& run) {
+  nlohmann::json report(const std::string& run) const {
     return nlohmann::json::parse(read_file(path(run) / "report.json"));
   }
 
-  static std::unique_ptr<test::TemporaryFolder> folder_;
+  static std::map<std::string, std::unique_ptr<test::TemporaryFolder>> folders_;
 };
-std::unique_ptr<test::TemporaryFolder> CommandsOnDevice::folder_;
+std::map<std::string, std::unique_ptr<test::TemporaryFolder>> CommandsOnDevice::folders_;
 
 // What all the others rest on.
-TEST_F(CommandsOnDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
+TEST(MetaDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
   const auto on_device = torch::ones({4, 4}, torch::kMeta), left = torch::ones({4, 4});
   EXPECT_ANY_THROW(on_device + left);
   EXPECT_ANY_THROW(torch::layer_norm(on_device, {4}, left[0], left[1]));
@@ -97,7 +106,7 @@ TEST_F(CommandsOnDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
   EXPECT_ANY_THROW(torch::matmul(on_device.unsqueeze(0), left.unsqueeze(0)));
 }
 
-TEST_F(CommandsOnDevice, EveryStageOfTrainingRuns) {
+TEST_P(CommandsOnDevice, EveryStageOfTrainingRuns) {
   const auto trained = ModelBundle::open(path("cascade/model"));
   for (const BundlePart& part : bundle_parts(trained.options())) {
     EXPECT_TRUE(trained.has(part)) << bundle_part_name(part);
@@ -108,9 +117,9 @@ TEST_F(CommandsOnDevice, EveryStageOfTrainingRuns) {
   }
 }
 
-TEST_F(CommandsOnDevice, ARunIsResumed) {
+TEST_P(CommandsOnDevice, ARunIsResumed) {
   std::filesystem::copy(path("level"), path("resumed"), std::filesystem::copy_options::recursive);
-  auto options = training_options<TrainLevelOptions>(path("stats/model"), path("resumed"));
+  auto options = training_options<TrainLevelOptions>(GetParam(), path("stats/model"), path("resumed"));
   options.loop.optimiser.algorithm = OptimiserAlgorithm::kMuon;
   options.resume = true;
   options.loop.steps = 3;
@@ -118,7 +127,7 @@ TEST_F(CommandsOnDevice, ARunIsResumed) {
   EXPECT_EQ(report("resumed").at("steps_in_this_call"), 1);
 }
 
-TEST_F(CommandsOnDevice, NovelViewsAreSampled) {
+TEST_P(CommandsOnDevice, NovelViewsAreSampled) {
   const SampleOptions options = sampling_options("sampled");
   sample(options);
   EXPECT_EQ(report("sampled").at("precision"), "float32");
@@ -128,26 +137,29 @@ TEST_F(CommandsOnDevice, NovelViewsAreSampled) {
   EXPECT_EQ(report("sampled").at("flows").size(), 2U);
 }
 
-TEST_F(CommandsOnDevice, NovelViewsAreSampledInBfloat16) {
+TEST_P(CommandsOnDevice, NovelViewsAreSampledInBfloat16) {
   SampleOptions options = sampling_options("in_bfloat16");
   options.precision = PrecisionChoice::kBFloat16;
   sample(options);
-  EXPECT_EQ(report("in_bfloat16").at("precision"), "bfloat16 on meta");
+  EXPECT_EQ(report("in_bfloat16").at("precision"), "bfloat16 on " + GetParam());
   EXPECT_THAT(report("in_bfloat16").at("sampling").at("in_words").get<std::string>(),
-              testing::HasSubstr("bfloat16 on meta"));
+              testing::HasSubstr("bfloat16 on " + GetParam()));
 }
 
-TEST_F(CommandsOnDevice, ScenesAreEvaluated) {
+TEST_P(CommandsOnDevice, ScenesAreEvaluated) {
   EvaluationOptions options;
   options.model = path("cascade/model").string();
   options.out = path("evaluated").string();
-  options.device = "meta";
+  options.device = GetParam();
   options.threads = 1;
   options.synthetic = 2;
   options.solver.evaluations = 2;
   evaluate(options);
   EXPECT_TRUE(std::filesystem::is_regular_file(path("evaluated") / "eval.csv"));
 }
+
+INSTANTIATE_TEST_SUITE_P(Meta, CommandsOnDevice, testing::Values("meta"));
+INSTANTIATE_TEST_SUITE_P(on_gpu, CommandsOnDevice, testing::Values("cuda"));
 
 }  // namespace
 }  // namespace gld

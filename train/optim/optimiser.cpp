@@ -72,7 +72,9 @@ Optimiser::Optimiser(FlatParameters& parameters, const OptimiserOptions& options
 
 double Optimiser::gradient_norm() const {
   const torch::Tensor& gradients = parameters_->gradients();
-  if (!gradients.is_cpu()) return gradients.to(torch::kFloat64).square().sum().sqrt().item<double>();
+  if (!gradients.is_cpu()) {
+    return torch::linalg_vector_norm(gradients, 2, {}, false, torch::kFloat64).item<double>();
+  }
   const auto* data = gradients.data_ptr<float>();
   const int64_t length = gradients.numel();
   const int64_t blocks = (length + kBlock - 1) / kBlock;

@@ -48,7 +48,9 @@ TEST(RmsNorm, ModulatesByViewByTokenAndForAll) {
   }
 }
 
-TEST(RmsNorm, IsExactToRoundingAtEveryMagnitude) {
+class RmsNormOnDevice : public testing::TestWithParam<torch::DeviceType> {};
+
+TEST_P(RmsNormOnDevice, IsExactToRoundingAtEveryMagnitude) {
   for (const bool gradients : {false, true}) {
     torch::AutoGradMode mode(gradients);
     for (const double magnitude : {1e-38, 1e-30, 1e-22, 1e-10, 1e-3, 1.0, 1e10, 1e19, 1e30, 3e37}) {
@@ -56,21 +58,21 @@ TEST(RmsNorm, IsExactToRoundingAtEveryMagnitude) {
         SCOPED_TRACE(testing::Message()
                      << magnitude << " with epsilon " << epsilon << ", gradients " << gradients);
         RmsNormInputs inputs;
-        inputs.x = (random({4, 768}) * magnitude).requires_grad_(gradients);
-        inputs.weight = random({768});
+        inputs.x = (random({4, 768}) * magnitude).to(GetParam()).requires_grad_(gradients);
+        inputs.weight = random({768}).to(GetParam());
         inputs.epsilon = epsilon;
         EXPECT_LE(relative_error(rms_norm(inputs).detach(), exact_rms_norm(inputs).detach()), 5e-7);
       }
     }
     RmsNormInputs zero;
-    zero.x = torch::zeros({2, 16}).requires_grad_(gradients);
+    zero.x = torch::zeros({2, 16}).to(GetParam()).requires_grad_(gradients);
     zero.epsilon = 1e-6;
     EXPECT_EQ(rms_norm(zero).abs().max().item<float>(), 0.0f);
   }
 }
 
-TEST(RmsNorm, GradientsAgreeWithDouble) {
-  const auto x = random({6, 33});
+TEST_P(RmsNormOnDevice, GradientsAgreeWithDouble) {
+  const auto x = random({6, 33}).to(GetParam());
   RmsNormInputs single, exact;
   single.x = x.clone().requires_grad_(true);
   exact.x = x.to(torch::kFloat64).requires_grad_(true);
@@ -79,6 +81,9 @@ TEST(RmsNorm, GradientsAgreeWithDouble) {
   exact_rms_norm(exact).pow(3).sum().backward();
   EXPECT_LE(relative_error(single.x.grad(), exact.x.grad()), 2e-6);
 }
+
+INSTANTIATE_TEST_SUITE_P(Cpu, RmsNormOnDevice, testing::Values(torch::kCPU));
+INSTANTIATE_TEST_SUITE_P(on_gpu, RmsNormOnDevice, testing::Values(torch::kCUDA));
 
 TEST(SiluGate, AgreesWithDoubleAlsoFarOut) {
   const torch::NoGradGuard no_grad;
