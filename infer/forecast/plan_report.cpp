@@ -36,6 +36,11 @@ const StageRecord* record_of(const std::vector<StageRecord>& records, const std:
   return nullptr;
 }
 
+// Of a stage that ran on a GPU what tensors had there, which is what was predicted.
+int64_t bytes_of(const StageRecord& record) {
+  return record.device_bytes > 0 ? record.device_bytes : record.peak_bytes;
+}
+
 nlohmann::ordered_json ratio(double actual, double predicted) {
   if (predicted <= 0) return nullptr;
   return actual / predicted;
@@ -72,8 +77,9 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<Sta
       object["seconds"] = record->seconds;
       object["seconds_over_predicted"] = ratio(record->seconds, stage.seconds);
       object["peak_bytes"] = record->peak_bytes;
+      if (record->device_bytes > 0) object["device_bytes"] = record->device_bytes;
       object["peak_over_predicted"] =
-          ratio(static_cast<double>(record->peak_bytes), static_cast<double>(stage.peak_bytes));
+          ratio(static_cast<double>(bytes_of(*record)), static_cast<double>(stage.peak_bytes));
     }
     list.push_back(std::move(object));
   }
@@ -93,14 +99,18 @@ std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector
 std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
   double seconds = 0;
   int64_t peak = 0;
+  bool on_device = false;
   for (const auto& stage : plan.stages) {
     const StageRecord* record = record_of(records, stage.name);
     if (record == nullptr) continue;
     seconds += record->seconds;
-    peak = std::max(peak, record->peak_bytes);
+    peak = std::max(peak, bytes_of(*record));
+    on_device = on_device || record->device_bytes > 0;
   }
-  return fmt::format("the planned stages took {} (predicted {}) and at most {} (predicted {})\n",
-                     duration_text(seconds), duration_text(plan.seconds()), bytes_text(peak),
+  const std::string predicted =
+      plan.seconds() > 0 ? fmt::format(" (predicted {})", duration_text(plan.seconds())) : std::string();
+  return fmt::format("the planned stages took {}{} and at most {}{} (predicted {})\n", duration_text(seconds),
+                     predicted, bytes_text(peak), on_device ? " of the GPU's memory" : "",
                      bytes_text(plan.peak_bytes()));
 }
 

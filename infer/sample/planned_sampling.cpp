@@ -6,6 +6,8 @@
 #include "infer/pipeline/bundle_models.h"
 #include "infer/request/scene_request.h"
 
+#include <fmt/format.h>
+
 namespace gld {
 
 PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
@@ -19,6 +21,11 @@ PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& o
   request.flow = planned.settings;
   planned.plan = plan_sampling(bundle, request);
   planned.speed = known;
+  if (!prepared.device.is_cpu()) {
+    planned.speed.origin = fmt::format(
+        "how long {} takes is not predicted: the rates known are the processor's", prepared.device.str());
+    return planned;
+  }
   if (timing == PlanTiming::kMeasured) {
     measure_seconds(planned.plan, bundle, request, known.speed);
   } else {

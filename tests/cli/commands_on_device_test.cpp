@@ -1,6 +1,6 @@
 // What trains, samples and evaluates, whole, on LibTorch's meta device (tests/support/meta_device.h): every tensor is
-// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere. The same on a
-// GPU (ctest -L gpu).
+// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere. The same
+// on a GPU (ctest -L gpu).
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
@@ -131,6 +131,8 @@ TEST_P(CommandsOnDevice, NovelViewsAreSampled) {
   const SampleOptions options = sampling_options("sampled");
   sample(options);
   EXPECT_EQ(report("sampled").at("precision"), "float32");
+  EXPECT_EQ(report("sampled").at("plan")[0].at("predicted_seconds"), 0)
+      << "the rates known are the processor's";
   for (const char* file : {"images/view_02.png", "images/view_03.png", "contact_sheet.png"}) {
     EXPECT_TRUE(std::filesystem::is_regular_file(path("sampled") / file)) << file;
   }

@@ -256,6 +256,16 @@ TEST(PlannedRuns, TheReportPutsTheActualBesideThePredicted) {
   EXPECT_EQ(actual_text(plan, {record}),
             "the planned stages took 3.0 s (predicted 2.0 s) and at most 500.0 MB (predicted 1.00 GB)\n");
   EXPECT_FALSE(plan_json(plan, {}).at(0).contains("seconds"));
+
+  // On a GPU its memory is what was predicted, and no time is.
+  record.device_bytes = 750'000'000;
+  plan.stages[0].seconds = 0;
+  const auto on_device = plan_json(plan, {record}).at(0);
+  EXPECT_EQ(on_device.at("peak_over_predicted"), 0.75);
+  EXPECT_EQ(on_device.at("device_bytes"), 750'000'000);
+  EXPECT_TRUE(on_device.at("seconds_over_predicted").is_null());
+  EXPECT_EQ(actual_text(plan, {record}),
+            "the planned stages took 3.0 s and at most 750.0 MB of the GPU's memory (predicted 1.00 GB)\n");
 }
 
 }  // namespace
