@@ -165,7 +165,7 @@ void measure_training(const DeviceBenchmarkOptions& options, const Setting& sett
   for (const auto storage : {ActivationStorage::kKeep, ActivationStorage::kRecompute}) {
     for (const auto precision : {ComputePrecision::kFloat32, ComputePrecision::kBFloat16}) {
       std::string variant = compute_precision_name(precision);
-      if (storage == ActivationStorage::kRecompute) variant += ", recomputed";
+      if (storage == ActivationStorage::kRecompute) variant += "_recomputed";
       rows.push_back(row_of("training_step", variant, [&](DeviceBenchmarkRow& row) {
         prepare();
         objective->store(storage);
@@ -233,7 +233,7 @@ std::vector<DeviceBenchmarkRow> device_benchmark_rows(const DeviceBenchmarkOptio
     if (row.part == "product" && row.seconds > 0) peaks[row.variant] = row.tflop / row.seconds_low;
   }
   for (auto& row : rows) {
-    const auto peak = peaks.find(row.variant.substr(0, row.variant.find(',')));
+    const auto peak = peaks.find(row.variant.substr(0, row.variant.find('_')));
     if (row.tflop == 0 || row.seconds == 0 || peak == peaks.end()) continue;
     row.fraction_of_peak = row.tflop / row.seconds / peak->second;
   }

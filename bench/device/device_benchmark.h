@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// gld bench device: one evaluation of M1 and steps of its training on a GPU, in float32 and bfloat16, as fractions of what that
-// GPU reaches with large matrix products in the same run, and the memory that they take.
+// gld bench device: one evaluation of M1 and steps of its training on a GPU, in float32 and bfloat16, as fractions of
+// what that GPU reaches with large matrix products in the same run, and the memory that they take.
 struct DeviceBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -30,7 +30,7 @@ struct DeviceBenchmarkOptions : OptionsGroup {
 // What was timed of one part in one variant. A part that had no room on the device has its sentence and no numbers.
 struct DeviceBenchmarkRow {
   std::string part;     // product, evaluation, training_step, optimiser
-  std::string variant;  // float32, bfloat16; of training_step with ", recomputed" where activations are
+  std::string variant;  // float32, bfloat16; of training_step with "_recomputed" where activations are
   double seconds = 0;   // median
   double seconds_low = 0;
   double seconds_high = 0;

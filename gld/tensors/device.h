@@ -17,11 +17,12 @@ torch::Device device_from_text(const std::string& text);
 // What is sold under which name: "NVIDIA H100 80GB HBM3", or the processor's.
 std::string device_name(const torch::Device& device);
 
-// Waits until a GPU has computed all that was asked of it: what follows, a clock among it, sees it done. Elsewhere nothing
-// is queued.
+// Waits until a GPU has computed all that was asked of it: what follows, a clock among it, sees it done. Elsewhere
+// nothing is queued.
 void finish_queued_work(const torch::Device& device);
 
-// The end of a stage on a device: waits as above, and returns most_used_device_bytes (torch_version.h) since the last end.
+// The end of a stage on a device: waits as above, and returns most_used_device_bytes (torch_version.h) since the last
+// end.
 int64_t finish_stage_on(const torch::Device& device);
 
 }  // namespace gld

@@ -52,7 +52,8 @@ bool has_library_rms_norm(torch::Device device);
 // has_library_rms_norm is false.
 torch::Tensor library_rms_norm(const torch::Tensor& x, const torch::Tensor& weight, double epsilon);
 
-// The product of two bfloat16 matrices in float32: not rounded at all on a GPU from LibTorch 2.9 on, elsewhere to bfloat16 once.
+// The product of two bfloat16 matrices in float32: not rounded at all on a GPU from LibTorch 2.9 on, elsewhere to
+// bfloat16 once.
 torch::Tensor bfloat16_product(const torch::Tensor& a, const torch::Tensor& b);
 
 // Sums of products and convolutions on a GPU are float32 from now on, and float32 operands keep their digits: LibTorch
@@ -60,7 +61,8 @@ torch::Tensor bfloat16_product(const torch::Tensor& a, const torch::Tensor& b);
 void sum_gpu_products_in_float32();
 
 // Bytes of tensors on a GPU at their most since the last reset, as LibTorch's own allocator counts them; 0 on a CPU,
-// whose tensors block_memory.h counts, and before LibTorch 2.9, which has no such question that needs no header of CUDA.
+// whose tensors block_memory.h counts, and before LibTorch 2.9, which has no such question that needs no header of
+// CUDA.
 int64_t most_used_device_bytes(const torch::Device& device);
 void reset_most_used_device_bytes(const torch::Device& device);
 

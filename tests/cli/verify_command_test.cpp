@@ -63,10 +63,13 @@ TEST(VerifyCommand, PrintsOneJsonObject) {
 TEST(VerifyCommand, ComputesOnADeviceThatCan) {
   EXPECT_EQ(run_verify({reference_case("metrics_image_depth"), "--device", "cpu"}).status, 0);
   testing::internal::CaptureStderr();
-  EXPECT_EQ(run_verify({reference_case("metrics_image_depth"), "--device", "cuda", "--precision", "int8"}).status, 2);
-  EXPECT_EQ(testing::internal::GetCapturedStderr(),
-            "error: --precision: expected float32 or bfloat16 on the device cuda, found int8; use --device cpu, which has "
-            "kernels for it.\n");
+  EXPECT_EQ(
+      run_verify({reference_case("metrics_image_depth"), "--device", "cuda", "--precision", "int8"}).status,
+      2);
+  EXPECT_EQ(
+      testing::internal::GetCapturedStderr(),
+      "error: --precision: expected float32 or bfloat16 on the device cuda, found int8; use --device cpu, which has "
+      "kernels for it.\n");
 }
 
 TEST(VerifyCommand, NeedsAFolder) { EXPECT_EQ(run_verify({}).status, 2); }
