@@ -211,6 +211,10 @@ void DeviceBenchmarkOptions::check() const {
           "leave at least one target view"});
   }
   image_size_from_text(size, "--size");
+  if (device == "cpu" && model.empty()) {
+    fail({"--device", "a GPU for the full-size M1, which a CPU would train for an hour", device,
+          "add --device cuda, or --model with the folder of a small model"});
+  }
   check_out(out, "runs/bench");
 }
 

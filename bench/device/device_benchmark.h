@@ -14,7 +14,7 @@ namespace gld {
 struct DeviceBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
-  std::string device = "cuda";
+  std::string device = "cpu";
   std::string model;  // a model folder, of which the options count; empty for the full-size M1
   int64_t views = 8;
   int64_t sources = 4;

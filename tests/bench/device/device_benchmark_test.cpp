@@ -58,6 +58,15 @@ TEST(DeviceBenchmark, MeasuresEveryPartInBothPrecisions) {
       "part,variant,seconds,lowest,highest,tflop,fraction_of_peak,relative_rms,resident_bytes,most_bytes,problem");
 }
 
+TEST(DeviceBenchmark, LeavesTheFullSizeToAGpu) {
+  DeviceBenchmarkOptions options;
+  options.out = "run";
+  EXPECT_EQ(
+      test::error_of([&] { options.check(); }),
+      "--device: expected a GPU for the full-size M1, which a CPU would train for an hour, found cpu; add --device "
+      "cuda, or --model with the folder of a small model.");
+}
+
 TEST(DeviceBenchmark, NeedsATargetView) {
   DeviceBenchmarkOptions options;
   options.views = options.sources = 4;
