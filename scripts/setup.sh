@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what building and running needs, with apt, on Debian 12. Does nothing when nothing is missing.
 #   --testing                 also what tests need: clang for its sanitizers, and programs that read what we write, a
-#                             browser among them, and build/venv-testing with the one that Debian lacks
+#                             browser among them, and build/venv-testing with those that Debian lacks
 #   --development             also all of --testing and what checks the sources
 #   --packaging               also what scripts/package.sh needs
 #   --libtorch-version 2.13   also PyTorch's package of that LibTorch, with pip, into a virtual environment of its own below
@@ -43,7 +43,7 @@ packages=(
 )
 if [ -n "$testing" ]; then
   packages+=(
-    python3 python3-numpy python3-venv colmap ffmpeg assimp-utils chromium chromium-driver python3-selenium
+    python3 python3-jsonschema python3-numpy python3-venv colmap ffmpeg assimp-utils chromium chromium-driver python3-selenium
     clang-14 libclang-rt-14-dev libomp-dev
   )
 fi
@@ -81,20 +81,23 @@ else
 fi
 
 if [ -n "$testing" ]; then
-  # The newest that takes Debian's numpy: later ones want numpy 2.
-  plyfile=1.1.3
+  # Of plyfile the newest that takes Debian's numpy: later ones want numpy 2. trimesh brings Khronos' schema of glTF.
+  readers=(plyfile==1.1.3 trimesh==5.2.0)
   environment=$PWD/build/venv-testing
-  has_plyfile() {
-    "$environment/bin/python" -c 'import importlib.metadata, sys, numpy, plyfile
-sys.exit(importlib.metadata.version("plyfile") != sys.argv[1])' "$plyfile" 2>/dev/null
+  has_readers() {
+    "$environment/bin/python" -c 'import importlib.metadata, sys, numpy
+for reader in sys.argv[1:]:
+    name, version = reader.split("==")
+    if importlib.metadata.version(name) != version:
+        sys.exit(1)' "${readers[@]}" 2>/dev/null
   }
-  if ! has_plyfile; then
-    echo "setup: installing plyfile $plyfile with pip into $environment"
+  if ! has_readers; then
+    echo "setup: installing ${readers[*]} with pip into $environment"
     # Debian's own Python, since another one on the path does not see Debian's numpy.
     /usr/bin/python3 -m venv --clear --system-site-packages "$environment"
-    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check "plyfile==$plyfile"
-    if ! has_plyfile; then
-      echo "setup: expected plyfile $plyfile in $environment after its installation, found none; look at what pip said above." >&2
+    "$environment/bin/python" -m pip install --quiet --disable-pip-version-check "${readers[@]}"
+    if ! has_readers; then
+      echo "setup: expected ${readers[*]} in $environment after their installation, found others; look at what pip said above." >&2
       exit 1
     fi
   fi
