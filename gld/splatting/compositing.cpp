@@ -22,8 +22,8 @@ struct Tile {
   const SplatView* view;
   ListedTile listed;
 
-  int64_t left() const { return listed.number % view->tile_columns * kSplatTile; }
-  int64_t top() const { return listed.number / view->tile_columns * kSplatTile; }
+  int64_t left() const { return view->tile_left(listed.number); }
+  int64_t top() const { return view->tile_top(listed.number); }
   int64_t strips_a_row() const { return kSplatTile / listed.strip; }
   int64_t strips() const { return kSplatTile * strips_a_row(); }
 };

@@ -49,6 +49,9 @@ struct SplatView {
 
   int64_t size() const { return static_cast<int64_t>(splats.size()); }
   int64_t tiles() const { return tile_columns * tile_rows; }
+  // A tile's first column and row of pixels.
+  int64_t tile_left(int64_t tile) const { return tile % tile_columns * kSplatTile; }
+  int64_t tile_top(int64_t tile) const { return tile / tile_columns * kSplatTile; }
   // in_set_order[place], while the one that is some places ahead is fetched.
   int64_t splat_in_order(int64_t place) const {
     if (place + kFetchedAhead < size())

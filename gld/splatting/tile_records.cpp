@@ -27,8 +27,7 @@ int floor_in_tile(double value) {
 
 void list_records(const SplatView& view, const ListedTile& tile, RecordScratch& scratch,
                   TileRecords& records) {
-  const int64_t left = tile.number % view.tile_columns * kSplatTile,
-                top = tile.number / view.tile_columns * kSplatTile;
+  const int64_t left = view.tile_left(tile.number), top = view.tile_top(tile.number);
   const int64_t strips_a_row = kSplatTile / tile.strip, strips = kSplatTile * strips_a_row;
   const int32_t* const begin = view.tile_splats.data() + view.tile_first[static_cast<size_t>(tile.number)];
   const int64_t splats = view.tile_first[static_cast<size_t>(tile.number) + 1] -
