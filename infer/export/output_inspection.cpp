@@ -136,11 +136,29 @@ ordered_json next_command(const std::string& kind, const std::string& state,
   return resume_command(folder);
 }
 
+// What a finished run says of its own pictures, in its report; null where it says nothing, or what cannot be read.
+ordered_json verdict_of_run(const std::filesystem::path& folder) {
+  const auto file = folder / "report.json";
+  std::error_code none;
+  if (!std::filesystem::is_regular_file(file, none)) return {};
+  try {
+    const auto report = parse_json(read_file(file), file.string());
+    const auto verdict = report.find("verdict");
+    if (verdict == report.end() || !verdict->is_object()) return {};
+    const auto sentence = verdict->find("sentence");
+    if (sentence == verdict->end() || !sentence->is_string()) return {};
+    return valid_text(sentence->get<std::string>());
+  } catch (const Error&) {
+    return {};
+  }
+}
+
 ordered_json inspect_run(const std::filesystem::path& folder, const std::string& kind) {
   const std::string state = state_of_run(folder);
   return {{"run", valid_text(folder.string())},
           {"kind", valid_text(kind)},
           {"state", state},
+          {"verdict", verdict_of_run(folder)},
           {"checkpoints", checkpoints_of(folder)},
           {"next", next_command(kind, state, folder)}};
 }
@@ -240,6 +258,8 @@ std::string run_text(const ordered_json& inspection) {
   std::string text = fmt::format(
       "{}: a run of gld {}, {}\n", printable_text(inspection["run"].get<std::string>()),
       printable_text(inspection["kind"].get<std::string>()), inspection["state"].get<std::string>());
+  if (inspection["verdict"].is_string())
+    text += printable_text(inspection["verdict"].get<std::string>(), 400) + "\n";
   for (const auto& checkpoint : inspection["checkpoints"]) {
     text += "  " + printable_text(checkpoint["file"].get<std::string>()) + ": ";
     if (checkpoint.contains("problem")) {

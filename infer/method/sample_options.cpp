@@ -265,7 +265,6 @@ void SampleOptions::check() const {
   if (!scene.empty() && !photos.files.empty()) {
     fail({"--scene, --photos", "one of the two", "both", "leave out --photos where the scene has cameras"});
   }
-  if (photos.files.empty()) views.require_complete();
   check_out(out, "runs/sample");
   requested();
   savings();

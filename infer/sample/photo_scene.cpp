@@ -28,9 +28,21 @@
 #include <utility>
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
+
+// The folders of photographs in a folder that holds none itself, as --photos takes them: "a,b"; nothing without any.
+std::string folders_of_photographs(const std::filesystem::path& folder) {
+  std::vector<std::string> folders;
+  std::error_code none;
+  for (const auto& item : std::filesystem::directory_iterator(folder, none)) {
+    if (item.is_directory(none) && !list_images(item.path()).empty()) folders.push_back(item.path().string());
+  }
+  std::sort(folders.begin(), folders.end());
+  return fmt::format("{}", fmt::join(folders, ","));
+}
 
 std::vector<std::filesystem::path> photograph_files(const PhotoSelection& selection,
                                                     const std::filesystem::path& frames_folder) {
@@ -49,6 +61,10 @@ std::vector<std::filesystem::path> photograph_files(const PhotoSelection& select
     const auto listed = list_images(path);
     if (listed.empty()) {
       const bool is_there = std::filesystem::exists(path);
+      if (const std::string folders = folders_of_photographs(path); !folders.empty()) {
+        fail({photo, "a photograph, or a folder of them", "folders of photographs in it alone",
+              "give those of one place: --photos " + folders});
+      }
       fail({photo, "a photograph, or a folder of them", is_there ? "none" : "nothing",
             is_there ? "put JPEG, HEIC, PNG, WebP or TIFF files there" : "check the name"});
     }

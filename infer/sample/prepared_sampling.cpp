@@ -183,7 +183,9 @@ void choose_size_and_views(PreparedSampling& prepared, const SampleOptions& opti
   const ImageSize size = choose_size(options.size, prepared.found, prepared.bundle.options().image_sizes(),
                                      prepared.bundle.options().backbone.patch_side());
   prepared.selection = options.views;
-  if (!prepared.photographs.empty()) {
+  if (prepared.photographs.empty()) {
+    options.views.require_complete();
+  } else {
     complete_for_photographs(prepared.selection, static_cast<int64_t>(prepared.photographs.size()));
     const std::string& path = prepared.selection.path.path;
     if (!path.empty()) refuse_orbit_options_of(options, path);

@@ -85,6 +85,21 @@ TEST_F(OutputInspection, OfATrainingListsItsCheckpoints) {
                                       run_path + " --resume\n"));
 }
 
+TEST_F(OutputInspection, OfARunWithPicturesGivesItsVerdict) {
+  const auto verdict_of = [&](const std::string& name, const nlohmann::ordered_json& report) {
+    RunFolder(path(name), "sample", StepOptions(), EarlierRun::kRefuse).write_report(report);
+    const auto inspection = inspect_output(path(name));
+    return std::pair{(*inspection)["verdict"], output_inspection_text(*inspection)};
+  };
+  const auto [verdict, text] = verdict_of("pictures", {{"verdict", {{"sentence", "Expect inventions."}}}});
+  EXPECT_EQ(verdict, "Expect inventions.");
+  EXPECT_THAT(text, HasSubstr("a run of gld sample, finished\nExpect inventions.\nnext: gld splat fit"));
+  EXPECT_TRUE(verdict_of("none", {{"answer", 42}}).first.is_null());
+  EXPECT_TRUE(verdict_of("another", {{"verdict", "text"}}).first.is_null());
+  write_file_atomically(path("pictures/report.json"), "{cut");
+  EXPECT_TRUE((*inspect_output(path("pictures")))["verdict"].is_null());
+}
+
 TEST_F(OutputInspection, OfAFinishedRunNamesWhatUsuallyFollows) {
   const auto next_of = [&](const std::string& name, const std::string& kind) {
     RunFolder(path(name), kind, StepOptions(), EarlierRun::kRefuse).write_report({{"answer", 42}});

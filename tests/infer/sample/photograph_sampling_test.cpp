@@ -66,6 +66,18 @@ TEST_F(PhotographSampling, PhotographsNeedNoCameras) {
       test::error_of([&] { sample(asked); }),
       asked.photos.files[0] +
           ": expected a photograph, or a folder of them, found none; put JPEG, HEIC, PNG, WebP or TIFF files there.");
+  const std::filesystem::path trips = folder_->path() / "trips";
+  for (const char* trip : {"lund", "berlin"}) {
+    std::filesystem::create_directories(trips / trip);
+    write_png(trips / trip / "first.png", Image(8, 8));
+  }
+  asked.photos.files = {trips.string()};
+  EXPECT_EQ(
+      test::error_of([&] { sample(asked); }),
+      trips.string() +
+          ": expected a photograph, or a folder of them, found folders of photographs in it alone; give "
+          "those of one place: --photos " +
+          (trips / "berlin").string() + "," + (trips / "lund").string() + ".");
 }
 
 // In whole multiples of what the models see, and so are the new views.
