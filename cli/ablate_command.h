@@ -5,7 +5,7 @@
 
 namespace gld {
 
-// The commands of this program that can be a stage: those that write into a folder.
+// Returns the commands of this program that can be a stage: those that write into a folder.
 ProgramCommands this_program();
 
 Command make_ablate_command();

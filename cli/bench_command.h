@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// gld bench solvers|stiff|extremes|sample and others: error against run time, numerical stability, speed.
+// gld bench solvers|stiff|extremes|sample and others measure error against run time, numerical stability, speed.
 Command make_bench_command();
 
 }  // namespace gld

@@ -30,7 +30,7 @@ struct Arguments {
   size_t maximum = 0;
 };
 
-// Options that gld COMMAND --help shows under one heading; all others stand in --help-all alone.
+// These options gld COMMAND --help shows under one heading; all others stand in --help-all alone.
 struct UsualOptions {
   std::string heading;
   std::vector<std::string> keys;  // "views.sources"
@@ -49,7 +49,7 @@ struct Command {
   std::shared_ptr<OptionsGroup> options;
   // What --help shows beside --out, --seed and the like, in that order; empty: the first ones outside groups.
   std::vector<UsualOptions> usual;
-  // Reads what --config names where that is more than a file of options; empty: it is one.
+  // Reads what --config names where that is more than a file of options; where it is empty, that is one.
   std::function<void(const std::string& file)> read_config;
   // Called before options are checked, with the keys ("group.field") that flags and --set name; may be empty.
   std::function<void(const std::vector<std::string>& keys)> on_named;
@@ -58,9 +58,9 @@ struct Command {
   std::vector<Command> subcommands;  // instead of run
 };
 
-// Runs the command that arguments (without the program's name) ask for. Returns the exit status: 0 done, 1
-// failed, 2 wrong usage (an Error about a flag, whenever it is found), 130 interrupted. Messages go to standard error,
-// help to standard output.
+// Runs the command that arguments (without the program's name) ask for. Returns the exit status: 0 is done, 1 failed, 2
+// wrong usage (an Error about a flag, whenever it is found), 130 interrupted. Messages go to standard error, help to
+// standard output.
 int run_command_line(const std::vector<Command>& commands, const std::vector<std::string>& arguments);
 
 }  // namespace gld

@@ -47,7 +47,7 @@ struct Collected {
   std::vector<FlagValue> flags;
 };
 
-// "--solver.evaluations,--evaluations": the short form only where it is unambiguous.
+// Returns "--solver.evaluations,--evaluations": the short form is there only where it is unambiguous.
 std::string flag_names(const Flag& flag, const std::string& prefix) {
   std::string names = prefix + flag.full.substr(2);
   if (flag.has_short_form()) names += "," + prefix + flag.shown.substr(2);
@@ -86,7 +86,8 @@ std::vector<std::string> known_flags(const CLI::App& app) {
   return names;
 }
 
-// The shortest of those that begin so, "--model" for "--mod"; empty where the beginning is a letter or none begins so.
+// Returns the shortest of those that begin so, "--model" for "--mod"; it is empty where the beginning is a letter or
+// none begins so.
 std::string begun_name(const std::string& beginning, const std::vector<std::string>& known) {
   constexpr size_t kFewestLetters = 2;
   std::string shortest;
@@ -99,14 +100,14 @@ std::string begun_name(const std::string& beginning, const std::vector<std::stri
   return shortest;
 }
 
-// What a wrong name was perhaps meant to be: one that begins so, or else the nearest.
+// Returns what a wrong name was perhaps meant to be: one that begins so, or else the nearest.
 std::string meant_name(const std::string& name, const std::vector<std::string>& known) {
   const std::string begun = begun_name(name, known);
   return begun.empty() ? nearest_name(name, known) : begun;
 }
 
-// The shortest flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have one;
-// else as of any name.
+// Returns the shortest flag whose last word that is, "--solver.schedule.grid" for "--grid" where several groups have
+// one; else it is as of any name.
 std::string flag_like(const std::string& flag, const std::vector<std::string>& known) {
   if (flag.rfind("--", 0) == 0) {
     const std::string end = "." + flag.substr(2);
@@ -116,7 +117,7 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
       if (shortest.empty() || name.size() < shortest.size()) shortest = name;
     }
     if (!shortest.empty()) return shortest;
-    // A group's name: its first options, "--loop.learning-rate.peak" among them for "--learning-rate".
+    // For a group's name it is its first options, "--loop.learning-rate.peak" among them for "--learning-rate".
     constexpr size_t kNamed = 3;
     const std::string group = "." + flag.substr(2) + ".";
     std::vector<std::string> inner;
@@ -128,8 +129,8 @@ std::string flag_like(const std::string& flag, const std::vector<std::string>& k
   return meant_name(flag, known);
 }
 
-// "--photos a.jpg b.jpg" as "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes what
-// follows it up to the next flag. Not in commands that take arguments without a flag.
+// Makes of "--photos a.jpg b.jpg" "--photos a.jpg,b.jpg", which a shell makes of *.jpg: a flag that takes a list takes
+// what follows it up to the next flag. It does not do so in commands that take arguments without a flag.
 std::vector<std::string> with_lists_joined(const CLI::App& app, const Command& command,
                                            const std::vector<std::string>& arguments) {
   if (!command.options || command.arguments.maximum > 0) return arguments;
@@ -268,7 +269,7 @@ std::vector<std::string> keys_of(const std::vector<NamedOption>& named) {
   return keys;
 }
 
-// "--resume=maybe", which the parser would take for a number. true and false are what files have.
+// Refuses "--resume=maybe", which the parser would take for a number. true and false are what files have.
 void refuse_values_of_switches(const CLI::App& app, const OptionsGroup& options,
                                const std::vector<std::string>& arguments) {
   for (const auto& description : describe_options(options)) {
@@ -315,7 +316,7 @@ int run_invocation(const Invocation& invocation) {
   return invocation.command->run(invocation.arguments);
 }
 
-// Empty after --help, which is printed.
+// The result is empty after --help, which is printed.
 std::optional<Invocation> parse(const Command& command, std::vector<std::string> arguments,
                                 const OutermostTypes& outermost) {
   CLI::App app;
@@ -382,7 +383,8 @@ void print_overview(const CommandGroup& group) {
          "program this is.\n";
 }
 
-// The command of another group whose last word that is, "train level" for "level"; empty where there is none.
+// Returns the command of another group whose last word that is, "train level" for "level"; it is empty where there is
+// none.
 std::string named_so(const std::vector<Command>& commands, const std::string& word) {
   for (const auto& command : commands) {
     if (last_word(command) == word) return command.name;

@@ -6,7 +6,7 @@
 
 namespace gld {
 
-// Every command, in the order gld --help shows them.
+// Returns every command, in the order gld --help shows them.
 std::vector<Command> all_commands();
 
 }  // namespace gld

@@ -55,7 +55,7 @@ std::vector<Level> levels_of(const std::vector<Command>& commands, const Outermo
   return levels;
 }
 
-// In single quotes, in which bash and zsh take all but the quote itself as it is.
+// The text is put in single quotes, in which bash and zsh take all but the quote itself as it is.
 std::string quoted(const std::string& text) {
   std::string result = "'";
   for (const char letter : text) result += letter == '\'' ? std::string("'\\''") : std::string(1, letter);
@@ -83,7 +83,7 @@ struct NotedName {
   std::string note;
 };
 
-// The flags that a level is offered, those of every command last.
+// Returns the flags that a level is offered, those of every command last.
 std::vector<NotedName> offered_flags(const Level& level) {
   std::vector<NotedName> names;
   for (const Flag& flag : level.flags) {
@@ -107,7 +107,7 @@ std::vector<NotedName> offered_commands(const Level& level) {
   return names;
 }
 
-// Patterns of a case for what stands before the cursor: the level, a blank, a spelling of the flag.
+// Returns patterns of a case for what stands before the cursor: the level, a blank, a spelling of the flag.
 std::string patterns(const Level& level, const Flag& flag) {
   std::string text = quoted(level.name + " " + flag.shown);
   if (flag.has_short_form()) text += "|" + quoted(level.name + " " + flag.full);
@@ -118,7 +118,7 @@ bool is_number(const Flag& flag) {
   return flag.type.find("integer") != std::string::npos || flag.type.find("real") != std::string::npos;
 }
 
-// The pattern of every command but the outermost, which is what walks down from "gld".
+// Returns the pattern of every command but the outermost, which is what walks down from "gld".
 std::string command_patterns(const std::vector<Level>& levels) {
   std::string text;
   for (const Level& level : levels) {
@@ -132,7 +132,7 @@ struct Endings {
   std::string before_values, after_values, files, nothing;
 };
 
-// The cases that bash and zsh have in common: what follows a flag.
+// Returns the cases that bash and zsh have in common: what follows a flag.
 std::string cases_of_values(const std::vector<Level>& levels, const Endings& endings) {
   std::string numbers, texts, text;
   const auto add = [](const std::string& pattern, std::string& to) {
@@ -165,7 +165,7 @@ std::string names_of(const std::vector<NotedName>& noted) {
   return joined(names);
 }
 
-// For _describe of zsh, which divides name and note at the first colon without a backslash.
+// The text is for _describe of zsh, which divides name and note at the first colon without a backslash.
 std::string described(const std::vector<NotedName>& noted) {
   std::string text;
   for (const auto& one : noted) {

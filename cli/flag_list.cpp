@@ -25,7 +25,7 @@ void add_outermost_types(const std::vector<Command>& commands, OutermostTypes& t
   }
 }
 
-// What a choice may be: "a|b|c". Other types have no bar.
+// Returns what a choice may be: "a|b|c". Other types have no bar.
 std::vector<std::string> values_of(const std::string& type) {
   if (type == "true|false" || type.find('|') == std::string::npos) return {};
   std::vector<std::string> values;
@@ -37,7 +37,7 @@ std::vector<std::string> values_of(const std::string& type) {
   return values;
 }
 
-// What visit() says of groups, which describe_options() leaves out.
+// This collects what visit() says of groups, which describe_options() leaves out.
 class GroupHelp : public FieldVisitor {
  public:
   void boolean(const Field&, bool&) override {}

@@ -36,10 +36,10 @@ struct FlagGroup {
 using OutermostTypes = std::map<std::string, std::set<std::string>>;
 OutermostTypes outermost_types(const std::vector<Command>& commands);
 
-// Those of the command's options; empty without any. --help, --help-all, --config, --set and --quiet are not among
-// them.
+// Returns those of the command's options; there are none without any. --help, --help-all, --config, --set and --quiet
+// are not among them.
 std::vector<Flag> list_flags(const Command& command, const OutermostTypes& outermost);
-// The same by group, those outside groups first.
+// Returns the same by group, those outside groups first.
 std::vector<FlagGroup> group_flags(const Command& command, const OutermostTypes& outermost);
 
 // A flag that every command with options has beside those.
@@ -50,10 +50,10 @@ struct CommonFlag {
 };
 const std::vector<CommonFlag>& common_flags();
 
-// Commands that have subcommands and those that run, in the order in which help lists them.
+// Returns commands that have subcommands and those that run, in the order in which help lists them.
 std::vector<const Command*> all_levels(const std::vector<Command>& commands);
 
-// The last word of its name: "level" of "train level".
+// Returns the last word of its name: "level" of "train level".
 std::string last_word(const Command& command);
 
 }  // namespace gld

@@ -18,7 +18,7 @@ const std::vector<std::string>& keys_of_every_run() {
   return keys;
 }
 
-// A short word for what a flag takes.
+// Returns a short word for what a flag takes.
 std::string value_word(const Flag& flag) {
   constexpr size_t kLongestChoice = 24;
   if (flag.is_switch()) return "";
@@ -85,7 +85,7 @@ std::string name_and_word(const Flag& flag) {
   return shown_name(flag) + (word.empty() ? "" : " " + word);
 }
 
-// A default that says something beside what is there.
+// Returns a default that says something beside what is there.
 std::string default_note(const Flag& flag) {
   if (flag.is_switch() || flag.default_value.empty() || flag.default_value.size() > 24) return "";
   return " [" + flag.default_value + "]";
@@ -99,7 +99,7 @@ std::string short_line(const Flag& flag, size_t column) {
   return line + first_clause(flag.help, used < kWidth ? kWidth - used : 0) + note + "\n";
 }
 
-// Text in lines that begin at a column; the first line is there already.
+// Returns text in lines that begin at a column; the first line is there already.
 std::string wrapped(const std::string& text, size_t column) {
   std::istringstream words(text);
   std::string result, word;
@@ -126,7 +126,7 @@ std::string full_line(const std::string& name, const std::string& type, const st
   return line + std::string(kHelpColumn - line.size(), ' ') + wrapped(help, kHelpColumn);
 }
 
-// "Example: gld sample ...", the line that a description begins with.
+// Returns "Example: gld sample ...", the line that a description begins with.
 std::string example_line(const Command& command) {
   if (command.description.rfind("Example: ", 0) != 0) return "";
   return command.description.substr(0, command.description.find('\n')) + "\n";

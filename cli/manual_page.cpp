@@ -64,7 +64,7 @@ std::string troff_text(const std::string& text) {
 
 std::string manual_page(const std::vector<Command>& commands, const OutermostTypes& outermost) {
   std::string text = ".TH GLD 1 \"\" \"" + troff_text(program_version()) + "\" \"User Commands\"\n";
-  // Neither justified nor hyphenated: names of options stay whole.
+  // Text is neither justified nor hyphenated: names of options stay whole.
   text += ".nh\n.ad l\n.SH NAME\ngld \\- novel views of a scene from a few photographs\n";
   text += ".SH SYNOPSIS\n" + bold("gld") + " " + italic("COMMAND") + " [options]\n";
   text += ".br\n" + bold("gld") + " " + italic("COMMAND") + " " + bold("--help") + " | " +

@@ -18,7 +18,7 @@ std::string group_of(const std::string& key) { return key.substr(0, key.rfind('.
 
 std::string name_of(const std::string& key) { return key.substr(key.rfind('.') + 1); }
 
-// That of the same group first. Null where there is none.
+// Looks for that of the same group first. Returns null where there is none.
 const OptionDescription* needed_option(const std::vector<OptionDescription>& options, const std::string& key,
                                        const std::string& name) {
   const OptionDescription* any = nullptr;

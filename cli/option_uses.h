@@ -25,7 +25,7 @@ struct OptionUse {
   std::string what;                 // is asked for: "--algorithm muon"
 };
 
-// What holds for commands of the program beside what their options check themselves.
+// Returns what holds for commands of the program beside what their options check themselves.
 const std::vector<OptionUse>& option_uses();
 
 // Throws Error for a named option that nothing would look at: what was asked for would silently not happen.

@@ -6,7 +6,7 @@ namespace gld {
 
 Command make_sample_command();
 
-// What --help shows of the options of gld sample, which gld plan has too.
+// Returns what --help shows of the options of gld sample, which gld plan has too.
 std::vector<UsualOptions> usual_sampling_options();
 
 }  // namespace gld

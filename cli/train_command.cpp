@@ -12,7 +12,7 @@
 namespace gld {
 namespace {
 
-// own: options that --help shows and other stages have not; data: those of what it trains on.
+// own are options that --help shows and other stages have not; data are those of what it trains on.
 template <class Options>
 Command stage_command(const std::string& name, const std::string& summary,
                       std::string (*run)(const Options&, const DrawValidation&),

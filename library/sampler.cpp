@@ -72,7 +72,7 @@ Image image_of(const Picture& picture, const std::string& name) {
   return image;
 }
 
-// Sources first, then targets, which have no picture.
+// Sources come first, then targets, which have no picture.
 Scene scene_of(const SampleRequest& request) {
   Scene scene;
   scene.name = "views of a program";
@@ -99,7 +99,7 @@ Scene scene_of(const SampleRequest& request) {
   return scene;
 }
 
-// What the request says otherwise, and what writes files.
+// Refuses what the request says otherwise, and what writes files.
 void refuse_fixed(const std::string& key) {
   static const std::vector<std::string> fixed{"model",  "scene",   "photos", "views.sources", "views.targets",
                                               "seed",   "threads", "out",    "outputs",       "overwrite",

@@ -1,8 +1,8 @@
 #pragma once
 
-// Novel views for other programs: the sampler of gld as a library. Of CMake: find_package(gld), target gld::gld. It
-// prints nothing, installs no signal handler, and its pictures are those of `gld sample` to the byte. One call at a
-// time in a process: the number of threads belongs to all of it.
+// This makes novel views for other programs: it is the sampler of gld as a library. CMake takes it by
+// find_package(gld), target gld::gld. It prints nothing, installs no signal handler, and its pictures are those of `gld
+// sample` to the byte. A process may make one call at a time: the number of threads belongs to all of it.
 
 #include <array>
 #include <cstdint>
@@ -28,7 +28,7 @@ class GLD_SAMPLER_API SamplerError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-// Red, green, blue, row by row.
+// Pixels are red, green, blue, row by row.
 struct Picture {
   int64_t width = 0, height = 0;
   std::vector<uint8_t> rgb;
@@ -50,10 +50,11 @@ struct SourceView {
 
 struct SampleRequest {
   std::string model;  // a bundle: a folder with model.yaml
-  // Either photographs without cameras: image files, folders of them, videos. Views are made on a path between them.
+  // Either these are photographs without cameras: image files, folders of them, videos. Views are made on a path
+  // between them.
   std::vector<std::string> photographs;
   int64_t path_views = 8;  // how many
-  // Or views with cameras in one world, and the cameras of the views that are wanted.
+  // Or these are views with cameras in one world, and the cameras of the views that are wanted.
   std::vector<SourceView> sources;
   std::vector<PinholeCamera> targets;
   int64_t seed = 0;
@@ -73,8 +74,8 @@ struct SampleProgress {
 struct SampleCallbacks {
   // After each step of a flow. False stops: sample() gives nothing then. May be empty.
   std::function<bool(const SampleProgress&)> progress;
-  // After every so many evaluations of a flow the views that it would end with now, without what is kept of the
-  // photographs. Takes the decoder's memory beside the flow's. May be empty.
+  // It gets after every so many evaluations of a flow the views that it would end with now, without what is kept of the
+  // photographs. It takes the decoder's memory beside the flow's. It may be empty.
   std::function<void(const std::string& stage, const std::vector<Picture>& views)> preview;
   int64_t preview_every = 4;
 };
@@ -98,11 +99,11 @@ struct SampleResult {
   double seconds = 0;
 };
 
-// Samples. Nothing where a callback stopped it. Throws SamplerError.
+// Samples. Returns nothing where a callback stopped it. Throws SamplerError.
 GLD_SAMPLER_API std::optional<SampleResult> sample(const SampleRequest& request,
                                                    const SampleCallbacks& callbacks = {});
 
-// "gld 0.1.0"
+// Returns for example "gld 0.1.0".
 GLD_SAMPLER_API std::string version();
 
 }  // namespace gld::sampler

@@ -6,7 +6,8 @@
 
 namespace gld {
 
-// An autoencoder and its image size: what it makes of images, and of latents, in the tokens that a DiT sees.
+// The case has an autoencoder and its image size: it is about what that makes of images, and of latents, in the tokens
+// that a DiT sees.
 NamedTensors run_autoencoder_case(const ReferenceCase& reference) {
   BackboneOptions options;
   reference.read_config(options);

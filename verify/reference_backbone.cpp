@@ -14,7 +14,7 @@ std::string level_name(const std::string& group, int64_t level) {
   return group + ".level" + std::to_string(level);
 }
 
-// The deepest level of that group that the case compares; -1 for none.
+// Returns the deepest level of that group that the case compares; -1 for none.
 int64_t deepest_level(const ReferenceCase& reference, const std::string& group, int64_t levels) {
   for (int64_t level = levels - 1; level >= 0; --level) {
     if (reference.expects_prefix(level_name(group, level))) return level;
@@ -47,7 +47,7 @@ void encode_tokens(const ReferenceCase& reference, const Backbone& backbone, con
   outputs["patch_tokens"] = tokens.slice(1, leading);
 }
 
-// Of the case's cameras, which are those of its images.
+// Returns the case's cameras, which are those of its images.
 std::vector<Camera> known_cameras(const ReferenceCase& reference, const torch::Tensor& images) {
   const int64_t views = images.size(0);
   const auto poses = reference.input("camera_from_world", {views, 4, 4}).to(torch::kFloat64).contiguous();

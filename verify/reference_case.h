@@ -27,9 +27,9 @@ struct CaseCompute {
   torch::Device device = torch::kCPU;
 };
 
-// A reference case: a folder with case.json (kind, config, relative_tolerance, note), inputs.safetensors,
-// outputs.safetensors and, where the case has weights, weights.safetensors. What the published implementation
-// computed from the inputs with those weights stands in the outputs.
+// A reference case is a folder with case.json (kind, config, relative_tolerance, note), inputs.safetensors,
+// outputs.safetensors and, where the case has weights, weights.safetensors. What the published implementation computed
+// from the inputs with those weights stands in the outputs.
 // Moving the JSON value is noexcept, but its destructor's checks look like throwing code.
 // NOLINTNEXTLINE(bugprone-exception-escape)
 struct ReferenceCase {
@@ -51,18 +51,18 @@ struct ReferenceCase {
   // Reads the configuration into options and checks them. A key that options do not have is an Error.
   void read_config(OptionsGroup& options) const;
 
-  // The input of that name; floating-point numbers as float32, integers as they are. Throws Error when the case
+  // Returns the input of that name; floating-point numbers as float32, integers as they are. Throws Error when the case
   // has none, or when its shape does not match: -1 accepts any size.
   torch::Tensor input(const std::string& input_name, const std::vector<int64_t>& shape) const;
-  // The same on the case's device, for a module; cameras stay where they are read.
+  // Returns the same on the case's device, for a module; cameras stay where they are read.
   torch::Tensor module_input(const std::string& input_name, const std::vector<int64_t>& shape) const;
-  // Where runners build modules.
+  // Returns where runners build modules.
   ParameterPlacement placement() const;
-  // An input that holds one integer.
+  // Returns an input that holds one integer.
   int64_t integer_input(const std::string& input_name) const;
-  // The weights. Throws Error when the case has none.
+  // Returns the weights. Throws Error when the case has none.
   const WeightFile& weight_file() const;
-  // Whether the case has an expected output of that name, or one that starts with prefix: a runner computes
+  // Returns whether the case has an expected output of that name, or one that starts with prefix: a runner computes
   // only what is compared.
   bool expects(const std::string& output_name) const { return expected.count(output_name) > 0; }
   bool expects_prefix(const std::string& prefix) const;
@@ -70,7 +70,7 @@ struct ReferenceCase {
   void apply_precision(torch::nn::Module& module, ModelKind kind) const;
 };
 
-// Reads a case; one sentence for each way in which the folder can be wrong.
+// Reads a case; throws one sentence for each way in which the folder can be wrong.
 ReferenceCase read_reference_case(const std::filesystem::path& folder);
 
 // Builds the modules of one kind of case from its configuration, loads its weights, and computes its outputs

@@ -13,7 +13,7 @@
 namespace gld {
 namespace {
 
-// Beside the model: the guidance of the outputs "guided.t*".
+// Beside the model there is the guidance of the outputs "guided.t*".
 struct DitVelocityCaseOptions : DitCaseOptions {
   double guidance_scale = 1;
   std::vector<double> guidance_interval = {0, 1};
@@ -35,7 +35,7 @@ struct SampleCaseOptions : DitCaseOptions {
   }
 };
 
-// The flow time in "velocity.t0.02"; false for another name.
+// Reads the flow time in "velocity.t0.02"; returns false for another name.
 bool time_of_output(const std::string& name, const std::string& prefix, double& time) {
   if (name.compare(0, prefix.size(), prefix) != 0) return false;
   const char* text = name.c_str() + prefix.size();

@@ -45,8 +45,8 @@ struct CaseSamplerOptions : OptionsGroup {
   GuidanceOptions guidance_options() const;
 };
 
-// The inputs "camera_to_world" (views, 4, 4) and "intrinsics" (views, 3, 3) as checked cameras. Throws Error where
-// the inputs have another number of views.
+// reference_views returns the inputs "camera_to_world" (views, 4, 4) and "intrinsics" (views, 3, 3) as checked cameras.
+// Throws Error where the inputs have another number of views.
 struct CaseViewSizes {
   int64_t num_views = 0;
   int64_t num_sources = 0;
@@ -55,18 +55,18 @@ struct CaseViewSizes {
 };
 Views reference_views(const ReferenceCase& reference, const CaseViewSizes& sizes);
 
-// An input latent as (views, tokens, channels). Cases hold (views, channels, grid height, grid width), or tokens
-// where the model has special ones.
+// Returns an input latent as (views, tokens, channels). Cases hold (views, channels, grid height, grid width), or
+// tokens where the model has special ones.
 torch::Tensor reference_latent(const ReferenceCase& reference, const std::string& name,
                                const DitCaseOptions& options);
-// The inverse, for outputs.
+// Does the inverse, for outputs.
 torch::Tensor latent_in_case_layout(const torch::Tensor& tokens, const DitCaseOptions& options);
 
-// The scene of a case: cameras, "source_features" (of which the source views' are taken; the target views' are
+// Returns the scene of a case: cameras, "source_features" (of which the source views' are taken; the target views' are
 // zero) and, for cascades, "deeper_level".
 DitSceneInputs reference_scene(const ReferenceCase& reference, const DitCaseOptions& options);
 
-// The model with its weights, whose names start with prefix.
+// Returns the model with its weights, whose names start with prefix.
 std::shared_ptr<DitDh> reference_dit(const ReferenceCase& reference, const DitOptions& options,
                                      const std::string& prefix = "");
 

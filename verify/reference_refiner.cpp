@@ -26,7 +26,8 @@ std::vector<Camera> cameras_of(const torch::Tensor& camera_to_world) {
 
 }  // namespace
 
-// A refiner, latents of a degraded view and its references, and cameras of which the first one's references are asked.
+// The case has a refiner, latents of a degraded view and its references, and cameras of which the first one's
+// references are asked.
 NamedTensors run_refiner_case(const ReferenceCase& reference) {
   RefinerOptions options;
   reference.read_config(options);

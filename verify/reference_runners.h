@@ -24,7 +24,7 @@ NamedTensors run_splat_compositing_case(const ReferenceCase& reference);  // kin
 NamedTensors run_refiner_case(const ReferenceCase& reference);            // kind "refiner"
 NamedTensors run_train_diffusion_case(const ReferenceCase& reference);    // kind "train_diffusion"
 
-// Every kind, by name.
+// Returns every kind, by name.
 ReferenceRunners reference_runners();
 
 }  // namespace gld

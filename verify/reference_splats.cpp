@@ -85,7 +85,7 @@ struct ShapeGradients {
   }
 };
 
-// Through conic = (Q_xx, Q_xy, Q_yy) with Q = S2^-1: dS2 = -Q G Q.
+// The gradient goes through conic = (Q_xx, Q_xy, Q_yy) with Q = S2^-1: dS2 = -Q G Q.
 ProjectedGradient gradient_of_conic(const Eigen::Matrix2d& q, const double* of_conic) {
   Eigen::Matrix2d g;
   g << of_conic[0], of_conic[1] / 2, of_conic[1] / 2, of_conic[2];

@@ -23,7 +23,7 @@ struct TrajectoryCaseOptions : OptionsGroup {
   }
 };
 
-// In double, as evo computes: ReferenceCase::input rounds to float32.
+// Poses are read in double, as evo computes: ReferenceCase::input rounds to float32.
 std::vector<Eigen::Isometry3d> poses_of(const ReferenceCase& reference, const std::string& name) {
   const int64_t count = reference.input(name, {-1, 4, 4}).size(0);
   const auto matrices = reference.inputs.at(name).to(torch::kFloat64).contiguous();

@@ -32,7 +32,7 @@ struct TensorComparison {
 TensorComparison compare_tensor(const std::string& name, const torch::Tensor& computed,
                                 const torch::Tensor& expected, double relative_tolerance);
 
-// One row an expected tensor, in the order of their names. A tensor that was not computed fails.
+// Returns one row an expected tensor, in the order of their names. A tensor that was not computed fails.
 std::vector<TensorComparison> compare_outputs(const ReferenceCase& reference, const NamedTensors& computed);
 
 struct CaseVerification {
@@ -45,20 +45,21 @@ struct CaseVerification {
   bool passed() const;
 };
 
-// What a case's tolerance is in a precision: itself in float32; in bfloat16 and int8 0.05 and 0.1 of the largest value
-// at least, beyond which something else than rounding is wrong. What they deviate by is in the comparisons.
+// Returns what a case's tolerance is in a precision: it is itself in float32; in bfloat16 and int8 it is 0.05 and 0.1
+// of the largest value at least, beyond which something else than rounding is wrong. What they deviate by is in the
+// comparisons.
 double tolerance_in(ComputePrecision precision, double relative_tolerance);
 
-// Reads, runs and compares one case. Never throws for a fault of the case: it becomes the error of the
-// result. Runs without autograd; a runner that needs gradients switches it on for itself.
+// Reads, runs and compares one case. Never throws for a fault of the case: it becomes the error of the result. It runs
+// without autograd; a runner that needs gradients switches it on for itself.
 CaseVerification verify_case(const std::filesystem::path& folder, const ReferenceRunners& runners,
                              const CaseCompute& compute = {});
 
-// One line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
+// Returns one line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
 std::string case_text(const CaseVerification& result);
 std::string summary_text(const std::vector<CaseVerification>& cases);
-// {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...], "error"}]};
-// numbers that are not finite are null.
+// Returns {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...],
+// "error"}]}; numbers that are not finite are null.
 nlohmann::json verification_json(const std::vector<CaseVerification>& cases);
 
 }  // namespace gld

@@ -96,7 +96,7 @@ std::map<std::string, std::string> read_texts(const YAML::Node& node, const Yaml
   return texts;
 }
 
-// What to do about a name that is not among those: the nearest, or all.
+// Returns what to do about a name that is not among those: the nearest, or all.
 std::string remedy_for(const std::string& name, const std::vector<std::string>& known) {
   const auto near = nearest_name(name, known);
   return near.empty() ? "choose among " + joined_names(known) : "did you mean " + quoted_text(near) + "?";
@@ -197,7 +197,7 @@ std::vector<std::string> names_of(const std::vector<Item>& items) {
   return names;
 }
 
-// one_of: "stage", what the name should be of.
+// one_of is what the name should be of, for example "stage".
 void require_name(const std::string& name, const std::vector<std::string>& known, const std::string& where,
                   const std::string& one_of) {
   if (std::find(known.begin(), known.end(), name) != known.end()) return;
@@ -272,7 +272,7 @@ void check_metrics(const Ablation& ablation, const std::string& file) {
   }
 }
 
-// all: the names of all variants, also of those that --only leaves out.
+// all has the names of all variants, also of those that --only leaves out.
 void check_claims(const Ablation& ablation, const std::vector<std::string>& all, const std::string& file) {
   const auto metrics = names_of(ablation.metrics);
   for (const ClaimDescription& claim : ablation.claims) {
@@ -286,7 +286,8 @@ void check_claims(const Ablation& ablation, const std::vector<std::string>& all,
   }
 }
 
-// By its name, or by that of a column of gld eval that ends so, "generated_psnr": then the longest such name.
+// A metric is known by its name, or by that of a column of gld eval that ends so, "generated_psnr": then the longest
+// such name counts.
 const Metric* known_metric(const std::string& name) {
   const Metric* found = nullptr;
   for (const Metric& metric : metric_list()) {

@@ -46,7 +46,7 @@ struct OptionSetting {
 // The command of the one kind of stage that is no command of the program: a bundle put together of others, with
 // settings of its model.yaml.
 constexpr const char* kAssembleCommand = "assemble";
-// What `model` of a stage says for the bundle of the ablation or its variant.
+// `model` of a stage says this for the bundle of the ablation or its variant.
 constexpr const char* kBaseModel = "base";
 
 bool trains(const std::string& command);  // "train level"
@@ -120,7 +120,7 @@ struct Ablation {
   const StageDescription& stage(const std::string& name) const;
   const VariantDescription* variant(const std::string& name) const;  // null where it is not among those
   const MetricDescription& metric(const std::string& name) const;
-  // What a variant's stage is given beyond its configuration, in the order of application: of the stage, of the
+  // Returns what a variant's stage is given beyond its configuration, in the order of application: of the stage, of the
   // variant, of a smoke run, of options.overrides.
   std::vector<OptionSetting> settings_of(const VariantDescription& variant,
                                          const StageDescription& stage) const;
@@ -128,12 +128,12 @@ struct Ablation {
 
 // Applies the options that the file gives to `options`. Throws Error for a file that is no ablation.
 void read_ablate_options(const std::filesystem::path& file, AblateOptions& options);
-// The whole description under options that are complete. Throws Error, with line and section, for unknown keys, stages,
-// variants and metrics, and for a description that could not be run.
+// Reads the whole description under options that are complete. Throws Error, with line and section, for unknown keys,
+// stages, variants and metrics, and for a description that could not be run.
 Ablation read_ablation(const std::filesystem::path& file, const AblateOptions& options);
 
-// How much better `first` is than `second` by a metric of that direction: what a claim is about. Values near 1 are
-// compared by their distance from it.
+// Returns how much better `first` is than `second` by a metric of that direction: what a claim is about. Values near 1
+// are compared by their distance from it.
 double gain(Better better, double first, double second);
 
 }  // namespace gld

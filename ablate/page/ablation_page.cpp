@@ -21,7 +21,7 @@ std::string number_text(const Json& value) {
   return value.is_number() ? short_number(value.get<double>()) : "";
 }
 
-// "5.7 [5.2, 6.3]"
+// Returns for example "5.7 [5.2, 6.3]".
 std::string with_interval(const Json& row, const std::string& key) {
   const std::string mean = number_text(report_value(row, key));
   const std::string low = number_text(report_value(row, "/interval_95/0"));
@@ -30,7 +30,7 @@ std::string with_interval(const Json& row, const std::string& key) {
              : mean + " [" + low + ", " + number_text(report_value(row, "/interval_95/1")) + "]";
 }
 
-// The variants' labels by their names.
+// Returns the variants' labels by their names.
 std::map<std::string, std::string> labels_of(const Json& report) {
   std::map<std::string, std::string> labels;
   for (const Json& variant : report_value(report, "/variants")) {

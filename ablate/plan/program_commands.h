@@ -15,7 +15,7 @@ struct ProgramCommands {
   std::filesystem::path program;
   std::string version;  // with a hash of the executable: what another build made is not taken for this one's
   std::vector<std::string> names;  // "eval", "train level"
-  // The command's options with their defaults; null for one that has none or does not exist.
+  // Returns the command's options with their defaults; null for one that has none or does not exist.
   std::function<std::shared_ptr<OptionsGroup>(const std::string& command)> options;
 };
 

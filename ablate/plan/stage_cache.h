@@ -55,11 +55,11 @@ struct ExpectedCost {
   int64_t like = 0;  // how many they are
 };
 
-// Of a finished stage what it took; of another one the mean of the finished ones of its name in this plan: other
-// variants and seeds. Never a guess.
+// Returns of a finished stage what it took; of another one it is the mean of the finished ones of its name in this
+// plan: other variants and seeds. It is never a guess.
 ExpectedCost expected_cost(const AblationPlan& plan, size_t task, const StageCache& cache);
 
-// What is to be run and what that takes, for people: a table with a line a stage and command, then totals.
+// Returns what is to be run and what that takes, for people: a table with a line a stage and command, then totals.
 std::string plan_text(const AblationPlan& plan, const StageCache& cache, int64_t jobs);
 
 }  // namespace gld

@@ -33,7 +33,8 @@ bool has_field(const OptionsGroup& options, const std::string& key) {
   return std::any_of(fields.begin(), fields.end(), [&](const auto& field) { return field.key == key; });
 }
 
-// The option that a stage's random numbers follow from: of training, else of what is drawn. Empty where there is none.
+// Returns the option that a stage's random numbers follow from: that of training, else of what is drawn. It is empty
+// where there is none.
 std::string seed_field(const OptionsGroup& options) {
   for (const char* key : {"loop.seed", "seed"}) {
     if (has_field(options, key)) return key;
@@ -116,7 +117,7 @@ class Planner {
     return found->second;
   }
 
-  // The bundle that a stage takes: a task, or a folder.
+  // The bundle that a stage takes is that of a task, or a folder.
   void choose_model(const Run& run, const StageDescription& stage, StageTask& task) {
     const std::string& wanted = stage.model.empty() ? run.last_bundle : stage.model;
     if (!wanted.empty() && wanted != kBaseModel) {
@@ -151,7 +152,7 @@ class Planner {
   }
 
   // Without the weights of what encodes pictures nothing but its own training and the benchmarks of random models run:
-  // better said before hours of stages.
+  // that is better said before hours of stages.
   void require_backbone(const Run& run, const StageDescription& stage, const StageTask& task) {
     if (task.command == kTrainBackboneCommand ||
         (task.command.rfind(kBenchPrefix, 0) == 0 && task.command != kSampleBenchmark))
@@ -302,7 +303,8 @@ class Planner {
     }
   }
 
-  // What a task's result follows from, those that it needs by their `name`. options: of it, in the form that counts.
+  // Returns what a task's result follows from, those that it needs by their `name`. options are those of the task, in
+  // the form that counts.
   std::string dependencies(const StageTask& task, std::string options, std::string StageTask::*name) {
     const auto named = [&](size_t number) { return plan_.tasks[number].*name; };
     std::string text = "command: " + task.command + "\n";

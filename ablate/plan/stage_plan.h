@@ -51,21 +51,21 @@ struct AblationPlan {
   std::vector<VariantRun> runs;
 };
 
-// What an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's version, the
-// command, its options after all settings, its seed among them, and the keys of the stages before it or the content of
-// the bundle. Files and folders that options name count by their name, not by their content.
-// Throws Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
+// Returns what an ablation has to run. Keys are known before anything runs: a stage's is the hash of the program's
+// version, the command, its options after all settings, its seed among them, and the keys of the stages before it or
+// the content of the bundle. Files and folders that options name count by their name, not by their content. Throws
+// Error where an option does not exist or has a wrong value, a bundle cannot be opened or a folder of scenes is
 // missing.
 AblationPlan plan_ablation(const Ablation& ablation, const ProgramCommands& commands);
 
-// Variants that cannot differ, "a" and "b": the same rows and columns of the same stages.
+// Returns variants that cannot differ, "a" and "b": the same rows and columns of the same stages.
 std::vector<std::pair<std::string, std::string>> equal_variants(const Ablation& ablation,
                                                                 const AblationPlan& plan);
 
-// Whether text looks like StageTask::key.
+// Returns whether text looks like StageTask::key.
 bool is_stage_key(const std::string& text);
 
-// How far seeds of stages lie apart: evaluations give each next scene the next seed, and each next sample the next
+// Seeds of stages lie so far apart: evaluations give each next scene the next seed, and each next sample the next
 // million.
 constexpr int64_t kSeedStride = 1'000'000'000;
 

@@ -37,7 +37,7 @@ Summary summary_of(const Ablation& ablation, const VariantNumbers& numbers, cons
   return summary;
 }
 
-// With its interval; as many digits as that shows.
+// Returns the number with its interval, and with as many digits as that shows.
 std::string number_text(double value, const Interval& interval) {
   if (!std::isfinite(value)) return "absent";
   const double width = interval.high - interval.low;
@@ -62,8 +62,8 @@ std::string p_text(double p, int64_t scenes) {
   return scenes < kFewest ? "-" : short_number(p);
 }
 
-// Metrics whose means are not of the same scenes in every variant, a sentence each: such means must not be compared,
-// claims are of the scenes that both have.
+// Names metrics whose means are not of the same scenes in every variant, a sentence each: such means must not be
+// compared, claims are of the scenes that both have.
 std::string unlike_scenes_text(const Ablation& ablation, const AblationResults& results) {
   std::string text;
   for (const MetricDescription& metric : ablation.metrics) {
@@ -320,7 +320,7 @@ Figure ablation_figure(const Ablation& ablation, const AblationResults& results)
       const Summary summary = summary_of(ablation, *numbers, metric.name);
       if (!std::isfinite(summary.mean)) continue;
       if (!curves) {
-        // The ends of the interval and the mean, joined.
+        // This line joins the ends of the interval and the mean.
         panel.series.push_back(
             {variant.label,
              SeriesStyle::kLine,

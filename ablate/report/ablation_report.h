@@ -19,19 +19,19 @@ struct AblationResults {
   std::vector<ClaimResult> claims;
 };
 
-// ablation.md: title, a table of variants and metrics, the claims with their verdicts, other runs whose seeds count,
-// what each stage took, how to repeat it.
+// Returns ablation.md: title, a table of variants and metrics, the claims with their verdicts, other runs whose seeds
+// count, what each stage took, how to repeat it.
 std::string ablation_markdown(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
                               const AblationResults& results);
-// ablation.csv: a row for every variant, seed, scene, target view and metric.
+// Returns ablation.csv: a row for every variant, seed, scene, target view and metric.
 std::string ablation_csv(const AblationResults& results);
 nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPlan& plan,
                                      const StageCache& cache, const AblationResults& results);
-// A panel a metric: means with their intervals, over x where variants have one. Metrics without any number are left
-// out.
+// Draws a panel a metric: means with their intervals, over x where variants have one. Metrics without any number are
+// left out.
 Figure ablation_figure(const Ablation& ablation, const AblationResults& results);
-// A panel a metric that claims are about: by how much each holds, with its interval, beside no difference. Without a
-// panel where nothing could be compared.
+// Draws a panel a metric that claims are about: by how much each holds, with its interval, beside no difference. It is
+// without a panel where nothing could be compared.
 Figure claims_figure(const Ablation& ablation, const AblationResults& results);
 
 }  // namespace gld

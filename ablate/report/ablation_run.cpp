@@ -27,7 +27,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Of an earlier ablation, whatever its commands wrote: folders named by keys, and nothing else.
+// Removes of an earlier ablation whatever its commands wrote: folders named by keys, and nothing else.
 void remove_stages(const fs::path& cache) {
   if (!fs::is_directory(cache)) return;
   for (const auto& entry : fs::directory_iterator(cache)) {

@@ -12,9 +12,8 @@ struct AblationOutcome {
   bool complete = true;  // false where a stage failed
 };
 
-// gld ablate: plans, runs what is not done, compares and writes the run folder: ablation.md, ablation.csv,
-// ablation.svg, .png, report.json, and the stages in cache/. With options.plan it only says what would run, and writes
-// nothing.
+// gld ablate plans, runs what is not done, compares and writes the run folder: ablation.md, ablation.csv, ablation.svg,
+// .png, report.json, and the stages in cache/. With options.plan it only says what would run, and writes nothing.
 AblationOutcome run_ablation(const Ablation& ablation, const ProgramCommands& commands);
 
 }  // namespace gld

@@ -28,15 +28,15 @@ std::vector<VariantNumbers> collect_numbers(const Ablation& ablation, const Abla
                                             const std::vector<TaskOutcome>& outcomes);
 
 // Throws Error, naming the metric, where what this finished task wrote has not the columns that variants are compared
-// by: known as soon as one is done, and not after hours of the others.
+// by: that is known as soon as one is done, and not after hours of the others.
 void check_result_columns(const Ablation& ablation, const AblationPlan& plan, const StageCache& cache,
                           size_t task);
 
-// Finite numbers averaged over each scene's views.
+// Returns finite numbers averaged over each scene's views.
 NumbersBySeed scene_means(const MeasuredNumbers& numbers);
 
-// By how much the first is better, of scenes and views that both have, averaged over each scene's views: variants with
-// more target views than others are compared on those that both were asked for.
+// Returns by how much the first is better, of scenes and views that both have, averaged over each scene's views:
+// variants with more target views than others are compared on those that both were asked for.
 NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const MeasuredNumbers& second);
 
 struct ClaimResult {
@@ -44,7 +44,7 @@ struct ClaimResult {
   Comparison comparison;
 };
 
-// The claims whose variants ran, judged together; every other one is undecided and says so.
+// Returns the claims whose variants ran, judged together; every other one is undecided and says so.
 std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vector<VariantNumbers>& numbers);
 
 }  // namespace gld

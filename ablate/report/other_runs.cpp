@@ -96,7 +96,7 @@ std::vector<VariantNumbers> read_numbers(const Ablation& ablation, const OtherRu
   return all;
 }
 
-// What the run says of itself; owners: of each seed so far, whose it is.
+// Returns what the run says of itself; owners says of each seed so far whose it is.
 OtherRun described_run(const fs::path& folder, const Json& report, std::map<int64_t, std::string>& owners) {
   OtherRun run;
   run.folder = folder;

@@ -20,12 +20,12 @@ struct OtherRun {
   std::vector<VariantNumbers> numbers;
 };
 
-// Those of ablation.options.with_runs. Throws Error where one is not finished, has not measured a variant of this
+// Reads those of ablation.options.with_runs. Throws Error where one is not finished, has not measured a variant of this
 // ablation, has a seed that this ablation or another one of them has, or asks another question: stages that differ by
 // more than their seed and the program's version (StageTask::question).
 std::vector<OtherRun> read_other_runs(const Ablation& ablation, const AblationPlan& plan);
 
-// As if this ablation had run their seeds too.
+// Adds the numbers as if this ablation had run their seeds too.
 void add_other_runs(const std::vector<OtherRun>& others, std::vector<VariantNumbers>& numbers);
 
 }  // namespace gld

@@ -16,7 +16,7 @@
 namespace gld {
 namespace {
 
-// Cells of all lines. A quoted cell may hold commas, line ends and doubled quotes.
+// Returns the cells of all lines. A quoted cell may hold commas, line ends and doubled quotes.
 std::vector<std::vector<std::string>> csv_cells(const std::string& text, const std::string& where) {
   std::vector<std::vector<std::string>> lines(1);
   std::string cell;
@@ -78,7 +78,7 @@ size_t column_number(const ResultRows& rows, const std::string& name) {
   return static_cast<size_t>(found - rows.columns.begin());
 }
 
-// Of a report "scene.name". Files of means over scenes have none: they are one scene.
+// In a report the column is "scene.name". Files of means over scenes have none: they are one scene.
 std::optional<size_t> scene_column_of(const ResultRows& rows) {
   for (const char* name : {"scene.name", "scene"}) {
     if (has_column(rows, name)) return column_number(rows, name);

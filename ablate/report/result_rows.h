@@ -22,13 +22,13 @@ ResultRows read_result_rows(const std::filesystem::path& file);
 
 bool has_column(const ResultRows& rows, const std::string& name);
 
-// Whether a row has these texts in these columns.
+// Returns whether a row has these texts in these columns.
 bool any_row(const ResultRows& rows, const std::map<std::string, std::string>& where);
 
-// A column's numbers by scene and, where there is a column "target", by target view: of the rows that have these texts
-// in these columns. Empty cells are left out: the quantity is absent. Several rows of one scene and view are averaged;
-// files without a column of scenes are of one, "all".
-// Throws Error where a column does not exist, naming the nearest, a cell is no number, or no row is left.
+// Returns a column's numbers by scene and, where there is a column "target", by target view: those of the rows that
+// have these texts in these columns. Empty cells are left out: the quantity is absent. Several rows of one scene and
+// view are averaged; files without a column of scenes are of one, "all". Throws Error where a column does not exist,
+// naming the nearest, a cell is no number, or no row is left.
 std::map<std::string, std::map<std::string, double>> numbers_by_scene(
     const ResultRows& rows, const std::string& column, const std::map<std::string, std::string>& where);
 

@@ -24,7 +24,7 @@ std::string hash_of(const ModelBundle& bundle, const BundlePart& part) {
   return bundle.has(part) ? sha256_of_file(bundle.file(part)) : "";
 }
 
-// The options with the unit that was measured with the statistics which are taken from `others`.
+// Returns the options with the unit that was measured with the statistics which are taken from `others`.
 BundleOptions with_measured_unit(BundleOptions options, const ModelBundle& first,
                                  const std::vector<fs::path>& others) {
   const BundleOptions& given = first.options();

@@ -30,7 +30,7 @@ namespace fs = std::filesystem;
 
 constexpr std::chrono::seconds kBetweenLooks(1);
 
-// That no other ablation works at the stage: held by this process and by the stage's own.
+// This lock says that no other ablation works at the stage: it is held by this process and by the stage's own.
 class StageLock {
  public:
   explicit StageLock(const fs::path& folder)
@@ -66,7 +66,7 @@ fs::path newest_checkpoint(const fs::path& run) {
   return newest;
 }
 
-// A copy of a finished training that another one goes on with: its newest checkpoint and what belongs to it.
+// Makes a copy of a finished training that another one goes on with: its newest checkpoint and what belongs to it.
 void branch_training(const fs::path& from, const fs::path& to) {
   AtomicFolder folder(to);
   fs::create_directory(folder.temporary() / "checkpoints");
@@ -101,7 +101,7 @@ std::string last_line(const fs::path& log) {
   return printable_text(last);
 }
 
-// At most sixty letters of a line, whole words.
+// Returns at most sixty letters of a line, in whole words.
 std::string shortened(const std::string& line) {
   constexpr size_t kLongest = 60;
   if (line.size() <= kLongest) return line;
@@ -181,7 +181,8 @@ class Scheduler {
     if (options_.check_done && outcomes_[number].done) options_.check_done(number);
   }
 
-  // Of all stages together, with what the running ones say of themselves; at most 99 as long as one runs.
+  // The percentage is that of all stages together, with what the running ones say of themselves; it is at most 99 as
+  // long as one runs.
   int64_t percent_done() const {
     double done = static_cast<double>(ended());
     for (const RunningTask& task : running_) {
@@ -231,7 +232,7 @@ class Scheduler {
     fail({"gld ablate", "a stop that was asked for", "none", "report this"});
   }
 
-  // What becomes of a stage whose process ended.
+  // Notes what becomes of a stage whose process ended.
   void note_end(const RunningTask& task) {
     const StageTask& stage = plan_.tasks[task.number];
     const FinishedProcess result = *task.process->poll();
@@ -251,7 +252,7 @@ class Scheduler {
                                      ")";
   }
 
-  // Whether any ended.
+  // Returns whether any ended.
   bool collect() {
     bool any = false;
     for (size_t i = 0; i < running_.size();) {
@@ -295,7 +296,7 @@ class Scheduler {
     }
   }
 
-  // False where another ablation works at the stage.
+  // Returns false where another ablation works at the stage.
   bool begin(size_t number) {
     const StageTask& task = plan_.tasks[number];
     fs::create_directories(cache_.folder(task));
@@ -340,7 +341,7 @@ class Scheduler {
     cache_.finish(task, {seconds.count(), 0, size_on_disk(cache_.folder(task))});
   }
 
-  // Leaves the run folder as the command can begin or go on in it; whether it goes on.
+  // Leaves the run folder as the command can begin or go on in it; returns whether it goes on.
   bool prepare_run(const StageTask& task) const {
     const fs::path run = cache_.run(task);
     if (task.resumed && !fs::exists(run)) branch_training(cache_.run(plan_.tasks[*task.resumed]), run);

@@ -15,7 +15,7 @@ struct RunningOptions {
   std::filesystem::path program;
   int64_t jobs = 1;
   int64_t threads = 1;  // of each
-  // Where progress.json says how far the tasks are together; empty: nowhere.
+  // In this folder progress.json says how far the tasks are together; where it is empty, nothing does.
   std::filesystem::path progress_folder;
   // Called with each task that is done, those of before included, as soon as it is; an Error that it throws stops the
   // running ones, which go on next time, and is passed on. May be empty.
@@ -29,12 +29,12 @@ struct TaskOutcome {
 
 // Runs what is not done, each task behind those that it needs, up to `jobs` at a time, and those that are to be alone
 // alone. A task that fails costs those that need it, and no other. Every stage is a process of its own: killed, or
-// killed together with this process, it is gone on with next time (training) or begun again. One outcome a task.
-// Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.
+// killed together with this process, it is gone on with next time (training) or begun again. There is one outcome a
+// task. Throws Interrupted after Ctrl-C or SIGTERM, when the running stages have stopped.
 std::vector<TaskOutcome> run_tasks(const AblationPlan& plan, const StageCache& cache,
                                    const RunningOptions& options);
 
-// The command line of a task, as it is run and as reports show it.
+// Returns the command line of a task, as it is run and as reports show it.
 std::vector<std::string> command_line_of(const StageTask& task, const AblationPlan& plan,
                                          const StageCache& cache, const RunningOptions& options, bool resume);
 

@@ -72,7 +72,8 @@ double seed_means_p_value(const NumbersBySeed& numbers) {
   if (mean == 0) return 1;
   const double freedom = count - 1;
   const double t_squared = count * mean * mean / (squares / freedom);
-  // P(|T| > t) = I_x(freedom / 2, 1 / 2) at x = freedom / (freedom + t^2), which is 0 where all means are equal.
+  // The p-value is P(|T| > t) = I_x(freedom / 2, 1 / 2) at x = freedom / (freedom + t^2), which is 0 where all means
+  // are equal.
   return Eigen::numext::betainc(freedom / 2, 0.5, freedom / (freedom + t_squared));
 }
 

@@ -9,13 +9,13 @@ namespace gld {
 
 namespace {
 
-// Whether what was measured does not depend on the seed at all.
+// Returns whether what was measured does not depend on the seed at all.
 bool all_equal(const NumbersBySeed& numbers) {
   return std::all_of(numbers.begin(), numbers.end(),
                      [&](const auto& seed) { return seed.second == numbers.begin()->second; });
 }
 
-// Deviations from 0 of a normal number's two-sided p-value.
+// Returns the deviations from 0 of a normal number with that two-sided p-value.
 double deviations_of(double p) {
   double low = 0, high = 40;
   for (int i = 0; i < 60; ++i) {
@@ -25,7 +25,7 @@ double deviations_of(double p) {
   return low;
 }
 
-// What would decide an undecided claim.
+// Returns what would decide an undecided claim.
 std::string what_would_decide(const Comparison& claim) {
   constexpr double kMost = 1000;
   // Holm's factor stays.

@@ -19,14 +19,14 @@ std::string verdict_name(Verdict verdict, const std::string& paper);
 // What the seeds of a table are of: noise of evaluations, or trainings too, which differ by more.
 enum class SeedsOf { kEvaluations, kTrainings };
 
-// What a verdict needs at least. Two trainings say nothing of how much trainings differ.
+// A verdict needs at least these. Two trainings say nothing of how much trainings differ.
 constexpr int64_t kFewestVerdictScenes = 64;
 int64_t fewest_verdict_seeds(SeedsOf seeds);  // 2, 3
-// What Holm's p-value of a claim has to be below: of twenty tables in which nothing is so, about one decides something.
+// Holm's p-value of a claim has to be below this: of twenty tables in which nothing is so, about one decides something.
 constexpr double kVerdictLevel = 0.05;
 
-// How many times as much has to be measured until a p-value of p is needed_p, if the mean stays as it is: its deviation
-// falls with the root of that. Of normal means and two-sided p-values; infinite for p = 1.
+// Returns how many times as much has to be measured until a p-value of p is needed_p, if the mean stays as it is: its
+// deviation falls with the root of that. It holds for normal means and two-sided p-values; it is infinite for p = 1.
 double times_as_much(double p, double needed_p);
 
 // A paired comparison of two variants: positive differences speak for the one that is claimed to be better.
@@ -47,16 +47,16 @@ struct Comparison {
   std::string reason;  // of an undecided one: one phrase
 };
 
-// gain: by how much the claimed one is better, for each seed and scene. Everything but holm_p_value, verdict and
-// reason.
+// gain is by how much the claimed one is better, for each seed and scene. Everything but holm_p_value, verdict and
+// reason is filled in.
 Comparison compare(const NumbersBySeed& gain, const BootstrapOptions& options = {});
 
-// The verdicts of claims that are made together, those of one table. It holds (or the opposite does) where the 95 %
-// interval lies above (below) 0, Holm's p-value over all of them is below kVerdictLevel, and the mean of every seed
-// has that sign too; undecided, with the reason, where it is not, and whatever the interval with fewer scenes than
-// kFewestVerdictScenes or fewer seeds than fewest_verdict_seeds(). Seeds that gave the same numbers count as one. A
-// claim that has a reason already keeps it and is undecided; it counts among all, so that leaving some out makes no
-// other one easier.
+// Gives the verdicts of claims that are made together, those of one table. A claim holds (or the opposite does) where
+// the 95 % interval lies above (below) 0, Holm's p-value over all of them is below kVerdictLevel, and the mean of every
+// seed has that sign too; it is undecided, with the reason, where that is not so, and whatever the interval is with
+// fewer scenes than kFewestVerdictScenes or fewer seeds than fewest_verdict_seeds(). Seeds that gave the same numbers
+// count as one. A claim that has a reason already keeps it and is undecided; it counts among all, so that leaving some
+// out makes no other one easier.
 void judge(std::vector<Comparison>& claims, SeedsOf seeds);
 
 }  // namespace gld

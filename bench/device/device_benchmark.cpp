@@ -86,7 +86,7 @@ void time_into(DeviceBenchmarkRow& row, const Setting& setting, int64_t repeats,
   row.seconds_high = spread.high;
 }
 
-// A row of what measure fills in; where the device has no room for it, one that says so.
+// Makes a row of what measure fills in; where the device has no room for it, one that says so.
 DeviceBenchmarkRow row_of(const std::string& part, const std::string& variant,
                           const std::function<void(DeviceBenchmarkRow&)>& measure) {
   DeviceBenchmarkRow row;

@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// gld bench device: one evaluation of M1 and steps of its training on a GPU, in float32 and bfloat16, as fractions of
-// what that GPU reaches with large matrix products in the same run, and the memory that they take.
+// gld bench device times one evaluation of M1 and steps of its training on a GPU, in float32 and bfloat16, as fractions
+// of what that GPU reaches with large matrix products in the same run, and the memory that they take.
 struct DeviceBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -42,7 +42,7 @@ struct DeviceBenchmarkRow {
   std::string problem;          // "no room on the device"
 };
 
-// On the device of the options, after use_threads. Writes nothing.
+// It runs on the device of the options, after use_threads. It writes nothing.
 std::vector<DeviceBenchmarkRow> device_benchmark_rows(const DeviceBenchmarkOptions& options);
 Table device_benchmark_table(const std::vector<DeviceBenchmarkRow>& rows);
 

@@ -20,7 +20,7 @@ namespace {
 constexpr int64_t kPropeHeadDim = 48;
 constexpr int64_t kPixels = 28;  // a side; a token grid of 2 x 2
 
-// Views on an arc of that radius around `centre`, looking at a point in front of it.
+// Returns views on an arc of that radius around `centre`, looking at a point in front of it.
 Views arc_of_views(int64_t count, int64_t sources, double radius, const Eigen::Vector3d& centre) {
   Views views;
   views.num_sources = sources;
@@ -52,7 +52,7 @@ torch::Tensor random_tokens(int64_t views, uint64_t seed) {
                       torch::kFloat64);
 }
 
-// Logits of all token pairs, in double from encodings in dtype.
+// Returns the logits of all token pairs, in double from encodings in dtype.
 torch::Tensor logits(const Views& views, torch::Dtype dtype) {
   const auto tables = tables_of(relative_cameras(views), PropeInverse::kTrue, dtype);
   const auto query = encode_query(tables, random_tokens(views.size(), 1).to(dtype)).to(torch::kFloat64);
@@ -62,7 +62,7 @@ torch::Tensor logits(const Views& views, torch::Dtype dtype) {
 
 double largest_camera_error(const torch::Tensor& x) { return x.abs().max().item<double>(); }
 
-// How many numbers of the conditioning and the PRoPE tables are not finite.
+// Returns how many numbers of the conditioning and the PRoPE tables are not finite.
 double non_finite_numbers(const Views& views) {
   const auto cameras = relative_cameras(views);
   double count = torch::isfinite(camera_conditioning(cameras, {})).logical_not().sum().item<double>();
@@ -75,7 +75,7 @@ double non_finite_numbers(const Views& views) {
   return count;
 }
 
-// How far P P^-1 is from the identity, relative to the sizes of the two, for the true inverse in float32.
+// Returns how far P P^-1 is from the identity, relative to the sizes of the two, for the true inverse in float32.
 double inverse_error(const Views& views) {
   const auto tables = tables_of(relative_cameras(views), PropeInverse::kTrue, torch::kFloat32);
   const auto p = tables.output_matrix.to(torch::kFloat64),
@@ -162,7 +162,7 @@ void add_refusals_and_counts(std::vector<ExtremeRow>& rows) {
   }
 }
 
-// Cameras whose every property is drawn from the whole range that check_cameras accepts.
+// Returns cameras whose every property is drawn from the whole range that check_cameras accepts.
 Views random_extreme_views(std::mt19937_64& random) {
   const auto uniform = [&](double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(random);

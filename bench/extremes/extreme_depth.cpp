@@ -84,7 +84,7 @@ PointView extreme_view(const std::vector<float>& depths, const std::vector<float
   return view;
 }
 
-// Numbers of a cloud that are not finite after it was written to a file and read again.
+// Returns how many numbers of a cloud are not finite after it was written to a file and read again.
 double non_finite_after_export(const PointCloud& cloud, const std::filesystem::path& file) {
   export_ply(file, cloud, Provenance());
   const PointCloud read = read_ply(file).cloud;
@@ -118,7 +118,8 @@ void add_clouds(std::vector<ExtremeRow>& rows, const std::filesystem::path& fold
                   non_finite_after_export(unsure, folder / "cloud.ply"), 0});
 }
 
-// The largest rounding of depths between 1 and 3 in a 16-bit file beside one that overflowed, relative to the depth.
+// Returns the largest rounding of depths between 1 and 3 in a 16-bit file beside one that overflowed, relative to the
+// depth.
 double rounding_beside_overflow(const std::filesystem::path& file) {
   DepthMap depth(40, 50);
   for (size_t i = 0; i < depth.metres.size(); ++i) depth.metres[i] = 1 + static_cast<float>(i) * 0.9973e-3F;

@@ -40,7 +40,7 @@ PipelineModels models_in(const ModelBundle& bundle, torch::Dtype dtype) {
   return models;
 }
 
-// (views, height, width) in pixels; the sources first.
+// A shape is (views, height, width) in pixels; the sources come first.
 struct PictureShape {
   int64_t views = 4;
   int64_t sources = 2;
@@ -67,7 +67,8 @@ Views views_of(const PictureShape& shape) {
   return views;
 }
 
-// One evaluation of each flow with guidance, then everything that is decoded. images: (sources, 3, height, width).
+// The request is for one evaluation of each flow with guidance, then everything that is decoded. images are (sources,
+// 3, height, width).
 PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& images) {
   PictureShape shape;
   shape.height = images.size(2);
@@ -94,7 +95,7 @@ PipelineRequest whole_request(const BundleOptions& bundle, const torch::Tensor& 
   return request;
 }
 
-// "M1", "the cascade".
+// Returns for example "M1" or "the cascade".
 std::string with_article(const LevelGenerator& generator) {
   return (generator.is_cascade() ? "the " : "") + generator_stage(generator);
 }
@@ -122,7 +123,7 @@ torch::Tensor random_pictures(uint64_t seed, int64_t height, int64_t width) {
                      torch::TensorOptions(torch::kFloat32));
 }
 
-// How many of the three things that a message about a number that is not finite must say are missing.
+// Returns how many of the three things that a message about a number that is not finite must say are missing.
 double missing_in_message(const std::function<void()>& action, const std::string& stage) {
   try {
     action();

@@ -21,7 +21,7 @@
 namespace gld {
 namespace {
 
-// Largest difference of a picture's pixels from one colour.
+// Returns the largest difference of a picture's pixels from one colour.
 double largest_difference(const Image& image, const std::array<int, 3>& colour) {
   int largest = image.empty() ? 255 : 0;
   for (size_t i = 0; i < image.rgb.size(); ++i) {
@@ -30,7 +30,7 @@ double largest_difference(const Image& image, const std::array<int, 3>& colour) 
   return largest;
 }
 
-// A PNG file of one value a channel: grey; red, green, blue; or these and alpha.
+// Writes a PNG file of one value a channel: grey; red, green, blue; or these and alpha.
 void write_one_colour(const std::filesystem::path& file, int bits, const std::vector<int>& channels) {
   constexpr png_uint_32 kWidth = 9, kHeight = 6;
   const std::unique_ptr<FILE, int (*)(FILE*)> stream(std::fopen(file.c_str(), "wb"), &std::fclose);
@@ -62,7 +62,7 @@ double error_after_reading(const std::filesystem::path& file, int bits, const st
   return largest_difference(read_image(file), colour);
 }
 
-// The bytes of a JPEG file with an EXIF segment that says only the orientation.
+// Returns the bytes of a JPEG file with an EXIF segment that says only the orientation.
 std::string with_orientation(const std::string& jpeg, int orientation) {
   std::string tiff("MM\0\x2A\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0", 19);
   tiff += static_cast<char>(orientation);
@@ -73,7 +73,7 @@ std::string with_orientation(const std::string& jpeg, int orientation) {
          body + jpeg.substr(2);
 }
 
-// The brightness at the four corners of an upright picture, from the top left, row by row.
+// Returns the brightness at the four corners of an upright picture, from the top left, row by row.
 std::array<int, 4> corners(const Image& image) {
   constexpr int64_t kInset = 3;
   const int64_t right = image.width - 1 - kInset, bottom = image.height - 1 - kInset;
@@ -81,7 +81,7 @@ std::array<int, 4> corners(const Image& image) {
           image.pixel(right, bottom)[1]};
 }
 
-// Largest error of the corners over the eight orientations of a picture whose quadrants differ.
+// Returns the largest error of the corners over the eight orientations of a picture whose quadrants differ.
 double orientation_error(const std::filesystem::path& folder) {
   Image quadrants(32, 16);
   for (int64_t y = 0; y < quadrants.height; ++y) {
@@ -125,8 +125,8 @@ void add_refusals(std::vector<ExtremeRow>& rows, const std::filesystem::path& fo
   }
 }
 
-// How far the camera's rays through the corners of a 1:8 picture move when it is resized and cropped, in pixels of the
-// result: a point of the scene has to stay on the pixel that shows it.
+// Returns how far the camera's rays through the corners of a 1:8 picture move when it is resized and cropped, in pixels
+// of the result: a point of the scene has to stay on the pixel that shows it.
 double aspect_error() {
   Camera camera;
   camera.width = 801;

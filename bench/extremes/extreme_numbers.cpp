@@ -22,7 +22,7 @@ namespace {
 // Half a unit in the last place of float32: a logit of size L is itself rounded by L times this.
 constexpr double kRounding = 0x1p-24;
 
-// Infinite when a value is not a number: std::max would drop it.
+// The result is infinite when a value is not a number: std::max would drop it.
 double largest(const torch::Tensor& x) {
   const double value = x.abs().max().item<double>();
   return std::isnan(value) ? std::numeric_limits<double>::infinity() : value;
@@ -47,8 +47,8 @@ double attention_error(const AttentionInputs& inputs) {
 
 constexpr int64_t kNormChannels = 384;
 
-// Rows of that magnitude, and of every magnitude from 1e-30 to 1e30 where it is 0, against double with every row scaled
-// to magnitude 1 first: squares of less than 1e-300 would be none otherwise.
+// It takes rows of that magnitude, or of every magnitude from 1e-30 to 1e30 where it is 0, against double with every
+// row scaled to magnitude 1 first: squares of less than 1e-300 would be none otherwise.
 double rms_norm_error(double magnitude, double epsilon) {
   constexpr int64_t kRows = 61;
   auto x = extreme_random({kRows, kNormChannels}, 5);

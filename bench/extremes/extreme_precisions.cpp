@@ -30,8 +30,8 @@ std::vector<ComputePrecision> reduced_precisions() {
   return precisions;
 }
 
-// What a product may differ by, relative RMS: two operands rounded to 8 bits, or (int8) to 255 steps between the
-// smallest and the largest number of a token or an output channel.
+// Returns what a product may differ by, as relative RMS: two operands are rounded to 8 bits, or (int8) to 255 steps
+// between the smallest and the largest number of a token or an output channel.
 double stated_error(ComputePrecision precision) {
   switch (precision) {
     case ComputePrecision::kInt8:
@@ -59,7 +59,7 @@ class ProductInPrecision {
   }
 
   static torch::Tensor activations() { return extreme_random({kTokens, kWidth}, 12); }
-  // x: float64, every number a float32.
+  // x is float64, with every number a float32.
   double error(const torch::Tensor& x) const {
     return relative_rms(layer_.forward(x.to(torch::kFloat32)).to(torch::kFloat64), exact(x));
   }
@@ -106,8 +106,8 @@ AttentionInputs in_single(AttentionInputs inputs) {
 }
 
 // Kernels round keys to 8 bits, and queries after their factor log2(e) / sqrt(head_dim), so a logit L of any numbers is
-// known to L / 256. Queries that the factor takes to numbers of bfloat16 show what attention itself loses; any others,
-// that nothing overflows.
+// known to L / 256. Queries that the factor takes to numbers of bfloat16 show what attention itself loses; any others
+// show that nothing overflows.
 std::vector<ExtremeRow> attention_rows() {
   constexpr double kLog2E = 1.4426950408889634;
   std::vector<ExtremeRow> rows;
@@ -127,7 +127,7 @@ std::vector<ExtremeRow> attention_rows() {
   return rows;
 }
 
-// M1 of DA3-Base at its widths with random weights, shortened so that float64 takes seconds.
+// The model is M1 of DA3-Base at its widths with random weights, shortened so that float64 takes seconds.
 std::vector<ExtremeRow> full_width_rows() {
   DitOptions options = BundleOptions().generators.front().dit;
   options.depth = {2, 1};

@@ -26,7 +26,7 @@ constexpr double kLongSplatRounding = 2e-5;
 class Drawn {
  public:
   explicit Drawn(uint64_t seed) : key_(philox_key(seed, "extreme splats")) {}
-  // Multiples of 2^-10, so that moving them by whole numbers is exact.
+  // Draws multiples of 2^-10, so that moving them by whole numbers is exact.
   float operator()(double low, double high) {
     const auto bits = philox4x32({next_++, 0, 0, 0}, key_)[0];
     const double value = low + (high - low) * static_cast<double>(bits) / 4294967296.0;
@@ -38,7 +38,7 @@ class Drawn {
   uint32_t next_ = 0;
 };
 
-// In a box around (0, 0, 4), as large as a tenth of it or so.
+// They lie in a box around (0, 0, 4), and are as large as a tenth of it or so.
 GaussianSet some_gaussians(int64_t count = 20) {
   Drawn drawn(1);
   GaussianSet set = zero_gaussians(count, 0);
@@ -82,7 +82,7 @@ GaussianSet at_one_place(int64_t count) {
   return set;
 }
 
-// Turned and moved a little, K off centre.
+// The camera is turned and moved a little, with K off centre.
 Camera some_camera(int64_t width, int64_t height) {
   Camera camera;
   camera.width = width;
@@ -119,7 +119,7 @@ SplatView view_of(const GaussianSet& set, const Camera& camera) {
   return view_of_splats(set, splat_camera(camera, set.origin, {}), {});
 }
 
-// The same pictures in double, with these features or, where there are none, with colours.
+// Returns the same pictures in double, with these features or, where there are none, with colours.
 NaiveScene naive_scene(const GaussianSet& set, const Camera& camera, const std::vector<float>& features,
                        int64_t channels, std::vector<int64_t>* drawn) {
   const SplatCamera splat = splat_camera(camera, set.origin, {});
@@ -148,7 +148,7 @@ bool all_finite(const std::vector<float>& values) {
   return std::all_of(values.begin(), values.end(), [](float value) { return std::isfinite(value); });
 }
 
-// The largest difference of pictures; infinite where a pixel is not finite.
+// Returns the largest difference of pictures; infinite where a pixel is not finite.
 double picture_difference(const SplatImage& image, const NaiveImage& expected) {
   if (!all_finite(image.values)) return kBroken;
   constexpr double kNearJump = 1e-3;
@@ -164,7 +164,7 @@ double picture_difference(const SplatImage& image, const NaiveImage& expected) {
   return worst;
 }
 
-// How many gradients of a set's parameters are not finite, for a loss that is the sum of the picture.
+// Returns how many gradients of a set's parameters are not finite, for a loss that is the sum of the picture.
 double gradients_not_finite(const GaussianSet& set, const SplatView& view, const SplatImage& like) {
   SplatImage ones(like.channels, like.width, like.height);
   for (int64_t c = 0; c < ones.channels; ++c) {
@@ -205,7 +205,8 @@ std::vector<Case> splat_cases() {
       {"49 x 7 pixels", some_gaussians(), some_camera(49, 7)}};
 }
 
-// What nothing is seen of: how far pixels are from black and from letting everything through, and the gradients.
+// Measures what nothing is seen of: how far pixels are from black and from letting everything through, and the
+// gradients.
 ExtremeRow unseen(const std::string& situation, const GaussianSet& set) {
   const SplatView view = view_of(set, some_camera(30, 20));
   const CompositedView picture = render_colours(set, view, {});
@@ -227,7 +228,7 @@ void add_unseen(std::vector<ExtremeRow>& rows) {
   rows.push_back(unseen("opacity 0", with_logits(-100)));
 }
 
-// 1e6 away from the world's origin with the camera beside it.
+// The Gaussians are 1e6 away from the world's origin with the camera beside them.
 ExtremeRow far_away() {
   GaussianSet set = some_gaussians();
   Camera camera = some_camera(40, 30);
@@ -285,7 +286,7 @@ void add_channels(std::vector<ExtremeRow>& rows, int64_t channels) {
   rows.push_back({kArea, situation, "gradients of features, relative to the largest", worst / largest, 1e-5});
 }
 
-// 0 where the sentence names the Gaussian and the parameter.
+// The value is 0 where the sentence names the Gaussian and the parameter.
 ExtremeRow named_in_error(const std::string& parameter, float value) {
   GaussianSet set = some_gaussians();
   (parameter == "mean" ? set.means[3 * 7 + 1] : set.log_scales[3 * 7 + 1]) = value;

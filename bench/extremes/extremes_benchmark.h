@@ -11,8 +11,8 @@
 
 namespace gld {
 
-// gld bench extremes: one table of what happens at the ends of the range of cameras, logits, norms, flows, precisions,
-// splats, image files, depth and the whole of a small model.
+// gld bench extremes makes one table of what happens at the ends of the range of cameras, logits, norms, flows,
+// precisions, splats, image files, depth and the whole of a small model.
 struct ExtremesBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -44,7 +44,7 @@ std::vector<ExtremeRow> image_extremes(const std::filesystem::path& folder);
 std::vector<ExtremeRow> depth_extremes(const std::filesystem::path& folder);
 std::vector<ExtremeRow> forward_extremes(const std::filesystem::path& folder);
 
-// What an area is asked with.
+// An area is asked with these.
 struct ExtremeSettings {
   int64_t camera_sets = 10000;   // random ones
   std::filesystem::path folder;  // an existing one, for files
@@ -57,10 +57,10 @@ struct ExtremeArea {
 };
 const std::vector<ExtremeArea>& extreme_areas();
 
-// "norms, RMS 1e-30: relative error is 2e-06, expected at most 1e-06."
+// Returns for example "norms, RMS 1e-30: relative error is 2e-06, expected at most 1e-06."
 std::string extreme_text(const ExtremeRow& row);
 
-// 0 when the action ends with an Error, as it should, else 1.
+// Returns 0 when the action ends with an Error, as it should, else 1.
 double accepted(const std::function<void()>& action);
 
 Table extremes_table(const std::vector<ExtremeRow>& rows);

@@ -27,7 +27,7 @@
 namespace gld {
 namespace {
 
-// Rows whose error is computed in double.
+// The error of so many rows is computed in double.
 constexpr int64_t kCheckedRows = 64;
 
 struct Problem {
@@ -67,7 +67,7 @@ class Variant {
   Variant(std::string name, const Problem& problem) : name_(std::move(name)), problem_(problem) {}
   virtual ~Variant() = default;
   virtual void forward() = 0;
-  // Seconds of the backward pass alone.
+  // Returns the seconds of the backward pass alone.
   virtual double backward() = 0;
 
   const std::string& name() const { return name_; }

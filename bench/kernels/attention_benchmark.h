@@ -10,7 +10,7 @@
 
 namespace gld {
 
-// gld bench attention: our kernels beside LibTorch's composition, as fractions of the multiply-add peak.
+// gld bench attention times our kernels beside LibTorch's composition, as fractions of the multiply-add peak.
 struct AttentionBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -45,7 +45,8 @@ struct AttentionBenchmarkRow {
 // Variants alternate inside every repeat, each after a measurement of the peak, with which all are compared in the end.
 std::vector<AttentionBenchmarkRow> attention_benchmark_rows(const AttentionBenchmarkOptions& options,
                                                             PeakMeter& meter);
-// Columns head_dim, tokens, threads, variant, seconds, fraction_of_peak, relative_error; rows of one pass.
+// The table has columns head_dim, tokens, threads, variant, seconds, fraction_of_peak, relative_error, and rows of one
+// pass.
 Table attention_benchmark_table(const std::vector<AttentionBenchmarkRow>& rows, AttentionPass pass);
 
 // Writes attention.csv, attention_backward.csv, attention.md, attention.svg, attention.png and report.json into

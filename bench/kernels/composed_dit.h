@@ -17,7 +17,7 @@ class ComposedDit {
   // model must outlive this object.
   explicit ComposedDit(const DitDh& model);
 
-  // As the functions of DitDh with these names, of one pass; throws Error for more.
+  // These do as the functions of DitDh with these names, for one pass; they throw Error for more.
   torch::Tensor condition_encoder(const DitPasses& passes, const DitNoisyTokens& tokens) const;
   torch::Tensor velocity_features(const DitPasses& passes, const DitNoisyTokens& tokens,
                                   const torch::Tensor& condition) const;

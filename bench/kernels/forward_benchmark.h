@@ -10,7 +10,8 @@
 
 namespace gld {
 
-// gld bench forward: one evaluation of M1 beside LibTorch's plain composition, as fractions of the multiply-add peak.
+// gld bench forward times one evaluation of M1 beside LibTorch's plain composition, as fractions of the multiply-add
+// peak.
 struct ForwardBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -43,7 +44,8 @@ struct ForwardBenchmarkRow {
 
 std::vector<ForwardBenchmarkRow> forward_benchmark_rows(const ForwardBenchmarkOptions& options,
                                                         PeakMeter& meter);
-// Columns part, variant, seconds, lowest, highest, tflop, fraction_of_peak, relative_difference, relative_rms.
+// The table has columns part, variant, seconds, lowest, highest, tflop, fraction_of_peak, relative_difference,
+// relative_rms.
 Table forward_benchmark_table(const std::vector<ForwardBenchmarkRow>& rows);
 
 // Writes forward.csv, forward.md, forward.svg, forward.png and report.json into options.out. Returns the exit status.

@@ -24,7 +24,7 @@ namespace gld {
 namespace {
 
 constexpr double kWallDistance = 4;
-// As in plane_sweep_stereo.cpp: what a thread takes at a time.
+// A thread takes so many rows at a time, as in plane_sweep_stereo.cpp.
 constexpr int64_t kRowsAPart = 56;
 
 float paint(const Eigen::Vector3d& place, double colour) {
@@ -34,7 +34,7 @@ float paint(const Eigen::Vector3d& place, double colour) {
   return static_cast<float>(0.5 + 0.16 * wave);
 }
 
-// Views side by side of a painted wall, with its depth.
+// Returns views side by side of a painted wall, with its depth.
 std::vector<PicturedView> painted_wall(int64_t count, int64_t side) {
   const Eigen::Vector3d normal = Eigen::Vector3d(0.25, -0.2, 1).normalized();
   std::vector<PicturedView> views;
@@ -62,7 +62,7 @@ std::vector<PicturedView> painted_wall(int64_t count, int64_t side) {
   return views;
 }
 
-// Bytes a second that copying reads and writes together, far beyond the caches.
+// Returns the bytes a second that copying reads and writes together, far beyond the caches.
 double copy_peak() {
   const std::vector<char> from(size_t{64} << 20, 1);
   std::vector<char> to(from.size());

@@ -11,7 +11,7 @@
 
 namespace gld {
 
-// gld bench stereo: depth that photographs agree on, of a painted plane, beside the machine's peaks.
+// gld bench stereo times depth that photographs agree on, of a painted plane, beside the machine's peaks.
 struct StereoBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -41,10 +41,10 @@ struct StereoBenchmarkRow {
   double confident_share = 0;   // "whole" only
 };
 
-// meter: of the run, measured between what is timed.
+// meter is that of the run, measured between what is timed.
 std::vector<StereoBenchmarkRow> stereo_benchmark_rows(const StereoBenchmarkOptions& options,
                                                       PeakMeter& meter);
-// Columns as the fields of a row.
+// The columns are as the fields of a row.
 Table stereo_benchmark_table(const std::vector<StereoBenchmarkRow>& rows);
 
 // Writes stereo.csv, stereo.md and report.json into options.out. Returns the exit status: 1 where the peak was missed.

@@ -195,7 +195,8 @@ int run_process_benchmark(const ProcessBenchmarkOptions& options) {
     adding.push_back({rows.back().bytes, rows.back().adding});
     gathering.push_back({rows.back().bytes, rows.back().gathering});
   }
-  // Alone, while the others compute the same: what they take from each other of caches and memory is part of it.
+  // A process runs alone while the others compute the same: what they take from each other of caches and memory is part
+  // of it.
   team.gather("");
   TeamOfOne itself;
   const MeasuredStep alone = measure_step(objective, itself, options);

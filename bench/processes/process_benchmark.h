@@ -10,8 +10,8 @@
 
 namespace gld {
 
-// gld bench processes, started in every process as gld train is: what a step of data-parallel training takes, how much
-// of it is communication, and what both would be in other numbers of processes.
+// gld bench processes, started in every process as gld train is, measures what a step of data-parallel training takes,
+// how much of it is communication, and what both would be in other numbers of processes.
 struct ProcessBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -44,7 +44,8 @@ struct MeasuredExchange {
   double seconds = 0;
 };
 
-// Through the smallest and the largest exchange; neither below 0. At least two of different sizes.
+// Fits the line through the smallest and the largest exchange; neither number is below 0. There are at least two
+// exchanges of different sizes.
 MessageCost message_cost(const std::vector<MeasuredExchange>& exchanges, int64_t processes);
 
 // What a step takes in processes of which each computes as many micro-batches as was measured. Gradients are added up

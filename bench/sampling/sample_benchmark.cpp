@@ -35,7 +35,8 @@ namespace {
 
 constexpr int64_t kMostReferenceEvaluations = 20000;
 
-// What is measured is cheap to run again, and none of it fits twice beside a full-size model.
+// Returns whether the scene is small: what is measured is then cheap to run again, and none of it fits twice beside a
+// full-size model.
 bool small_scene(const LatentGrid& grid) {
   constexpr int64_t kMostTokens = 1024;
   return grid.views * grid.tokens_per_view() <= kMostTokens;
@@ -103,7 +104,7 @@ class BenchmarkScenes {
   std::unique_ptr<Dataset> dataset_;
 };
 
-// What errors refer to: the default solver with many evaluations, or an adaptive one.
+// Returns what errors refer to: the default solver with many evaluations, or an adaptive one.
 ComparedMethod reference_method(const SampleBenchmarkOptions& options, double guidance_scale,
                                 double refinement) {
   ComparedMethod reference;
@@ -149,8 +150,8 @@ void for_each_index(int64_t count, int64_t workers, const std::function<void(int
   if (problem) std::rethrow_exception(problem);
 }
 
-// Of the methods that --tolerance may take, with the largest guidance scale: errors hold up to it. reference_error, of
-// what errors refer to, is added to every bound.
+// The table is of the methods that --tolerance may take, with the largest guidance scale: errors hold up to it.
+// reference_error, of what errors refer to, is added to every bound.
 PlanErrors errors_table(const std::vector<MethodRow>& rows, const ModelBundle& bundle,
                         const SampleBenchmarkOptions& options, const LatentGrid& grid,
                         double reference_error) {
@@ -208,7 +209,7 @@ int64_t workers_of(const SampleBenchmarkOptions& options, const Comparison& comp
   return std::min(wanted, scenes);
 }
 
-// Errors: every scene, several at a time.
+// Errors are measured on every scene, several at a time.
 void measure_errors(const SampleBenchmarkOptions& options, const ModelBundle& bundle,
                     const BenchmarkScenes& scenes, int threads, const RunFolder& folder,
                     Comparison& comparison) {
@@ -258,7 +259,8 @@ void measure_errors(const SampleBenchmarkOptions& options, const ModelBundle& bu
       samplers.front()->measure(first, reference_method(options, scale, 1), finer).error();
 }
 
-// Time and memory: one scene, one method after the other, with one stage's weights at a time as gld sample has them.
+// Time and memory are measured on one scene, one method after the other, with one stage's weights at a time as gld
+// sample has them.
 void measure_times(const SampleBenchmarkOptions& options, const ModelBundle& bundle,
                    const BenchmarkScenes& scenes, Comparison& comparison) {
   const auto device = device_from_text(options.device);

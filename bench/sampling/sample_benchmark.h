@@ -13,12 +13,12 @@
 
 namespace gld {
 
-// Frames that are views in every scene; none: they are drawn.
+// These frames are views in every scene; where there are none, views are drawn.
 struct BenchmarkViews : ViewSelection {
   void check() const override;
 };
 
-// gld bench sample: error against run time of every way to sample a scene (solvers, counts, what is left out,
+// gld bench sample measures error against run time of every way to sample a scene (solvers, counts, what is left out,
 // precisions), each against a converged solve of the same noise.
 struct SampleBenchmarkOptions : OptionsGroup {
   std::string model = "configs/tiny";

@@ -49,7 +49,7 @@ std::string guidance_text(const ComparedMethod& compared) {
   return low > 0 ? fmt::format("from t = {:g}", low) : "everywhere";
 }
 
-// Solver, schedule, count, guidance and precision, as both tables name them.
+// Returns solver, schedule, count, guidance and precision, as both tables name them.
 std::vector<std::string> method_columns() {
   return {"method", "family", "solver", "schedule", "count", "guidance_scale", "guidance", "precision"};
 }
@@ -104,7 +104,7 @@ void mark_front(std::vector<MethodRow>& rows, double guidance_scale, bool Method
   }
 }
 
-// One line a family with several counts, points for the others, and the front.
+// Draws one line for a family with several counts, points for the others, and the front.
 template <class X, class Y>
 PlotPanel panel_of(const std::vector<MethodRow>& rows, double guidance_scale, PlotPanel panel, const X& x,
                    const Y& y) {

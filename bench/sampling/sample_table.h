@@ -58,19 +58,19 @@ struct MethodRow {
   bool finite() const { return mean.non_finite == 0; }
 };
 
-// The error at a cost between (or beyond) measured points (cost, error): straight lines in the logarithms of both.
-// points: at least two, of different cost.
+// Returns the error at a cost between (or beyond) measured points (cost, error): straight lines in the logarithms of
+// both. There are at least two points, of different cost.
 double error_at_cost(std::vector<std::pair<double, double>> points, double cost);
 
 // Fills in means, comparisons with "fewer evaluations" and fronts from the samples and the timing of every row.
-// references: of each guidance scale what errors refer to, one sample a scene in the same order.
+// references has for each guidance scale what errors refer to, one sample a scene in the same order.
 void summarise(std::vector<MethodRow>& rows, const std::map<double, std::vector<Sample>>& references);
 
-// Every sample, those of the references first.
+// The table has every sample, those of the references first.
 Table sample_table(const std::vector<MethodRow>& rows,
                    const std::map<double, std::vector<Sample>>& references);
 Table method_table(const std::vector<MethodRow>& rows);  // one line a method, with who wins at equal cost
-// What precisions other than float32 differ from it by, with the same method and noise; empty without any.
+// Returns what precisions other than float32 differ from it by, with the same method and noise; empty without any.
 std::string precisions_text(const std::vector<MethodRow>& rows);
 Figure sample_figure(const std::vector<MethodRow>& rows, double guidance_scale);
 

@@ -15,24 +15,25 @@ struct ComparedMethod {
   double guidance_scale = 1.5;
   SamplingMethod method;
 
-  // What all others are compared with at equal work: the default solver, nothing left out.
+  // Returns whether it is what all others are compared with at equal work: the default solver, nothing left out.
   bool is_fewer_evaluations() const;
-  // Whether --tolerance may take it: other solvers than the default and the published one are there to be looked at.
+  // Returns whether --tolerance may take it: other solvers than the default and the published one are there to be
+  // looked at.
   bool is_offered() const;
 };
 
-// The default solver with that many evaluations a level and nothing left out.
+// Returns the default solver with that many evaluations a level and nothing left out.
 SamplingMethod plain_method(int64_t evaluations);
 
-// What a comparison has for one guidance scale: the published sampler; the default solver at each count; other solvers
-// and the published grid at each count; encoder nodes; guidance on an interval where there is guidance; and in each
-// precision other than float32 the default solver at each count.
+// Returns what a comparison has for one guidance scale: the published sampler; the default solver at each count; other
+// solvers and the published grid at each count; encoder nodes; guidance on an interval where there is guidance; and in
+// each precision other than float32 the default solver at each count.
 std::vector<ComparedMethod> compared_methods(const std::vector<int64_t>& counts,
                                              const std::vector<ComputePrecision>& precisions,
                                              double guidance_scale, const BundleOptions& bundle);
 
-// The methods of these families and all of "fewer evaluations"; all where families is empty. Throws Error for a family
-// that no method is of.
+// Returns the methods of these families and all of "fewer evaluations"; these are all methods where families is empty.
+// Throws Error for a family that no method is of.
 std::vector<ComparedMethod> of_families(std::vector<ComparedMethod> methods,
                                         const std::vector<std::string>& families);
 

@@ -10,7 +10,7 @@
 namespace gld {
 namespace {
 
-// M1 and cascade, from what ran.
+// Counts M1 and cascade, from what ran.
 double flop_of(const PipelineResult& result, const BundleOptions& bundle) {
   double flop = 0;
   for (const auto& flow : result.flows) {

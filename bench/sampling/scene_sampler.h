@@ -32,8 +32,8 @@ struct SampledScene {
   bool finite = true;  // false: sampling stopped at a value that was not, and result is empty
 };
 
-// Samples scenes in all ways, with the models of each precision loaded when it is first asked for. For one thread at a
-// time; lpips is null where its weights are not there.
+// Samples scenes in all ways, with the models of each precision loaded when it is first asked for. It is for one thread
+// at a time; lpips is null where its weights are not there.
 class SceneSampler {
  public:
   using ModelLoader = std::function<PipelineModels(ComputePrecision)>;
@@ -43,7 +43,7 @@ class SceneSampler {
   SampledScene run(const BenchmarkScene& scene, const ComparedMethod& compared);
   // Runs it and compares it with the reference, which is finite.
   Sample measure(const BenchmarkScene& scene, const ComparedMethod& compared, const SampledScene& reference);
-  // Of the reference itself. Throws Error where it is not finite.
+  // Measures the reference itself. Throws Error where it is not finite.
   Sample reference_sample(const BenchmarkScene& scene, const SampledScene& reference) const;
 
  private:

@@ -41,7 +41,7 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-// Mixtures on which the grid's rule was not fitted.
+// Returns mixtures on which the grid's rule was not fitted.
 std::vector<FlowProblem> unseen_problems() {
   std::vector<FlowProblem> problems;
   RandomMixtureOptions options;
@@ -65,7 +65,7 @@ std::vector<SolverRow> default_rows(const FlowProblem& problem) {
   return rows;
 }
 
-// What a guidance interval saves and changes.
+// The table says what a guidance interval saves and changes.
 Table guidance_table(const FlowProblem& problem) {
   Table table({"guidance", "evaluations", "unconditional", "saved_percent", "error_rms"});
   const auto add = [&](const std::string& name, const GuidanceOptions& guidance) {
@@ -159,7 +159,7 @@ nlohmann::ordered_json target_report(const std::vector<SolverRow>& rows) {
 // tests/data/problems/mixture.safetensors, which the targets are of.
 constexpr const char* kTargetedProblem = "a3ec2d3784c959d806cf121d3b4d97fb13296db7e815df8eae628b9647739295";
 
-// Of another mixture, for which no targets were set.
+// The text is that of another mixture, for which no targets were set.
 std::string untargeted_text(const std::vector<SolverRow>& rows) {
   Table table({"evaluations", "error_rms"});
   for (const SolverRow& row : rows) table.add_row({row.evaluations, row.error_rms});

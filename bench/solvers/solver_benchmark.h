@@ -13,7 +13,7 @@
 
 namespace gld {
 
-// gld bench solvers: error against evaluations and time on flows whose solution is known.
+// gld bench solvers measures error against evaluations and time on flows whose solution is known.
 struct SolverBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -43,16 +43,17 @@ struct SolverRow {
   int64_t budget = 0;      // the evaluations asked for; 0 for adaptive solvers (not in the CSV)
 };
 
-// The problem that the options name: the file's, or the built-in one.
+// Returns the problem that the options name: the file's, or the built-in one.
 FlowProblem benchmark_problem(const SolverBenchmarkOptions& options);
 
 // Solves a problem with its guidance.
 SolverRow solve_problem(const FlowProblem& problem, const SolverOptions& options);
 
-// Every fixed-step solver on every schedule with every count, and the adaptive ones at every tolerance.
+// Runs every fixed-step solver on every schedule with every count, and the adaptive ones at every tolerance.
 std::vector<SolverRow> sweep_solvers(const FlowProblem& problem, const SolverBenchmarkOptions& options);
 
-// Columns problem, solver, schedule, evaluations, accepted, rejected, seconds, error_rms, error_max, non_finite.
+// The table has columns problem, solver, schedule, evaluations, accepted, rejected, seconds, error_rms, error_max,
+// non_finite.
 Table solver_table(const std::vector<SolverRow>& rows);
 
 // Writes solvers.csv, solvers.md, guidance.csv, stochastic.csv, report.json and the plots into options.out. Returns the

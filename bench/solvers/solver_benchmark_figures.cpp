@@ -16,7 +16,7 @@ using Coordinate = std::function<double(const SolverRow&)>;
 double evaluations_of(const SolverRow& row) { return static_cast<double>(row.evaluations); }
 double solve_seconds(const SolverRow& row) { return row.seconds; }
 
-// In the order of the rows: by evaluations, or by tolerance.
+// The points are in the order of the rows: by evaluations, or by tolerance.
 Points points_of(const std::vector<SolverRow>& rows, const Coordinate& x,
                  const std::function<bool(const SolverRow&)>& chosen) {
   Points points;

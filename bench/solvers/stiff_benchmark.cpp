@@ -36,7 +36,7 @@ std::string solver_label(const StiffRow& row) {
   return row.tolerance > 0 ? fmt::format("{} {:g}", row.solver, row.tolerance) : row.solver;
 }
 
-// One line a problem, one column a solver: the evaluations of a finished solve with its error, or a dash.
+// Makes one line a problem and one column a solver: the evaluations of a finished solve with its error, or a dash.
 std::string stiff_overview(const std::vector<StiffRow>& rows) {
   std::vector<std::string> labels, problems;
   for (const auto& row : rows) {

@@ -11,7 +11,7 @@
 
 namespace gld {
 
-// gld bench stiff: which solver finishes which stiff problem, and how the others fail.
+// gld bench stiff measures which solver finishes which stiff problem, and how the others fail.
 struct StiffBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -39,7 +39,7 @@ struct StiffRow {
   double error = 0;  // RMS of (x - solution)/scale; NaN unless finished
 };
 
-// Finished: an error of at most 100 tolerances, or of at most 0.01 for a fixed-step solver.
+// A solve is finished with an error of at most 100 tolerances, or of at most 0.01 for a fixed-step solver.
 StiffRow solve_stiff_problem(const StiffProblem& problem, const SolverOptions& options);
 
 std::vector<StiffRow> stiff_rows(const StiffBenchmarkOptions& options);

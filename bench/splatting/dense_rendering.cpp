@@ -16,7 +16,7 @@ namespace {
 // nothing.
 constexpr int64_t kNumbersABlock = 1 << 22;
 
-// Some pixels, (pixels, channels).
+// Renders some pixels, (pixels, channels).
 torch::Tensor render_block(const DenseSplats& splats, const torch::Tensor& pixels) {
   const auto dx = pixels.select(1, 0).unsqueeze(1) - splats.places.select(1, 0);
   const auto dy = pixels.select(1, 1).unsqueeze(1) - splats.places.select(1, 1);

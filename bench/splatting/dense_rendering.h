@@ -25,9 +25,9 @@ struct DenseRendering {
   double forward_seconds = 0;
   double backward_seconds = 0;  // 0 without gradients
 };
-// Compositing by LibTorch's operations, every pixel against every Gaussian, with the bounds of compositing.h: blocks
-// of pixels of which a tensor has some millions of numbers, the backward pass by autograd. of_picture: (channels,
-// height, width), or undefined for the picture alone.
+// This composites by LibTorch's operations, every pixel against every Gaussian, with the bounds of compositing.h: it
+// takes blocks of pixels of which a tensor has some millions of numbers, and the backward pass is by autograd.
+// of_picture is (channels, height, width), or undefined for the picture alone.
 DenseRendering render_densely(const DenseSplats& splats, const torch::Tensor& of_picture);
 
 }  // namespace gld

@@ -10,7 +10,8 @@
 
 namespace gld {
 
-// gld bench splat: splatting beside LibTorch's dense rendering, and what fits reach in which time, on a drawn room.
+// gld bench splat times splatting beside LibTorch's dense rendering, and what fits reach in which time, on a drawn
+// room.
 struct SplatBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;

@@ -25,7 +25,8 @@ double mean_of(const std::vector<double>& values) {
   return std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
 }
 
-// sin of a direction of the world's, one a channel: what a latent that is the same from everywhere looks like.
+// The picture is the sin of a direction of the world's, one a channel: what a latent that is the same from everywhere
+// looks like.
 SplatImage picture_of_places(const SplatPicture& picture, int64_t channels, double extent) {
   std::mt19937 engine(7);
   std::normal_distribution<double> normal;
@@ -104,8 +105,8 @@ double error_of(const FeatureProblem& problem, const std::vector<float>& values,
   return std::sqrt(difference / size);
 }
 
-// Adam on features alone from where conjugate gradients begin, one view a step, the rate falling to a hundredth. It
-// knows of no ridge: with many steps it ends elsewhere.
+// It runs Adam on features alone from where conjugate gradients begin, one view a step, with the rate falling to a
+// hundredth. It knows of no ridge: with many steps it ends elsewhere.
 std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, double rate,
                                const KernelSettings& kernels) {
   constexpr double kFirst = 0.9, kSecond = 0.999;

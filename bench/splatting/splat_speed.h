@@ -19,8 +19,8 @@ struct SplatSpeedSettings {
   int threads = 1;
 };
 
-// pass: "lists" (projection, sorting, lists of tiles), "forward" (that and compositing), "backward" (gradients of
-// features, places, covariances and opacities), "backward_features" (of features alone, as where geometry is fixed),
+// pass is "lists" (projection, sorting, lists of tiles), "forward" (that and compositing), "backward" (gradients of
+// features, places, covariances and opacities), "backward_features" (of features alone, as where geometry is fixed), or
 // "step" (all of a step of a fit in colours: forward, loss, backward to every parameter, Adam; LibTorch's is
 // compositing forward and backward alone).
 struct SplatSpeedRow {
@@ -37,7 +37,8 @@ struct SplatSpeedRow {
   // where nothing was compared.
   double error = 0, dense_error = 0;
 };
-// Of Gaussians put on the surfaces of a scene with depth, as a fit begins, in the view that shows most of them.
+// The rows are of Gaussians put on the surfaces of a scene with depth, as a fit begins, in the view that shows most of
+// them.
 std::vector<SplatSpeedRow> splat_speed_rows(const Scene& scene, const SplatSpeedSettings& settings);
 Table splat_speed_table(const std::vector<SplatSpeedRow>& rows);
 

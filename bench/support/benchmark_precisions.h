@@ -7,7 +7,7 @@
 
 namespace gld {
 
-// float32, then the named ones that are not yet there. Throws Error, naming --precisions, for a name that is no
+// Returns float32, then the named ones that are not yet there. Throws Error, naming --precisions, for a name that is no
 // precision.
 std::vector<ComputePrecision> benchmark_precisions(const std::vector<std::string>& names);
 

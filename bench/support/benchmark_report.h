@@ -9,8 +9,8 @@
 
 namespace gld {
 
-// What figures depend on beside the code that is measured: the program and its commit ("+": with changes), LibTorch,
-// its BLAS, the processor, its vectors and its unit for every reduced precision.
+// Returns what figures depend on beside the code that is measured: the program and its commit ("+": with changes),
+// LibTorch, its BLAS, the processor, its vectors and its unit for every reduced precision.
 nlohmann::ordered_json measured_with();
 
 // The end of every benchmark: finish_benchmark with measured_with() in the report, and the problems, one sentence each,

@@ -14,17 +14,17 @@ class PeakMeter {
  public:
   // Measures with that many threads, for about 0.2 s.
   void measure(int threads);
-  // The same with the present thread setting, and a large product of LibTorch beside it.
+  // Does the same with the present thread setting, and measures a large product of LibTorch beside it.
   void measure_with_product();
 
-  // Operations a second, of which the best so far; 0 where nothing was measured with that many threads.
+  // Returns operations a second, the best so far; 0 where nothing was measured with that many threads.
   double peak(int threads) const;
   double product() const { return product_; }  // the best of LibTorch's
 
-  // That something computed in float32 took these seconds for so many operations; problems() looks at it.
+  // Notes that something computed in float32 took these seconds for so many operations; problems() looks at it.
   void reached(const std::string& what, double operations, double seconds, int threads);
 
-  // One sentence for each thread count with which something was faster than the peak, naming the fastest.
+  // Returns one sentence for each thread count with which something was faster than the peak, naming the fastest.
   std::vector<std::string> problems() const;
 
  private:

@@ -11,14 +11,15 @@
 
 namespace gld {
 
-// For measurements: weights that are neither all equal nor growing with depth; what they are does not change the time.
+// The model is for measurements: its weights are neither all equal nor growing with depth; what they are does not
+// change the time.
 std::shared_ptr<DitDh> dit_with_random_weights(const DitOptions& options);
 
-// The same weights, packed for a precision; they can be read no more.
+// Returns the same weights, packed for a precision; they can be read no more.
 std::shared_ptr<DitDh> packed_copy(const DitDh& model, ComputePrecision precision);
-// The same weights on a device.
+// Returns the same weights on a device.
 std::shared_ptr<DitDh> copy_on(const DitDh& model, const torch::Device& device);
-// The same weights in float64.
+// Returns the same weights in float64.
 std::shared_ptr<DitDh> double_copy(const DitDh& model);
 
 // A scene and everything that exact savings compute once, of cameras in a row and random latents. Models of equal

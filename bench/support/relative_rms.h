@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// RMS of the difference over the RMS of the reference: the error of latents and velocities in benchmarks.
+// Returns the RMS of the difference over the RMS of the reference: the error of latents and velocities in benchmarks.
 inline double relative_rms(const torch::Tensor& x, const torch::Tensor& reference) {
   return ((x - reference).norm() / reference.norm()).item<double>();
 }

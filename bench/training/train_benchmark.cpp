@@ -38,7 +38,7 @@ struct Samples {
   int threads = 0;  // of the peak that they are compared with; 0 for none
 };
 
-// Steps of one variant; scenes micro-batches at a time.
+// Samples a step of one variant, with scenes micro-batches at a time.
 void sample(RepeatedScene& objective, FlatParameters& parameters, int64_t scenes, int64_t workers,
             PeakMeter& meter, Samples& samples) {
   samples.threads = static_cast<int>(std::max<int64_t>(thread_count(), workers));
@@ -78,12 +78,13 @@ DitOptions with_depth(DitOptions options, const std::vector<int64_t>& depth) {
 
 constexpr auto kReduced = ComputePrecision::kBFloat16;
 
-// The row of training in bfloat16 beside one in float32; measured where the processor has a unit for it.
+// Returns the name of the row of training in bfloat16 beside one in float32; it is measured where the processor has a
+// unit for it.
 std::string reduced_variant(const std::string& variant) {
   return variant + "_" + compute_precision_name(kReduced);
 }
 
-// Full width, activations kept and computed again in turns, and kept in bfloat16.
+// Measures full width, with activations kept and computed again in turns, and kept in bfloat16.
 void measure_storage(const std::string& name, const CameraRow& size, const std::vector<int64_t>& depth,
                      int64_t repeats, PeakMeter& meter, std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
@@ -130,8 +131,8 @@ Stored measure_stored(const CameraRow& size, const std::vector<int64_t>& depth, 
   return stored;
 }
 
-// The same at full depth, from models of few blocks: two encoder blocks, which may share a kept input, add as much as
-// the two before. The velocity decoder has its own depth.
+// Returns the same at full depth, from models of few blocks: two encoder blocks, which may share a kept input, add as
+// much as the two before. The velocity decoder has its own depth.
 Stored stored_at_full_depth(const CameraRow& size, ActivationStorage storage) {
   const BundleOptions bundle;
   const auto& depth = bundle.generators.front().dit.depth;
@@ -142,7 +143,7 @@ Stored stored_at_full_depth(const CameraRow& size, ActivationStorage storage) {
           two.peak + pairs * (four.peak - two.peak)};
 }
 
-// M1 at full depth, 8 views of 504x504, on the line through two smaller numbers of tokens. Both are more than the
+// Adds M1 at full depth, 8 views of 504x504, on the line through two smaller numbers of tokens. Both are more than the
 // backward pass meets at a time (kTokensRecomputedAtOnce), so that what it needs for these is in the part that stays.
 void extrapolate_storage(std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
@@ -168,7 +169,7 @@ void extrapolate_storage(std::vector<TrainBenchmarkRow>& rows) {
   }
 }
 
-// Threads of LibTorch while it lives.
+// This sets the threads of LibTorch while it lives.
 class ThreadScope {
  public:
   explicit ThreadScope(int threads) : before_(thread_count()) { set_thread_count(threads); }
@@ -189,7 +190,7 @@ void measure_small(const TrainBenchmarkOptions& options, PeakMeter& meter,
   const int64_t workers = thread_count(), scenes = 4 * workers;
   Samples alone, parallel, reduced;
   for (int64_t repeat = 0; repeat <= options.repeats; ++repeat) {
-    // The first of each warms up.
+    // The first repeat of each warms up.
     if (repeat == 1) alone = parallel = reduced = {};
     sample(objective, parameters, scenes, 1, meter, alone);
     const ThreadScope one(1);
@@ -216,7 +217,7 @@ double full_size_parameters() {
   return count;
 }
 
-// Norm, clipping, AdamW and moving average.
+// A step is norm, clipping, AdamW and moving average.
 void measure_optimiser(const TrainBenchmarkOptions& options, std::vector<TrainBenchmarkRow>& rows) {
   constexpr double kOperations = 20;  // for a parameter, about
   FlatParameters parameters({{"weight", torch::zeros({options.optimiser_parameters}).requires_grad_(true)}});
@@ -252,7 +253,7 @@ const TrainBenchmarkRow& find(const std::vector<TrainBenchmarkRow>& rows, const 
   return *found;
 }
 
-// The optimiser's part of a full-size step (8 views of 504x504) at the speed of the measured steps.
+// Returns the optimiser's part of a full-size step (8 views of 504x504) at the speed of the measured steps.
 double optimiser_share(const std::vector<TrainBenchmarkRow>& rows) {
   const BundleOptions bundle;
   const auto& step = find(rows, "full_width", "keep");

@@ -10,8 +10,8 @@
 
 namespace gld {
 
-// gld bench train: training steps of M1 with random weights as fractions of the multiply-add peak, what recomputing
-// activations saves and costs, and the optimiser's share of a step.
+// gld bench train times training steps of M1 with random weights as fractions of the multiply-add peak, and measures
+// what recomputing activations saves and costs, and the optimiser's share of a step.
 struct TrainBenchmarkOptions : OptionsGroup {
   std::string out;
   bool overwrite = false;
@@ -47,7 +47,7 @@ struct TrainBenchmarkRow {
 };
 
 std::vector<TrainBenchmarkRow> train_benchmark_rows(const TrainBenchmarkOptions& options, PeakMeter& meter);
-// Columns case, variant, seconds, tflop, fraction_of_peak, peak_bytes.
+// The table has columns case, variant, seconds, tflop, fraction_of_peak, peak_bytes.
 Table train_benchmark_table(const std::vector<TrainBenchmarkRow>& rows);
 
 // Writes train.csv, train.md, train.svg, train.png and report.json into options.out. Returns the exit status.

@@ -68,7 +68,7 @@ bool sees(const Camera& camera, const Vector3d& point) {
          pixel.y() < static_cast<double>(camera.height);
 }
 
-// Share of a's view that b sees: of points, or of a grid at one distance.
+// Returns the share of a's view that b sees: of points, or of a grid at one distance.
 double overlap_by_points(const Camera& a, const Camera& b, const std::vector<Vector3d>& points) {
   int64_t in_a = 0;
   int64_t in_both = 0;
@@ -118,7 +118,7 @@ void measure_overlap(const Scene& scene, const DataCheckOptions& options, DataCh
   check.mean_overlap = sum / static_cast<double>(pairs);
 }
 
-// Of all frames, without decoding them.
+// Looks at all frames, without decoding them.
 void look_for_cut_images(const Scene& scene, DataCheck& check) {
   constexpr int64_t kMostNamed = 3;
   int64_t cut = 0;
@@ -321,7 +321,7 @@ DataCheck check_scene(const Scene& scene, const DataCheckOptions& options, Check
 
 namespace {
 
-// What a command says that refuses broken frames.
+// Adds what a command says that refuses broken frames.
 void name_first_broken_frame(const SceneLocation& location, SceneReading reading, DataCheck& check) {
   reading.broken_frames = BrokenFrames::kRefuse;
   try {

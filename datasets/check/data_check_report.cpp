@@ -29,8 +29,8 @@ std::vector<SceneLocation> scenes_at(const std::filesystem::path& path, const Da
   return list_scenes(path, options.reading);
 }
 
-// Numbers and names as many as fit a line of a terminal each; of a long scene its first and last frames, report.json
-// has all. The size stands with a name where not all frames have one.
+// Returns numbers and names as many as fit a line of a terminal each; of a long scene it has the first and last frames,
+// report.json has all. The size stands with a name where not all frames have one.
 std::string frame_lines(const std::vector<CheckedFrame>& frames) {
   constexpr size_t kMostShown = 24, kColumns = 100, kIndent = 17;
   const bool one_size = std::all_of(frames.begin(), frames.end(), [&](const CheckedFrame& frame) {

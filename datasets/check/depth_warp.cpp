@@ -10,7 +10,7 @@
 namespace gld {
 namespace {
 
-// Bilinear depth at a pixel position; 0 next to the border, unknown pixels or an edge.
+// Returns bilinear depth at a pixel position; 0 next to the border, unknown pixels or an edge.
 double depth_at(const DepthMap& depth, double x, double y) {
   const double u = x - 0.5;
   const double v = y - 0.5;

@@ -78,7 +78,7 @@ Features detect(const Frame& frame) {
   return features;
 }
 
-// Pixel pairs that are each other's nearest descriptors.
+// Returns pixel pairs that are each other's nearest descriptors.
 std::vector<std::pair<Vector2d, Vector2d>> matched(const Features& a, const Features& b) {
   std::vector<std::pair<Vector2d, Vector2d>> pairs;
   if (a.descriptors.empty() || b.descriptors.empty()) return pairs;
@@ -96,7 +96,7 @@ std::vector<std::pair<Vector2d, Vector2d>> matched(const Features& a, const Feat
 
 constexpr double kVeryFar = 1e12;
 
-// The depth in a of the point that two pixels show, or 0 when they cannot be one point: off the epipolar line, or
+// Gives the depth in a of the point that two pixels show, or 0 when they cannot be one point: off the epipolar line, or
 // behind a camera.
 class EpipolarTest {
  public:
@@ -120,7 +120,7 @@ class EpipolarTest {
     if (slope <= 0) return 0;
     const double algebraic = b.dot(line_b);
     if (algebraic * algebraic / slope > kEpipolarTolerance * kEpipolarTolerance / 2) return 0;
-    // Depths along both rays by least squares: depth_b * u = rotation * depth_a * v + translation.
+    // Depths along both rays are found by least squares: depth_b * u = rotation * depth_a * v + translation.
     const Vector3d v = rotation_ * (ray_a_ * a);
     const Vector3d u = ray_b_ * b;
     Eigen::Matrix2d normal;
@@ -158,7 +158,7 @@ Tally compare_features(const Frame& a, const Frame& b) {
   return tally;
 }
 
-// Frames far enough apart to show a convention and near enough to see the same things.
+// Returns frames far enough apart to show a convention and near enough to see the same things.
 std::vector<std::pair<size_t, size_t>> chosen_pairs(const Scene& scene, int64_t most_pairs) {
   std::vector<std::pair<size_t, size_t>> pairs;
   const size_t count = scene.frames.size();

@@ -24,7 +24,7 @@ struct PoseHypotheses {
   int64_t comparisons = 0;
   std::vector<PoseEvidence> evidence;  // in the order of PoseMeaning
   double median_depth = 0;             // of matched points that agree as read; 0 where unknown
-  // The meaning that explains the pixels clearly better than the others; kAsRead when none does.
+  // Returns the meaning that explains the pixels clearly better than the others; kAsRead when none does.
   PoseMeaning best() const;
 };
 
@@ -33,7 +33,7 @@ struct PoseHypotheses {
 // with positive depth.
 PoseHypotheses test_pose_meanings(const Scene& scene, int64_t most_pairs);
 
-// The frame's camera under another meaning.
+// Returns the frame's camera under another meaning.
 Camera reinterpreted(const Camera& camera, PoseMeaning meaning);
 
 }  // namespace gld

@@ -34,7 +34,7 @@ inline constexpr const char* kDepthCamerasFile = "depth_cameras.json";
 CameraList read_cameras_json(const std::filesystem::path& file);
 
 std::string cameras_json_text(const CameraList& cameras);
-// Atomic; refuses the same cameras.
+// Writes atomically; refuses the same cameras.
 void write_cameras_json(const std::filesystem::path& file, const CameraList& cameras);
 
 }  // namespace gld

@@ -27,7 +27,7 @@ class BinaryReader {
     position_ += sizeof(Value);
     return value;
   }
-  // A count of records of at least smallest bytes each.
+  // Returns a count of records of at least smallest bytes each.
   uint64_t count(uint64_t smallest) {
     const auto number = get<uint64_t>();
     if (number > (bytes_.size() - position_) / smallest) {

@@ -12,7 +12,7 @@
 
 namespace gld {
 
-// cameras.bin, images.bin and points3D.bin (the last may be missing); little-endian.
+// Reads cameras.bin, images.bin and points3D.bin (the last may be missing); they are little-endian.
 ColmapModel read_colmap_binary(const std::filesystem::path& folder);
 void write_colmap_binary(const std::filesystem::path& folder, const ColmapModel& model);
 

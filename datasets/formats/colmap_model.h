@@ -63,8 +63,8 @@ std::vector<std::vector<ColmapTrackElement>> colmap_tracks(const ColmapModel& mo
 
 enum class ColmapForm { kText, kBinary };
 
-// cameras, images and, where it exists, points3D of the form. Errors name the file and the line or byte. Counts in
-// binary files are checked against the file's size before memory is taken.
+// These read and write cameras, images and, where it exists, points3D of the form. Errors name the file and the line or
+// byte. Counts in binary files are checked against the file's size before memory is taken.
 ColmapModel read_colmap_model(const std::filesystem::path& folder, ColmapForm form);
 void write_colmap_model(const std::filesystem::path& folder, const ColmapModel& model, ColmapForm form);
 
@@ -82,7 +82,8 @@ struct ColmapLens {
 };
 ColmapLens colmap_lens(const ColmapCamera& camera, const std::string& where);
 
-// What the model says of an image whose file was found: pose, lens and size. Error when its camera is not in the model.
+// Returns what the model says of an image whose file was found: pose, lens and size. Throws Error when its camera is
+// not in the model.
 FrameRecord colmap_record(const ColmapModel& model, const ColmapImage& image,
                           const std::filesystem::path& image_file, const std::string& where);
 

@@ -18,8 +18,8 @@ std::filesystem::path find_colmap_image(const std::filesystem::path& folder, con
   return find_image(file.parent_path(), file.stem().string());
 }
 
-// The scene around a model whose own folder was given, such as SCENE/sparse/0: the nearest folder with images, or the
-// path itself where there is none.
+// Returns the scene around a model whose own folder was given, such as SCENE/sparse/0: the nearest folder with images,
+// or the path itself where there is none.
 std::filesystem::path scene_around(const std::filesystem::path& path, const std::string& image_folder) {
   auto folder = std::filesystem::absolute(path).lexically_normal();
   if (!folder.has_filename()) folder = folder.parent_path();

@@ -7,8 +7,9 @@
 
 namespace gld {
 
-// A COLMAP model in text or binary form (sparse/0 beside images or images_N, as Mip-NeRF 360 has them). Distortion is
-// undone on loading; intrinsics follow images_N. Images of the model that have no file are counted as missing.
+// Reads a COLMAP model in text or binary form (sparse/0 beside images or images_N, as Mip-NeRF 360 has them).
+// Distortion is undone on loading; intrinsics follow images_N. Images of the model that have no file are counted as
+// missing.
 class ColmapReader : public SceneReader {
  public:
   std::string name() const override { return "colmap"; }

@@ -19,7 +19,7 @@ bool is_comment(const std::string& line) {
 
 bool is_blank(const std::string& line) { return line.find_first_not_of(" \t") == std::string::npos; }
 
-// What follows the first `count` blank-separated fields: an image's name may contain blanks.
+// Returns what follows the first `count` blank-separated fields: an image's name may contain blanks.
 std::string after_fields(const std::string& line, size_t count) {
   size_t position = 0;
   for (size_t i = 0; i < count; ++i) {

@@ -62,7 +62,7 @@ void write_points_npy(const std::filesystem::path& file, const std::vector<Eigen
 }
 
 DepthMap read_depth_raw(const std::filesystem::path& file, int64_t width, int64_t height) {
-  // The size is what a text file says: no memory for it before the file has that many bytes.
+  // The size is what a text file says: it gets no memory before the file has that many bytes.
   check_picture_size(width, height, file.string());
   const std::string bytes = read_file(file, kMostPixels * sizeof(float));
   const auto expected = static_cast<size_t>(width * height) * sizeof(float);

@@ -9,13 +9,14 @@
 
 namespace gld {
 
-// Depth as the layouts store it. Values that are not positive and finite become 0 (unknown).
+// These functions read and write depth as the layouts store it. Values that are not positive and finite become 0
+// (unknown).
 
-// (height, width) or (height, width, 1) of any floating type.
+// The array is (height, width) or (height, width, 1) of any floating type.
 DepthMap read_depth_npy(const std::filesystem::path& file);
 void write_depth_npy(const std::filesystem::path& file, const DepthMap& depth);  // float32
 
-// ETH3D: raw little-endian float32 without a header; Error when the file's size is not width * height * 4.
+// ETH3D has raw little-endian float32 without a header; throws Error when the file's size is not width * height * 4.
 DepthMap read_depth_raw(const std::filesystem::path& file, int64_t width, int64_t height);
 void write_depth_raw(const std::filesystem::path& file, const DepthMap& depth);
 

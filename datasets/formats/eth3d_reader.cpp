@@ -20,7 +20,7 @@ struct Calibration {
   bool distorted = false;
 };
 
-// The calibration whose images are there; without images the first that exists.
+// Returns the calibration whose images are there; without images the first that exists.
 Calibration choose_calibration(const std::filesystem::path& path) {
   const Calibration choices[] = {{path / "dslr_calibration_jpg", true},
                                  {path / "dslr_calibration_undistorted", false}};

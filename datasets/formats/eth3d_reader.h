@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// ETH3D's high-resolution scenes: dslr_calibration_jpg/ (COLMAP text, thin-prism fisheye cameras) with
+// Reads ETH3D's high-resolution scenes: dslr_calibration_jpg/ (COLMAP text, thin-prism fisheye cameras) with
 // images/dslr_images/, or dslr_calibration_undistorted/ with images/dslr_images_undistorted/; the first whose images
 // are there is used. ground_truth_depth/dslr_images/ holds raw float32 metres (planar, infinity where unknown) in the
 // geometry of the distorted images; with undistorted images it is carried over through dslr_calibration_jpg.

@@ -32,7 +32,7 @@ class FrameMaker {
   // whose distortion is undone is cropped to what the lens saw: it has no borders without pixels.
   Frame make(const FrameRecord& record);
 
-  // What was cropped, a sentence for the scene's warnings; empty where nothing was.
+  // Returns what was cropped, a sentence for the scene's warnings; empty where nothing was.
   std::string crop_note() const;
 
  private:

@@ -17,7 +17,7 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kVisibleSkew = 0.05;  // pixels
 
-// The row of a table whose first column is key, by column name; empty when there is none.
+// Returns the row of a table whose first column is key, by column name; empty when there is none.
 std::map<std::string, std::string> table_row(const std::filesystem::path& file, const std::string& key) {
   const auto lines = read_lines(file);
   if (lines.empty()) return {};
@@ -130,7 +130,7 @@ HypersimLens::HypersimLens(const HypersimSettings& settings, const std::string& 
   Eigen::Matrix3d projection = pixel_from_uv * settings.camera_from_uv.inverse() * opengl_from_opencv;
   if (projection.determinant() < 0) projection *= -1;
 
-  // projection = K R with K upper triangular: projection projection^T = K K^T, a Cholesky factorisation from the
+  // With K upper triangular, projection = K R gives projection projection^T = K K^T, a Cholesky factorisation from the
   // bottom right.
   const Eigen::Matrix3d reversed = (projection * projection.transpose()).reverse();
   const Eigen::LLT<Eigen::Matrix3d> factor(reversed);

@@ -23,9 +23,9 @@ struct HypersimSettings {
   Eigen::Matrix3d camera_from_uv = Eigen::Matrix3d::Identity();
 };
 
-// From metadata_camera_parameters.csv beside the scene or up to three folders above it (columns M_cam_from_uv_ij, or
-// the field of view of 60 degrees that scenes without a physical camera have), and the asset scale also from
-// _detail/metadata_scene.csv. Error when the scale is nowhere.
+// Reads them from metadata_camera_parameters.csv beside the scene or up to three folders above it (columns
+// M_cam_from_uv_ij, or the field of view of 60 degrees that scenes without a physical camera have), and the asset scale
+// also from _detail/metadata_scene.csv. Throws Error when the scale is nowhere.
 HypersimSettings read_hypersim_settings(const std::filesystem::path& scene);
 
 // The ideal pinhole camera that sees the same rays: a tilted lens is a turned camera with other intrinsics (an RQ
@@ -33,13 +33,13 @@ HypersimSettings read_hypersim_settings(const std::filesystem::path& scene);
 class HypersimLens {
  public:
   explicit HypersimLens(const HypersimSettings& settings, const std::string& where);
-  // width, height and intrinsics; the pose is left to the frame.
+  // Returns width, height and intrinsics; the pose is left to the frame.
   const Camera& camera() const { return camera_; }
   // stored is HyperSim's camera with OpenCV axes.
   const Eigen::Matrix3d& stored_from_camera() const { return stored_from_camera_; }
   double skew() const { return skew_; }  // pixels over the whole height
   Image image(const Image& stored) const;
-  // Distance along the ray (metres) to planar depth.
+  // Turns distance along the ray (metres) into planar depth.
   DepthMap planar_depth(const DepthMap& distance) const;
 
  private:

@@ -53,7 +53,7 @@ DepthMap read_distance(const std::filesystem::path& file) {
   return distance;
 }
 
-// The best file of a frame's colour, or empty.
+// Returns the best file of a frame's colour, or empty.
 std::filesystem::path colour_file(const std::filesystem::path& images, const std::string& camera,
                                   int64_t frame) {
   for (const auto& [folder, ending] :

@@ -113,7 +113,7 @@ void set_intrinsics(FrameRecord& record, const Settings& settings) {
                        settings.number_or("cy", 0.5 * static_cast<double>(record.camera_height)));
 }
 
-// Where a listed file really is, or empty. The suffix may be missing (Blender), the folder replaced by images_N
+// Returns where a listed file really is, or empty. The suffix may be missing (Blender), the folder replaced by images_N
 // (DL3DV).
 std::filesystem::path find_listed(const std::filesystem::path& folder, const std::string& listed,
                                   const std::filesystem::path& image_folder, const std::string& where) {
@@ -128,7 +128,7 @@ std::filesystem::path find_listed(const std::filesystem::path& folder, const std
   return find_image(image_folder, file.stem().string());
 }
 
-// The folder to take images from in place of the listed one; empty when the listed one is used.
+// Returns the folder to take images from in place of the listed one; empty when the listed one is used.
 std::filesystem::path replacement_folder(const std::filesystem::path& folder, const json& frames,
                                          const std::string& asked_for, const std::string& where) {
   if (!asked_for.empty()) return find_image_folder(folder, asked_for);

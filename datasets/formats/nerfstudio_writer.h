@@ -23,7 +23,8 @@ struct Transforms {
   std::vector<std::pair<std::string, std::string>> comments;  // texts under "gld", which others leave alone
 };
 
-// Poses are those of OpenGL cameras (x right, y up, looking along -z), in the same world. Atomic.
+// Poses are those of OpenGL cameras (x right, y up, looking along -z), in the same world. The file is written
+// atomically.
 void write_transforms_json(const std::filesystem::path& file, const Transforms& transforms);
 
 }  // namespace gld

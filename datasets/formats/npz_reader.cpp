@@ -25,7 +25,7 @@ bool has_camera_files(const std::filesystem::path& folder) {
   });
 }
 
-// The folder that holds images and .npz, or empty.
+// Returns the folder that holds images and .npz, or empty.
 std::filesystem::path frame_folder(const std::filesystem::path& path, const std::string& asked_for) {
   for (const auto& scene : {path, path / "nerfstudio"}) {
     if (asked_for.empty()) {

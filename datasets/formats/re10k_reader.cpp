@@ -61,7 +61,7 @@ std::vector<std::filesystem::path> clip_images(const std::filesystem::path& file
         "none", "extract them from the video, named by their times in microseconds"});
 }
 
-// The image of every row, empty where there is none.
+// Returns the image of every row, empty where there is none.
 std::vector<std::filesystem::path> images_of_rows(const std::vector<Re10kRow>& rows,
                                                   const std::vector<std::filesystem::path>& images) {
   std::map<std::string, std::filesystem::path> by_stem;

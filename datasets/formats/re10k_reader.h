@@ -10,9 +10,9 @@
 
 namespace gld {
 
-// RealEstate10K: a text file per clip (first line the video's address, then rows of time in microseconds, fx fy cx cy
-// divided by width and height, two unused values, 3x4 camera_from_world, OpenCV) and the clip's frames as images. The
-// scene is the text file, or a folder that holds exactly one. Frames are looked for in CLIP/, frames/CLIP/ and
+// RealEstate10K has a text file per clip (first line the video's address, then rows of time in microseconds, fx fy cx
+// cy divided by width and height, two unused values, 3x4 camera_from_world, OpenCV) and the clip's frames as images.
+// The scene is the text file, or a folder that holds exactly one. Frames are looked for in CLIP/, frames/CLIP/ and
 // images/CLIP/ beside the file and beside its folder, and directly beside it when it is alone. Their names are the
 // times (micro- or milliseconds), or, when there are as many images as rows, they are taken in order. Rows without an
 // image are counted as missing.

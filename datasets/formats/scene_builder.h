@@ -23,7 +23,7 @@ class SceneBuilder {
   void warn(const std::string& sentence);  // nothing for an empty one
   Scene& scene() { return scene_; }
 
-  // Error when no frame is left, with the first reason. Frame names are made unique.
+  // Throws Error when no frame is left, with the first reason. Frame names are made unique.
   Scene finish();
 
  private:
@@ -43,12 +43,12 @@ struct FittedImage {
   double scale_y = 1;
 };
 
-// Finds how an image file fits a camera of camera_width x camera_height (0 x 0: not known): the same size, or a
-// smaller or larger copy (within 2 % of the same aspect), stored upright or turned by EXIF. When the camera's size is
-// not known or both fit, the picture is taken as stored. Error when neither fits.
+// Finds how an image file fits a camera of camera_width x camera_height (0 x 0: not known): the same size, or a smaller
+// or larger copy (within 2 % of the same aspect), stored upright or turned by EXIF. When the camera's size is not known
+// or both fit, the picture is taken as stored. Throws Error when neither fits.
 FittedImage fit_image(const std::filesystem::path& file, int64_t camera_width, int64_t camera_height);
 
-// Intrinsics of the camera in pixels of the fitted image.
+// Returns the intrinsics of the camera in pixels of the fitted image.
 Eigen::Matrix3d scaled_intrinsics(const Eigen::Matrix3d& intrinsics, const FittedImage& fitted);
 
 }  // namespace gld

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// One camera for all frames.
+// Returns the one camera of all frames.
 const Camera& shared_camera(const Scene& scene) {
   const Camera& first = scene.frames.front().camera;
   for (const Frame& frame : scene.frames) {

@@ -32,19 +32,19 @@ class SceneReader {
   virtual std::string name() const = 0;    // "colmap"
   virtual std::string marker() const = 0;  // what makes a folder recognised, in words
   virtual bool recognises(const std::filesystem::path& path) const = 0;
-  // The scenes a recognised folder holds; {""} unless the format keeps several trajectories in one folder.
+  // Returns the scenes a recognised folder holds; {""} unless the format keeps several trajectories in one folder.
   virtual std::vector<std::string> parts(const std::filesystem::path& path) const;
   virtual Scene read(const std::filesystem::path& path, const SceneReading& reading) const = 0;
 };
 
-// In the order in which auto-detection asks them.
+// Returns them in the order in which auto-detection asks them.
 const std::vector<const SceneReader*>& scene_readers();
 std::vector<std::string> scene_format_names();
 
-// The reader of that name, or Error with the nearest one.
+// Returns the reader of that name, or throws Error with the nearest one.
 const SceneReader& scene_reader(const std::string& name);
 
-// The first reader that recognises the path, or nullptr.
+// Returns the first reader that recognises the path, or nullptr.
 const SceneReader* detect_scene_format(const std::filesystem::path& path);
 
 // Reads one scene. Never returns a scene without frames. Errors name the formats when none is recognised.
@@ -56,7 +56,7 @@ struct SceneLocation {
   std::string part;
 };
 
-// All scenes at or below root (at most depth 4), sorted by path; Error when there are none.
+// Returns all scenes at or below root (at most depth 4), sorted by path; throws Error when there are none.
 std::vector<SceneLocation> list_scenes(const std::filesystem::path& root, const SceneReading& reading = {});
 
 }  // namespace gld

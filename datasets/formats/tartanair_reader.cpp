@@ -12,7 +12,7 @@
 namespace gld {
 namespace {
 
-// The camera's OpenCV axes in its north-east-down ones: right is east, down is down, forward is north.
+// Returns the camera's OpenCV axes in its north-east-down ones: right is east, down is down, forward is north.
 Eigen::Matrix3d ned_from_opencv() {
   Eigen::Matrix3d axes;
   axes << 0, 0, 1,  //

@@ -48,20 +48,20 @@ class TextLines {
   std::string content_;
 };
 
-// Error when the file cannot be read, is no text (holds a zero byte) or is larger than 1 GiB.
+// Throws Error when the file cannot be read, is no text (holds a zero byte) or is larger than 1 GiB.
 TextLines read_lines(const std::filesystem::path& file);
 
-// Runs of characters between blanks, the first `most` of them.
+// Returns the runs of characters between blanks, the first `most` of them.
 std::vector<std::string> blank_separated(const std::string& text, size_t most = 65536);
 
-// Fields between commas; a field in double quotes may contain commas.
+// Returns the fields between commas; a field in double quotes may contain commas.
 std::vector<std::string> comma_separated(const std::string& text);
 
-// The whole field as a number ("nan" and "inf" are numbers here, checked elsewhere); Error otherwise.
+// Returns the whole field as a number ("nan" and "inf" are numbers here, checked elsewhere); throws Error otherwise.
 double parse_number(const std::string& field, const std::string& where);
 int64_t parse_integer(const std::string& field, const std::string& where);
 
-// fields[first .. first + count) as numbers; Error when there are too few.
+// Returns fields[first .. first + count) as numbers; throws Error when there are too few.
 std::vector<double> parse_numbers(const std::vector<std::string>& fields, size_t first, size_t count,
                                   const std::string& where);
 

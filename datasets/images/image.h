@@ -37,7 +37,7 @@ struct DepthMap {
   float at(int64_t x, int64_t y) const { return metres[static_cast<size_t>(y * width + x)]; }
 };
 
-// A value of a depth map that says something: positive and finite.
+// Returns whether a value of a depth map says something: it is positive and finite.
 inline bool is_known_depth(float depth) { return depth > 0 && std::isfinite(depth); }
 
 // Which pixels of an image show the scene: 1 valid, 0 not (borders left by undistortion, masked people).
@@ -52,7 +52,7 @@ struct ValidityMask {
   bool empty() const { return valid.empty(); }
 };
 
-// "504x280"
+// Returns text such as "504x280".
 inline std::string size_text(int64_t width, int64_t height) {
   return std::to_string(width) + "x" + std::to_string(height);
 }

@@ -13,16 +13,16 @@ enum class ImageOrientation {
   kUpright,   // turn as EXIF says
 };
 
-// An image file of any format of datasets/images/image_format.h as 8-bit RGB. 16-bit values are divided by 257, grey is
-// repeated, transparent pixels are laid over white. Throws Error when the file is missing, damaged, ends early or is
-// one pixel wide or high.
+// Reads an image file of any format of datasets/images/image_format.h as 8-bit RGB. 16-bit values are divided by 257,
+// grey is repeated, transparent pixels are laid over white. Throws Error when the file is missing, damaged, ends early
+// or is one pixel wide or high.
 Image read_image(const std::filesystem::path& file,
                  ImageOrientation orientation = ImageOrientation::kAsStored);
 
-// A 16-bit single-channel PNG times metres_per_unit; 0 stays 0 (unknown).
+// Reads a 16-bit single-channel PNG times metres_per_unit; 0 stays 0 (unknown).
 DepthMap read_depth_png(const std::filesystem::path& file, double metres_per_unit);
 
-// A mask image: pixels above half brightness are valid.
+// Reads a mask image: pixels above half brightness are valid.
 ValidityMask read_mask(const std::filesystem::path& file);
 
 // Writes a lossless file, which appears whole or not at all.

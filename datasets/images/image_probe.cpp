@@ -23,7 +23,7 @@ namespace {
 
 using ExifPointer = std::unique_ptr<ExifData, decltype(&exif_data_unref)>;
 
-// An unsigned or rational entry; 0 where there is none or its value is no number.
+// Returns an unsigned or rational entry; 0 where there is none or its value is no number.
 double exif_number(const ExifData& exif, ExifIfd place, ExifTag tag) {
   const ExifEntry* entry = exif_content_get_entry(exif.ifd[place], tag);
   if (entry == nullptr || entry->components < 1 || entry->size < exif_format_get_size(entry->format))
@@ -36,9 +36,10 @@ double exif_number(const ExifData& exif, ExifIfd place, ExifTag tag) {
   return value.denominator == 0 ? 0 : static_cast<double>(value.numerator) / value.denominator;
 }
 
-// The focal length over the longer side of the picture. FocalLengthIn35mmFilm says what lens has the same angle over
-// the diagonal of 36x24 mm; else the focal length in mm and the pixels of the sensor a unit of FocalPlaneResolutionUnit
-// (2 inch, 3 cm, 4 mm, 5 um) say it, for the size that EXIF itself names (the picture may be a smaller copy, not cut).
+// Returns the focal length over the longer side of the picture. FocalLengthIn35mmFilm says what lens has the same angle
+// over the diagonal of 36x24 mm; else the focal length in mm and the pixels of the sensor a unit of
+// FocalPlaneResolutionUnit (2 inch, 3 cm, 4 mm, 5 um) say it, for the size that EXIF itself names (the picture may be a
+// smaller copy, not cut).
 double exif_focal_length(const ExifData& exif, const ImageFileInfo& info) {
   const auto width = static_cast<double>(info.width), height = static_cast<double>(info.height);
   const double longer = std::max(width, height);
@@ -57,13 +58,13 @@ double exif_focal_length(const ExifData& exif, const ImageFileInfo& info) {
         exif_width > 0 && std::abs(exif_width * height - exif_height * width) <= 0.02 * exif_width * height;
     if (whole) found = focal_length * resolution / millimetres / std::max(exif_width, exif_height);
   }
-  // From a fisheye to the longest telescope; a number outside is damage.
+  // This goes from a fisheye to the longest telescope; a number outside is damage.
   return found > 0.1 && found < 100 ? found : 0;
 }
 
-// What EXIF metadata ("Exif", two zeros, a TIFF structure) say of a picture whose size is known; nothing where they
-// are damaged: a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so, but
-// cameras may belong to the picture as stored.
+// Adds what EXIF metadata ("Exif", two zeros, a TIFF structure) say of a picture whose size is known; nothing where
+// they are damaged: a picture with broken metadata is still a picture. OpenCV would turn the picture and not say so,
+// but cameras may belong to the picture as stored.
 ImageFileInfo with_exif(ImageFileInfo info, const std::string& metadata) {
   if (metadata.empty()) return info;
   const ExifPointer exif(exif_data_new(), exif_data_unref);

@@ -15,7 +15,7 @@ struct ImageFileInfo {
   // By EXIF, over the longer side of the picture (of the sensor, as of its picture); 0 where nothing tells.
   double focal_length = 0;
 
-  // True for the four orientations that swap width and height.
+  // Returns true for the four orientations that swap width and height.
   bool turned() const { return orientation >= 5; }
 };
 
@@ -25,12 +25,11 @@ struct ImageFileInfo {
 // pixels.
 ImageFileInfo probe_image_file(const std::filesystem::path& file);
 
-// The same, and an Error where the file ends early, as far as that can be told without decoding: a PNG or JPEG file has
-// a mark at its end, a WebP file its length at the start. Of TIFF and HEIC
-// files it looks at the header.
+// Does the same, and throws Error where the file ends early, as far as that can be told without decoding: a PNG or JPEG
+// file has a mark at its end, a WebP file its length at the start. Of TIFF and HEIC files it looks at the header.
 void check_image_end(const std::filesystem::path& file);
 
-// The same as probe_image_file for a file in memory; where names it in errors.
+// Does the same as probe_image_file for a file in memory; where names it in errors.
 ImageFileInfo probe_image_bytes(std::string_view bytes, const std::string& where);
 
 }  // namespace gld

@@ -143,7 +143,7 @@ bool read_rows(JpegReader& reader, uint8_t* rows) {
   return true;
 }
 
-// The colours that ink, stored inverted, gives on white paper.
+// Makes the colours that ink, stored inverted, gives on white paper.
 void bgr_from_cmyk(DecodedPixels& pixels) {
   const size_t count = pixels.bytes.size() / 4;
   for (size_t i = 0; i < count; ++i) {

@@ -26,8 +26,8 @@ JpegHeader read_jpeg_header(std::string_view bytes, const std::string& where);
 // blue, green, red.
 DecodedPixels decode_jpeg(const std::string& bytes, const std::string& where);
 
-// The bytes of a JPEG file of that quality, 1 to 100, with half the resolution in colour. Equal input gives equal
-// bytes. Throws Error when the image has no pixels or more in a row than the format holds.
+// Returns the bytes of a JPEG file of that quality, 1 to 100, with half the resolution in colour. Equal input gives
+// equal bytes. Throws Error when the image has no pixels or more in a row than the format holds.
 std::string encode_jpeg(const Image& image, int quality, const std::string& where);
 
 }  // namespace gld

@@ -18,9 +18,9 @@ struct Grey16 {
   std::vector<uint16_t> values;
 };
 
-// The bytes of a lossless PNG file with the texts as chunks behind its header (tEXt, or iTXt where a text is not
-// ASCII). Equal input gives equal bytes. Throws Error when the pixels are not width x height, or there are none, or a
-// name or text cannot stand in a PNG file as it is.
+// Returns the bytes of a lossless PNG file with the texts as chunks behind its header (tEXt, or iTXt where a text is
+// not ASCII). Equal input gives equal bytes. Throws Error when the pixels are not width x height, or there are none, or
+// a name or text cannot stand in a PNG file as it is.
 std::string encode_png(const Image& image, const TextItems& texts);
 std::string encode_png(const Grey16& image, const TextItems& texts);
 

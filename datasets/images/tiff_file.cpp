@@ -87,7 +87,7 @@ TiffHandle open_tiff(TiffSource& source, tmsize_t memory, const std::string& whe
   TIFFOpenOptionsSetErrorHandlerExtR(options.get(), keep_complaint, &source);
   TIFFOpenOptionsSetWarningHandlerExtR(options.get(), keep_warning, &source);
   TIFFOpenOptionsSetMaxSingleMemAlloc(options.get(), memory);
-  // "m": read by the functions below, which check bounds, rather than from mapped memory.
+  // With "m" the file is read by the functions below, which check bounds, rather than from mapped memory.
   TiffHandle tiff(TIFFClientOpenExt(where.c_str(), "rm", &source, read_tiff_bytes, write_no_tiff, seek_tiff,
                                     close_tiff, tiff_size, nullptr, nullptr, options.get()));
   if (tiff == nullptr) fail_damaged_tiff(where, source);
@@ -105,7 +105,8 @@ TiffHeader header_of(TIFF* tiff, const TiffSource& source, const std::string& wh
   return {width, height, orientation >= 1 && orientation <= 8 ? orientation : 1};
 }
 
-// Bytes of all samples, unpacked; Error where the file is of a kind that is not read or cannot hold so many.
+// Returns the bytes of all samples, unpacked; throws Error where the file is of a kind that is not read or cannot hold
+// so many.
 int64_t checked_bytes(TIFF* tiff, const TiffHeader& header, size_t file_bytes, const std::string& where) {
   uint16_t compression = COMPRESSION_NONE, samples = 1, bits = 1, format = SAMPLEFORMAT_UINT;
   TIFFGetFieldDefaulted(tiff, TIFFTAG_COMPRESSION, &compression);

@@ -14,12 +14,13 @@ struct TiffHeader {
   int orientation = 1;  // 1..8 as in EXIF metadata, whose tag this is
 };
 
-// Of the file's first picture. Its directory may stand anywhere: the bytes must be those of the whole file.
+// Reads the header of the file's first picture. Its directory may stand anywhere: the bytes must be those of the whole
+// file.
 TiffHeader read_tiff_header(std::string_view bytes, const std::string& where);
 
-// The first picture as stored, as 8-bit blue, green and red; what is transparent lies over white. Integer samples of up
-// to 16 bits in any colours that libtiff knows, uncompressed or as LZW, deflate, PackBits or JPEG. Other files, and
-// whatever libtiff complains about in the pixels, end up in the Error.
+// Returns the first picture as stored, as 8-bit blue, green and red; what is transparent lies over white. It takes
+// integer samples of up to 16 bits in any colours that libtiff knows, uncompressed or as LZW, deflate, PackBits or
+// JPEG. Other files, and whatever libtiff complains about in the pixels, end up in the Error.
 DecodedPixels decode_tiff(std::string_view bytes, const std::string& where);
 
 }  // namespace gld

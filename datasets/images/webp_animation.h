@@ -12,17 +12,17 @@ namespace gld {
 // as the format has them) by libwebp's animation encoder.
 class WebpAnimation {
  public:
-  // Pixels, from 1 to 16383; quality from 0 to 100. Throws Error.
+  // Sides are in pixels, from 1 to 16383; quality is from 0 to 100. Throws Error.
   WebpAnimation(int64_t width, int64_t height, double quality);
   ~WebpAnimation();
   WebpAnimation(const WebpAnimation&) = delete;
   WebpAnimation& operator=(const WebpAnimation&) = delete;
 
-  // A frame that is shown from that time on, in milliseconds from the beginning, later than the frame before. Throws
-  // Error for another size, and where libwebp fails.
+  // Adds a frame that is shown from that time on, in milliseconds from the beginning, later than the frame before.
+  // Throws Error for another size, and where libwebp fails.
   void add(const Image& frame, int64_t from_ms);
-  // The file's bytes, the last frame shown until then. xmp: metadata in XML for the file's XMP chunk, or empty. Nothing
-  // may be added afterwards. Equal frames and texts give equal bytes.
+  // Returns the file's bytes, the last frame shown until then. xmp is metadata in XML for the file's XMP chunk, or
+  // empty. Nothing may be added afterwards. Equal frames and texts give equal bytes.
   std::string finish(int64_t end_ms, const std::string& xmp);
 
  private:

@@ -60,7 +60,7 @@ const char* status_text(VP8StatusCode status) {
   }
 }
 
-// The bytes of the one picture.
+// Returns the bytes of the one picture.
 std::string_view picture_of(const OpenedWebp& opened, const std::string& where) {
   const uint32_t frames = opened.feature(WEBP_FF_FRAME_COUNT);
   if (frames != 1) {

@@ -19,8 +19,8 @@ struct WebpHeader {
 // WebP file or end before that is known: metadata stand behind the pixels.
 WebpHeader read_webp_header(std::string_view bytes, const std::string& where);
 
-// A whole still picture, lossy or lossless, 3 channels or 4. Whatever libwebp complains about ends up in the Error, as
-// do animations. Lossy files have no checksum: damage that gives other pixels stays unnoticed.
+// Returns a whole still picture, lossy or lossless, 3 channels or 4. Whatever libwebp complains about ends up in the
+// Error, as do animations. Lossy files have no checksum: damage that gives other pixels stays unnoticed.
 DecodedPixels decode_webp(std::string_view bytes, const std::string& where);
 
 }  // namespace gld

@@ -17,11 +17,11 @@ struct SceneTensors {
   Views views;             // the cameras, sources first
 };
 
-// An image as (3, height, width) in [0, 1], and back (rounded, clamped, black where a value is no number).
+// These give an image as (3, height, width) in [0, 1], and back (rounded, clamped, black where a value is no number).
 torch::Tensor to_tensor(const Image& image);
 Image to_image(const torch::Tensor& image);
 
-// (height, width), float32.
+// The tensor is (height, width), float32.
 torch::Tensor to_tensor(const DepthMap& depth);
 DepthMap to_depth_map(const torch::Tensor& depth);
 

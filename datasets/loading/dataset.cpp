@@ -28,7 +28,7 @@ Scene FolderDataset::scene(int64_t index) const {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (scenes_[i]) return *scenes_[i];
   }
-  // Read outside the lock: two threads may read the same scene once each, none waits for the other's disk.
+  // The scene is read outside the lock: two threads may read the same scene once each, none waits for the other's disk.
   SceneReading reading = reading_;
   if (!location.part.empty()) reading.part = location.part;
   auto scene = std::make_shared<const Scene>(open_scene(location.path, reading));

@@ -10,7 +10,7 @@
 namespace gld {
 namespace {
 
-// Index of the interval of cumulative weights that holds a random number.
+// Returns the index of the interval of cumulative weights that holds a random number.
 size_t draw(const std::vector<double>& cumulative, SeededRandom& random) {
   const double position = random.uniform() * cumulative.back();
   const auto found = std::upper_bound(cumulative.begin(), cumulative.end(), position);

@@ -31,10 +31,10 @@ struct SampleChoice {
   int64_t scene = 0;
 };
 
-// Chooses datasets by their weights and scenes evenly; a pure function of the key.
+// Chooses datasets by their weights and scenes evenly; it is a pure function of the key.
 class Mixture {
  public:
-  // Error when there are no parts, a weight is not positive, or view counts differ.
+  // Throws Error when there are no parts, a weight is not positive, or view counts differ.
   explicit Mixture(std::vector<MixturePart> parts);
   const std::vector<MixturePart>& parts() const { return parts_; }
   SampleChoice choose(const SampleKey& key) const;
@@ -44,7 +44,7 @@ class Mixture {
   std::vector<double> cumulative_;
 };
 
-// The size of batch number `batch`; a pure function of its arguments.
+// Returns the size of batch number `batch`; it is a pure function of its arguments.
 ImageSize choose_size(const std::vector<WeightedSize>& sizes, uint64_t seed, uint64_t batch);
 
 }  // namespace gld

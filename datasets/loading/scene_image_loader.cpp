@@ -16,7 +16,7 @@ struct Refusal {
   std::string sentence;
 };
 
-// The release's two filters: positions in the world, and relative to the last view.
+// Applies the release's two filters: positions in the world, and relative to the last view.
 void check_positions(const Scene& scene, const SampledViews& sampled, double limit) {
   const auto position = [&](int64_t index) -> Eigen::Vector3d {
     return scene.frames[static_cast<size_t>(index)].camera.world_from_camera.translation();

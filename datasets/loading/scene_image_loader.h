@@ -53,10 +53,10 @@ struct LoadingReport {
 // threads gets the same batches whatever their timing, and training resumes by going on with the next number.
 class SceneImageLoader {
  public:
-  // Error when the sizes or the mixture make no sense.
+  // Throws Error when the sizes or the mixture make no sense.
   SceneImageLoader(Mixture mixture, std::vector<WeightedSize> sizes, const BatchLoading& options);
 
-  // May be called from several threads. Throws Error when a sample could not be replaced within most_attempts.
+  // It may be called from several threads. Throws Error when a sample could not be replaced within most_attempts.
   SceneImageBatch load(uint64_t number) const;
 
   LoadingReport report() const;

@@ -76,7 +76,7 @@ class Panel {
         axes_(axes),
         vertical_(vertical),
         scale_((0.5 * kPanel - kPanelMargin) / shown) {}
-  // Pixels, clamped to what cairo's fixed-point numbers take.
+  // Returns pixels, clamped to what cairo's fixed-point numbers take.
   Vector2d at(const Vector3d& world) const {
     const Vector3d offset = world - axes_.centre;
     const double x = left_ + 0.5 * kPanel + scale_ * offset.dot(axes_.right);

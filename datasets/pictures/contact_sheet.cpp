@@ -113,7 +113,7 @@ double aspect_of(const std::vector<Section>& sections) {
   fail({"contact sheet", "at least one picture", "none", "decode images or depth"});
 }
 
-// The number of columns that makes the pictures largest; of equals the one with fewest lines.
+// Returns the number of columns that makes the pictures largest; of equals the one with fewest lines.
 Layout choose_layout(const std::vector<Section>& sections, const SheetText& text, const SheetLimits& limits) {
   const double aspect = aspect_of(sections);
   Layout best;
@@ -146,7 +146,7 @@ Layout choose_layout(const std::vector<Section>& sections, const SheetText& text
   return best;
 }
 
-// The picture inside its cell, as large as fits, centred.
+// Places the picture inside its cell, as large as fits, centred.
 void place_picture(Image& sheet, const Image& picture, const PixelRect& cell) {
   if (picture.empty()) {
     fill_rect(sheet, cell, kEmptyCell);

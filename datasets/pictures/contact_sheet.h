@@ -38,8 +38,8 @@ struct SheetLimits {
   int64_t picture = 480;  // longest side of a picture
 };
 
-// All pictures of a scene on one page: the sources, then the targets; under each other what belongs to one view, with
-// the rows labelled at the left. Error when there is no view or no picture.
+// Puts all pictures of a scene on one page: the sources, then the targets; under each other stands what belongs to one
+// view, with the rows labelled at the left. Throws Error when there is no view or no picture.
 Image make_contact_sheet(const std::vector<SheetView>& views, const SheetText& text,
                          const SheetLimits& limits = {});
 
@@ -49,7 +49,7 @@ struct SheetSection {
   std::vector<std::pair<std::string, Image>> pictures;
 };
 
-// Sections of pictures on one page. Error when there is no picture.
+// Puts sections of pictures on one page. Throws Error when there is no picture.
 Image make_picture_sheet(const std::vector<SheetSection>& sections, const SheetText& text,
                          const SheetLimits& limits = {});
 

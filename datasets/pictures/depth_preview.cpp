@@ -21,7 +21,7 @@ constexpr int64_t kLegendMargin = 12;
 constexpr int64_t kNarrowest = 240;
 constexpr double kSmallestRatio = 1.02;
 
-// 0 at the nearest depth, 1 at the farthest.
+// Returns 0 at the nearest depth, 1 at the farthest.
 double log_position(double depth, const DepthRange& range) {
   return std::log(depth / range.nearest) / std::log(range.farthest / range.nearest);
 }
@@ -35,7 +35,8 @@ float percentile(std::vector<float>& values, double fraction) {
   return *nth;
 }
 
-// Round depths inside the range: multiples of a 1-2-5 step where the range is narrow, 1-2-5 decades where it is wide.
+// Returns round depths inside the range: multiples of a 1-2-5 step where the range is narrow, 1-2-5 decades where it is
+// wide.
 std::vector<double> tick_depths(const DepthRange& range) {
   std::vector<double> ticks;
   if (range.farthest > 6 * range.nearest) {

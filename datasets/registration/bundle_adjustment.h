@@ -52,10 +52,9 @@ Eigen::Vector2d projected(const BundleLens& lens, const Eigen::Isometry3d& camer
 
 enum class BundlePoints { kFree, kFixed };
 
-// Moves views, points and lenses to the least sum of squared errors, robust against outliers
-// (Cauchy beyond about a pixel), with Ceres. One thread, so that the result is the same every time. Lenses and points
-// without an observation stay as they are. Returns the cost, in half squares of the spread of positions, priors
-// included.
+// Moves views, points and lenses to the least sum of squared errors, robust against outliers (Cauchy beyond about a
+// pixel), with Ceres. It runs in one thread, so that the result is the same every time. Lenses and points without an
+// observation stay as they are. Returns the cost, in half squares of the spread of positions, priors included.
 double adjust(Bundle& bundle, int most_iterations, BundlePoints points = BundlePoints::kFree);
 
 }  // namespace gld

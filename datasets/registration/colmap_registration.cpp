@@ -86,7 +86,7 @@ std::string put_picture(const UnregisteredPhotograph& photograph, size_t number,
   return name;
 }
 
-// The model with most photographs; COLMAP writes several where they fall apart.
+// Returns the model with most photographs; COLMAP writes several where they fall apart.
 std::filesystem::path largest_model(const std::filesystem::path& folder) {
   std::filesystem::path largest;
   size_t most = 0;

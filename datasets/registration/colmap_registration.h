@@ -14,12 +14,12 @@ struct ColmapRegistrationOptions {
   int threads = 1;
 };
 
-// The program colmap on the PATH; empty where there is none.
+// Returns the program colmap on the PATH; empty where there is none.
 std::filesystem::path found_colmap();
 
-// Cameras by COLMAP (Schoenberger & Frahm 2016) as a program of its own, on the CPU, in a temporary folder. Throws
-// Error where it fails or takes too long, with the place of what it printed (the folder is kept then), and where fewer
-// than two photographs register (it is not); where names the option in it.
+// Finds cameras by COLMAP (Schoenberger & Frahm 2016) as a program of its own, on the CPU, in a temporary folder.
+// Throws Error where it fails or takes too long, with the place of what it printed (the folder is kept then), and where
+// fewer than two photographs register (it is not); where names the option in it.
 Registration register_by_colmap(const std::vector<UnregisteredPhotograph>& photographs,
                                 const ColmapRegistrationOptions& options, const std::string& where);
 

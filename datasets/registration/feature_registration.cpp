@@ -24,7 +24,7 @@ constexpr double kExifSpread = 0.06;
 constexpr double kDistortionSpread = 0.05;
 // Small pictures are sharp: places in them are known to a smaller part of a pixel.
 constexpr double kFewestPixels = 1200;
-// Where a search for a focal length begins.
+// A search for a focal length begins at these.
 constexpr double kFirstFocalLengths[] = {0.5, 0.75, 1.15, 1.75};
 // Costs of registrations between which the photographs do not decide, and focal lengths that are not the same.
 constexpr double kNearlyAsGood = 1.5, kOtherFocalLength = 1.15;
@@ -71,8 +71,8 @@ struct FocalLengthSearch {
   std::string doubt;  // where other focal lengths explain the photographs nearly as well
 };
 
-// The registration of a few views with the focal length that fits them best. Of distortion nothing is asked yet: it
-// would stand in for a wrong focal length.
+// Finds the registration of a few views with the focal length that fits them best. Of distortion nothing is asked yet:
+// it would stand in for a wrong focal length.
 FocalLengthSearch search_focal_lengths(const Problem& problem) {
   struct Attempt {
     IncrementalResult result;
@@ -123,7 +123,7 @@ FocalLengthSearch search_focal_lengths(const Problem& problem) {
   return found;
 }
 
-// Why a photograph has no part in the tracks at all; empty where it has.
+// Returns why a photograph has no part in the tracks at all; empty where it has.
 std::string nothing_shared(size_t picture, const std::vector<PictureFeatures>& pictures,
                            const std::vector<MatchedPair>& pairs) {
   if (pictures[picture].size() < kFewestMatches) {

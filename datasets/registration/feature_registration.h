@@ -14,9 +14,9 @@ struct FeatureRegistrationOptions {
   int threads = 1;
 };
 
-// Cameras by SIFT features, essential matrices and bundle adjustment. Where EXIF names no focal length, registrations
-// from several are compared. The same photographs give the same cameras every time. Throws Error where fewer than two
-// register; where names the option in it.
+// Finds cameras by SIFT features, essential matrices and bundle adjustment. Where EXIF names no focal length,
+// registrations from several are compared. The same photographs give the same cameras every time. Throws Error where
+// fewer than two register; where names the option in it.
 Registration register_by_features(const std::vector<UnregisteredPhotograph>& photographs,
                                   const FeatureRegistrationOptions& options, const std::string& where);
 

@@ -139,7 +139,7 @@ double Incremental::widest_angle(const Point& point) const {
   return std::acos(std::clamp(smallest_cosine, -1.0, 1.0)) * kDegreesPerRadian;
 }
 
-// The point that most sightings agree on, of those that two of them make; then the least squares of these.
+// Returns the point that most sightings agree on, of those that two of them make; then the least squares of these.
 std::optional<Point> Incremental::triangulated(size_t track, double too_far, double smallest_angle) const {
   struct Ray {
     const SeenPlace* seen;
@@ -218,7 +218,8 @@ std::optional<Point> Incremental::triangulated(size_t track, double too_far, dou
   return best;
 }
 
-// What explains the track best, a point or a direction without depth: what hardly moves between the views fits too.
+// It takes what explains the track best, a point or a direction without depth: what hardly moves between the views fits
+// too.
 double Incremental::cost_of(size_t track) const {
   constexpr double kNearlyParallel = 0.05;  // degrees
   constexpr double kFarAway = 1e4;          // distances of the first two views
@@ -249,7 +250,7 @@ std::vector<Point> Incremental::triangulate(double too_far) const {
   return points;
 }
 
-// Writes lenses, cameras and points back. Of more observations than wanted, those of the longest tracks.
+// Writes lenses, cameras and points back. Of more observations than wanted it takes those of the longest tracks.
 void Incremental::adjust_all(std::vector<Point>& points, size_t most_observations, int iterations) {
   std::vector<size_t> order(points.size());
   std::iota(order.begin(), order.end(), size_t{0});
@@ -284,7 +285,7 @@ void Incremental::adjust_all(std::vector<Point>& points, size_t most_observation
   for (size_t n = 0; n < taken; ++n) points[order[n]].in_world = bundle.points_in_world[n];
 }
 
-// The points of two views alone, the first one's camera at the origin. Nothing where no essential matrix fits.
+// Returns the points of two views alone, the first one's camera at the origin; nothing where no essential matrix fits.
 std::optional<std::vector<Point>> Incremental::try_pair(const ViewPair& pair,
                                                         Eigen::Isometry3d& second_from_first) const {
   std::vector<cv::Point2d> first, second;
@@ -395,7 +396,7 @@ bool Incremental::begin() {
   return true;
 }
 
-// The camera of a view by points that are known, for several focal lengths where its lens is new.
+// Finds the camera of a view by points that are known, for several focal lengths where its lens is new.
 bool Incremental::locate(size_t view, const std::vector<std::pair<SeenPlace, Eigen::Vector3d>>& known) {
   BundleLens& lens = lenses_[seen_.views[view].lens];
   const BundleLens as_it_was = lens;
@@ -470,7 +471,7 @@ bool Incremental::locate(size_t view, const std::vector<std::pair<SeenPlace, Eig
   return true;
 }
 
-// The view that shows most known points. False where none can be added.
+// Adds the view that shows most known points. Returns false where none can be added.
 bool Incremental::add_view() {
   const auto points = triangulate(kTooFar);
   std::vector<const Point*> point_of(seen_.tracks.size(), nullptr);

@@ -51,7 +51,7 @@ struct IncrementalOptions {
 };
 
 // Begins with the pair of views that share most under a wide enough angle (essential matrix, 5 points), adds the views
-// one by one that show most known points (3 points, RANSAC), and adjusts the bundle after each. Deterministic.
+// one by one that show most known points (3 points, RANSAC), and adjusts the bundle after each. It is deterministic.
 IncrementalResult register_incrementally(const SeenPlaces& seen, const IncrementalOptions& options);
 
 }  // namespace gld

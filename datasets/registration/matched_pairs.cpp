@@ -29,7 +29,7 @@ PictureFeatures strongest(const PictureFeatures& picture) {
   return few;
 }
 
-// Directions of features, columns of length 1, for a lens of that focal length over the longer side.
+// Returns directions of features, columns of length 1, for a lens of that focal length over the longer side.
 Eigen::Matrix3Xd directions(const PictureFeatures& picture, const std::vector<int32_t>& features,
                             double focal_length) {
   Eigen::Matrix3Xd rays(3, static_cast<Eigen::Index>(features.size()));
@@ -40,8 +40,8 @@ Eigen::Matrix3Xd directions(const PictureFeatures& picture, const std::vector<in
   return rays;
 }
 
-// How many of the matches one rotation explains within that angle, radians: the best rotation of all of them (Kabsch),
-// and again of those that lie nearest to it, so that up to a half of wrong matches does little.
+// Returns how many of the matches one rotation explains within that angle, radians: the best rotation of all of them
+// (Kabsch), and again of those that lie nearest to it, so that up to a half of wrong matches does little.
 int64_t explained_by_turning(const Eigen::Matrix3Xd& first, const Eigen::Matrix3Xd& second, double angle) {
   const Eigen::Index count = first.cols();
   Eigen::VectorXd weights = Eigen::VectorXd::Ones(count);
@@ -62,7 +62,7 @@ int64_t explained_by_turning(const Eigen::Matrix3Xd& first, const Eigen::Matrix3
   return (off.array() <= angle).count();
 }
 
-// Whether a turned camera explains as many of the matches, within a share, as `rigid`, with some usual lens.
+// Returns whether a turned camera explains as many of the matches, within a share, as `rigid`, with some usual lens.
 bool only_turned(const PictureFeatures& first, const PictureFeatures& second,
                  const std::vector<FeatureMatch>& matches, int64_t rigid) {
   constexpr double kAsWell = 0.9, kPixels = 1.5;
@@ -192,7 +192,7 @@ std::vector<Track> joined_tracks(const std::vector<PictureFeatures>& pictures,
   std::vector<Track> tracks;
   for (Track& track : by_root) {
     if (track.size() < 2) continue;
-    // In the order of pictures, so that two of one picture stand side by side.
+    // Sightings are in the order of pictures, so that two of one picture stand side by side.
     const bool twice =
         std::adjacent_find(track.begin(), track.end(), [](const Sighting& a, const Sighting& b) {
           return a.picture == b.picture;

@@ -24,8 +24,8 @@ constexpr int64_t kFewestMatches = 24;
 
 MatchedPair matched_pair(const std::vector<PictureFeatures>& pictures, size_t first, size_t second);
 
-// The pairs of pictures worth looking at: all of a few; of many, those whose strongest features have most in common,
-// at least most_neighbours a picture.
+// Returns the pairs of pictures worth looking at: all of a few; of many, those whose strongest features have most in
+// common, at least most_neighbours a picture.
 std::vector<std::pair<size_t, size_t>> pairs_to_match(const std::vector<PictureFeatures>& pictures,
                                                       size_t most_neighbours, int threads);
 
@@ -36,7 +36,8 @@ struct Sighting {
 };
 using Track = std::vector<Sighting>;
 
-// Joined over pairs. A track that would have two places in one picture is mistaken somewhere, and left out.
+// Returns tracks joined over pairs. A track that would have two places in one picture is mistaken somewhere, and left
+// out.
 std::vector<Track> joined_tracks(const std::vector<PictureFeatures>& pictures,
                                  const std::vector<MatchedPair>& pairs);
 

@@ -20,7 +20,7 @@ struct PictureFeatures {
   int64_t size() const { return static_cast<int64_t>(points.size()); }
 };
 
-// picture: upright. Larger ones are searched at longest_side, which is no less exact than many photographs are sharp.
+// picture is upright. Larger ones are searched at longest_side, which is no less exact than many photographs are sharp.
 PictureFeatures picture_features(const Image& picture, int64_t longest_side, int64_t most_features);
 
 struct FeatureMatch {
@@ -28,8 +28,8 @@ struct FeatureMatch {
   int32_t second = 0;
 };
 
-// Mutual nearest neighbours whose distance is below 0.8 of that to the second nearest, in the order of the first
-// picture's features. threads: of the products.
+// Returns mutual nearest neighbours whose distance is below 0.8 of that to the second nearest, in the order of the
+// first picture's features. threads are those of the products.
 std::vector<FeatureMatch> match_features(const PictureFeatures& first, const PictureFeatures& second,
                                          int threads);
 

@@ -59,15 +59,15 @@ struct Registration {
   int64_t registered() const;
 };
 
-// Puts the first registered photograph at the origin and makes the unit what Registration says. depths: of the points
-// in the cameras that see them, in the present unit.
+// Puts the first registered photograph at the origin and makes the unit what Registration says. depths are those of the
+// points in the cameras that see them, in the present unit.
 void normalise(Registration& registration, std::vector<double> depths);
 
-// What is known to be wrong where photographs say too little: a lens that nobody has, cameras that hang on a few
+// Adds what is known to be wrong where photographs say too little: a lens that nobody has, cameras that hang on a few
 // points.
 void add_doubts(Registration& registration);
 
-// Fewer than two photographs have nothing in common: an Error for any way that needs it. where: the option.
+// Fewer than two photographs have nothing in common: this throws Error for any way that needs it. where is the option.
 void require_several(const std::vector<UnregisteredPhotograph>& photographs, const std::string& where);
 
 // Why a registration of which too little is left is none; reasons come from its photographs. Error where fewer than
@@ -88,7 +88,7 @@ nlohmann::ordered_json registration_json(const Registration& registration,
 // For people: what the cameras are from, a line a photograph and a line a lens.
 std::string registration_text(const Registration& registration,
                               const std::vector<UnregisteredPhotograph>& photographs);
-// One sentence for each photograph that did not register and for each doubt.
+// Returns one sentence for each photograph that did not register and for each doubt.
 std::vector<std::string> registration_warnings(const Registration& registration,
                                                const std::vector<UnregisteredPhotograph>& photographs);
 

@@ -9,11 +9,11 @@
 
 namespace gld {
 
-// What every reader does at its door. where names the file and the frame in errors.
+// Every reader does this at its door. where names the file and the frame in errors.
 
-// A finite rigid motion from a 4x4 matrix. Rotations that are off by rounding (up to 1e-2, as in text files with few
-// digits) are made exact; anything else is an Error that says what is wrong: not finite, mirrored, scaled, or a last
-// row other than 0 0 0 1.
+// Makes a finite rigid motion of a 4x4 matrix. Rotations that are off by rounding (up to 1e-2, as in text files with
+// few digits) are made exact; anything else is an Error that says what is wrong: not finite, mirrored, scaled, or a
+// last row other than 0 0 0 1.
 Eigen::Isometry3d checked_pose(const Eigen::Matrix4d& matrix, const std::string& where);
 
 // The same for a unit quaternion and a translation; a quaternion of norm 0 is an Error, others are normalised.
@@ -23,7 +23,7 @@ struct QuaternionPose {
 };
 Eigen::Isometry3d checked_pose(const QuaternionPose& pose, const std::string& where);
 
-// Finite, positive focal lengths, zero skew, last row 0 0 1; in pixels, not divided by the image size; and a
+// Requires finite, positive focal lengths, zero skew, last row 0 0 1; in pixels, not divided by the image size; and a
 // principal point that lies in the image or near it.
 void check_frame_camera(const Camera& camera, const std::string& where);
 

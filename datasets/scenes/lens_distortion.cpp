@@ -12,7 +12,7 @@ Eigen::Vector2d tangential(const LensDistortion& lens, const Eigen::Vector2d& p)
           2 * lens.p2 * xy + lens.p1 * (r2 + 2 * p.y() * p.y())};
 }
 
-// The direction of the point with the angle from the optical axis as its length.
+// Returns the direction of the point with the angle from the optical axis as its length.
 Eigen::Vector2d by_angle(const Eigen::Vector2d& p) {
   const double radius = p.norm();
   return radius < 1e-12 ? p : Eigen::Vector2d(p * (std::atan(radius) / radius));

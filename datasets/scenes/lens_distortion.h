@@ -17,16 +17,17 @@ struct LensDistortion {
   double p1 = 0, p2 = 0;
   double sx1 = 0, sy1 = 0;
 
-  // True when the lens changes nothing.
+  // Returns true when the lens changes nothing.
   bool ideal() const;
   bool finite() const;
 };
 
-// Where the lens puts the ray (x, y, 1): both in normalised image coordinates, (pixel - principal point) / focal.
+// Returns where the lens puts the ray (x, y, 1): both are in normalised image coordinates, (pixel - principal point) /
+// focal.
 Eigen::Vector2d distorted(const LensDistortion& lens, const Eigen::Vector2d& ideal_point);
 
-// The largest radius up to which the distorted radius grows. Beyond it a polynomial folds back and maps points into
-// the image that no ray reaches. At most 100.
+// Returns the largest radius up to which the distorted radius grows. Beyond it a polynomial folds back and maps points
+// into the image that no ray reaches. It is at most 100.
 double largest_ideal_radius(const LensDistortion& lens);
 
 }  // namespace gld

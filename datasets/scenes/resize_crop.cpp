@@ -46,7 +46,7 @@ void check_target(int64_t width, int64_t height, const ImageSize& target) {
         {}});
 }
 
-// With source and window given.
+// Plans the rest with source and window given.
 void plan_window(ResizeCrop& plan, const ImageSize& target) {
   const double scale = std::max(static_cast<double>(target.width) / static_cast<double>(plan.window_width),
                                 static_cast<double>(target.height) / static_cast<double>(plan.window_height));
@@ -59,7 +59,7 @@ void plan_window(ResizeCrop& plan, const ImageSize& target) {
   plan.target = target;
 }
 
-// Half the side of the largest window about a principal point at this coordinate.
+// Returns half the side of the largest window about a principal point at this coordinate.
 int64_t largest_half(const char* axis, double principal_point, int64_t side) {
   const double rounded = std::round(principal_point);
   const double half = std::min(rounded, static_cast<double>(side) - rounded);

@@ -10,7 +10,7 @@
 
 namespace gld {
 
-// The one whose aspect is nearest (ratio of ratios); Error when the list is empty.
+// Returns the one whose aspect is nearest (ratio of ratios); throws Error when the list is empty.
 ImageSize nearest_trained_size(int64_t width, int64_t height, const std::vector<ImageSize>& sizes);
 
 // What stays in the middle of a crop. About the principal point, as the release trains: the largest window with the
@@ -33,21 +33,21 @@ struct ResizeCrop {
   int64_t top = 0;
   ImageSize target;
 };
-// The whole source as the window.
+// This takes the whole source as the window.
 ResizeCrop plan_resize_crop(int64_t width, int64_t height, const ImageSize& target);
-// Error where the principal point is within a fifth of a side's length of that side's end (as the release refuses), for
-// kPrincipalPoint.
+// Throws Error where the principal point is within a fifth of a side's length of that side's end (as the release
+// refuses), for kPrincipalPoint.
 ResizeCrop plan_resize_crop(const Camera& camera, const ImageSize& target, CropCentre centre);
 
-// The same crop of the same window at `times` the size, so that its camera is resized_camera() of the small one's: a
-// plan made for the larger size would round to other pixels.
+// Returns the same crop of the same window at `times` the size, so that its camera is resized_camera() of the small
+// one's: a plan made for the larger size would round to other pixels.
 ResizeCrop magnified(ResizeCrop plan, int64_t times);
 
 // The intrinsics follow exactly: the scale is that of the whole-pixel sizes, not the ideal one.
 Camera resize_crop(const Camera& camera, const ResizeCrop& plan);
-// Area averaging when shrinking, bicubic when growing.
+// It uses area averaging when shrinking, bicubic interpolation when growing.
 Image resize_crop(const Image& image, const ResizeCrop& plan);
-// Nearest pixel centre: depth is never averaged over an edge.
+// It takes the nearest pixel centre: depth is never averaged over an edge.
 DepthMap resize_crop(const DepthMap& depth, const ResizeCrop& plan);
 ValidityMask resize_crop(const ValidityMask& mask, const ResizeCrop& plan);
 
@@ -61,7 +61,7 @@ struct SizedFrame {
 enum class FrameParts { kImage, kImageAndDepth };
 SizedFrame load_sized(const Frame& frame, const ImageSize& target, FrameParts parts,
                       CropCentre centre = CropCentre::kImage);
-// The image and camera of what load_sized() gives, `times` as large.
+// Returns the image and camera of what load_sized() gives, `times` as large.
 SizedFrame load_magnified(const Frame& frame, const ImageSize& target, int64_t times);
 
 }  // namespace gld

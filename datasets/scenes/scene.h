@@ -27,7 +27,8 @@ struct Frame {
   bool has_image() const { return static_cast<bool>(load_image); }
   bool has_depth() const { return static_cast<bool>(load_depth); }
 
-  // What the functions above give, checked: throw Error when the size is not the camera's or there is none.
+  // These return what the functions above give, checked: they throw Error when the size is not the camera's or there is
+  // none.
   Image image() const;
   DepthMap depth() const;
   ValidityMask validity() const;

@@ -20,10 +20,10 @@ class SeededRandom {
     state_ += kSplitMixIncrement;
     return mixed_bits(state_);
   }
-  // In [0, 1).
+  // Returns a number in [0, 1).
   double uniform() { return static_cast<double>(bits() >> 11) * 0x1.0p-53; }
   double uniform(double low, double high) { return low + (high - low) * uniform(); }
-  // In [low, high], both included. The bias is below 2^-40 for the ranges used here.
+  // Returns a number in [low, high], both included. The bias is below 2^-40 for the ranges used here.
   int64_t integer(int64_t low, int64_t high) {
     const auto count = static_cast<uint64_t>(high - low) + 1;
     return low + static_cast<int64_t>(static_cast<uint64_t>(uniform() * static_cast<double>(count)));
@@ -34,7 +34,7 @@ class SeededRandom {
   uint64_t state_ = 0x6A09E667F3BCC909ULL;
 };
 
-// Numbers that are drawn evenly between two.
+// Numbers are drawn evenly between these two.
 struct DrawRange {
   double low = 0;
   double high = 1;

@@ -21,13 +21,13 @@ void check_size(int64_t width, int64_t height, const Undistorter::Size& expected
         std::to_string(width) + "x" + std::to_string(height), "check that camera and files belong together"});
 }
 
-// Whether a position lies within the picture; the first pixel's centre is (0, 0).
+// Returns whether a position lies within the picture; the first pixel's centre is (0, 0).
 bool has_pixel(const Undistorter::Size& size, double x, double y) {
   return std::lround(x) >= 0 && std::lround(y) >= 0 && std::lround(x) < size.width &&
          std::lround(y) < size.height;
 }
 
-// Ideal pixels to source pixels, (0.5, 0.5) the first centre.
+// Maps ideal pixels to source pixels, (0.5, 0.5) the first centre.
 Undistorter::PixelMapping lens_mapping(const Camera& ideal, const LensCamera& source) {
   const Eigen::Matrix3d ray_from_pixel = ideal.intrinsics.inverse();
   const double limit = largest_ideal_radius(source.lens);
@@ -46,8 +46,8 @@ struct PixelBounds {
 constexpr int64_t kCropCells = 64;     // in each direction, to begin with
 constexpr int64_t kLineSamples = 128;  // of a line
 
-// The largest rectangle of cells whose four corners are all inside; corners has (kCropCells + 1)^2 entries, row by row.
-// Empty (right < left) where there is none. In cells, ends exclusive as corners.
+// Returns the largest rectangle of cells whose four corners are all inside; corners has (kCropCells + 1)^2 entries, row
+// by row. It is empty (right < left) where there is none. It is in cells, ends exclusive as corners.
 PixelBounds largest_rectangle(const std::vector<uint8_t>& corners) {
   constexpr int64_t kCorners = kCropCells + 1;
   const auto inside = [&](int64_t x, int64_t y) {

@@ -13,8 +13,8 @@
 
 namespace gld {
 
-// Turns pictures of a real lens into pictures of an ideal pinhole camera. The table of source positions is made at
-// the first use and shared by all frames of the camera; safe to use from several threads.
+// Turns pictures of a real lens into pictures of an ideal pinhole camera. The table of source positions is made at the
+// first use and shared by all frames of the camera; it is safe to use from several threads.
 class Undistorter {
  public:
   // Maps a position in the ideal picture to one in the source picture (pixels, (0.5, 0.5) is the first centre), or to
@@ -54,9 +54,9 @@ struct LensCamera {
 };
 std::shared_ptr<const Undistorter> make_undistorter(const Camera& ideal, const LensCamera& source);
 
-// The part of the ideal camera's picture, a rectangle as large as possible, that the source has pixels for everywhere:
-// the same camera with a smaller picture, its principal point moved with the corner. Found from samples along lines, to
-// a pixel or two. Error where not even 2x2 pixels are left.
+// Returns the part of the ideal camera's picture, a rectangle as large as possible, that the source has pixels for
+// everywhere: the same camera with a smaller picture, its principal point moved with the corner. It is found from
+// samples along lines, to a pixel or two. Throws Error where not even 2x2 pixels are left.
 Camera cropped_to_source(const Camera& ideal, const LensCamera& source);
 
 }  // namespace gld

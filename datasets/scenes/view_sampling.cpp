@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// Positions (among the views) of sources spread evenly from the first to the last.
+// Returns positions (among the views) of sources spread evenly from the first to the last.
 std::vector<int64_t> spread_positions(int64_t count, int64_t views) {
   std::vector<int64_t> positions;
   for (int64_t i = 0; i < count; ++i) {

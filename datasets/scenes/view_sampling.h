@@ -46,7 +46,7 @@ struct SampledViews {
   int64_t num_sources = 0;
 };
 
-// Nothing when the video has fewer frames than views. In a short video the longest interval shrinks so that all
+// Returns nothing when the video has fewer frames than views. In a short video the longest interval shrinks so that all
 // views fit, as in the published loader. The evaluation modes take most_sources sources.
 std::optional<SampledViews> sample_views(const ViewSampling& sampling, int64_t num_frames,
                                          const SampleKey& key);

@@ -24,7 +24,7 @@ struct SceneFitOptions : OptionsGroup {
 
   void visit(FieldVisitor& visitor) override;
 };
-// One of its fields, which commands have in groups of their own.
+// Visits one of its fields, which commands have in groups of their own.
 void visit_side(FieldVisitor& visitor, int64_t& side);
 
 // The views of a scene as a fit takes them.
@@ -32,26 +32,26 @@ struct SplatFitViews {
   std::vector<SplatPicture> pictures;  // of those that are fitted, for the start
   std::vector<FittedView> fitted, held_out;
 };
-// What load_fit_views() will give to a fit of such options, without reading a picture.
+// Returns what load_fit_views() will give to a fit of such options, without reading a picture.
 SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held_out,
                          const SplatFitOptions& options);
-// Frames with pictures, resized and cropped to that size; held_out of them, evenly spread between the first and the
-// last, are kept apart. Error where fewer than one is left to be fitted.
+// Loads frames with pictures, resized and cropped to that size; held_out of them, evenly spread between the first and
+// the last, are kept apart. Throws Error where fewer than one is left to be fitted.
 SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t held_out,
                              const KernelSettings& settings);
-// Fitted views first.
+// Returns them with the fitted views first.
 std::vector<const FittedView*> all_views(const SplatFitViews& views);
 // Gives every view its latent, fitted views first, as many as there are views.
 void give_latents(std::vector<LatentView> latents, SplatFitViews& views);
-// That of the first one's aspect with at most `side` pixels. Error where no frame has a picture.
+// Returns the size of the first one's aspect with at most `side` pixels. Throws Error where no frame has a picture.
 ImageSize fit_size(const Scene& scene, int64_t side);
 
-// Mean squared errors of the views' pictures as dB, one a view.
+// Returns mean squared errors of the views' pictures as dB, one a view.
 std::vector<double> view_decibels(const std::vector<FittedView>& views, const GaussianSet& set,
                                   const ProjectionOptions& projection, const KernelSettings& settings);
 
-// What a PLY file of the fit says of its origin: the scene's name and the options, and nothing of the command that
-// asked for it, so that the same fit gives the same bytes.
+// Returns what a PLY file of the fit says of its origin: the scene's name and the options, and nothing of the command
+// that asked for it, so that the same fit gives the same bytes.
 Provenance splat_provenance(const std::string& scene_name, const SceneFitOptions& options);
 
 struct SceneFit {
@@ -61,8 +61,8 @@ struct SceneFit {
   double near = 0;         // that was drawn with
   double fitted_psnr = 0;  // dB, mean over the views
 };
-// All steps of a fit in one go: what gld splat fit does in parts, with the same result. after_step is called after each
-// of them. where: the scene's name in errors.
+// Does all steps of a fit in one go: what gld splat fit does in parts, with the same result. after_step is called after
+// each of them. where is the scene's name in errors.
 SceneFit fit_scene(const Scene& scene, const SceneFitOptions& options, const std::string& where,
                    const KernelSettings& settings,
                    const std::function<void(const SplatFitStep&)>& after_step);

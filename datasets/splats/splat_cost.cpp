@@ -15,7 +15,7 @@
 namespace gld {
 namespace {
 
-// A wall whose distance changes by a tenth, in random grey, seen from places beside each other.
+// Draws a wall whose distance changes by a tenth, in random grey, seen from places beside each other.
 SplatPicture wall_picture(const SplatWork& work, int64_t view) {
   SplatPicture picture;
   picture.camera.width = work.width;
@@ -51,7 +51,7 @@ int64_t splat_fit_bytes(const SplatWork& work, const SplatFitOptions& options) {
   const int64_t planes = (work.views + work.held_out) * padded(work.width) * work.height;
   // Bytes and depth, and the picture with its means and squares under SSIM's window.
   const int64_t pictures = pixels * (3 + 4 + 1) + planes * 3 * 3 * 4;
-  // Before the first step: places, and their order by voxel twice while it is sorted anew.
+  // Before the first step there are places, and their order by voxel twice while it is sorted anew.
   constexpr int64_t kSurfacePoint = 48, kVoxelled = 16;
   const int64_t start = pixels * (kSurfacePoint + 2 * kVoxelled + 8);
   const int64_t numbers = 14 + 3 * (harmonic_coefficients(options.degree) - 1);

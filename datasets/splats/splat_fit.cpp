@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// The view of a step counted from 0.
+// Returns the view of a step counted from 0.
 size_t view_of_step(int64_t step, size_t views, uint64_t seed) {
   const auto round = static_cast<uint64_t>(step) / views;
   const PhiloxKey key = philox_key(seed, "splat views");
@@ -27,7 +27,7 @@ size_t view_of_step(int64_t step, size_t views, uint64_t seed) {
   return order[static_cast<size_t>(step) % views];
 }
 
-// The same coefficients and zeros for those of higher degrees.
+// Sets the same coefficients and zeros for those of higher degrees.
 void raise_degree(GaussianSet& set, int64_t degree) {
   const auto before = static_cast<size_t>(set.harmonics_each());
   set.degree = degree;
@@ -110,7 +110,7 @@ void begin_features(const std::vector<FittedView>& views, const SplatFitOptions&
 
 namespace {
 
-// The mean absolute difference of a view's latent, whose gradients are added to of_set.
+// Returns the mean absolute difference of a view's latent, whose gradients are added to of_set.
 double add_latent_gradients(const GaussianSet& set, const LatentView& latent, const SplatFitOptions& options,
                             const KernelSettings& settings, GaussianSet& of_set) {
   const SplatView view =

@@ -39,7 +39,7 @@ struct SplatFitOptions : OptionsGroup {
   void check() const override;
 };
 
-// Error where latents are to move the geometry: of a fit that has none.
+// Throws Error where latents are to move the geometry, for a fit that has none.
 void check_without_latents(const SplatFitOptions& options);
 
 struct FittedView {
@@ -58,14 +58,14 @@ struct SplatFit {
   double extent = 1;
 };
 
-// A fit before its first step, on pictures with depth or on sparse points (start_gaussians). Sets
-// options.projection.near where none is named. where: the scene's name in errors.
+// Begins a fit before its first step, on pictures with depth or on sparse points (start_gaussians). Sets
+// options.projection.near where none is named. where is the scene's name in errors.
 SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
                          const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
                          const std::string& where);
 
-// The features with which latents begin to move the geometry: those that show the views' latents best from the
-// Gaussians as they stand (solve_features). Where they do not move it, nothing.
+// Begins the features with which latents begin to move the geometry: those that show the views' latents best from the
+// Gaussians as they stand (solve_features). Where they do not move it, it does nothing.
 void begin_features(const std::vector<FittedView>& views, const SplatFitOptions& options,
                     const KernelSettings& settings, SplatFit& fit);
 
@@ -78,9 +78,9 @@ struct SplatFitStep {
   DensityChange change;
 };
 
-// One step: the view whose turn it is (every view once a round, in an order of the round's own that seed decides), its
-// loss, its gradients, Adam, density. Where latents move geometry their mean absolute difference is added to the loss.
-// The result does not depend on settings.threads. views is not empty.
+// Does one step: the view whose turn it is (every view once a round, in an order of the round's own that seed decides),
+// its loss, its gradients, Adam, density. Where latents move geometry their mean absolute difference is added to the
+// loss. The result does not depend on settings.threads. views is not empty.
 SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFitOptions& options,
                             uint64_t seed, const KernelSettings& settings, SplatFit& fit);
 

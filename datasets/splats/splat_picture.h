@@ -5,11 +5,11 @@
 
 namespace gld {
 
-// The picture that a camera sees, in 3DGS's colours on black.
+// Returns the picture that a camera sees, in 3DGS's colours on black.
 CompositedView splat_picture(const GaussianSet& set, const Camera& camera,
                              const ProjectionOptions& projection, const KernelSettings& settings);
 
-// Channels 0 to 1 as 8 bits, and back.
+// These turn channels from 0 to 1 into 8 bits, and back.
 Image image_of(const SplatImage& picture);
 SplatImage splat_image_of(const Image& image);
 

@@ -130,7 +130,7 @@ GaussianSet start_from_depth(const std::vector<SurfacePoint>& points, int64_t mo
   return set;
 }
 
-// The root mean square distance of a point from its three nearest neighbours, among those in the cells around it.
+// Gives the root mean square distance of a point from its three nearest neighbours, among those in the cells around it.
 class Neighbours {
  public:
   explicit Neighbours(const std::vector<Eigen::Vector3d>& points) : points_(points), order_(points.size()) {
@@ -139,7 +139,7 @@ class Neighbours {
               [&](size_t a, size_t b) { return points_[a].x() < points_[b].x(); });
   }
 
-  // Sorted by x: looks outwards until x alone is farther away than what was found.
+  // Points are sorted by x: this looks outwards until x alone is farther away than what was found.
   double distance(size_t place) const {
     const Eigen::Vector3d& here = points_[order_[place]];
     std::array<double, 3> best;

@@ -37,10 +37,10 @@ struct SceneReach {
 SceneReach scene_reach(const std::vector<SplatPicture>& pictures,
                        const std::vector<Eigen::Vector3d>& points_in_world);
 
-// One Gaussian a pixel with known depth, those in one voxel merged; voxels are as small as the cap allows, and not
-// smaller than half the median pixel. Else one a sparse point, its size from its three nearest neighbours, its
-// colour from the views that it projects into. Colours are coefficient 0, of degree 0; means are relative to the
-// reach's middle. Error, named by `where`, without either.
+// Makes one Gaussian a pixel with known depth, those in one voxel merged; voxels are as small as the cap allows, and
+// not smaller than half the median pixel. Else it makes one a sparse point, its size from its three nearest neighbours,
+// its colour from the views that it projects into. Colours are coefficient 0, of degree 0; means are relative to the
+// reach's middle. Throws Error, named by `where`, without either.
 GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
                             const std::vector<Eigen::Vector3d>& points_in_world, const SceneReach& reach,
                             int64_t most_gaussians, const SplatStartOptions& options,

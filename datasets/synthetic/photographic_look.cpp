@@ -7,7 +7,7 @@
 namespace gld {
 namespace {
 
-// One pass along a line of `count` values `stride` apart, three weights; what lies outside counts as the border.
+// Makes one pass along a line of `count` values `stride` apart, three weights; what lies outside counts as the border.
 void blur_line(float* values, int64_t count, int64_t stride, float side) {
   float before = values[0];
   for (int64_t i = 0; i < count; ++i) {
@@ -18,7 +18,7 @@ void blur_line(float* values, int64_t count, int64_t stride, float side) {
   }
 }
 
-// Near enough to normal: the sum of four even numbers, its spread brought to 1.
+// The draw is near enough to normal: the sum of four even numbers, its spread brought to 1.
 double draw_normal(SeededRandom& random) {
   double sum = -2;
   for (int i = 0; i < 4; ++i) sum += random.uniform();

@@ -23,7 +23,7 @@ struct PhotographicLook {
 
 PhotographicLook draw_photographic_look(SeededRandom& random);
 
-// The picture as that camera takes frame number `frame`.
+// Returns the picture as that camera takes frame number `frame`.
 Image photographed(const Image& picture, const PhotographicLook& look, int64_t frame);
 
 }  // namespace gld

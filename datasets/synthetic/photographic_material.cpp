@@ -19,7 +19,7 @@ Vector3d mottled(const Material& m, double u, double v, double footprint) {
       .cwiseProduct(Vector3d(1 + 0.12 * other, 1, 1 - 0.12 * other));
 }
 
-// Irregular stones with joints.
+// Draws irregular stones with joints.
 Vector3d stone(const Material& m, double u, double v, double footprint) {
   const Patch patch = patch_at(u, v, m.seed);
   const double fade = smooth_step(0.4, 1.0, footprint);
@@ -29,7 +29,7 @@ Vector3d stone(const Material& m, double u, double v, double footprint) {
   return mixed(m.first * (tint * grain), m.second, joint * (1 - fade));
 }
 
-// Leaves over leaves with dark gaps between them.
+// Draws leaves over leaves with dark gaps between them.
 Vector3d foliage(const Material& m, double u, double v, double footprint) {
   const Patch large = patch_at(u, v, m.seed), small = patch_at(2.3 * u, 2.3 * v, m.seed + 9);
   const bool above = large.from_middle < 0.25 + 0.2 * large.value;
@@ -39,7 +39,7 @@ Vector3d foliage(const Material& m, double u, double v, double footprint) {
   return mixed(m.second, m.first, leaf.value) * (light * (1 - fade) + 0.5 * fade);
 }
 
-// Lines of words that nobody can read.
+// Draws lines of words that nobody can read.
 Vector3d text(const Material& m, double u, double v, double footprint) {
   constexpr double kInk = 0.21;  // the share of it that a line takes, for lines too fine to see
   const auto line = static_cast<int64_t>(std::floor(v));
@@ -58,7 +58,7 @@ Vector3d text(const Material& m, double u, double v, double footprint) {
   return mixed(m.first, m.second, ink * (1 - fade) + kInk * fade);
 }
 
-// A wall of plaster with a lattice of windows, each another.
+// Draws a wall of plaster with a lattice of windows, each another.
 Vector3d facade(const Material& m, double u, double v, double footprint) {
   const auto column = static_cast<int64_t>(std::floor(u)), row = static_cast<int64_t>(std::floor(v));
   const double x = std::abs(fraction(u) - 0.5), y = std::abs(fraction(v) - 0.5);
@@ -74,7 +74,7 @@ Vector3d facade(const Material& m, double u, double v, double footprint) {
   return Vector3d(pane, pane * 1.05, pane * 1.15);
 }
 
-// A picture of some light and a few shapes, with grain and a frame of white.
+// Draws a picture of some light and a few shapes, with grain and a frame of white.
 Vector3d collage(const Material& m, double u, double v) {
   if (u < 0.04 || u > 0.96 || v < 0.04 || v > 0.96) return Vector3d::Constant(0.85);
   const auto number = [&](int64_t shape, int64_t which) { return cell_value(shape, which, m.seed); };
@@ -102,7 +102,7 @@ Vector3d draw_from(SeededRandom& random, const Palette& palette) {
   return draw_colour(random, palette.hue, palette.saturation, palette.value);
 }
 
-// Earth, stone, plaster, and now and then a colour.
+// Draws earth, stone, plaster, and now and then a colour.
 Palette draw_palette(SeededRandom& random) {
   const double kind = random.uniform();
   if (kind < 0.5) return {{0.04, 0.14}, {0.05, 0.45}, {0.3, 0.9}};

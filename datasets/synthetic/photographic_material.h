@@ -9,14 +9,14 @@ namespace gld {
 
 // Surfaces as photographs show them, all drawn: their spectra fall slowly, no two patches of them are alike.
 
-// Linear RGB of a pattern from kMottled on at (u, v), in periods; a pixel covers about so much of it. A collage: over
-// [0, 1] x [0, 1].
+// Returns linear RGB of a pattern from kMottled on at (u, v), in periods; a pixel covers about so much of it. A collage
+// is over [0, 1] x [0, 1].
 Eigen::Vector3d photographic_pattern(const Material& material, double u, double v, double footprint);
 
-// What stains multiply a surface's colour by at (u, v), in metres: about 1.
+// Returns what stains multiply a surface's colour by at (u, v), in metres: about 1.
 double stain(const Material& material, double u, double v, double footprint);
 
-// Draws of materials that suit a part of a place.
+// These draw materials that suit a part of a place.
 Material draw_rough_wall(SeededRandom& random);
 Material draw_facade(SeededRandom& random);
 Material draw_ground(SeededRandom& random);

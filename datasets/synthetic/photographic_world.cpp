@@ -52,7 +52,7 @@ void put_up_posters(SeededRandom& random, SyntheticWorld& world) {
   }
 }
 
-// A bush or a heap: many small things about a place on the floor, some of them in the air as leaves are.
+// Piles up a bush or a heap: many small things about a place on the floor, some of them in the air as leaves are.
 void pile_up(SeededRandom& random, SyntheticWorld& world) {
   const Room& room = world.room;
   const bool bush = random.chance(0.5);

@@ -51,7 +51,7 @@ Entry enter_sphere(const Vector3d& origin, const Vector3d& direction, double rad
   return distance > kNear ? Entry{distance, 0} : Entry{};
 }
 
-// Faces: 0 the mantle, 4 the bottom, 5 the top.
+// Faces are 0 the mantle, 4 the bottom, 5 the top.
 Entry enter_cylinder(const Vector3d& origin, const Vector3d& direction, double radius, double half_height) {
   Entry best;
   const double a = direction.x() * direction.x() + direction.y() * direction.y();
@@ -101,8 +101,8 @@ Entry enter(const Solid& solid, const LocalRay& ray) {
   return {};
 }
 
-// Whether the line through a point in a direction comes near enough to a solid, whose centre is at `offset` from the
-// point, to be worth a closer look.
+// Returns whether the line through a point in a direction comes near enough to a solid, whose centre is at `offset`
+// from the point, to be worth a closer look.
 bool near_line(const TracedSolid& traced, const Vector3d& offset, double offset2, const Vector3d& direction,
                double length2) {
   const double along = offset.dot(direction);

@@ -24,7 +24,7 @@ class RayTracer {
  public:
   explicit RayTracer(const SyntheticWorld& world);
 
-  // The nearest surface; a ray that starts in the room always meets one.
+  // Returns the nearest surface; a ray that starts in the room always meets one.
   Hit first_hit(const Ray& ray) const;
 
   const SyntheticWorld& world() const { return world_; }
@@ -38,13 +38,14 @@ class RayTracer {
 // Rays from one point of a surface to points of a lamp: which solids may stand between is found once for all of them.
 class ShadowRays {
  public:
-  // segment: from the start to the lamp's centre; spread: the lamp's radius; own_solid: on which the start lies, or -1.
+  // segment goes from the start to the lamp's centre; spread is the lamp's radius; own_solid is the one on which the
+  // start lies, or -1.
   ShadowRays(const RayTracer& tracer, const Eigen::Vector3d& start, int own_solid,
              const Eigen::Vector3d& segment, double spread);
 
   bool empty() const { return count_ == 0; }  // nothing can be in the way
 
-  // Whether a solid lies between the start and start + direction. Remembers which, so the object changes.
+  // Returns whether a solid lies between the start and start + direction. Remembers which, so the object changes.
   bool blocked(const Eigen::Vector3d& direction);
 
  private:

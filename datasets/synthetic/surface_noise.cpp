@@ -21,7 +21,7 @@ double value_noise(double x, double y, uint64_t seed) {
   return top * (1 - ty) + bottom * ty;
 }
 
-// How much of a wave of that frequency is left where a pixel covers so much.
+// Returns how much of a wave of that frequency is left where a pixel covers so much.
 double visible_share(double footprint, double frequency) {
   return 1 - smooth_step(0.4, 1.2, footprint * frequency);
 }

@@ -8,19 +8,20 @@ namespace gld {
 // are in the units of the coordinates; the footprint is how much of the surface a pixel covers, and what is finer
 // than it fades.
 
-// 0 at low and below, 1 at high and above.
+// Returns 0 at low and below, 1 at high and above.
 double smooth_step(double low, double high, double x);
 
-// What lies behind the decimal point, also of negative numbers: in [0, 1).
+// Returns what lies behind the decimal point, also of negative numbers: in [0, 1).
 double fraction(double x);
 
-// In [0, 1), for a cell of a lattice.
+// Returns a value in [0, 1), for a cell of a lattice.
 double cell_value(int64_t x, int64_t y, uint64_t seed);
 
-// Three octaves about 0.5.
+// Returns three octaves about 0.5.
 double layered_noise(double x, double y, uint64_t seed, double footprint);
 
-// Six octaves about 0, within [-1, 1], whose amplitude falls nearly as their wavelength: the statistics of photographs.
+// Returns six octaves about 0, within [-1, 1], whose amplitude falls nearly as their wavelength: the statistics of
+// photographs.
 double fractal_noise(double x, double y, uint64_t seed, double footprint);
 
 // The patch of an irregular paving with about one patch a unit square: of the points, one a lattice cell, which is the

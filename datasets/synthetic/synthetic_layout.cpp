@@ -49,7 +49,7 @@ Solid cylinder(const Vector3d& bottom, double radius, double height, const Mater
   return solid;
 }
 
-// Several draws of one call are drawn from the last to the first; why: synthetic_material.cpp.
+// Several draws of one call are drawn from the last to the first; synthetic_material.cpp says why.
 Vector3d draw_size(SeededRandom& random, const DrawRange& x, const DrawRange& y, const DrawRange& z) {
   const double height = z.draw(random), depth = y.draw(random), width = x.draw(random);
   return {width, depth, height};
@@ -138,7 +138,7 @@ void place(Thing& thing, const Vector2d& position, double turn) {
   }
 }
 
-// Within those reaches of the middle.
+// Draws it within those reaches of the middle.
 Vector2d draw_position(SeededRandom& random, const Vector2d& reach) {
   const double y = random.uniform(-reach.y(), reach.y()), x = random.uniform(-reach.x(), reach.x());
   return {x, y};
@@ -269,7 +269,7 @@ Thing draw_shelf(SeededRandom& random) {
   return shelf;
 }
 
-// A floor lamp (not lit) or a plant in a pot.
+// Draws a floor lamp (not lit) or a plant in a pot.
 Thing draw_tall(SeededRandom& random) {
   Thing thing;
   thing.radius = random.uniform(0.2, 0.3);

@@ -14,7 +14,7 @@ struct ObjectCount {
   int64_t maximum = 8;
 };
 
-// A furnished room: textured walls with pictures, one or two lamps, and that many things (boxes, balls, columns,
+// Draws a furnished room: textured walls with pictures, one or two lamps, and that many things (boxes, balls, columns,
 // tables, stacks) standing on the floor without touching each other.
 SyntheticWorld draw_world(SeededRandom& random, const ObjectCount& objects);
 
@@ -38,11 +38,11 @@ struct PathDraw {
   HandHeld hand;
 };
 
-// A smooth camera path through the free space of the room that looks at its middle: an arc around it, a walk towards
-// it, or a walk past it. Neighbours see mostly the same things. At least 0.3 m from everything.
+// Draws a smooth camera path through the free space of the room that looks at its middle: an arc around it, a walk
+// towards it, or a walk past it. Neighbours see mostly the same things. It stays at least 0.3 m from everything.
 std::vector<Camera> draw_camera_path(SeededRandom& random, const SyntheticWorld& world, const PathDraw& path);
 
-// A camera at eye that looks at target, upright in a world whose z axis points up.
+// Returns a camera at eye that looks at target, upright in a world whose z axis points up.
 Eigen::Isometry3d look_at(const Eigen::Vector3d& eye, const Eigen::Vector3d& target);
 
 }  // namespace gld

@@ -11,7 +11,7 @@ namespace {
 
 using Eigen::Vector3d;
 
-// A square wave of period 2 in [-1, 1], averaged over width (its integral is a triangle wave).
+// Returns a square wave of period 2 in [-1, 1], averaged over width (its integral is a triangle wave).
 double square_wave(double x, double width) {
   const double w = std::max(width, 1e-4);
   const double right = std::abs(fraction((x + 0.5 * w) / 2) - 0.5);
@@ -19,7 +19,8 @@ double square_wave(double x, double width) {
   return 2 * (left - right) / w;
 }
 
-// 1 on the joints of a unit lattice, 0 inside the cells; joints narrower than the footprint fade to their share.
+// Returns 1 on the joints of a unit lattice, 0 inside the cells; joints narrower than the footprint fade to their
+// share.
 double joint(double x, double half_width, double footprint) {
   const double distance = 0.5 - std::abs(fraction(x) - 0.5);
   const double blur = std::max(footprint, 0.02);
@@ -52,7 +53,7 @@ Vector3d wood(const Material& m, double u, double v, double footprint) {
   return face * (1 - 0.55 * joint(v, 0.035, footprint));
 }
 
-// A landscape: sky, sun and two rows of hills.
+// Draws a landscape: sky, sun and two rows of hills.
 Vector3d painting(const Material& m, double u, double v) {
   if (u < 0.06 || u > 0.94 || v < 0.06 || v > 0.94) return Vector3d(0.08, 0.05, 0.03);
   const double tilt = static_cast<double>(m.seed % 97) / 97.0;
@@ -73,7 +74,7 @@ Vector3d draw_shade(SeededRandom& random, double hue, const DrawRange& saturatio
   return colour_from_hsv(hue, s, v);
 }
 
-// Without stains.
+// Returns the colour without stains.
 Vector3d clean_albedo(const Material& m, double surface_u, double surface_v, double surface_footprint) {
   if (m.pattern == Pattern::kPlain) return m.first;
   if (m.pattern == Pattern::kPainting) return painting(m, surface_u, surface_v);

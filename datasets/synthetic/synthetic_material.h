@@ -39,20 +39,20 @@ struct Material {
   double stains = 0;  // from 0 to 1: how much darker and lighter patches of it are
 };
 
-// Linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.
+// Returns linear RGB at (u, v), averaged over about footprint metres so that far patterns fade instead of flickering.
 Eigen::Vector3d albedo(const Material& material, double u, double v, double footprint);
 
-// a, and b as far as t of 1.
+// Returns a, and b as far as t of 1.
 Eigen::Vector3d mixed(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double t);
 
-// Linear RGB from hue in [0, 1), saturation and value in [0, 1] (the latter as seen on a screen).
+// Returns linear RGB from hue in [0, 1), saturation and value in [0, 1] (the latter as seen on a screen).
 Eigen::Vector3d colour_from_hsv(double hue, double saturation, double value);
 
-// The same of drawn numbers.
+// Returns the same of drawn numbers.
 Eigen::Vector3d draw_colour(SeededRandom& random, const DrawRange& hue, const DrawRange& saturation,
                             const DrawRange& value);
 
-// Draws of materials that suit a part of a room.
+// These draw materials that suit a part of a room.
 Material draw_floor(SeededRandom& random);
 Material draw_wall(SeededRandom& random, double hue);
 Material draw_object(SeededRandom& random);

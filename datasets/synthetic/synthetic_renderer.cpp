@@ -40,7 +40,7 @@ class PixelRays {
   Vector2d centre_;
 };
 
-// Evenly spread points of the unit disc (a sunflower).
+// Returns evenly spread points of the unit disc (a sunflower).
 std::array<Vector2d, kLampPoints> disc_points() {
   std::array<Vector2d, kLampPoints> points;
   for (int i = 0; i < kLampPoints; ++i) {
@@ -68,14 +68,14 @@ class Shader {
  public:
   explicit Shader(const RayTracer& tracer) : tracer_(tracer), world_(tracer.world()), disc_(disc_points()) {}
 
-  // Which smooth patch a hit lies on; decals count.
+  // Returns which smooth patch a hit lies on; decals count.
   int patch(const Hit& hit) const {
     int index = 0;
     if (decal_at(world_, hit, index) == nullptr) return hit.surface;
     return 6 + 6 * static_cast<int>(world_.solids.size()) + index;
   }
 
-  // Linear RGB seen along the ray.
+  // Returns the linear RGB seen along the ray.
   Vector3d colour(const Hit& hit, const Ray& ray, double pixel_size) const {
     int index = 0;
     const Decal* decal = decal_at(world_, hit, index);
@@ -104,7 +104,7 @@ class Shader {
                           : world_.room.faces[hit.room_face];
   }
 
-  // A lamp in the polish of a surface (Blinn's half vector): the one thing here that moves with the camera.
+  // Returns a lamp in the polish of a surface (Blinn's half vector): the one thing here that moves with the camera.
   Vector3d reflection(const Lamp& lamp, const Hit& hit, const Ray& ray) const {
     constexpr double kSharpness = 50;
     const Vector3d towards = (lamp.centre - hit.point).normalized();
@@ -120,7 +120,7 @@ class Shader {
                   footprint / size.minCoeff());
   }
 
-  // How much of the surroundings a point sees, roughly: less in corners and next to solids.
+  // Returns how much of the surroundings a point sees, roughly: less in corners and next to solids.
   double openness(const Hit& hit) const {
     const Room& room = world_.room;
     const double distances[] = {room.half_x - hit.point.x(),
@@ -176,7 +176,8 @@ class Shader {
   std::array<Vector2d, kLampPoints> disc_;
 };
 
-// Screen values of linear light in steps of 1/4095; light above 0.8 is compressed so that lamps do not clip hard.
+// Returns screen values of linear light in steps of 1/4095; light above 0.8 is compressed so that lamps do not clip
+// hard.
 std::vector<uint8_t> screen_table() {
   std::vector<uint8_t> table(4096 * 2);
   for (size_t i = 0; i < table.size(); ++i) {

@@ -12,7 +12,7 @@ namespace gld {
 enum class SyntheticRooms {
   kFirst,  // the first small model's: tidy, matte, filmed from a smooth path; measurements are made with these
   kVaried,  // half of them as before; in the others more kinds of furniture, glossy and dark things, a hand-held camera
-  // Half of them as kVaried; the others beside that with surfaces, heaps and light such as photographs show, as a
+  // Half of them are as kVaried; the others have beside that surfaces, heaps and light such as photographs show, as a
   // camera takes them (exposure, blur, noise, vignetting).
   kPhotographic,
 };

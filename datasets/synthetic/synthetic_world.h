@@ -50,8 +50,8 @@ struct Lamp {
   Eigen::Vector3d power = Eigen::Vector3d::Ones();  // irradiance at one metre, linear RGB
 };
 
-// What a lamp's light is divided by at that distance. Gentler than the square law: without light bouncing off walls,
-// that would leave them black.
+// A lamp's light is divided by this at that distance. It is gentler than the square law: without light bouncing off
+// walls, that would leave them black.
 double light_loss(double distance);
 
 struct SyntheticWorld {
@@ -78,10 +78,11 @@ struct Hit {
   double v = 0;
 };
 
-// A vector turned about the vertical axis by the angle of that cosine and sine.
+// Returns a vector turned about the vertical axis by the angle of that cosine and sine.
 Eigen::Vector3d turned_by(const Eigen::Vector3d& v, double cosine, double sine);
 
-// The distance from a point to the nearest solid or face of the room; negative inside a solid or outside the room.
+// Returns the distance from a point to the nearest solid or face of the room; negative inside a solid or outside the
+// room.
 double clearance(const SyntheticWorld& world, const Eigen::Vector3d& point);
 
 }  // namespace gld

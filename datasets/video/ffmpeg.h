@@ -6,8 +6,8 @@
 
 namespace gld {
 
-// How every command of the program ffmpeg begins here: it asks nothing, prints errors alone, writes over what is there
-// and, whatever a file may hold, opens nothing but files.
+// Returns how every command of the program ffmpeg begins here: it asks nothing, prints errors alone, writes over what
+// is there and, whatever a file may hold, opens nothing but files.
 std::vector<std::string> ffmpeg_command(const std::filesystem::path& program);
 
 }  // namespace gld

@@ -19,7 +19,7 @@
 namespace gld {
 namespace {
 
-// No list of other files that calls itself a video.
+// A list of other files that calls itself a video is none of these.
 constexpr const char* kContainers = "mov,matroska,avi";
 // Sharpness is told at this size as well as at any, and sooner.
 constexpr int kLookWidth = 480;
@@ -58,7 +58,7 @@ VideoStream stream_of(const std::filesystem::path& video, WorkFolder& work) {
   return parse_video_stream(read_file(answer), video);
 }
 
-// The pictures at `rate` a second that pass `filter`, as 000001.png, ...
+// Returns the pictures at `rate` a second that pass `filter`, as 000001.png, ...
 std::vector<std::filesystem::path> pictures_of(const std::filesystem::path& video, double rate,
                                                const std::string& filter, const std::filesystem::path& folder,
                                                WorkFolder& work) {
@@ -85,7 +85,7 @@ std::vector<std::filesystem::path> pictures_of(const std::filesystem::path& vide
   return pictures;
 }
 
-// The variance of four times a pixel less its neighbours.
+// Returns the variance of four times a pixel less its neighbours.
 double sharpness_of(const std::filesystem::path& picture) {
   const Image image = read_image(picture);
   double sum = 0, squares = 0;

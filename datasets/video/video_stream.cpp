@@ -13,14 +13,14 @@ constexpr double kSmallest = 1e-9, kLargest = 1e9;
 
 double usual(double value) { return value >= kSmallest && value <= kLargest ? value : 0; }
 
-// 0 where there is none, as of what follows.
+// Returns 0 where there is none, as of what follows.
 double number_of(const nlohmann::ordered_json& json, const char* key) {
   const auto found = json.find(key);
   if (found == json.end() || !found->is_string()) return 0;
   return usual(std::strtod(found->get<std::string>().c_str(), nullptr));
 }
 
-// "30000/1001"
+// Reads a rate such as "30000/1001".
 double rate_of(const nlohmann::ordered_json& stream) {
   const auto found = stream.find("avg_frame_rate");
   if (found == stream.end() || !found->is_string()) return 0;

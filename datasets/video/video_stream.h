@@ -11,8 +11,8 @@ struct VideoStream {
   double pictures_a_second = 0;
 };
 
-// probed: the JSON that ffprobe writes for -show_entries stream=duration,avg_frame_rate:format=duration of one stream.
-// Throws Error naming the video where it is no JSON, or lists no stream, or does not tell one of the two.
+// probed is the JSON that ffprobe writes for -show_entries stream=duration,avg_frame_rate:format=duration of one
+// stream. Throws Error naming the video where it is no JSON, or lists no stream, or does not tell one of the two.
 VideoStream parse_video_stream(const std::string& probed, const std::filesystem::path& video);
 
 }  // namespace gld

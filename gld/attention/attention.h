@@ -12,13 +12,13 @@ namespace gld {
 
 // Softmax attention, softmax(scale * q k^T) v, never materialising all logits at once.
 struct AttentionInputs {
-  // (batch, tokens, heads, head_dim) each; any strides with a contiguous last dimension, so that slices of one
+  // Each is (batch, tokens, heads, head_dim), with any strides and a contiguous last dimension, so that slices of one
   // joint qkv projection need no copy. key and value may have another token count than query.
   torch::Tensor query;
   torch::Tensor key;
   torch::Tensor value;
-  // Camera encoding applied to query, key, value and the output (PRoPE); none when null. The batch is then 1 scene
-  // and the tokens are views x (prefix + grid).
+  // This camera encoding (PRoPE) is applied to query, key, value and the output; there is none when it is null. The
+  // batch is then 1 scene and the tokens are views x (prefix + grid).
   const PropeTables* prope = nullptr;
   // kFloat32, or kBFloat16 for the products of float32 tensors, of their gradients too; softmax and sums are float32
   // then too. By kernels of ours on the CPU; elsewhere by LibTorch's fused attention, and without it in float32.
@@ -34,8 +34,8 @@ struct AttentionTap {
   torch::Tensor key;
 };
 
-// Returns (batch, tokens, heads, head_dim), contiguous. scale is 1/sqrt(head_dim). A row with no key is zero.
-// Differentiable.
+// Returns (batch, tokens, heads, head_dim), contiguous. scale is 1/sqrt(head_dim). A row with no key is zero. The
+// result is differentiable.
 torch::Tensor attention(const AttentionInputs& inputs);
 
 }  // namespace gld

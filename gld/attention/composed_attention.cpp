@@ -12,10 +12,10 @@
 namespace gld {
 namespace {
 
-// Logits held at once, over all batch entries and heads: 64 MB in float32.
+// So many logits are held at once, over all batch entries and heads: 64 MB in float32.
 constexpr int64_t kLogitsPerBlock = int64_t{1} << 24;
 
-// (batch, tokens, heads, head_dim) each.
+// Each is (batch, tokens, heads, head_dim).
 struct EncodedTokens {
   torch::Tensor query;
   torch::Tensor key;
@@ -45,7 +45,7 @@ HeadsFirst heads_first(const AttentionInputs& inputs) {
           arrange(tokens.value)};
 }
 
-// (batch * heads, tokens, head_dim) -> the result of attention().
+// Makes the result of attention() of (batch * heads, tokens, head_dim).
 torch::Tensor finish(const AttentionInputs& inputs, const torch::Tensor& output) {
   const auto& query = inputs.query;
   const auto tokens_first =

@@ -10,13 +10,14 @@ namespace gld {
 // arguments and the result are those of attention(), which checks them and should be called instead: these are what it
 // falls back on and what benchmarks and tests compare with.
 
-// All logits at once, (batch * heads, queries, keys): what a model written with LibTorch's operations does.
+// Computes all logits at once, (batch * heads, queries, keys), which is what a model written with LibTorch's operations
+// does.
 torch::Tensor composed_attention(const AttentionInputs& inputs);
 
-// The same with at most 64 MB of logits at a time.
+// Computes the same with at most 64 MB of logits at a time.
 torch::Tensor row_blocked_attention(const AttentionInputs& inputs);
 
-// By LibTorch's fused kernel (2.0 and newer, else an Error). In bfloat16 the encoded queries, keys
+// Computes it by LibTorch's fused kernel (2.0 and newer, else it throws Error). In bfloat16 the encoded queries, keys
 // and values are rounded, and the result is float32 again.
 torch::Tensor library_attention(const AttentionInputs& inputs);
 

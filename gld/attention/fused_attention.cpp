@@ -15,7 +15,7 @@ namespace {
 
 constexpr int64_t kLargestHeadDim = 256;
 
-// (batch, tokens, heads, head_dim) with contiguous channels.
+// Returns x, (batch, tokens, heads, head_dim), with contiguous channels.
 torch::Tensor with_contiguous_channels(const torch::Tensor& x) {
   return x.size(3) > 1 && x.stride(3) != 1 ? x.contiguous() : x;
 }

@@ -8,12 +8,12 @@
 
 namespace gld {
 
-// Attention through the CPU kernels (gld/kernels/attention_kernel.h), for float32 tensors on the CPU and 1 to 256
-// channels a head; arguments and result as attention(), which checks them. Differentiable once: backward recomputes the
-// probabilities from the stored log-sum-exp.
+// Computes attention through the CPU kernels (gld/kernels/attention_kernel.h), for float32 tensors on the CPU and 1 to
+// 256 channels a head; arguments and result are those of attention(), which checks them. It is differentiable once:
+// backward recomputes the probabilities from the stored log-sum-exp.
 torch::Tensor fused_attention(const AttentionInputs& inputs);
 
-// Whether it can take these arguments, or any of this tensor's kind with heads of this size.
+// Returns whether it can take these arguments, or any of this tensor's kind with heads of this size.
 bool fused_attention_applies(const AttentionInputs& inputs);
 bool fused_attention_applies(const torch::Tensor& like, int64_t head_dim);
 

@@ -83,7 +83,7 @@ std::string read_file(const std::filesystem::path& file, uint64_t limit) {
     fail({file.string(), "a file",
           std::filesystem::exists(file, error) ? "something that is no file" : "nothing", "check the path"});
   }
-  // The size of what is open: the name may stand for a newer file by then, since writers rename.
+  // The size is taken of what is open: the name may stand for a newer file by then, since writers rename.
   std::ifstream stream(file, std::ios::binary | std::ios::ate);
   const auto end = stream ? static_cast<std::streamoff>(stream.tellg()) : std::streamoff{-1};
   if (end < 0)

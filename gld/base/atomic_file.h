@@ -18,7 +18,7 @@ class AtomicFile {
   AtomicFile(const AtomicFile&) = delete;
   AtomicFile& operator=(const AtomicFile&) = delete;
 
-  // Where to write before commit(). It keeps the target's extension, which image libraries go by.
+  // Returns where to write before commit(). It keeps the target's extension, which image libraries go by.
   const std::filesystem::path& temporary() const { return temporary_; }
   void commit();
 
@@ -31,7 +31,7 @@ class AtomicFile {
 
 void write_file_atomically(const std::filesystem::path& target, const std::string& bytes);
 
-// The whole file; Error when it cannot be read or is larger than limit bytes.
+// Returns the whole file; throws Error when it cannot be read or is larger than limit bytes.
 std::string read_file(const std::filesystem::path& file, uint64_t limit = uint64_t{1} << 32);
 
 }  // namespace gld

@@ -68,7 +68,8 @@ AtomicFolder::~AtomicFolder() {
 }
 
 void AtomicFolder::commit() {
-  // The run that writes it knows the files by their final names; before they are there, as for single files.
+  // The run that writes it knows the files by their final names; they are noted before they are there, as for single
+  // files.
   for (const auto& entry : std::filesystem::recursive_directory_iterator(temporary_)) {
     if (!entry.is_directory()) note_written(target_ / entry.path().lexically_relative(temporary_));
   }
@@ -79,7 +80,7 @@ void AtomicFolder::commit() {
 
 void copy_file_atomically(const std::filesystem::path& from, const std::filesystem::path& to) {
   AtomicFile file(to);
-  // Not by std::filesystem, which says EIO where the disk is full.
+  // The bytes are not copied by std::filesystem, which says EIO where the disk is full.
   const OpenFile source(::open(from.c_str(), O_RDONLY | O_CLOEXEC));
   const OpenFile target(::open(file.temporary().c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666));
   const auto require_done = [&](bool done) {

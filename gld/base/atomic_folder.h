@@ -18,7 +18,8 @@ class AtomicFolder {
   AtomicFolder(const AtomicFolder&) = delete;
   AtomicFolder& operator=(const AtomicFolder&) = delete;
 
-  // Where to write before commit(): exists and has the target's own name, which some formats write into their files.
+  // Returns where to write before commit(): the folder exists and has the target's own name, which some formats write
+  // into their files.
   const std::filesystem::path& temporary() const { return temporary_; }
   void commit();
 
@@ -29,15 +30,16 @@ class AtomicFolder {
   std::optional<Unfinished> unfinished_;
 };
 
-// A copy that appears whole or not at all.
+// Makes a copy that appears whole or not at all.
 void copy_file_atomically(const std::filesystem::path& from, const std::filesystem::path& to);
 
 // Removes what AtomicFile and AtomicFolder of killed processes left in a folder and below it: temporary names with the
-// number of a process that runs no more, or of this one (numbers are used again). Only for folders that no other thread
-// writes to. Links are not followed, nor folders of other runs below; what cannot be removed stays.
+// number of a process that runs no more, or of this one (numbers are used again). It is only for folders that no other
+// thread writes to. Links are not followed, nor folders of other runs below; what cannot be removed stays.
 void remove_abandoned_files(const std::filesystem::path& folder);
 
-// The number of the process in a temporary name ("12" in ".model.partial-12-0.safetensors"); 0 when it is another name.
+// Returns the number of the process in a temporary name ("12" in ".model.partial-12-0.safetensors"), and 0 when it is
+// another name.
 long process_of_temporary_name(const std::string& name);
 
 }  // namespace gld

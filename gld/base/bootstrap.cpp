@@ -12,7 +12,8 @@ namespace {
 
 constexpr double kNoNumber = std::numeric_limits<double>::quiet_NaN();
 
-// Uniform in [0, count): the upper bits of a counter's mixed bits. For counts of scenes the bias is below 2^-40.
+// Numbers are drawn uniformly in [0, count), from the upper bits of a counter's mixed bits. For counts of scenes the
+// bias is below 2^-40.
 class Draws {
  public:
   explicit Draws(uint64_t seed) : state_(mixed_bits(seed)) {}
@@ -26,7 +27,7 @@ class Draws {
   uint64_t state_;
 };
 
-// Between neighbours, as R's type 7: quantiles of negated values are the negated opposite quantiles.
+// Interpolates between neighbours, as R's type 7 does: quantiles of negated values are the negated opposite quantiles.
 double quantile(const std::vector<double>& sorted, double share) {
   const double place = share * static_cast<double>(sorted.size() - 1);
   const auto below = static_cast<size_t>(place);
@@ -35,7 +36,7 @@ double quantile(const std::vector<double>& sorted, double share) {
   return sorted[below] * (1 - part) + sorted[below + 1] * part;
 }
 
-// The mean of every replicate, in order of size; empty without numbers.
+// Returns the mean of every replicate, in order of size; the list is empty without numbers.
 std::vector<double> replicate_means(const std::vector<std::vector<double>>& numbers,
                                     const BootstrapOptions& options) {
   const size_t seeds = numbers.size();

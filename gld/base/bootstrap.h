@@ -16,14 +16,14 @@ struct BootstrapOptions {
   uint64_t seed = 1;
 };
 
-// Percentile interval of the mean over seeds of the means over scenes by the hierarchical bootstrap: each replicate
-// draws seeds, then scenes. Rows are seeds, columns the scenes that all of them share; NaN where a seed has no number
-// of a scene. With one seed it is Efron's (1979) of a mean over scenes. The scenes are drawn once a replicate and stand
-// for all of its seeds, because the same scenes were measured under every seed (Owen 2007, "The pigeonhole bootstrap"):
-// scenes drawn anew under each seed would count a scene's difficulty as independent evidence once a seed, and the
-// interval would be too narrow by up to the root of the number of seeds. With as few seeds as three the interval covers
-// less than its name says where seeds differ more than scenes. The same numbers and options give the same interval;
-// NaN without numbers.
+// Returns the percentile interval of the mean over seeds of the means over scenes by the hierarchical bootstrap: each
+// replicate draws seeds, then scenes. Rows are seeds, columns are the scenes that all of them share; NaN stands where a
+// seed has no number of a scene. With one seed it is Efron's (1979) of a mean over scenes. The scenes are drawn once a
+// replicate and stand for all of its seeds, because the same scenes were measured under every seed (Owen 2007, "The
+// pigeonhole bootstrap"): scenes drawn anew under each seed would count a scene's difficulty as independent evidence
+// once a seed, and the interval would be too narrow by up to the root of the number of seeds. With as few seeds as
+// three the interval covers less than its name says where seeds differ more than scenes. The same numbers and options
+// give the same interval; it is NaN without numbers.
 Interval bootstrap_interval(const std::vector<std::vector<double>>& numbers,
                             const BootstrapOptions& options = {});
 

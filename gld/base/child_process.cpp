@@ -19,7 +19,7 @@ namespace {
 
 constexpr int kCouldNotExecute = 127;  // the shell's convention
 
-// Between fork and exec: only what is safe in a process that had other threads.
+// This runs between fork and exec: it does only what is safe in a process that had other threads.
 [[noreturn]] void become(char* const* arguments, int log, int keep_open, pid_t parent) {
   ::setpgid(0, 0);
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);                    // which nothing can ignore or put off

@@ -22,8 +22,8 @@ struct FinishedProcess {
 // killed, however, the system kills it too: nobody would wait for its safe point, or take what it makes.
 class ChildProcess {
  public:
-  // Appends standard output and standard error to log. keep_open: a file descriptor that the child holds as long as it
-  // runs (a lock), or -1. Throws Error where the process cannot be started.
+  // Appends standard output and standard error to log. keep_open is a file descriptor that the child holds as long as
+  // it runs (a lock), or -1. Throws Error where the process cannot be started.
   ChildProcess(const std::vector<std::string>& command, const std::filesystem::path& log, int keep_open);
   // Stops it and waits for its end.
   ~ChildProcess();
@@ -33,7 +33,7 @@ class ChildProcess {
   pid_t id() const { return process_; }
   // Empty as long as it runs.
   const std::optional<FinishedProcess>& poll();
-  // Asks it to stop at its next safe point; once, however often this is called.
+  // Asks it to stop at its next safe point; it asks once, however often this is called.
   void stop();
 
  private:
@@ -43,8 +43,9 @@ class ChildProcess {
   std::optional<FinishedProcess> finished_;
 };
 
-// Runs a command to its end, its output appended to log; its exit status. Ctrl-C stops it and throws Interrupted, which
-// says `while_what` ("while COLMAP registered photographs"). Throws Error where it cannot be started.
+// Runs a command to its end, its output appended to log; returns its exit status. Ctrl-C stops it and throws
+// Interrupted, which says `while_what` ("while COLMAP registered photographs"). Throws Error where it cannot be
+// started.
 int run_program(const std::vector<std::string>& command, const std::filesystem::path& log,
                 const std::string& while_what);
 

@@ -13,31 +13,32 @@ namespace gld {
 
 constexpr int64_t kMostThreads = 4096;
 
-// --out: the folder a command writes into; --overwrite: whether an earlier run of the command in it is removed first.
+// --out is the folder a command writes into; --overwrite says whether an earlier run of the command in it is removed
+// first.
 void visit_out(FieldVisitor& visitor, std::string& out, bool& overwrite);
 // Throws Error for an empty one; example is such a folder, "runs/sample".
 void check_out(const std::string& out, const std::string& example);
 
-// Options that say where a command writes, how it goes about it and what it prints, but not what comes out: they are
-// not part of what identifies a result.
+// Returns the options that say where a command writes, how it goes about it and what it prints, but not what comes out:
+// they are not part of what identifies a result.
 const std::vector<std::string>& options_beside_the_result();
 
-// --threads, 0 to kMostThreads. 0 is one a core: threads_to_use() says how many that is.
+// --threads goes from 0 to kMostThreads. 0 is one a core: threads_to_use() says how many that is.
 void visit_threads(FieldVisitor& visitor, int64_t& threads);
 int64_t threads_to_use(int64_t threads);
 
-// --json: the report is printed as JSON, in the place of text.
+// With --json the report is printed as JSON, in the place of text.
 void visit_json(FieldVisitor& visitor, bool& json);
 
-// --device; gld/tensors/device.h reads it.
+// --device is read by gld/tensors/device.h.
 void visit_device(FieldVisitor& visitor, std::string& device);
 
-// --seed, from 0; of says what is drawn with it: "the noise".
+// --seed goes from 0; of says what is drawn with it: "the noise".
 void visit_seed(FieldVisitor& visitor, int64_t& seed, const std::string& of);
 
-// --scene: one folder that is one scene.
+// --scene is one folder that is one scene.
 void visit_scene(FieldVisitor& visitor, std::string& scene);
-// --scenes: folders that are scenes or hold some; instead_of says what is taken where there are none.
+// --scenes are folders that are scenes or hold some; instead_of says what is taken where there are none.
 void visit_scenes(FieldVisitor& visitor, std::vector<std::string>& scenes, const std::string& instead_of);
 
 }  // namespace gld

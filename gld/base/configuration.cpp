@@ -33,7 +33,7 @@ std::string range_text(const IntegerRange& range) {
 std::string real_text(double value) {
   if (std::isnan(value)) return ".nan";
   if (std::isinf(value)) return value > 0 ? ".inf" : "-.inf";
-  // The shortest text that reads back to the same double.
+  // This finds the shortest text that reads back to the same double.
   for (int digits = 6; digits <= 17; ++digits) {
     std::ostringstream text;
     text.precision(digits);
@@ -275,7 +275,7 @@ void assign(OptionsGroup& options, const YAML::Node& root, const Source& source)
   }
 }
 
-// Writes YAML and JSON; both from one walk, since a JSON document is the structure YAML needs.
+// Writes YAML and JSON, both from one walk, since a JSON document is the structure YAML needs.
 class JsonWriter : public FieldVisitor {
  public:
   void boolean(const Field& field, bool& value) override { object[field.name] = value; }
@@ -437,7 +437,7 @@ class RangeChecker : public LeafVisitor {
 // Visiting never changes what these visitors only read; visit() is one function for reading and writing.
 OptionsGroup& visitable(const OptionsGroup& options) { return const_cast<OptionsGroup&>(options); }
 
-// {a: {b: node}} of the key "a.b".
+// Returns {a: {b: node}} for the key "a.b".
 YAML::Node nested(const std::string& key, YAML::Node node) {
   std::stringstream parts(key);
   std::vector<std::string> names;

@@ -28,7 +28,7 @@ void load_json(OptionsGroup& options, const nlohmann::json& object, const std::s
 std::string to_yaml(const OptionsGroup& options);
 nlohmann::json to_json(const OptionsGroup& options);
 
-// Range checks of every field and check() of every group.
+// Does the range checks of every field and check() of every group.
 void check_options(const OptionsGroup& options, const std::string& where);
 
 // What --help and the documentation print.
@@ -41,7 +41,7 @@ struct OptionDescription {
 };
 std::vector<OptionDescription> describe_options(const OptionsGroup& options);
 
-// The candidate nearest in edit distance, or empty when nothing is near.
+// Returns the candidate nearest in edit distance, or an empty name when nothing is near.
 std::string nearest_name(const std::string& name, const std::vector<std::string>& candidates);
 
 }  // namespace gld

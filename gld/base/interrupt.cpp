@@ -40,7 +40,7 @@ struct Watch {
   }
 };
 
-// Never destroyed: its thread waits until the process ends.
+// The watch is never destroyed: its thread waits until the process ends.
 Watch& watch() {
   static Watch* const only = new Watch;
   return *only;
@@ -65,7 +65,7 @@ void end_at_the_deadline() {
     while (::sem_wait(&watch().asked) != 0) {
     }
     timespec deadline{};
-    // Not the time of day, which may be set back meanwhile.
+    // The deadline is not by the time of day, which may be set back meanwhile.
     ::clock_gettime(CLOCK_MONOTONIC, &deadline);
     deadline.tv_sec += 1;
     int met = 0;
@@ -77,7 +77,7 @@ void end_at_the_deadline() {
   }
 }
 
-// Milliseconds of a clock that only moves on; may be called in a signal handler.
+// Returns milliseconds of a clock that only moves on; it may be called in a signal handler.
 int64_t now() {
   timespec time{};
   ::clock_gettime(CLOCK_MONOTONIC, &time);

@@ -9,10 +9,11 @@ namespace gld {
 
 // How long a command that was asked to stop may go on.
 enum class StopDeadline {
-  // To its next safe point, but no longer than a second: then the process ends wherever it is, with the exit status of
-  // an interrupt. Files and folders under their final names are whole, and unfinished ones are removed.
+  // It goes on to its next safe point, but no longer than a second: then the process ends wherever it is, with the exit
+  // status of an interrupt. Files and folders under their final names are whole, and unfinished ones are removed.
   kOneSecond,
-  // To its next safe point, however long that takes: for work that would be lost, as training is before its checkpoint.
+  // It goes on to its next safe point, however long that takes; this is for work that would be lost, as training is
+  // before its checkpoint.
   kSafePoint,
 };
 

@@ -19,7 +19,7 @@ constexpr size_t kMostValues = 20'000'000;
   fail({where + ":" + std::to_string(1 + std::count(text.begin(), end, '\n')), expected, found, remedy});
 }
 
-// Depth and number of values, before anything is built. What is no JSON may pass: the parser refuses it.
+// Checks the depth and the number of values before anything is built. What is no JSON may pass: the parser refuses it.
 void check_size(const std::string& text, const std::string& where) {
   size_t depth = 0, values = 1;
   bool in_string = false;
@@ -46,7 +46,7 @@ void check_size(const std::string& text, const std::string& where) {
   }
 }
 
-// Whether the word that an error ended in is one that some programs write for numbers that JSON does not have.
+// Returns whether the word that an error ended in is one that some programs write for numbers that JSON does not have.
 bool names_no_number(const std::string& text, size_t error_end) {
   const auto is_letter = [&](size_t i) { return std::isalpha(static_cast<unsigned char>(text[i])) != 0; };
   size_t begin = std::min(error_end, text.size()), end = begin;

@@ -34,7 +34,7 @@ class Descriptor {
 }  // namespace
 
 std::shared_ptr<const MappedFile> MappedFile::open(const std::filesystem::path& file) {
-  // NONBLOCK: opening a pipe would otherwise wait for somebody who writes to it.
+  // NONBLOCK is there because opening a pipe would otherwise wait for somebody who writes to it.
   const Descriptor descriptor(::open(file.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK));
   if (descriptor.value() < 0) fail_to_open(file);
   struct stat status {};
@@ -46,8 +46,8 @@ std::shared_ptr<const MappedFile> MappedFile::open(const std::filesystem::path& 
   std::shared_ptr<MappedFile> mapped(new MappedFile);
   mapped->size_ = static_cast<size_t>(status.st_size);
   if (mapped->size_ != 0) {
-    // NORESERVE: a private writable mapping would otherwise be charged in full before anything is written to
-    // it.
+    // NORESERVE is there because a private writable mapping would otherwise be charged in full before anything is
+    // written to it.
     void* address = ::mmap(nullptr, mapped->size_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_NORESERVE,
                            descriptor.value(), 0);
     if (address == MAP_FAILED) fail_to_open(file);
@@ -57,7 +57,7 @@ std::shared_ptr<const MappedFile> MappedFile::open(const std::filesystem::path& 
 }
 
 void MappedFile::drop_pages(ByteView bytes) const {
-  // Addresses as numbers: pointers into different objects have no order.
+  // Addresses are compared as numbers: pointers into different objects have no order.
   const auto start = reinterpret_cast<uintptr_t>(bytes.data), mapped = reinterpret_cast<uintptr_t>(data_);
   if (start < mapped || start - mapped > size_ || bytes.size > size_ - (start - mapped)) return;
   const auto page = static_cast<uintptr_t>(::sysconf(_SC_PAGESIZE));

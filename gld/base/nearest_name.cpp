@@ -9,7 +9,7 @@
 namespace gld {
 namespace {
 
-// Letters to change, leave out, put in or swap with their neighbour (Damerau's, restricted).
+// Counts the letters to change, leave out, put in or swap with their neighbour (Damerau's, restricted).
 size_t edit_distance(const std::string& a, const std::string& b) {
   std::vector<size_t> before(b.size() + 1), above(b.size() + 1), row(b.size() + 1);
   for (size_t j = 0; j <= b.size(); ++j) above[j] = j;
@@ -36,7 +36,7 @@ std::string nearest_name(const std::string& name, const std::vector<std::string>
   };
   const std::string asked = letters(name);
   std::string best;
-  // Half of the letters: a suggestion that shares less with the name misleads.
+  // At most half of the letters may differ: a suggestion that shares less with the name misleads.
   size_t best_distance = std::max<size_t>(1, asked.size() / 2) + 1;
   for (const auto& candidate : candidates) {
     const size_t distance = edit_distance(asked, letters(candidate));

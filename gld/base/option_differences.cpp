@@ -15,7 +15,7 @@
 namespace gld {
 namespace {
 
-// The leaves of nested maps under their dotted keys, as YAML on one line.
+// Collects the leaves of nested maps under their dotted keys, as YAML on one line.
 void flatten(const YAML::Node& node, const std::string& prefix, std::map<std::string, std::string>& leaves) {
   for (const auto& entry : node) {
     if (!entry.first.IsScalar()) continue;

@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// to_yaml() of configuration.h without those fields of the outermost group.
+// Returns to_yaml() of configuration.h without those fields of the outermost group.
 std::string to_yaml_without(const OptionsGroup& options, const std::vector<std::string>& leave_out);
 
 // An option that has another value than in a YAML text that to_yaml() wrote; values as YAML.
@@ -17,13 +17,13 @@ struct OptionDifference {
   std::string before;
   std::string now;
 };
-// "loop.seed 4 (it was 3)".
+// Returns "loop.seed 4 (it was 3)", for example.
 std::string difference_text(const OptionDifference& difference);
 // Keys that only one of the two has are left out: a program of another version had other options. where names the text.
 std::vector<OptionDifference> differences_from(const std::string& yaml, const std::string& where,
                                                const OptionsGroup& options);
 
-// Whether the option of this dotted key, or the group that it is in, is one of options_beside_the_result().
+// Returns whether the option of this dotted key, or the group that it is in, is one of options_beside_the_result().
 bool is_beside_the_result(const std::string& key);
 
 // Throws Error naming the first option that has another value than in the config.yaml of the run in this folder, which

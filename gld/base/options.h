@@ -37,7 +37,7 @@ class FieldVisitor;
 struct OptionsGroup {
   virtual ~OptionsGroup() = default;
   virtual void visit(FieldVisitor& visitor) = 0;
-  // Relations between fields that ranges cannot express. Throws Error.
+  // Checks relations between fields that ranges cannot express. Throws Error.
   virtual void check() const {}
 
  protected:

@@ -14,7 +14,7 @@ constexpr uint32_t kWeyl0 = 0x9E3779B9U;  // golden ratio
 constexpr uint32_t kWeyl1 = 0xBB67AE85U;  // sqrt(3) - 1
 constexpr int kRounds = 10;
 
-// Strictly between 0 and 1, so that its logarithm is finite.
+// The number lies strictly between 0 and 1, so that its logarithm is finite.
 double open_uniform(uint32_t bits) { return (static_cast<double>(bits) + 0.5) * 0x1.0p-32; }
 
 }  // namespace

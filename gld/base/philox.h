@@ -6,13 +6,13 @@
 
 namespace gld {
 
-// Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3"): four 32-bit numbers as a function
-// of a counter and a key, with no state in between.
+// Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") gives four 32-bit numbers as a
+// function of a counter and a key, with no state in between.
 using PhiloxCounter = std::array<uint32_t, 4>;
 using PhiloxKey = std::array<uint32_t, 2>;
 std::array<uint32_t, 4> philox4x32(PhiloxCounter counter, PhiloxKey key);
 
-// The key of a named stream of random numbers: different seeds or names give independent streams.
+// Returns the key of a named stream of random numbers: different seeds or names give independent streams.
 PhiloxKey philox_key(uint64_t seed, const std::string& stream);
 
 // Fills out with standard normal numbers by Box and Muller's method. Number i of an index depends on key, index and i

@@ -21,7 +21,7 @@ namespace {
 
 constexpr const char* kJournalName = ".gld-run";
 constexpr const char* kEarlierRun = ".gld-earlier-run";
-// Of fixed length, so that it is replaced in place: another name would lose the lock.
+// The header is of fixed length, so that it is replaced in place: another name would lose the lock.
 constexpr size_t kHeaderLength = 256;
 
 std::string host_name() {
@@ -38,7 +38,7 @@ std::string header_text(bool running, bool complete) {
   return text + "\n";
 }
 
-// An empty object for a damaged one.
+// Returns an empty object for a damaged one.
 nlohmann::json read_header(const std::filesystem::path& journal) {
   std::ifstream stream(journal);
   std::string line(kHeaderLength, '\0');
@@ -59,8 +59,8 @@ bool lock(int file) {
   return errno != EWOULDBLOCK;
 }
 
-// A name as a line of the journal: a JSON string, or the list of its bytes where they are no UTF-8, of which JSON knows
-// nothing else.
+// Returns a name as a line of the journal: a JSON string, or the list of its bytes where they are no UTF-8, of which
+// JSON knows nothing else.
 std::string line_of(const std::string& name) {
   try {
     return nlohmann::json(name).dump();
@@ -75,8 +75,8 @@ std::mutex& notes_mutex() {
   return only;
 }
 
-// Whether a noted name is of a file of the run: a damaged journal must reach neither outside nor itself, and what lies
-// behind a symbolic link is somebody else's.
+// Returns whether a noted name is of a file of the run: a damaged journal must reach neither outside nor itself, and
+// what lies behind a symbolic link is somebody else's.
 bool lies_below(const std::filesystem::path& folder, const std::filesystem::path& relative) {
   if (relative.is_absolute() || relative.empty()) return false;
   const auto first = *relative.begin();
@@ -98,7 +98,7 @@ void move_file(const std::filesystem::path& from, const std::filesystem::path& t
   }
 }
 
-// Nothing for a damaged line.
+// Returns nothing for a damaged line.
 std::optional<std::string> noted_name(const std::string& line) {
   const auto value = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
   if (value.is_string()) return value.get<std::string>();
@@ -181,8 +181,8 @@ RunJournal::~RunJournal() {
     put_earlier_back();
     write_header(/*running=*/false);
   } catch (const std::exception&) {
-    // A disk that fails or no memory: what is aside stays there, and the journal goes on naming this process, which a
-    // later one finds gone by the lock.
+    // A disk failed or there is no memory: what is aside stays there, and the journal goes on naming this process,
+    // which a later one finds gone by the lock.
   }
   ::close(file_);  // releases the lock
 }
@@ -220,7 +220,7 @@ void RunJournal::put_earlier_aside() {
       folders.insert(above);
     }
   }
-  // Inner folders first. Those that still hold something stay.
+  // Inner folders are removed first. Those that still hold something stay.
   std::vector<std::filesystem::path> inner_first(folders.begin(), folders.end());
   std::sort(inner_first.begin(), inner_first.end(), [](const auto& a, const auto& b) {
     return std::distance(a.begin(), a.end()) > std::distance(b.begin(), b.end());
@@ -245,7 +245,7 @@ void RunJournal::put_earlier_back() const {
 
 namespace {
 
-// The new run has its first result. In one step, so that what is aside is whole or of no run.
+// The new run has its first result. The earlier one goes in one step, so that what is aside is whole or of no run.
 void forget_earlier(const std::filesystem::path& folder) {
   const auto going = folder / (std::string(kEarlierRun) + ".partial-" + std::to_string(::getpid()) + "-0");
   std::error_code error;

@@ -44,7 +44,7 @@ class RunJournal {
   // goes before that, or a stop ends the process, the earlier run is put back; where the process is killed, the next
   // run that is to begin anew finds it aside and keeps it so. Throws Error where a file cannot be moved.
   void put_earlier_aside();
-  // Whether a folder has an earlier run aside.
+  // Returns whether a folder has an earlier run aside.
   static bool has_earlier_aside(const std::filesystem::path& folder);
 
  private:

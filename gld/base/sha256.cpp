@@ -48,7 +48,7 @@ std::string Sha256::hex_digest() {
 }
 
 std::string sha256_of_file(const std::filesystem::path& file) {
-  // Read, not mapped: the pages of a mapped file would count as this process's memory.
+  // The file is read, not mapped: the pages of a mapped file would count as this process's memory.
   constexpr size_t kChunk = size_t{1} << 20;
   MappedFile::open(file);  // says what is wrong with a file that cannot be read
   std::ifstream stream(file, std::ios::binary);

@@ -16,7 +16,7 @@ class Sha256 {
   Sha256();  // Error when this OpenSSL was built or configured without SHA-256
   void update(ByteView bytes);
   void update(const std::string& bytes);
-  // 64 hexadecimal digits; the object must not be used afterwards.
+  // Returns 64 hexadecimal digits; the object must not be used afterwards.
   std::string hex_digest();
 
  private:

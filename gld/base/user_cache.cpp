@@ -5,7 +5,7 @@
 namespace gld {
 namespace {
 
-// Empty where the variable is not set or its path is relative.
+// Returns an empty path where the variable is not set or its path is relative.
 std::filesystem::path absolute_path_in(const char* variable) {
   const char* value = std::getenv(variable);
   if (value == nullptr) return {};

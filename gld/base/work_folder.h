@@ -12,14 +12,14 @@ namespace gld {
 // kept for somebody to look at.
 class WorkFolder {
  public:
-  // name: what it is for, "colmap": the folder's name begins with it. Throws Error where none can be made.
+  // name is what it is for, "colmap": the folder's name begins with it. Throws Error where none can be made.
   explicit WorkFolder(const std::string& name);
   ~WorkFolder();
   WorkFolder(const WorkFolder&) = delete;
   WorkFolder& operator=(const WorkFolder&) = delete;
 
   const std::filesystem::path& path() const { return path_; }
-  // Where what the program prints goes: NAME.log.
+  // Returns where what the program prints goes: NAME.log.
   std::filesystem::path log() const { return path_ / (name_ + ".log"); }
   void keep() { unfinished_.reset(); }
 
@@ -29,7 +29,7 @@ class WorkFolder {
   std::unique_ptr<Unfinished> unfinished_;  // a deadline that ends the process removes it too
 };
 
-// The program of that name on the PATH; empty where there is none.
+// Returns the program of that name on the PATH; the path is empty where there is none.
 std::filesystem::path found_program(const std::string& name);
 
 }  // namespace gld

@@ -40,8 +40,8 @@ bool is_marker(const std::string& line, const char* marker) {
 }
 
 // A line that begins with "---" begins a document wherever it stands, "..." ends one, and what stands behind begins
-// another (YAML 1.2, 9.1.2). Looked for in the text, because YAML::LoadAll does not end on some damaged ones, such as
-// ",1[ 2]: 3".
+// another (YAML 1.2, 9.1.2). They are looked for in the text, because YAML::LoadAll does not end on some damaged ones,
+// such as ",1[ 2]: 3".
 int64_t documents_in(const std::string& text) {
   int64_t documents = 0;
   bool open = false;

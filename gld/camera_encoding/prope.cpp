@@ -24,7 +24,7 @@ torch::Tensor to_tensor(const std::vector<Eigen::Matrix4d>& matrices, const torc
   return tensor.to(options);
 }
 
-// Angles position * 100^(-i / (head_dim / 8)), (positions, head_dim / 8), in double.
+// Returns the angles position * 100^(-i / (head_dim / 8)), (positions, head_dim / 8), in double.
 torch::Tensor rotation_angles(int64_t positions, int64_t head_dim) {
   const int64_t frequencies = head_dim / 8;
   auto angles = torch::empty({positions, frequencies}, torch::kFloat64);
@@ -58,7 +58,7 @@ void check_layout(const RelativeCameras& cameras, const PropeLayout& layout) {
   }
 }
 
-// Split-half rotation of x (views, height, width, heads, channels); cosine and sine broadcast to half of it.
+// Rotates x (views, height, width, heads, channels) by halves; cosine and sine broadcast to half of it.
 torch::Tensor rotate(const torch::Tensor& x, const torch::Tensor& cosine, const torch::Tensor& sine) {
   const int64_t half = x.size(-1) / 2;
   const auto a = x.narrow(-1, 0, half);

@@ -42,31 +42,31 @@ struct PropeLayout {
   LatentGrid grid;
   int64_t prefix_tokens = 0;
   int64_t head_dim = 0;  // a multiple of 8
-  // Pixels by which the intrinsics are normalised; 0 for each view's own size.
+  // The intrinsics are normalised by so many pixels; 0 is for each view's own size.
   int64_t image_size = 0;
   PropeInverse inverse = PropeInverse::kPublished;
   // Taken only where there are prefix tokens; otherwise always the reference view's, which loses no digits.
   PropeFrame frame = PropeFrame::kReferenceView;
 };
 
-// The tables of a scene. Matrices and angles are computed in double and cast to the dtype of options (float32,
-// or float64 for reference computations). Throws Error when head_dim is no multiple of 8 or the views are not
-// those of the grid.
+// Returns the tables of a scene. Matrices and angles are computed in double and cast to the dtype of options (float32,
+// or float64 for reference computations). Throws Error when head_dim is no multiple of 8 or the views are not those of
+// the grid.
 PropeTables make_prope_tables(const RelativeCameras& cameras, const PropeLayout& layout, PropeCameras which,
                               const torch::TensorOptions& options = torch::kFloat32);
 
-// The same encoding of scalar products and outputs with the key and value matrix moved into the query and output
-// matrices: exact where every view has the same P, as in the unconditional branch of one intrinsics for all.
+// Gives the same encoding of scalar products and outputs with the key and value matrix moved into the query and output
+// matrices; it is exact where every view has the same P, as in the unconditional branch of one intrinsics for all.
 // Returns the tables unchanged where the views differ, or where there are prefix tokens, which meet keys and values
 // without being encoded themselves.
 PropeTables fold_shared_camera(const PropeTables& tables);
 
-// All of a table's tensors, in the order of their declaration.
+// Returns all of a table's tensors, in the order of their declaration.
 std::vector<torch::Tensor*> table_tensors(PropeTables& tables);
 
 PropeTables prope_tables_on(const PropeTables& tables, torch::Device device);
 
-// x: (1, views * (prefix + grid), heads, head_dim) -> the same shape. Differentiable in x.
+// x is (1, views * (prefix + grid), heads, head_dim), and the result has the same shape. It is differentiable in x.
 torch::Tensor encode_query(const PropeTables& tables, const torch::Tensor& x);      // by P^T
 torch::Tensor encode_key_value(const PropeTables& tables, const torch::Tensor& x);  // by P^-1
 torch::Tensor encode_output(const PropeTables& tables, const torch::Tensor& x);     // by P, rotated back

@@ -22,7 +22,8 @@ void check_intrinsics(const Camera& camera, const std::string& where) {
     fail({where, "positive focal lengths in pixels", fmt::format("fx = {}, fy = {}", k(0, 0), k(1, 1)),
           "give the intrinsics in OpenCV convention (x right, y down, z forward)"});
   }
-  // From 179.8 degrees to 20 seconds of arc: beyond is no lens, and what it shows would be matched by rounding alone.
+  // Lenses go from 179.8 degrees to 20 seconds of arc: beyond is no lens, and what it shows would be matched by
+  // rounding alone.
   constexpr double kShortestLens = 1e-3, kLongestLens = 1e4;
   for (const double focal_length : {k(0, 0), k(1, 1)}) {
     const double lens = focal_length / static_cast<double>(camera.width);

@@ -12,9 +12,9 @@ namespace gld {
 // orthonormal (to 1e-3). where names the camera in the Error ("scene 'door', camera 3").
 void check_camera(const Camera& camera, const std::string& where);
 
-// The same for every camera of a scene (numbered from 0 after where), and for the number of source views. Returns
-// what is unusual but possible, one sentence each: a focal length outside 0.1 to 10 image widths, a principal
-// point outside the image, pixels far from square, coincident camera centres.
+// Does the same for every camera of a scene (numbered from 0 after where), and for the number of source views. Returns
+// what is unusual but possible, one sentence each: a focal length outside 0.1 to 10 image widths, a principal point
+// outside the image, pixels far from square, coincident camera centres.
 std::vector<std::string> check_cameras(const Views& views, const std::string& where);
 
 }  // namespace gld

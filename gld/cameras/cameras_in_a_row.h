@@ -13,8 +13,8 @@ struct CameraRow {
   ImageSize image;
 };
 
-// Cameras side by side that look the same way, 0.2 apart, with a lens of 53 degrees: the scene of measurements in which
-// only sizes matter.
+// Returns cameras side by side that look the same way, 0.2 apart, with a lens of 53 degrees: the scene of measurements
+// in which only sizes matter.
 Views cameras_in_a_row(const CameraRow& row);
 
 }  // namespace gld

@@ -11,7 +11,7 @@ struct ImageSize {
   int64_t height = 0;  // pixels
 };
 
-// The same aspect with the longer side at most `side`; smaller sizes stay as they are.
+// Returns the size of the same aspect with the longer side at most `side`; smaller sizes stay as they are.
 inline ImageSize image_within(int64_t width, int64_t height, int64_t side) {
   const int64_t longer = std::max(width, height);
   if (longer <= side) return {width, height};

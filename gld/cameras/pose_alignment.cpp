@@ -21,7 +21,7 @@ Eigen::Vector3d mean_centre(const std::vector<Camera>& cameras) {
   return sum / static_cast<double>(cameras.size());
 }
 
-// The rotation nearest to the mean of b_i a_i^T.
+// Returns the rotation nearest to the mean of b_i a_i^T.
 Eigen::Matrix3d mean_rotation(const std::vector<Camera>& in_a, const std::vector<Camera>& in_b) {
   Eigen::Matrix3d sum = Eigen::Matrix3d::Zero();
   for (size_t i = 0; i < in_a.size(); ++i) {

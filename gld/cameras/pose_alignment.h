@@ -21,8 +21,8 @@ struct Similarity {
 
 struct PoseAlignment {
   Similarity b_from_a;
-  // False: the cameras stand at one place in a or b (or contradict), and scale is 1. True says only that there is a
-  // scale that fits best; how well it explains the cameras is for gld/photogrammetry/depth_scale.h to judge.
+  // False says that the cameras stand at one place in a or b (or contradict), and scale is 1. True says only that there
+  // is a scale that fits best; how well it explains the cameras is for gld/photogrammetry/depth_scale.h to judge.
   bool scale_known = false;
   double scale_deviation = 0;  // standard error of the scale by what is left between the centres
   double rotation_error = 0;   // mean angle left between the cameras, degrees
@@ -30,14 +30,13 @@ struct PoseAlignment {
   double spread = 0;           // root mean square distance of the centres from their mean, in b
 };
 
-// The similarity that maps the cameras of frame a (such as those recovered from rays) onto the same cameras in frame b
-// (the world). The rotation is the mean of the cameras' own rotations and not fitted to the centres, because centres
-// along a line leave it open. Its scale is one estimate of the length of the
-// rays' unit (gld/photogrammetry/depth_scale.h).
-// Error unless both have the same number of cameras, at least one.
+// Returns the similarity that maps the cameras of frame a (such as those recovered from rays) onto the same cameras in
+// frame b (the world). The rotation is the mean of the cameras' own rotations and not fitted to the centres, because
+// centres along a line leave it open. Its scale is one estimate of the length of the rays' unit
+// (gld/photogrammetry/depth_scale.h). Throws Error unless both have the same number of cameras, at least one.
 PoseAlignment align_poses(const std::vector<Camera>& in_a, const std::vector<Camera>& in_b);
 
-// Angle of the rotation between two orientations, degrees, exact also near 0.
+// Returns the angle of the rotation between two orientations, in degrees, exact also near 0.
 double rotation_angle(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b);
 
 }  // namespace gld

@@ -11,9 +11,8 @@ namespace {
 
 bool is_single_precision(double value) { return static_cast<double>(static_cast<float>(value)) == value; }
 
-// Differences of camera centres at or below this are rounding: of single precision where every coordinate is a
-// single-precision number (poses from float32 files), of double precision with room for a matrix inverse
-// otherwise.
+// Differences of camera centres at or below this are rounding. It is of single precision where every coordinate is a
+// single-precision number (poses from float32 files), of double precision with room for a matrix inverse otherwise.
 double centre_resolution(const Views& views) {
   double largest = 0;
   bool single_precision = true;

@@ -28,7 +28,7 @@ struct RelativeCameras {
   Views world_views;
   // 1 / (the unit + 1e-8), in 1 / world units; 1 where there is no baseline.
   double translation_scale = 1;
-  // One sentence each; not empty where the camera centres coincide to the precision of the poses. Every
+  // Each is one sentence; the list is not empty where the camera centres coincide to the precision of the poses. Every
   // translation is then exactly zero.
   std::vector<std::string> warnings;
 };
@@ -38,11 +38,11 @@ struct RelativeCameras {
 RelativeCameras relative_cameras(const Views& views, int64_t reference_view = -1,
                                  TranslationUnit unit = TranslationUnit::kLargestComponent);
 
-// The lifted projection of PRoPE, P = K_norm [R | t] as a 4x4 matrix, from the view's reference frame to
+// Returns the lifted projection of PRoPE, P = K_norm [R | t] as a 4x4 matrix, from the view's reference frame to
 // normalised image coordinates; K_norm holds fx/W, fy/H, cx/W - 0.5, cy/H - 0.5 (DESIGN.md section 4, "PRoPE").
 Eigen::Matrix4d lifted_intrinsics(const Eigen::Matrix3d& intrinsics, double width, double height);
 
-// The source whose camera stands nearest to that view's; the first of several. views has a source.
+// Returns the source whose camera stands nearest to that view's, of several the first. views has a source.
 int64_t nearest_source(const Views& views, int64_t view);
 
 }  // namespace gld

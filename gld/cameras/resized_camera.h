@@ -6,7 +6,7 @@
 
 namespace gld {
 
-// The same lens over a picture of another size in pixels; both sides may be scaled by factors of their own.
+// Returns the same lens over a picture of another size in pixels; both sides may be scaled by factors of their own.
 inline Camera resized_camera(Camera camera, int64_t width, int64_t height) {
   camera.intrinsics.row(0) *= static_cast<double>(width) / static_cast<double>(camera.width);
   camera.intrinsics.row(1) *= static_cast<double>(height) / static_cast<double>(camera.height);

@@ -78,7 +78,7 @@ struct SocketOnce {
   }
 };
 
-// The address of this machine from which the master is reached, as a number. Nothing is sent.
+// Returns the address of this machine from which the master is reached, as a number. Nothing is sent.
 std::string address_towards(const ProcessPlacement& placement) {
   addrinfo hints = {};
   hints.ai_socktype = SOCK_DGRAM;
@@ -281,9 +281,9 @@ Joined join(const ProcessPlacement& placement) {
   return joined;
 }
 
-// join() within its time, whatever answers at the address: LibTorch waits without an end for one that says nothing,
-// and takes the bytes of another protocol for sizes. A thread that waits for such a one is left behind, for the
-// process ends with the error.
+// Does join() within its time, whatever answers at the address: LibTorch waits without an end for one that says
+// nothing, and takes the bytes of another protocol for sizes. A thread that waits for such a one is left behind, for
+// the process ends with the error.
 Joined join_in_time(const ProcessPlacement& placement) {
   // Connecting and the meeting may each take that long, and say better what is missing.
   const auto patience = std::chrono::duration<double>(2 * placement.join_seconds + 2);
@@ -419,7 +419,7 @@ class GlooTeam final : public ProcessTeam {
     communication_seconds_ += std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count();
   }
 
-  // Mostly because another process is gone, which the signs of life say better.
+  // This happens mostly because another process is gone, which the signs of life say better.
   [[noreturn]] void refuse(const std::exception& error) {
     const std::string found = first_line(error.what());
     life_->wait_for_verdict();
@@ -460,8 +460,8 @@ class GlooTeam final : public ProcessTeam {
 std::vector<std::string> process_engines() { return {"gloo"}; }
 
 std::unique_ptr<ProcessTeam> join_processes(const ProcessPlacement& placement) {
-  // A write to a process that is gone would end this one by SIGPIPE before it can say so. For the whole process, since
-  // gloo writes from threads of its own.
+  // A write to a process that is gone would end this one by SIGPIPE before it can say so. It is ignored for the whole
+  // process, since gloo writes from threads of its own.
   std::signal(SIGPIPE, SIG_IGN);
   return std::make_unique<GlooTeam>(placement);
 }

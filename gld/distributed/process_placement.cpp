@@ -10,7 +10,7 @@ namespace {
 constexpr int64_t kMostProcesses = 100000;
 constexpr int64_t kLargestPort = 65535;
 
-// The option where it is given (not below least), else the variable, else nothing.
+// Returns the option where it is given (not below least), else the variable, else nothing.
 std::optional<int64_t> number_of(int64_t option, int64_t least, const char* variable, int64_t largest,
                                  const Environment& environment) {
   if (option >= least) return option;

@@ -36,11 +36,12 @@ struct ProcessPlacement {
   double join_seconds = 60;
 };
 
-// The value of a variable, none where it is not set or empty.
+// It returns the value of a variable, and none where it is not set or empty.
 using Environment = std::function<std::optional<std::string>(const std::string& name)>;
 std::optional<std::string> variable_of_this_process(const std::string& name);
 
-// Options before environment; without either, one process. Throws Error naming what is missing or contradicts.
+// Takes options before the environment; without either there is one process. Throws Error naming what is missing or
+// contradicts.
 ProcessPlacement process_placement(const ProcessesOptions& options, const Environment& environment);
 
 }  // namespace gld

@@ -20,18 +20,19 @@ class ProcessTeam {
 
   virtual int64_t rank() const = 0;
   virtual int64_t count() const = 0;
-  // Processes on the machine of this one, itself included.
+  // Returns the number of processes on the machine of this one, itself included.
   virtual int64_t local_count() const = 0;
 
-  // What every process gave, in the order of ranks; the same everywhere.
+  // Returns what every process gave, in the order of ranks; it is the same everywhere.
   virtual std::vector<std::string> gather(const std::string& mine) = 0;
 
   bool alone() const { return count() == 1; }
 
   // A flat tensor is cut into count() pieces of piece_length(); the last may be shorter. Piece r is owned by rank r.
   int64_t piece_length(int64_t length) const;
-  // Adds this process's piece of every process's `given` to owned_sum (piece_length), in the order of ranks: the same
-  // bits as one process that adds them one after the other. given: float32, the same length everywhere.
+  // Adds this process's piece of every process's `given` to owned_sum (piece_length), in the order of ranks, which
+  // gives the same bits as one process that adds them one after the other. given is float32 and of the same length
+  // everywhere.
   virtual void add_at_owners(const torch::Tensor& given, torch::Tensor& owned_sum) = 0;
   // Puts every owner's piece into whole.
   virtual void gather_pieces(const torch::Tensor& owned, torch::Tensor& whole) = 0;
@@ -41,7 +42,8 @@ class ProcessTeam {
   // Waits until all have come here; from then on each may end when it likes, and calls nothing else.
   virtual void finish() = 0;
 
-  // Seconds spent in the functions above since the last call of this one, waiting for slower processes included.
+  // Returns the seconds spent in the functions above since the last call of this one, waiting for slower processes
+  // included.
   virtual double take_communication_seconds() = 0;
 };
 
@@ -59,7 +61,7 @@ class TeamOfOne final : public ProcessTeam {
   double take_communication_seconds() override { return 0; }
 };
 
-// The engines of this build: "gloo", or none.
+// Returns the engines of this build: "gloo", or none.
 std::vector<std::string> process_engines();
 
 // Meets the others at the store of rank 0. Throws Error where this build has no engine, the store cannot be made or

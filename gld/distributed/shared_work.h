@@ -25,7 +25,7 @@ struct ProcessShare {
   std::string device(const std::string& asked) const;
 };
 
-// Options before the environment of this process (process_placement.h); waits for the others where there are any.
+// Takes options before the environment of this process (process_placement.h); waits for the others where there are any.
 ProcessShare join_others(const ProcessesOptions& options);
 
 // Throws the same Error at every process where one would not do what rank 0 does: with other options (those of the

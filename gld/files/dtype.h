@@ -23,15 +23,15 @@ enum class DType {
   kBool,
 };
 
-// The most dimensions that a tensor on file may have.
+// A tensor on file may have this many dimensions at most.
 constexpr size_t kMaximumRank = 64;
 
 int64_t byte_size(DType dtype);
 bool is_floating(DType dtype);
-// "float32", "bfloat16", "int64", "bool", ...
+// Returns "float32", "bfloat16", "int64", "bool", ...
 std::string dtype_name(DType dtype);
 
-// Value of a half-precision number given by its bits; exact.
+// Returns the exact value of a half-precision number given by its bits.
 float float_from_half(uint16_t bits);
 float float_from_bfloat16(uint16_t bits);
 

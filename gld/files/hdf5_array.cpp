@@ -95,7 +95,7 @@ class Hdf5Parser {
     return load<T>(at(address, sizeof(T)));
   }
 
-  // The same inside a message.
+  // Reads the same inside a message.
   template <class T>
   T number(ByteView bytes, size_t offset) const {
     if (offset > bytes.size || sizeof(T) > bytes.size - offset) damaged();
@@ -162,7 +162,7 @@ class Hdf5Parser {
     return message->data;
   }
 
-  // Visits the leaves of a B-tree of version 1; keys have key_size bytes. visit(key, address of the child).
+  // Visits the leaves of a B-tree of version 1; keys have key_size bytes. It calls visit(key, address of the child).
   template <class Visit>
   void walk_tree(uint64_t root, uint8_t kind, size_t key_size, const Visit& visit) {
     walk_node(root, kind, key_size, std::nullopt, visit);
@@ -425,7 +425,7 @@ class Hdf5Parser {
     if (left != 0) damaged_data();
   }
 
-  // More elements than all bytes of the file could give: refused before memory is taken.
+  // More elements than all bytes of the file could give are refused before memory is taken.
   void check_expansion(const std::vector<Hdf5Filter>& filters, uint64_t count) const {
     if (count * elements_.size() / largest_expansion(filters) > file_.size) damaged_data();
   }

@@ -27,11 +27,11 @@ struct Hdf5Array {
 // cost milliseconds per gigabyte of the parent for each of a training's files. This reader keeps no state: any number
 // of threads read at the same time. Every position is checked against the file, and memory against most_elements and
 // against what the stored bytes can give. Throws Error naming `where`.
-// Source: HDF5 File Format Specification, version 2.0 (The HDF Group).
+// The source is HDF5 File Format Specification, version 2.0 (The HDF Group).
 Hdf5Array parse_hdf5_array(ByteView file, const std::string& dataset, int64_t most_elements,
                            const std::string& where);
 
-// The same from a file of at most 2 GiB.
+// Reads the same from a file of at most 2 GiB.
 Hdf5Array read_hdf5_array(const std::filesystem::path& file, const std::string& dataset,
                           int64_t most_elements);
 

@@ -13,7 +13,7 @@ struct Hdf5Elements {
   uint64_t size() const { return static_cast<uint64_t>(byte_size(dtype)); }  // bytes
 };
 
-// count stored numbers, in any alignment, as floats. A double beyond the floats becomes infinite.
+// Reads count stored numbers, in any alignment, as floats. A double beyond the floats becomes infinite.
 void floats_from(const Hdf5Elements& elements, const uint8_t* from, uint64_t count, float* to);
 
 }  // namespace gld

@@ -52,7 +52,7 @@ uint32_t fletcher32(const uint8_t* data, size_t size) {
   return fold(sum_of_sums) << 16 | fold(sum);
 }
 
-// Whether the checksum behind the data is theirs; takes it off them.
+// Returns whether the checksum behind the data is theirs, and takes it off them.
 bool take_off_checksum(ByteView& bytes) {
   if (bytes.size < kChecksumSize) return false;
   uint32_t stored = 0;

@@ -160,7 +160,7 @@ class Unpickler {
     push(add_indexed(kind, objects_.lists_.size() - 1));
   }
 
-  // The bottom of what may be popped: the newest mark.
+  // Returns the bottom of what may be popped: the newest mark.
   size_t floor() const { return marks_.empty() ? 0 : marks_.back(); }
 
   PickleId pop() {
@@ -222,7 +222,7 @@ class Unpickler {
   void push_long(uint64_t size) {
     const uint8_t* data = take(size);
     if (size <= sizeof(int64_t)) {
-      // Two's complement, sign-extended from the last byte.
+      // The bytes are two's complement, sign-extended from the last byte.
       uint64_t value = size != 0 && (data[size - 1] & 0x80) != 0 ? ~uint64_t{0} : 0;
       std::memcpy(&value, data, static_cast<size_t>(size));
       push_scalar(PickleKind::kInteger, static_cast<int64_t>(value));

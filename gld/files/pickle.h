@@ -78,7 +78,7 @@ class PickleObjects {
 // Reads one pickle of `bytes` from `position` on and moves `position` behind it. Throws Error naming `where`.
 PickleObjects unpickle(ByteView bytes, size_t& position, const std::string& where);
 
-// "an integer", "a list", ... for messages.
+// Returns "an integer", "a list", ... for messages.
 std::string describe(PickleKind kind);
 
 }  // namespace gld

@@ -44,7 +44,7 @@ std::vector<int64_t> counts_of(const PickleObjects& objects, PickleId id, const 
   return counts;
 }
 
-// Whether the element with the largest index lies below `available`; false when the index overflows.
+// Returns whether the element with the largest index lies below `available`, and false when the index overflows.
 bool reaches_only(const PickleTensor& tensor, int64_t available) {
   int64_t last = tensor.offset;
   for (size_t axis = 0; axis < tensor.shape.size(); ++axis) {

@@ -25,12 +25,12 @@ enum class PickleGlobal : int64_t { kOrderedDict, kRebuildTensor, kRebuildParame
 // Throws Error naming module and name unless it is one of them.
 PickleGlobal pickle_global(const std::string& module, const std::string& name, const PickleSite& site);
 
-// A reference ("storage", type, key, location, elements[, view]). The location, such as "cuda:0", is ignored.
+// Reads a reference ("storage", type, key, location, elements[, view]). The location, such as "cuda:0", is ignored.
 PickleStorage pickle_storage(const PickleObjects& objects, PickleId reference, const PickleSite& site);
 
-// Arguments (storage, offset, shape, strides, ...) of a call that makes a tensor. Refused when an element would lie
-// outside the storage, or when it has more elements than the storage (an expanded view would need memory that the file
-// does not justify).
+// Reads the arguments (storage, offset, shape, strides, ...) of a call that makes a tensor. They are refused when an
+// element would lie outside the storage, or when it has more elements than the storage (an expanded view would need
+// memory that the file does not justify).
 PickleTensor pickle_tensor(const PickleObjects& objects, const std::vector<PickleId>& arguments,
                            const PickleSite& site);
 

@@ -15,19 +15,19 @@ struct PlyVertices {
   int64_t count = 0;
   std::vector<float> values;  // (count, properties)
 
-  // The column of a property, or -1.
+  // Returns the column of a property, or -1.
   int64_t column(const std::string& property) const;
 };
 
 // Longest header that is read, in bytes.
 constexpr size_t kMaximumPlyHeader = 1 << 20;
 
-// A file of "format binary_little_endian 1.0" whose first element is the vertex, of properties that are numbers;
+// Reads a file of "format binary_little_endian 1.0" whose first element is the vertex, of properties that are numbers;
 // elements behind it are left out. Numbers of other types become floats. Throws Error naming `where` for anything else,
 // and for a file that is shorter than its header says.
 PlyVertices parse_ply_vertices(ByteView file, const std::string& where);
 
-// The same as a file, every property a float. Comments are single lines.
+// Returns the same as a file, with every property a float. Comments are single lines.
 std::string ply_vertices_bytes(const PlyVertices& vertices);
 
 }  // namespace gld

@@ -15,10 +15,9 @@ constexpr size_t kMaximumSafetensorsHeader = 100'000'000;
 // Entries point into `file`.
 ParsedWeights parse_safetensors(ByteView file, const std::string& where);
 
-// The header of a file whose tensors follow each other in the order given: 8 length bytes and the JSON text,
-// padded so that the data starts at a multiple of 64 bytes. Only names, dtypes and shapes of the entries are
-// used. Tensors should be ordered by falling element size, so that every one is aligned to its own element
-// size.
+// Returns the header of a file whose tensors follow each other in the order given: 8 length bytes and the JSON text,
+// padded so that the data starts at a multiple of 64 bytes. Only names, dtypes and shapes of the entries are used.
+// Tensors should be ordered by falling element size, so that every one is aligned to its own element size.
 std::string safetensors_header(const std::vector<TensorEntry>& entries,
                                const std::map<std::string, std::string>& metadata);
 

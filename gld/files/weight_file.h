@@ -43,10 +43,10 @@ class WeightFile : public std::enable_shared_from_this<WeightFile> {
   const TensorEntry* find(const std::string& name) const;               // null when absent
   // Throws Error naming the tensor and, where there is one, a similar name.
   const TensorEntry& entry(const std::string& name) const;
-  // Gives the memory of that tensor's pages back to the system: after it was copied, so that a file is not held twice.
+  // Gives the memory of that tensor's pages back to the system, after it was copied, so that a file is not held twice.
   // They are read again when they are touched; what was written to a tensor that shares them is lost.
   void drop_pages(const TensorEntry& entry) const;
-  // Numbers and strings beside the tensors (PyTorch files), and the "__metadata__" of safetensors files.
+  // Returns the numbers and strings beside the tensors (PyTorch files), and the "__metadata__" of safetensors files.
   const std::map<std::string, ScalarEntry>& scalars() const { return scalars_; }
   const std::map<std::string, std::string>& metadata() const { return metadata_; }
 
@@ -61,11 +61,11 @@ class WeightFile : public std::enable_shared_from_this<WeightFile> {
   std::vector<std::shared_ptr<const void>> owners_;  // storages that had to be decompressed
 };
 
-// Product of the sizes times the element size; -1 when it does not fit 63 bits or a size is negative.
+// Returns the product of the sizes times the element size, and -1 when it does not fit 63 bits or a size is negative.
 int64_t checked_byte_count(const std::vector<int64_t>& shape, DType dtype);
 std::vector<int64_t> row_major_strides(const std::vector<int64_t>& shape);
 std::string shape_text(const std::vector<int64_t>& shape);  // "(2, 3)"
-// A name from a file as it may appear in a message: control characters replaced, cut after 120 bytes.
+// Returns a name from a file as it may appear in a message: control characters replaced, cut after 120 bytes.
 std::string printable_name(const std::string& name);
 
 // What a format's parser returns; used by WeightFile and the fuzzers.

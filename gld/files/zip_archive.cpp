@@ -46,7 +46,7 @@ T load(const uint8_t* at) {
   fail({where, "a whole zip file", found, "download or write the file again"});
 }
 
-// A position inside the file from which `size` bytes can be read.
+// Returns a position inside the file from which `size` bytes can be read.
 const uint8_t* at(ByteView file, uint64_t offset, uint64_t size, const std::string& where, const char* what) {
   if (offset > file.size || size > file.size - offset) {
     fail_broken_zip(where, std::string(what) + " beyond the end of the file");

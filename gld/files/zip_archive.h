@@ -33,11 +33,12 @@ class ZipArchive {
   const std::vector<ZipEntry>& entries() const { return entries_; }  // sorted by name
   const ZipEntry* find(const std::string& name) const;               // null when absent
 
-  // The uncompressed bytes, checked against size and CRC-32. Memory grows only with what was really
+  // Returns the uncompressed bytes, checked against size and CRC-32. Memory grows only with what was really
   // decompressed.
   std::vector<uint8_t> read(const ZipEntry& entry) const;
 
-  // Compares the bytes of a stored entry with their CRC-32; Error where they differ. For who uses `packed` as it is.
+  // Compares the bytes of a stored entry with their CRC-32; throws Error where they differ. It is for who uses `packed`
+  // as it is.
   void check(const ZipEntry& entry) const;
 
  private:
@@ -47,8 +48,8 @@ class ZipArchive {
   std::shared_ptr<const MappedFile> mapping_;  // null when the caller owns the bytes
 };
 
-// Writes the entries in name order with fixed times, so that equal contents give equal bytes; at most 4 GiB.
-// Atomic.
+// Writes the entries in name order with fixed times, so that equal contents give equal bytes; the file is at most
+// 4 GiB. Writing is atomic.
 void write_zip(const std::filesystem::path& file, const std::map<std::string, std::string>& entries,
                ZipMethod method);
 std::string zip_text(const std::map<std::string, std::string>& entries, ZipMethod method,

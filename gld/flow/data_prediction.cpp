@@ -16,7 +16,7 @@ std::vector<double> exponential_moments(double h, size_t count) {
   for (size_t k = 0; k < count; ++k) {
     const double order = static_cast<double>(k), sign = k % 2 == 0 ? 1 : -1;
     if (h < 2) {
-      // Series of exp: the recursion below cancels for small h.
+      // This takes the series of exp: the recursion below cancels for small h.
       double term = sign * h, sum = 0;
       for (int n = 0; n < 40; ++n) {
         sum += term / (n + order + 1);
@@ -30,7 +30,7 @@ std::vector<double> exponential_moments(double h, size_t count) {
   return moments;
 }
 
-// Weights w with sum_j w_j y_j^k = moments[k]: the integral of the polynomial through values at y_j.
+// Returns the weights w with sum_j w_j y_j^k = moments[k]: the integral of the polynomial through values at y_j.
 std::vector<double> weights_for_moments(const std::vector<double>& y, const std::vector<double>& moments) {
   const auto n = static_cast<Eigen::Index>(y.size());
   Eigen::MatrixXd powers(n, n);

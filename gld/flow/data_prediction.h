@@ -11,13 +11,13 @@ namespace gld {
 //   x_t = (t/s) x_s + sum_j w_j D_j with sum_j w_j = 1 - t/s.
 // (Lu et al. 2022, DPM-Solver++, equation 9, for alpha = 1 - t, sigma = t.)
 
-// The weights w_j for a step from `start` to `next` and values D_j at the flow times `nodes`, all different. Exact
-// limits at both ends: a node at t = 1 (log-SNR minus infinity) drops out of the polynomial unless the step starts
-// there, in which case D is linear in rho; a step to t = 0 (where x is D itself) extrapolates in t.
+// Returns the weights w_j for a step from `start` to `next` and values D_j at the flow times `nodes`, all different.
+// The limits at both ends are exact: a node at t = 1 (log-SNR minus infinity) drops out of the polynomial unless the
+// step starts there, in which case D is linear in rho; a step to t = 0 (where x is D itself) extrapolates in t.
 std::vector<double> data_prediction_weights(double start, double next, const std::vector<double>& nodes);
 
-// DPM-Solver++(2M)'s own second-order weights: the difference quotient enters with one half of the first-order weight.
-// previous is the flow time of the step before.
+// Returns DPM-Solver++(2M)'s own second-order weights: the difference quotient enters with one half of the first-order
+// weight. previous is the flow time of the step before.
 std::vector<double> dpm_solver_2m_weights(double start, double next, double previous);
 
 }  // namespace gld

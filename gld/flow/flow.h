@@ -18,14 +18,14 @@ torch::Tensor velocity_target(const torch::Tensor& data, const torch::Tensor& no
 torch::Tensor data_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 torch::Tensor noise_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 
-// t times the score, t grad log p_t(x) = -noise, which stays finite as t goes to 0, where the score itself does not
-// exist for data on a point.
+// Returns t times the score, t grad log p_t(x) = -noise, which stays finite as t goes to 0, where the score itself does
+// not exist for data on a point.
 torch::Tensor scaled_score_from_velocity(const torch::Tensor& x, const torch::Tensor& velocity, double t);
 
-// The paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et al.
-// 2024): 62.4 for DA3-Base at 504 x 504 with 8 views.
+// Returns the paper's time shift for a latent of d = channels * tokens of all views numbers, sqrt(d / 4096) (Esser et
+// al. 2024): 62.4 for DA3-Base at 504 x 504 with 8 views.
 double time_shift_of(const LatentGrid& grid, int64_t channels);
-// The shift that a model was given, or, where that is 0, time_shift_of its latent.
+// Returns the shift that a model was given, or, where that is 0, time_shift_of its latent.
 double resolved_time_shift(double given, const LatentGrid& grid, int64_t channels);
 
 }  // namespace gld

@@ -32,7 +32,7 @@ struct GuidanceOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
   void check() const override;
 
-  // Whether the unconditional branch has a part in the velocity at this flow time.
+  // Returns whether the unconditional branch has a part in the velocity at this flow time.
   bool acts_at(double t) const;
 };
 
@@ -47,9 +47,9 @@ class BranchedField {
   virtual ~BranchedField() = default;
   virtual torch::Tensor conditional(const torch::Tensor& state, double t) = 0;
   virtual torch::Tensor unconditional(const torch::Tensor& state, double t) = 0;
-  // Both branches; override where one batched evaluation is cheaper than two.
+  // Returns both branches; override it where one batched evaluation is cheaper than two.
   virtual BranchVelocities both(const torch::Tensor& state, double t);
-  // v_u + g (v_c - v_u); override where the branches can be combined before the last layer.
+  // Returns v_u + g (v_c - v_u); override it where the branches can be combined before the last layer.
   virtual torch::Tensor guided(const torch::Tensor& state, double t, double scale);
 };
 

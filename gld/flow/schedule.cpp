@@ -41,7 +41,7 @@ LogSnrEndPoints chosen_end_points(const ScheduleOptions& options, int64_t steps)
   return ends;
 }
 
-// 1, a row of inner times whose ends are given, 0. inner(x) maps 0..1 to a time.
+// Returns 1, a row of inner times whose ends are given, and 0. inner(x) maps 0..1 to a time.
 template <class Inner>
 std::vector<double> enclosed_times(int64_t steps, const Inner& inner) {
   std::vector<double> times{1.0};
@@ -93,7 +93,7 @@ std::vector<double> times_of_file(const std::string& file) {
     at = end;
   }
   check_times(times, file);
-  // A state there is more noise than data: x = (1 - t) data + t noise.
+  // Beyond this a state is more noise than data: x = (1 - t) data + t noise.
   constexpr double kLatestEnd = 0.5;
   if (times.back() > kLatestEnd) {
     fail({file, fmt::format("times that end at 0, or near it (at most {})", kLatestEnd),

@@ -35,8 +35,8 @@ struct ScheduleOptions : OptionsGroup {
 
 const std::vector<std::string>& schedule_names();
 
-// The steps + 1 times of a schedule; for schedule file the file's own times, whatever steps says.
-// Throws Error when steps < 1 or the file does not hold such a list.
+// Returns the steps + 1 times of a schedule, and for schedule file the file's own times, whatever steps says. Throws
+// Error when steps < 1 or the file does not hold such a list.
 std::vector<double> schedule_times(const ScheduleOptions& options, int64_t steps);
 
 // t' = s t / (1 + (s - 1) t) (Esser et al. 2024, equation 23). s >= 1 moves times towards the noise end.

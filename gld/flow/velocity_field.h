@@ -8,7 +8,7 @@ namespace gld {
 class VelocityField {
  public:
   virtual ~VelocityField() = default;
-  // state and result: any one shape and dtype; t in [0, 1].
+  // state and result have any one shape and dtype; t is in [0, 1].
   virtual torch::Tensor velocity(const torch::Tensor& state, double t) = 0;
 };
 

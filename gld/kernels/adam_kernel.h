@@ -25,10 +25,10 @@ struct AdamArrays {
   float* average = nullptr;  // null without a moving average
 };
 
-// Elements [begin, end): Adam's update and the moving average in one pass.
+// Does Adam's update and the moving average of the elements [begin, end) in one pass.
 void adam_update(const AdamArrays& arrays, const AdamStep& step, int64_t begin, int64_t end);
 
-// Sum of squares in double.
+// Returns the sum of squares in double.
 double sum_of_squares(const float* values, int64_t count);
 
 }  // namespace gld

@@ -53,8 +53,8 @@ ForwardPlan plan_forward(const AttentionForward& arrays, const KernelTable& kern
   return plan;
 }
 
-// Keys and values of some tokens (and the zero rows behind the last one) of one batch entry, for those of its heads
-// that lie in the range. Heads run innermost because they lie next to each other in a token.
+// Packs keys and values of some tokens (and the zero rows behind the last one) of one batch entry, for those of its
+// heads that lie in the range. Heads run innermost because they lie next to each other in a token.
 void pack_keys_and_values(const AttentionForward& arrays, const Encoder& encoder, const ForwardPlan& plan,
                           const HeadRange& range, int64_t batch, const TokenRange& tokens, float* packed) {
   const AttentionShape& shape = arrays.shape;

@@ -48,8 +48,8 @@ struct KernelSettings {
   InstructionSet instruction_set = best_instruction_set();
   int64_t second_level_cache =
       second_level_cache_bytes();  // decides how products are cut up, not what they give
-  // Of attention: kFloat32, or kBFloat16 on that unit, with softmax and sums in float32 and the arrays float32 all the
-  // same. linear_product is float32; packed_product.h has the others.
+  // The precision of attention is kFloat32, or kBFloat16 on that unit, with softmax and sums in float32 and the arrays
+  // float32 all the same. linear_product is float32; packed_product.h has the others.
   ComputePrecision precision = ComputePrecision::kFloat32;
   MatrixUnit unit = MatrixUnit::kPlain;
 };
@@ -65,9 +65,9 @@ struct AttentionForward {
   float* log_sum_exp = nullptr;
 };
 
-// output = softmax(query key^T / sqrt(head_dim)) value, zero for a query without keys.
+// Computes output = softmax(query key^T / sqrt(head_dim)) value, zero for a query without keys.
 void attention_forward(const AttentionForward& arrays, const KernelSettings& settings);
-// Bytes of scratch attention_forward allocates.
+// Returns the bytes of scratch that attention_forward allocates.
 int64_t attention_forward_scratch_bytes(const AttentionForward& arrays, const KernelSettings& settings);
 
 struct AttentionBackward {
@@ -78,11 +78,11 @@ struct AttentionBackward {
   StridedHeads<float> value_gradient;
 };
 
-// Gradients of a loss with respect to query, key and value, in the precision that the output was computed in: the
-// probabilities are those of its log_sum_exp. The same bits for the same number of threads.
+// Computes the gradients of a loss with respect to query, key and value, in the precision that the output was computed
+// in: the probabilities are those of its log_sum_exp. The same number of threads gives the same bits.
 void attention_backward(const AttentionBackward& arrays, const KernelSettings& settings);
 
-// Multiplications and additions of the products (the cost model's convention; softmax is not counted).
+// These return the multiplications and additions of the products (the cost model's convention; softmax is not counted).
 double attention_forward_flops(const AttentionShape& shape);   // 4 batch heads queries keys head_dim
 double attention_backward_flops(const AttentionShape& shape);  // 10 batch heads queries keys head_dim
 

@@ -17,13 +17,13 @@ constexpr int64_t kTilesAThread = 16;
 constexpr int64_t kBackwardTilesAThread = 8;  // of one head
 constexpr int64_t kPrefetchRows = 16;
 
-// What packed queries are multiplied by: logits are then exponents of 2. One number for both passes, because the
-// backward pass computes probabilities from the logits and the log-sum-exp of the forward pass.
+// Returns what packed queries are multiplied by: logits are then exponents of 2. It is one number for both passes,
+// because the backward pass computes probabilities from the logits and the log-sum-exp of the forward pass.
 inline float query_factor(int64_t head_dim) {
   return static_cast<float>(kLog2E / std::sqrt(static_cast<double>(head_dim)));
 }
 
-// All tokens in runs of as many as fit the lanes of one tile.
+// Returns all tokens in runs of as many as fit the lanes of one tile.
 std::vector<TokenRange> tiles(int64_t tokens, int64_t lanes);
 
 // A run of (batch, head) pairs, counted head first.
@@ -54,7 +54,7 @@ class Encoder {
   }
 
  private:
-  // Null for tokens that are not encoded.
+  // Returns null for tokens that are not encoded.
   const PropeRow* find(Encoding encoding, int64_t token, PropeRow& row) const;
 
   const PropePointers* prope_;

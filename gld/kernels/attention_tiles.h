@@ -13,13 +13,14 @@ namespace {
 constexpr int64_t kTileLanes = Simd::lanes * Simd::tile_vectors;
 constexpr int kTileRows = Simd::tile_rows;
 constexpr int kTileVectors = Simd::tile_vectors;
-// Keys a step: their probabilities for one tile of queries stay in the first-level cache.
+// A step takes so many keys: their probabilities for one tile of queries stay in the first-level cache.
 constexpr int64_t kForwardKeys = 96;
 constexpr int64_t kForwardGroups = 4;
 constexpr int64_t kBackwardGroups = 4;
 constexpr int64_t kBackwardQueries = 64;
 
-// transposed (head_dim, kTileLanes) = rows (count, stride); lanes past count are zero. head_dim is a multiple of 4.
+// Writes transposed (head_dim, kTileLanes) from rows (count, stride); lanes past count are zero. head_dim is a multiple
+// of 4.
 GLD_INLINE void transpose_rows(const float* rows, int64_t count, int64_t stride, int64_t head_dim,
                                float* transposed) {
   for (int64_t lane = 0; lane < kTileLanes; lane += 4) {
@@ -36,14 +37,15 @@ GLD_INLINE void transpose_rows(const float* rows, int64_t count, int64_t stride,
   }
 }
 
-// Scratch of one group of kTileLanes queries: its queries and running sums, transposed, and two rows of lane values.
+// Returns the scratch of one group of kTileLanes queries: its queries and running sums, transposed, and two rows of
+// lane values.
 GLD_INLINE int64_t forward_group_floats(int64_t head_dim) { return (2 * head_dim + 2) * kTileLanes; }
 
 int64_t forward_scratch_floats(int64_t head_dim) {
   return kForwardGroups * forward_group_floats(head_dim) + (kForwardKeys + kTileRows) * kTileLanes;
 }
 
-// Logits of `count` keys, written to (round_up(count, kTileRows), kTileLanes); rows past count get -inf.
+// Computes the logits of `count` keys, written to (round_up(count, kTileRows), kTileLanes); rows past count get -inf.
 GLD_INLINE void logits_tile(const AttentionForwardTile& tile, const float* transposed_queries,
                             const float* keys, int64_t count, float* logits,
                             Vector (&highest)[kTileVectors]) {
@@ -71,9 +73,9 @@ GLD_INLINE void logits_tile(const AttentionForwardTile& tile, const float* trans
   }
 }
 
-// One step of the online softmax: a block of keys for one group of queries. The sums over the block start from zero and
-// are added to the running sums afterwards: two short sums round less than a long one, and rescaling the running sum to
-// a new maximum costs nothing.
+// Takes one step of the online softmax: a block of keys for one group of queries. The sums over the block start from
+// zero and are added to the running sums afterwards: two short sums round less than a long one, and rescaling the
+// running sum to a new maximum costs nothing.
 GLD_INLINE void forward_step(const AttentionForwardTile& tile, int64_t first_key, int64_t count, float* group,
                              float* probabilities) {
   const int64_t head_dim = tile.head_dim;
@@ -165,7 +167,7 @@ void attention_forward_tile(const AttentionForwardTile& tile) {
   }
 }
 
-// Scratch of one group of kTileLanes keys: keys, values and the sums of their gradients, transposed.
+// Returns the scratch of one group of kTileLanes keys: keys, values and the sums of their gradients, transposed.
 GLD_INLINE int64_t backward_group_floats(int64_t head_dim) { return 4 * head_dim * kTileLanes; }
 
 int64_t backward_scratch_floats(int64_t head_dim) {
@@ -213,7 +215,7 @@ GLD_INLINE void add_transposed_product(const float* rows, const float* weights, 
   }
 }
 
-// Probabilities and logit gradients, (count, kTileLanes) each, of a block of queries and a group of keys:
+// Computes probabilities and logit gradients, (count, kTileLanes) each, of a block of queries and a group of keys:
 // P = 2^(logit - lse) and dS = P (dP - output . output gradient).
 GLD_INLINE void logit_gradient_tile(const AttentionBackwardTile& tile, int64_t start, int64_t count,
                                     const float* transposed_keys, const float* transposed_values,
@@ -253,7 +255,7 @@ GLD_INLINE void logit_gradient_tile(const AttentionBackwardTile& tile, int64_t s
   }
 }
 
-// A block of queries and one group of keys.
+// Takes the step of a block of queries and one group of keys.
 GLD_INLINE void backward_step(const AttentionBackwardTile& tile, int64_t start, int64_t count,
                               const TokenRange& keys, float* group, float* probabilities) {
   const int64_t head_dim = tile.head_dim;
@@ -322,8 +324,8 @@ GLD_INLINE void scale_row(int64_t count, float factor, const float* __restrict x
   for (; c < count; ++c) y[c] = x[c] * factor;
 }
 
-// 4x4 products on the first half of the channels. A whole vector may spill into the second half of y, which is written
-// afterwards.
+// Does the 4x4 products on the first half of the channels. A whole vector may spill into the second half of y, which is
+// written afterwards.
 GLD_INLINE void multiply_groups(const PropeRow& encoding, int64_t head_dim, float factor,
                                 const float* __restrict x, float* __restrict y) {
   float columns[4][4];

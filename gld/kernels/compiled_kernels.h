@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// The kernels as the including file compiles them; see gld/kernels/simd.h for what such a file may include.
+// Returns the kernels as the including file compiles them; see gld/kernels/simd.h for what such a file may include.
 KernelTable compiled_kernels(InstructionSet set) {
   KernelTable table;
   table.instruction_set = set;

@@ -1,6 +1,6 @@
 #pragma once
 
-// AVX512-BF16 and AVX512-VNNI: a word of the left operand, broadcast, against 16 lanes of the right one.
+// AVX512-BF16 and AVX512-VNNI multiply a word of the left operand, broadcast, with 16 lanes of the right one.
 
 #include "gld/kernels/unit_simd.h"
 
@@ -47,7 +47,8 @@ struct DotUnit {
     }
   }
 
-  // finish(row, vector, sums) for every register of sums over `words` words. b_stride: words from one to the next of b.
+  // Calls finish(row, vector, sums) for every register of sums over `words` words. b_stride is the words from one to
+  // the next of b.
   template <OperandKind kind, class Finish>
   static GLD_INLINE void multiply(int64_t words, const uint32_t* a, int64_t a_stride, const uint32_t* b,
                                   int64_t b_stride, const Finish& finish) {

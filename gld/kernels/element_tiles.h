@@ -9,7 +9,7 @@
 namespace gld {
 namespace {
 
-// The square of x / scale, summed in vectors; scale is a power of two.
+// Returns the square of x / scale, summed in vectors; scale is a power of two.
 GLD_INLINE float sum_of_squares(const float* x, int64_t channels, float inverse_scale) {
   Vector partial[4] = {Simd::zero(), Simd::zero(), Simd::zero(), Simd::zero()};
   const Vector factor = Simd::broadcast(inverse_scale);
@@ -26,7 +26,7 @@ GLD_INLINE float sum_of_squares(const float* x, int64_t channels, float inverse_
   return sum;
 }
 
-// 1 / sqrt(mean(x^2) + epsilon), also where squares leave the range of float: then the row is summed again,
+// Returns 1 / sqrt(mean(x^2) + epsilon), also where squares leave the range of float: then the row is summed again,
 // divided by the power of two below its largest element.
 GLD_INLINE double inverse_rms(const float* x, int64_t channels, double epsilon) {
   const float sum = sum_of_squares(x, channels, 1.0f);
@@ -79,7 +79,7 @@ void rms_norm_rows(const RmsNormRows& rows) {
   }
 }
 
-// a b / (1 + 2^(-a log2 e)); a large negative a gives a b / inf, or as good as.
+// Returns a b / (1 + 2^(-a log2 e)); a large negative a gives a b / inf, or as good as.
 GLD_INLINE Vector silu_times(Vector a, Vector b) {
   const Vector e = Simd::exp2(Simd::multiply(a, Simd::broadcast(-1.44269504f)));
   return Simd::multiply(Simd::divide(a, Simd::add(Simd::broadcast(1.0f), e)), b);
@@ -132,7 +132,7 @@ double multiply_add_rounds(int64_t rounds) {
   Vector factor = Simd::broadcast(0.999f);
   const Vector term = Simd::broadcast(0.001f);
   for (int64_t round = 0; round < rounds; ++round) {
-    // Opaque to the optimiser, which could otherwise merge rounds.
+    // The factor is opaque to the optimiser, which could otherwise merge rounds.
     asm volatile("" : "+m"(factor));
     const Vector a = factor;
 #pragma GCC unroll 4

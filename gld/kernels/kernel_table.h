@@ -92,7 +92,7 @@ struct SwigluRows {
   int64_t y_stride;
 };
 
-// y = x + gate * update, gate indexed as in RmsNormRows.
+// y = x + gate * update, where gate is indexed as in RmsNormRows.
 struct GatedSumRows {
   const float* x;
   const float* update;
@@ -115,7 +115,7 @@ struct PackedRows {
   float* packed;  // (depth, width)
 };
 
-// y = a b, or y += a b, for one strip of rows and some panels of columns.
+// This computes y = a b, or y += a b, for one strip of rows and some panels of columns.
 struct ProductTile {
   const float* a;  // packed, `depth` x KernelTable::tile_rows
   const float* b;  // packed panels, `depth` x KernelTable::tile_lanes each, one after another
@@ -129,7 +129,8 @@ struct ProductTile {
   int64_t y_stride;
 };
 
-// y = x weight^T + bias for few rows: sums along the inputs, in which both lie one after another, without packing.
+// This computes y = x weight^T + bias for few rows: sums along the inputs, in which both lie one after another, without
+// packing.
 struct FewRowsTile {
   const float* x;
   int64_t x_stride;
@@ -164,7 +165,7 @@ struct WarpedRow {
   float* seen;  // (count) 1, or 0 behind the camera, outside of the photograph and where it has no value
 };
 
-// What a window that lacks a pixel of the other photograph has as its correlation.
+// A window that lacks a pixel of the other photograph has this as its correlation.
 constexpr float kNotSeenCorrelation = -2.0F;
 // Correlations are over windows of at most this many pixels to each side.
 constexpr int64_t kMostWindowRadius = 7;
@@ -190,7 +191,7 @@ struct CorrelatedRow {
   float* correlation;
 };
 
-// Costs of a plane: the mean correlation of the better half of those photographs that see a pixel.
+// The cost of a plane is from the mean correlation of the better half of those photographs that see a pixel.
 constexpr int64_t kMostSweptPhotographs = 4;
 constexpr int64_t kDearestMatch = 160;  // correlation 0 and below; correlation 1 costs 0
 constexpr int64_t kUnseenMatch = 161;
@@ -267,7 +268,7 @@ struct SplatWeights {
   float* transmittance;  // (splat_strip) set
 };
 
-// Channel c of the strip's pixels: the sum of weight and feature, and the background through what is left.
+// Channel c of the strip's pixels is the sum of weight and feature, and the background through what is left.
 struct SplatChannels {
   const float* weight;  // (count, splat_strip)
   const float* transmittance;
@@ -336,7 +337,7 @@ struct WeightedRows {
   float* sum;  // (count), none of the rows
 };
 
-// Filled in compiled_kernels.h; kernel_table_test refuses an entry that is not.
+// The table is filled in compiled_kernels.h; kernel_table_test refuses an entry that is not.
 struct KernelTable {
   InstructionSet instruction_set = InstructionSet::kPortable;
   int64_t tile_lanes = 0;       // tiles are best a multiple of it
@@ -348,7 +349,7 @@ struct KernelTable {
   int64_t (*backward_scratch)(int64_t head_dim) = nullptr;
   void (*attention_forward)(const AttentionForwardTile& tile) = nullptr;
   void (*attention_backward)(const AttentionBackwardTile& tile) = nullptr;
-  // y = encoded x * factor; x and y have head_dim floats and may not overlap; encoding null for a plain copy.
+  // Writes y = encoded x * factor; x and y have head_dim floats and may not overlap; encoding is null for a plain copy.
   void (*encode_row)(const PropeRow* encoding, int64_t head_dim, float factor, const float* x,
                      float* y) = nullptr;
   void (*pack_rows)(const PackedRows& rows) = nullptr;
@@ -374,7 +375,7 @@ struct KernelTable {
   double (*multiply_add_loop)(int64_t rounds) = nullptr;
 };
 
-// The kernels of one instruction set, which must be available on this processor.
+// Returns the kernels of one instruction set, which must be available on this processor.
 const KernelTable& kernel_table(InstructionSet set);
 
 }  // namespace gld

@@ -14,11 +14,12 @@ namespace gld {
 namespace {
 
 constexpr int64_t kColumns = 192;
-// Inputs that are summed up before they are added to y: longer sums in one accumulator lose digits.
+// So many inputs are summed up before they are added to y: longer sums in one accumulator lose digits.
 constexpr int64_t kSummedInputs = 256;
 
-// How many of these sums a block of packed weights takes. It stays in the second-level cache while all rows pass, as y
-// does in the first between its sums: 3 are 6 % faster than 1 with 1 MiB, where they take 576 KiB; 1 is for 256 KiB.
+// Returns how many of these sums a block of packed weights takes. It stays in the second-level cache while all rows
+// pass, as y does in the first between its sums: 3 are 6 % faster than 1 with 1 MiB, where they take 576 KiB; 1 is for
+// 256 KiB.
 int64_t sums_a_block(int64_t cache) {
   constexpr int64_t kBytes = kSummedInputs * kColumns * int64_t{sizeof(float)};
   return std::clamp<int64_t>(cache / 16 * 9 / kBytes, 1, 3);
@@ -74,12 +75,12 @@ void pack_columns(const float* weight, int64_t stride, const KernelTable& kernel
   }
 }
 
-// Where a block lies among all packed weights.
+// Returns where a block lies among all packed weights.
 int64_t block_offset(const WeightBlock& block, int64_t all_inputs, const KernelTable& kernels) {
   return block.first_column * all_inputs + rounded_up(block.columns, kernels.tile_lanes) * block.inputs.first;
 }
 
-// part(block) for all blocks, shared out between the threads.
+// Calls part(block) for all blocks, shared out between the threads.
 template <class Part>
 void for_weight_blocks(int64_t outputs, int64_t inputs, const KernelSettings& settings, const Part& part) {
   const WeightLayout layout =
@@ -113,7 +114,7 @@ Plan make_plan(const LinearProduct& product, const KernelTable& kernels, const K
   return plan;
 }
 
-// One strip of tile_rows rows, in its place among the packed (blocks of inputs, strips, inputs, tile_rows).
+// Packs one strip of tile_rows rows in its place among the packed (blocks of inputs, strips, inputs, tile_rows).
 void pack_strip(const LinearProduct& product, const KernelTable& kernels, const Plan& plan, int64_t first_row,
                 int64_t strip, float* packed) {
   const int64_t row = first_row + strip * kernels.tile_rows;

@@ -23,19 +23,20 @@ struct LinearProduct {
   int64_t y_stride = 0;
 };
 
-// y = x weight^T + bias. The same bits for any number of threads.
+// Computes y = x weight^T + bias. Any number of threads gives the same bits.
 void linear_product(const LinearProduct& product, const KernelSettings& settings);
 
-// The same without packing, for few rows: below kFewestPackedRows it is the faster one. packed_weight is not read. The
-// same bits for any number of threads and of rows, but not those of linear_product, whose sums are cut elsewhere.
+// Computes the same without packing, for few rows: below kFewestPackedRows it is the faster one. packed_weight is not
+// read. Any number of threads and of rows gives the same bits, but not those of linear_product, whose sums are cut
+// elsewhere.
 void few_rows_product(const LinearProduct& product, const KernelSettings& settings);
 constexpr int64_t kFewestPackedRows = 48;
 
-// The weights of product as linear_product reads them with the same instruction set and cache, (packed_weight_floats);
-// products with them give the same bits.
+// These make the weights of product as linear_product reads them with the same instruction set and cache,
+// (packed_weight_floats); products with them give the same bits.
 int64_t packed_weight_floats(int64_t outputs, int64_t inputs, const KernelSettings& settings);
 void pack_weight(const LinearProduct& product, const KernelSettings& settings, float* packed);
-// And from product.packed_weight back into (outputs, inputs).
+// Unpacks from product.packed_weight back into (outputs, inputs).
 void unpack_weight(const LinearProduct& product, const KernelSettings& settings, float* weight);
 
 }  // namespace gld

@@ -17,7 +17,7 @@ namespace gld {
 // Rows of left operands are padded with zeros to whole steps: one row of a tile register, 64 bytes.
 constexpr int64_t kStepWords = 16;
 
-// y = a b, or y += a b, for one strip of rows and some panels of columns.
+// This computes y = a b, or y += a b, for one strip of rows and some panels of columns.
 struct UnitProductTile {
   const uint32_t* a;  // MatrixUnitKernels::rows rows that can be read
   int64_t a_stride;   // words
@@ -88,7 +88,7 @@ struct UnitAttentionBackwardTile {
   int64_t gradient_stride;
 };
 
-// Filled by kernels_of() of matrix_unit_loops.h; kernel_table_test refuses an entry that is not.
+// The table is filled by kernels_of() of matrix_unit_loops.h; kernel_table_test refuses an entry that is not.
 struct MatrixUnitKernels {
   MatrixUnit unit = MatrixUnit::kPlain;
   int64_t rows = 0;             // of a product's strip
@@ -104,9 +104,9 @@ struct MatrixUnitKernels {
   void (*int8_product)(const UnitProductTile& tile) = nullptr;
   void (*attention_forward)(const UnitAttentionTile& tile) = nullptr;
   void (*attention_backward)(const UnitAttentionBackwardTile& tile) = nullptr;
-  // Rounded to the nearest, ties to even; NaN stays NaN. From count to padded: zeros.
+  // Numbers are rounded to the nearest, ties to even; NaN stays NaN. From count to padded there are zeros.
   void (*to_bfloat16)(const float* x, int64_t count, int64_t padded, uint16_t* y) = nullptr;
-  // The scale that holds all numbers and 0; NaN where one is NaN or infinite.
+  // Returns the scale that holds all numbers and 0; it is NaN where one is NaN or infinite.
   ByteScale (*byte_scale)(const float* x, int64_t count) = nullptr;
   void (*to_bytes)(const float* x, int64_t count, int64_t padded, const ByteScale& scale,
                    uint8_t* y) = nullptr;
@@ -115,7 +115,7 @@ struct MatrixUnitKernels {
   double (*int8_rounds)(int64_t rounds) = nullptr;
 };
 
-// The kernels of one unit, which must be available for that precision (not float32) on this processor.
+// Returns the kernels of one unit, which must be available for that precision (not float32) on this processor.
 const MatrixUnitKernels& matrix_unit_kernels(MatrixUnit unit, ComputePrecision precision);
 
 }  // namespace gld

@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// About 3 ms on a processor with two wide multiply-add units.
+// They take about 3 ms on a processor with two wide multiply-add units.
 constexpr int64_t kRounds = 200000;
 constexpr int kLeastMilliseconds = 200;
 
@@ -17,7 +17,8 @@ constexpr int kLeastMilliseconds = 200;
 double measure_multiply_add_peak(const PeakMeasurement& measurement) {
   const KernelTable& kernels = kernel_table(measurement.settings.instruction_set);
   double best = 0;
-  // The first repeats may find all threads on one core: go on until the scheduler has had time to spread them.
+  // The first repeats may find all threads on one core: the measurement goes on until the scheduler has had time to
+  // spread them.
   const auto begun = std::chrono::steady_clock::now();
   for (int repeat = 0; repeat < measurement.repeats || std::chrono::steady_clock::now() - begun <
                                                            std::chrono::milliseconds(kLeastMilliseconds);

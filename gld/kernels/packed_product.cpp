@@ -33,7 +33,8 @@ WordLayout word_layout(int64_t inputs, ComputePrecision precision, const MatrixU
   return layout;
 }
 
-// An odd number of cache lines: an even one would put the same words of all rows into a fraction of the cache's sets.
+// Returns an odd number of cache lines: an even one would put the same words of all rows into a fraction of the cache's
+// sets.
 int64_t row_stride(const WordLayout& layout) {
   const int64_t lines = layout.words / kStepWords;
   return kStepWords * (lines % 2 == 0 ? lines + 1 : lines);
@@ -44,7 +45,7 @@ Number* numbers(uint32_t* words) {
   return reinterpret_cast<Number*>(words);
 }
 
-// One output's weights as signed bytes; returns their scale.
+// Writes one output's weights as signed bytes and returns their scale.
 float weight_bytes(const float* x, int64_t count, const WordLayout& layout, uint32_t* words) {
   constexpr float kMostByte = 127;
   float largest = 0, unfinite = 0;
@@ -336,7 +337,7 @@ double measure_precision_peak(ComputePrecision precision, int threads) {
     measurement.settings.threads = threads;
     return measure_multiply_add_peak(measurement);
   }
-  // About 0.5 ms where there is a unit; the first repeats may find all threads on one core.
+  // They take about 0.5 ms where there is a unit; the first repeats may find all threads on one core.
   constexpr int64_t kRounds = 20000;
   constexpr std::chrono::milliseconds kLeast(200);
   const MatrixUnitKernels& unit = matrix_unit_kernels(best_matrix_unit(precision), precision);

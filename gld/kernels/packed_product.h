@@ -24,7 +24,7 @@ struct PackingSettings {
   int64_t second_level_cache = second_level_cache_bytes();
   int threads = 1;
 };
-// With the best unit of this processor.
+// Returns settings with the best unit of this processor.
 PackingSettings packing_settings(ComputePrecision precision, int threads);
 
 // Weights as the kernels of one precision and unit read them. Immutable; may be used from several threads.
@@ -36,9 +36,9 @@ class PackedWeights {
   int64_t outputs() const { return outputs_; }
   int64_t inputs() const { return inputs_; }
   int64_t bytes() const;
-  // Bytes that such weights will take.
+  // Returns the bytes that such weights will take.
   static int64_t bytes(int64_t outputs, int64_t inputs, const PackingSettings& settings);
-  // The weights again, the same bits: float32 only. weights: (outputs, inputs), contiguous.
+  // Writes the weights again, with the same bits, for float32 only. weights is (outputs, inputs), contiguous.
   void unpack(float* weights) const;
 
   // For the kernels. float32: panels of (depth, tile_lanes) by blocks of inputs, those by blocks of outputs. Others:
@@ -72,11 +72,13 @@ struct PackedProduct {
   std::vector<ProductTarget> targets;  // of equal inputs, precision and unit
 };
 
-// The same bits for any number of threads and of rows; in float32 the same as linear_product (matrix_product.h).
-// A row with a NaN or an infinity gives a row of NaN in int8, and in other precisions what IEEE arithmetic gives.
+// Any number of threads and of rows gives the same bits; in float32 they are those of linear_product
+// (matrix_product.h). A row with a NaN or an infinity gives a row of NaN in int8, and in other precisions what IEEE
+// arithmetic gives.
 void packed_product(const PackedProduct& product, int threads);
 
-// Operations a second of the unit (float32: of the instruction set) in registers, the peak that shares refer to.
+// Returns the operations a second of the unit (float32: of the instruction set) in registers, the peak that shares
+// refer to.
 double measure_precision_peak(ComputePrecision precision, int threads);
 
 }  // namespace gld

@@ -9,7 +9,7 @@ inline int64_t parts_of(int64_t count, int64_t most) { return (count + most - 1)
 
 inline int64_t rounded_up(int64_t count, int64_t step) { return parts_of(count, step) * step; }
 
-// Equal shares of count, none above most, rounded up to a multiple of step.
+// Returns the size of equal shares of count, none above most, rounded up to a multiple of step.
 inline int64_t equal_share(int64_t count, int64_t most, int64_t step) {
   return rounded_up(parts_of(count, parts_of(count, most)), step);
 }

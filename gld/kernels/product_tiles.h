@@ -92,10 +92,10 @@ void product_tile(const ProductTile& tile) {
   for (int64_t column = 0; column < tile.columns; column += kTileLanes) product_panel(tile, column);
 }
 
-// Vectors that are summed up in one accumulator; longer sums lose digits.
+// So many vectors are summed up in one accumulator; longer sums lose digits.
 constexpr int64_t kDotVectors = 256;
 
-// Zeros behind the last input, which add nothing.
+// Puts zeros behind the last input, which add nothing.
 GLD_INLINE Vector load_first(const float* p, int64_t count) {
   float values[Simd::lanes] = {};
   for (int64_t i = 0; i < count; ++i) values[i] = p[i];

@@ -38,7 +38,7 @@ struct Simd {
     return sum;
   }
   static GLD_INLINE Vector maximum(Vector a, Vector b) { return _mm512_max_ps(a, b); }
-  // Element j of every group of four, in all four places.
+  // Returns element j of every group of four, in all four places.
   template <int j>
   static GLD_INLINE Vector spread(Vector a) {
     return _mm512_permute_ps(a, j * 0x55);
@@ -46,9 +46,8 @@ struct Simd {
   static GLD_INLINE Vector load_repeated4(const float* p) { return _mm512_broadcast_f32x4(_mm_loadu_ps(p)); }
   static GLD_INLINE float sum(Vector a) { return _mm512_reduce_add_ps(a); }
 
-  // 2^x to 1.5e-7 relative, 2^0 = 1 exactly, 0 below the range of float. The fraction x - floor(x) goes
-  // through a polynomial (minimax in relative error with constant term 1: 8.2e-8), vscalefps multiplies by
-  // 2^floor(x).
+  // Returns 2^x to 1.5e-7 relative, 2^0 = 1 exactly, 0 below the range of float. The fraction x - floor(x) goes through
+  // a polynomial (minimax in relative error with constant term 1: 8.2e-8), vscalefps multiplies by 2^floor(x).
   static GLD_INLINE Vector exp2(Vector x) {
     const Vector r = _mm512_reduce_ps(x, _MM_FROUND_TO_NEG_INF);
     Vector p = broadcast(0.001867130072f);
@@ -96,9 +95,9 @@ struct Simd {
     return _mm_cvtss_f32(_mm_add_ss(s, _mm_shuffle_ps(s, s, 1)));
   }
 
-  // 2^x to 1.2e-7 relative for x in [-126, 127], clamped outside, NaN kept (the operand order of max and min
-  // does that). Adding 1.5 * 2^23 rounds to the nearest integer and leaves it in the low bits, which then go
-  // to the exponent.
+  // Returns 2^x to 1.2e-7 relative for x in [-126, 127], clamped outside, with NaN kept (the operand order of max and
+  // min does that). Adding 1.5 * 2^23 rounds to the nearest integer and leaves it in the low bits, which then go to the
+  // exponent.
   static GLD_INLINE Vector exp2(Vector x) {
     x = _mm256_min_ps(broadcast(127.0f), _mm256_max_ps(broadcast(-126.0f), x));
     const Vector shifter = broadcast(12582912.0f);
@@ -189,10 +188,11 @@ GLD_INLINE void multiply_step(const float* a, int64_t a_row, const float* b, Vec
   }
 }
 
-// c[m][n] += sum over k of a[k * a_step + m * a_row] * b[k * b_step + lanes of n]: the one product that attention
-// and linear layers are made of. Everything stays in registers: accumulate() names the form of the instruction that
-// adds in place, because g++ 12 otherwise moves sums between registers and, with AVX2's sixteen, through memory (14 %
-// of the time). Four steps a turn, because integer additions take slots of the very ports that multiply.
+// Computes c[m][n] += sum over k of a[k * a_step + m * a_row] * b[k * b_step + lanes of n], the one product that
+// attention and linear layers are made of. Everything stays in registers: accumulate() names the form of the
+// instruction that adds in place, because g++ 12 otherwise moves sums between registers and, with AVX2's sixteen,
+// through memory (14 % of the time). There are four steps a turn, because integer additions take slots of the very
+// ports that multiply.
 template <int rows, int vectors>
 GLD_INLINE void multiply_tile(int64_t depth, const float* a, int64_t a_step, int64_t a_row, const float* b,
                               int64_t b_step, Vector (&c)[rows][vectors]) {

@@ -8,8 +8,8 @@
 namespace gld {
 namespace {
 
-// One row's sums over some channels, which stay in registers. Two sums a vector: an addition waits four cycles for the
-// one before it.
+// Computes one row's sums over some channels, which stay in registers. There are two sums a vector: an addition waits
+// four cycles for the one before it.
 template <int vectors>
 void sum_sparse_row(const SparseRows& rows, int64_t row, int64_t channel) {
   Vector even[vectors], odd[vectors];

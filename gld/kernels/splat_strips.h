@@ -13,7 +13,7 @@ namespace {
 
 constexpr int kSplatChannelBlock = 8;
 
-// Where a >= b one, elsewhere the other.
+// Returns one where a >= b, elsewhere the other.
 GLD_INLINE Vector where_at_least(Vector a, Vector b, Vector one, Vector other) {
 #if defined(__AVX512F__)
   return _mm512_mask_blend_ps(_mm512_cmp_ps_mask(a, b, _CMP_GE_OQ), other, one);
@@ -55,7 +55,7 @@ int64_t weigh_splats(const SplatWeights& strip) {
     const Vector along = Simd::multiply_add(Simd::broadcast(row.slope), lane, Simd::broadcast(row.shift));
     const Vector power = Simd::subtract(Simd::broadcast(row.height), Simd::multiply(along, along));
     const Vector value = Simd::exp2(power);
-    // NaN cannot be: rows are finite.
+    // There cannot be NaN: rows are finite.
     const Vector clipped = where_at_least(value, dense, dense, value);
     const Vector alpha = where_at_least(power, faintest, clipped, zero);
     const Vector after = Simd::subtract(left, Simd::multiply(left, alpha));
@@ -95,7 +95,7 @@ void sum_splat_channels(const SplatChannels& strip, int64_t first) {
   }
 }
 
-// q_i += f_i . g over some channels.
+// Computes q_i += f_i . g over some channels.
 template <int channels>
 void project_splat_channels(const SplatSlopes& strip, int64_t first) {
   Vector gradient[channels];

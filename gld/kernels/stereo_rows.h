@@ -44,7 +44,7 @@ GLD_INLINE void warp_pixels(const WarpedRow& row, int64_t begin, int64_t end) {
 
 #if defined(__AVX2__)
 
-// Eight pixels with two gathers of four texels; one of 8 x 32 bits would take as long and hold half as much.
+// Eight pixels are warped with two gathers of four texels; one of 8 x 32 bits would take as long and hold half as much.
 void warp_picture_row(const WarpedRow& row) {
   const __m256 lanes = _mm256_setr_ps(0, 1, 2, 3, 4, 5, 6, 7);
   const __m256 zero = _mm256_setzero_ps(), one = _mm256_set1_ps(1);
@@ -103,7 +103,7 @@ void warp_picture_row(const WarpedRow& row) { warp_pixels(row, 0, row.count); }
 
 #endif
 
-// To 3e-4 relative; 1 / sqrt(0) may be anything finite or infinite.
+// The result is accurate to 3e-4 relative; 1 / sqrt(0) may be anything finite or infinite.
 GLD_INLINE Vector inverse_square_root(Vector x) {
 #if defined(__AVX512F__)
   return _mm512_rsqrt14_ps(x);
@@ -134,7 +134,7 @@ GLD_INLINE Vector lesser(Vector a, Vector b) {
 #endif
 }
 
-// Whole parts of values from 0 to 255, one byte each.
+// Stores the whole parts of values from 0 to 255, one byte each.
 GLD_INLINE void store_bytes(uint8_t* p, Vector v) {
 #if defined(__AVX512F__)
   _mm_storeu_si128(reinterpret_cast<__m128i*>(p), _mm512_cvtepi32_epi8(_mm512_cvttps_epi32(v)));
@@ -228,8 +228,8 @@ void correlate_window_row(const CorrelatedRow& row) {
   }
 }
 
-// The cost of some pixels. Where fewer photographs see one, its correlations of those that do not are the least, and
-// sort behind the others.
+// Returns the cost of some pixels. Where fewer photographs see one, its correlations of those that do not are the
+// least, and sort behind the others.
 template <int photographs>
 GLD_INLINE Vector plane_costs(const float* const* correlations, int64_t x) {
   const Vector not_seen = Simd::broadcast(kNotSeenCorrelation);

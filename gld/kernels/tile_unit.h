@@ -10,8 +10,8 @@ namespace {
 
 constexpr int64_t kTileSide = 16;  // rows of a register, and words of a row
 
-// Tiles: clear<t>(), load<t>(words, stride), store<t>(words, stride), strides in words; dot<kind, c, a, b>() for
-// c[m][n] += sum over k of a[m][k] . b[k][n].
+// Tiles has clear<t>(), load<t>(words, stride) and store<t>(words, stride), with strides in words, and
+// dot<kind, c, a, b>() for c[m][n] += sum over k of a[m][k] . b[k][n].
 template <class Tiles>
 struct TileUnit {
   // Two registers of rows and two of columns: every register that is loaded is multiplied twice.
@@ -25,7 +25,7 @@ struct TileUnit {
 
   using Session = typename Tiles::Session;
 
-  // As DotUnit::multiply; words is a multiple of step_words.
+  // Does what DotUnit::multiply does; words is a multiple of step_words.
   template <OperandKind kind, class Finish>
   static GLD_INLINE void multiply(int64_t words, const uint32_t* a, int64_t a_stride, const uint32_t* b,
                                   int64_t b_stride, const Finish& finish) {

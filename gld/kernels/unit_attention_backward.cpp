@@ -107,7 +107,7 @@ class UnitAttentionBackward {
     unit_.to_bfloat16(row, head_.head_dim, 2 * head_.head_words, halves(words));
   }
 
-  // A row of the scratch whose channels past the head's are zero.
+  // Returns a row of the scratch whose channels past the head's are zero.
   float* empty_row(float* own) const {
     float* row = own + places_.row;
     std::fill(row, row + head_.head_dim, 0.0f);

@@ -9,7 +9,7 @@
 // What attention's two passes on matrix units share: tokens in blocks, and one head's tokens as the units take them.
 namespace gld {
 
-// The unit's kernels. Throws Error for another precision than bfloat16.
+// Returns the unit's kernels. Throws Error for another precision than bfloat16.
 const MatrixUnitKernels& attention_unit(const KernelSettings& settings);
 
 // Tokens in blocks of kBlockTokens.
@@ -35,8 +35,8 @@ struct UnitHead {
 
 inline uint16_t* halves(uint32_t* words) { return reinterpret_cast<uint16_t*>(words); }
 
-// A block of which rows (kBlockTokens, row_halves) are there as bfloat16, as channels of pairs of tokens. Rows past the
-// block's tokens are zero.
+// Packs a block of which rows (kBlockTokens, row_halves) are there as bfloat16, as channels of pairs of tokens. Rows
+// past the block's tokens are zero.
 void pack_channels(const UnitHead& head, const uint16_t* rows, int64_t row_halves, uint32_t* channels);
 
 }  // namespace gld

@@ -11,23 +11,24 @@
 namespace gld {
 namespace {
 
-// Of queries in the forward pass and of keys in the backward pass, a vector register set each, that share a block.
+// So many groups of queries in the forward pass and of keys in the backward pass, a vector register set each, share a
+// block.
 constexpr int64_t kUnitGroups = 4;
 
-// Scratch of one group of queries: its queries and running sums, transposed, and two rows of lane values.
+// Returns the scratch of one group of queries: its queries and running sums, transposed, and two rows of lane values.
 template <class Unit>
 GLD_INLINE int64_t unit_group_floats(int64_t head_words, int64_t head_rows) {
   return (head_words + head_rows + 2) * Unit::lanes;
 }
 
-// Behind the groups: logits of a block of keys, and its probabilities as pairs.
+// Behind the groups lie the logits of a block of keys, and its probabilities as pairs.
 template <class Unit>
 int64_t unit_forward_scratch(int64_t head_words, int64_t head_rows) {
   return kUnitGroups * unit_group_floats<Unit>(head_words, head_rows) +
          (kBlockTokens + kBlockPairs) * Unit::lanes;
 }
 
-// transposed (words, Unit::lanes) = rows (count, words); lanes past count are zero.
+// Writes transposed (words, Unit::lanes) from rows (count, words); lanes past count are zero.
 template <class Unit>
 GLD_INLINE void transpose_words(const uint32_t* rows, int64_t count, int64_t words, float* transposed) {
   for (int64_t lane = 0; lane < Unit::lanes; lane += 4) {
@@ -50,7 +51,8 @@ GLD_INLINE void transpose_words(const uint32_t* rows, int64_t count, int64_t wor
 
 GLD_INLINE const uint32_t* words_at(const float* p) { return reinterpret_cast<const uint32_t*>(p); }
 
-// One step of the online softmax, as forward_step of attention_tiles.h: a block of keys for one group of queries.
+// Takes one step of the online softmax, as forward_step of attention_tiles.h does: a block of keys for one group of
+// queries.
 template <class Unit>
 GLD_INLINE void unit_forward_step(const UnitAttentionTile& tile, int64_t block, float* group, float* logits,
                                   uint32_t* pairs) {
@@ -198,7 +200,8 @@ int64_t unit_backward_scratch(int64_t head_words, int64_t head_rows) {
 
 GLD_INLINE uint32_t* words_at(float* p) { return reinterpret_cast<uint32_t*>(p); }
 
-// key_pairs[panel][w][c]: channel c of keys 2w (low half) and 2w + 1 (high half), zero where there is no such key.
+// key_pairs[panel][w][c] becomes channel c of keys 2w (low half) and 2w + 1 (high half), zero where there is no such
+// key.
 template <class Unit>
 GLD_INLINE void pair_keys(const UnitAttentionBackwardTile& tile, const uint32_t* keys, int64_t count,
                           uint32_t* pairs) {
@@ -217,9 +220,9 @@ GLD_INLINE void pair_keys(const UnitAttentionBackwardTile& tile, const uint32_t*
   }
 }
 
-// P = 2^(logit - lse) and dS = P (dP - output . output gradient) of a block of queries and a group of keys, as pairs of
-// queries and, dS, as pairs of keys; zero for queries and keys that are not there. Returns the words of a column of
-// pairs.
+// Computes P = 2^(logit - lse) and dS = P (dP - output . output gradient) of a block of queries and a group of keys, as
+// pairs of queries and, dS, as pairs of keys; zero for queries and keys that are not there. Returns the words of a
+// column of pairs.
 template <class Unit>
 GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, int64_t block, int64_t keys,
                                         const UnitBackwardScratch<Unit>& scratch) {
@@ -258,7 +261,7 @@ GLD_INLINE int64_t unit_logit_gradients(const UnitAttentionBackwardTile& tile, i
     }
   }
   auto* rows = reinterpret_cast<uint16_t*>(scratch.logit_gradient_rows);
-  // Whole strips of rows, which are multiplied as such.
+  // The rows come in whole strips, which are multiplied as such.
   for (int64_t w = 0; w < round_up(2 * words, Unit::rows) / 2; ++w) {
 #pragma GCC unroll 8
     for (int n = 0; n < Unit::vectors; ++n) {
@@ -319,7 +322,7 @@ GLD_INLINE void unit_backward_step(const UnitAttentionBackwardTile& tile, int64_
   }
 }
 
-// As attention_backward_tile of attention_tiles.h, on the unit.
+// Does what attention_backward_tile of attention_tiles.h does, on the unit.
 template <class Unit>
 void unit_attention_backward(const UnitAttentionBackwardTile& tile) {
   [[maybe_unused]] const typename Unit::Session session;

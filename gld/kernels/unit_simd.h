@@ -12,7 +12,7 @@ namespace {
 
 enum class OperandKind { kBFloat16, kInt8 };
 
-// To the nearest, ties to even; a NaN stays one.
+// Rounds to the nearest, ties to even; a NaN stays one.
 GLD_INLINE uint16_t bfloat16_of(float x) {
   uint32_t bits;
   __builtin_memcpy(&bits, &x, sizeof(bits));
@@ -30,12 +30,12 @@ GLD_INLINE float float_of(uint16_t bfloat16) {
 #if defined(__AVX512BF16__)
 
 struct UnitSimd {
-  // (sums - zero * column_sums) as floats; sums are int32 in the lanes of a Vector.
+  // Returns (sums - zero * column_sums) as floats; sums are int32 in the lanes of a Vector.
   static GLD_INLINE Vector without_zero(Vector sums, int32_t zero, const int32_t* column_sums) {
     const __m512i of_zero = _mm512_mullo_epi32(_mm512_set1_epi32(zero), _mm512_loadu_si512(column_sums));
     return _mm512_cvtepi32_ps(_mm512_sub_epi32(_mm512_castps_si512(sums), of_zero));
   }
-  // Word i of y: first[i] in the lower half, second[i] in the upper one.
+  // Word i of y has first[i] in the lower half and second[i] in the upper one.
   static GLD_INLINE void store_pairs(uint32_t* y, Vector first, Vector second) {
     const __m512i halves = reinterpret_cast<__m512i>(_mm512_cvtne2ps_pbh(second, first));
     const __m512i order = _mm512_set_epi16(31, 15, 30, 14, 29, 13, 28, 12, 27, 11, 26, 10, 25, 9, 24, 8, 23,
@@ -45,14 +45,14 @@ struct UnitSimd {
   static GLD_INLINE void store_bfloat16(uint16_t* y, Vector x) {
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(y), reinterpret_cast<__m256i>(_mm512_cvtneps_pbh(x)));
   }
-  // clamp(round(x * inverse) + zero, 0, 255).
+  // Stores clamp(round(x * inverse) + zero, 0, 255).
   static GLD_INLINE void store_bytes(uint8_t* y, Vector x, float inverse, int32_t zero) {
     __m512i whole = _mm512_cvtps_epi32(Simd::multiply(x, Simd::broadcast(inverse)));
     whole = _mm512_max_epi32(_mm512_add_epi32(whole, _mm512_set1_epi32(zero)), _mm512_setzero_si512());
     _mm_storeu_si128(reinterpret_cast<__m128i*>(y), _mm512_cvtusepi32_epi8(whole));
   }
-  // 2^x for x of at most about 0, to 9e-5 relative, finer than the bfloat16 that it becomes by a factor of 20; 2^0 = 1
-  // exactly.
+  // Returns 2^x for x of at most about 0, to 9e-5 relative, finer than the bfloat16 that it becomes by a factor of 20;
+  // 2^0 = 1 exactly.
   static GLD_INLINE Vector exp2(Vector x) {
     const Vector r = _mm512_reduce_ps(x, _MM_FROUND_TO_NEG_INF);
     Vector p = Simd::broadcast(0.07706717f);

@@ -31,11 +31,11 @@ LatentStatistics read_latent_statistics(const WeightFile& file, const std::strin
                                         double epsilon = 1e-5);
 LatentStatistics read_latent_statistics(const std::filesystem::path& file, double epsilon = 1e-5);
 
-// "mean" and "var" (channels), what a bundle holds.
+// Returns "mean" and "var" (channels), which a bundle holds.
 std::map<std::string, torch::Tensor> statistics_tensors(const LatentStatistics& statistics);
 
 LatentStatistics statistics_of(const StreamingMoments& moments, double epsilon = 1e-5);
-// features: (..., channels), any number of tokens.
+// features is (..., channels), of any number of tokens.
 void add_features(StreamingMoments& moments, const torch::Tensor& features);
 
 }  // namespace gld

@@ -16,7 +16,8 @@ struct LevelStatistics {
   std::optional<LatentStatistics> special;
   int64_t special_tokens = 0;  // in front of the patch tokens of every view
 
-  // (views, special + patch tokens, channels) -> the same shape. Error where special tokens have no statistics.
+  // tokens are (views, special + patch tokens, channels), and the result has the same shape. Throws Error where special
+  // tokens have no statistics.
   torch::Tensor normalise(const torch::Tensor& tokens) const;
   torch::Tensor denormalise(const torch::Tensor& latent) const;  // the inverse
   LevelStatistics to(torch::Device device) const;

@@ -11,10 +11,10 @@ namespace gld {
 class StreamingMoments {
  public:
   explicit StreamingMoments(int64_t channels);
-  // The state of another one, e.g. from a file. squares: sums of squared differences from the mean.
+  // Takes the state of another one, e.g. from a file. squares are sums of squared differences from the mean.
   StreamingMoments(int64_t count, std::vector<double> mean, std::vector<double> squares);
 
-  // rows: count x channels numbers, row by row. Throws Error where one is not finite.
+  // rows are count x channels numbers, row by row. Throws Error where one is not finite.
   void add(const float* rows, int64_t count);
   // Throws Error when other has another number of channels.
   void merge(const StreamingMoments& other);
@@ -23,7 +23,7 @@ class StreamingMoments {
   int64_t count() const { return count_; }
   const std::vector<double>& mean() const { return mean_; }
   const std::vector<double>& squares() const { return squares_; }
-  // squares / count (population variance, as in the published statistics). Throws Error without rows.
+  // Returns squares / count (population variance, as in the published statistics). Throws Error without rows.
   std::vector<double> variance() const;
 
  private:

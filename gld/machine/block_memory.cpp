@@ -20,12 +20,13 @@ constexpr size_t kSmallestKept = size_t{64} << 10;  // below it malloc is fast
 constexpr size_t kHugePage = size_t{2} << 20;
 constexpr size_t kWorthTrimming = size_t{64} << 20;
 
-// Before every block, so that the deleter knows what it gives back.
+// A header stands before every block, so that the deleter knows what it gives back.
 struct alignas(kAlignment) BlockHeader {
   size_t capacity = 0;  // of the whole allocation, header included
 };
 
-// Sizes in steps of an eighth of a power of two: at most 12.5 % is wasted, and tensors of nearly one size share blocks.
+// Returns sizes in steps of an eighth of a power of two: at most 12.5 % is wasted, and tensors of nearly one size share
+// blocks.
 size_t rounded_capacity(size_t bytes) {
   if (bytes < kSmallestKept) return bytes;
   size_t step = kSmallestKept / 8;
@@ -33,9 +34,9 @@ size_t rounded_capacity(size_t bytes) {
   return (bytes + step - 1) / step * step;
 }
 
-// Memory of its own for a large block, so that all of it goes back when the block does: malloc's heap kept a tenth of a
-// model in the gaps between its weights. capacity: whole pages, of which `used` bytes will be written. Null when
-// refused.
+// Maps memory of its own for a large block, so that all of it goes back when the block does: malloc's heap kept a tenth
+// of a model in the gaps between its weights. capacity is whole pages, of which `used` bytes will be written. Returns
+// null when refused.
 void* map_block(size_t used, size_t capacity) {
   void* mapped =
       mmap(nullptr, capacity + kHugePage, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -45,7 +46,7 @@ void* map_block(size_t used, size_t capacity) {
   char* memory = begin + in_front;
   if (in_front > 0) munmap(begin, in_front);
   munmap(memory + capacity, kHugePage - in_front);
-  // A huge page for the last piece only where that fills half of one: 16 MiB of numbers behind their header would take
+  // The last piece gets a huge page only where it fills half of one: 16 MiB of numbers behind their header would take
   // 18, and all weights of a model an eighth more than they are.
   const size_t huge = std::min((used + kHugePage / 2) / kHugePage * kHugePage, capacity);
   madvise(memory, huge, MADV_HUGEPAGE);
@@ -161,7 +162,7 @@ class KeptBlocks {
   size_t limit_ = 0;
 };
 
-// Never destroyed: what has static storage gives its blocks back after main.
+// The blocks are never destroyed: what has static storage gives its blocks back after main.
 KeptBlocks& kept_blocks() {
   static auto* blocks = new KeptBlocks;
   return *blocks;

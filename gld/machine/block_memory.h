@@ -8,8 +8,8 @@
 // clears its pages each time: a full M1 forward spent 110 of 275 CPU seconds there.
 namespace gld {
 
-// A block of at least that many bytes, aligned to 64; blocks of 2 MiB and more ask for huge pages. Its contents are
-// whatever they were. Throws std::bad_alloc. Safe to call from several threads at once, as all of these are.
+// Returns a block of at least that many bytes, aligned to 64; blocks of 2 MiB and more ask for huge pages. Its contents
+// are whatever they were. Throws std::bad_alloc. It is safe to call from several threads at once, as all of these are.
 void* take_block(size_t bytes);
 
 // Takes back a block of take_block; null is nothing.
@@ -19,16 +19,16 @@ void give_block(void* data);
 // nothing. Blocks in use and kept together take at most a quarter more than the most that was in use at one time.
 void set_most_kept_bytes(int64_t bytes);
 
-// Gives the kept blocks back to the system: between stages whose tensors differ in size.
+// Gives the kept blocks back to the system, between stages whose tensors differ in size.
 void release_kept_blocks();
 
-// The same of what malloc keeps for itself: after the work of libraries that take theirs there, as OpenCV does.
+// Does the same with what malloc keeps for itself, after the work of libraries that take theirs there, as OpenCV does.
 void trim_heap();
 
-// Bytes of freed blocks that are kept at this moment.
+// Returns the bytes of freed blocks that are kept at this moment.
 int64_t kept_block_bytes();
 
-// Bytes of blocks in use (those of 64 KiB and more), now and the most since the last release_kept_blocks().
+// Returns the bytes of blocks in use (those of 64 KiB and more), now and the most since the last release_kept_blocks().
 int64_t used_block_bytes();
 int64_t most_used_block_bytes();
 

@@ -10,7 +10,7 @@ namespace gld {
 namespace {
 
 #ifdef GLD_X86_KERNELS
-// What the compiled kernels use beside the dot products themselves.
+// Returns whether there is what the compiled kernels use beside the dot products themselves.
 bool has_avx512() {
   return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
          __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl");

@@ -13,7 +13,7 @@ namespace gld {
 //   int8      linear layers with a scale an output channel and a scale and zero a token; attention in bfloat16
 enum class ComputePrecision { kFloat32, kBFloat16, kInt8 };
 
-// "float32", "bfloat16", "int8", in that order.
+// Returns "float32", "bfloat16", "int8", in that order.
 const std::vector<std::string>& compute_precision_names();
 const std::string& compute_precision_name(ComputePrecision precision);
 
@@ -23,16 +23,17 @@ const std::string& compute_precision_name(ComputePrecision precision);
 //   AMX     16 x 16 tiles: AMX-BF16 and AMX-INT8
 enum class MatrixUnit { kPlain, kAvx512, kAmx };
 
-// What this processor, its kernel and this build offer for a precision, best last; never empty. For float32, which has
-// kernels of its own (instruction_set.h), kPlain alone.
+// Returns what this processor, its kernel and this build offer for a precision, best last; it is never empty. For
+// float32, which has kernels of its own (instruction_set.h), it is kPlain alone.
 std::vector<MatrixUnit> available_matrix_units(ComputePrecision precision);
 MatrixUnit best_matrix_unit(ComputePrecision precision);
-// Whether the precision is worth choosing for its speed here: float32, or one that a unit other than kPlain computes.
+// Returns whether the precision is worth choosing for its speed here: float32, or one that a unit other than kPlain
+// computes.
 bool has_matrix_unit(ComputePrecision precision);
 
-// "plain", "AVX512" or "AMX".
+// Returns "plain", "AVX512" or "AMX".
 std::string matrix_unit_name(MatrixUnit unit);
-// The same with its instructions: "AVX512-BF16", "AVX512-VNNI", "AMX-BF16", "AMX-INT8".
+// Returns the same with its instructions: "AVX512-BF16", "AVX512-VNNI", "AMX-BF16", "AMX-INT8".
 std::string matrix_unit_name(MatrixUnit unit, ComputePrecision precision);
 
 }  // namespace gld

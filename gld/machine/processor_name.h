@@ -4,7 +4,7 @@
 
 namespace gld {
 
-// "AMD EPYC 9B14 96-Core Processor"; "unknown" where the system does not say.
+// Returns "AMD EPYC 9B14 96-Core Processor", for example, and "unknown" where the system does not say.
 std::string processor_name();
 
 }  // namespace gld

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// A "Name:   123 kB" line of a /proc file, in bytes.
+// Reads a "Name:   123 kB" line of a /proc file, in bytes.
 int64_t proc_bytes(const char* file, const std::string& name) {
   std::ifstream stream(file);
   for (std::string line; std::getline(stream, line);) {

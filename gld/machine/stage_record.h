@@ -24,10 +24,10 @@ class StageRecords {
  public:
   // Runs work as the stage of that name. The record is kept also when work throws.
   void run(const std::string& name, const std::function<void()>& work);
-  // Called with the name of each stage before it begins.
+  // The function is called with the name of each stage before it begins.
   void on_start(std::function<void(const std::string& name)> called) { on_start_ = std::move(called); }
-  // Called when a stage's work has returned, within its time: waits for what a device still computes, and says what
-  // device_bytes is.
+  // The function is called when a stage's work has returned, within its time: it waits for what a device still
+  // computes, and says what device_bytes is.
   void finish_by(std::function<int64_t()> called) { finish_ = std::move(called); }
 
   const std::vector<StageRecord>& records() const { return records_; }
@@ -39,17 +39,17 @@ class StageRecords {
   std::function<int64_t()> finish_;
 };
 
-// Largest resident memory of this process since the last reset, in bytes; 0 where the system does not tell (it comes
-// from Linux's /proc).
+// Returns the largest resident memory of this process since the last reset, in bytes; it is 0 where the system does not
+// tell (it comes from Linux's /proc).
 int64_t peak_resident_bytes();
 // Starts a new maximum. Where the system refuses, the maximum stays that of the whole process.
 void reset_peak_resident_bytes();
 
-// Memory that the machine has and that is free for use, in bytes.
+// These return the memory that the machine has and that is free for use, in bytes.
 int64_t total_memory_bytes();
 int64_t available_memory_bytes();
 
-// "1.25 GB" (powers of 1000).
+// Returns "1.25 GB", for example (powers of 1000).
 std::string bytes_text(int64_t bytes);
 
 }  // namespace gld

@@ -5,11 +5,12 @@
 
 namespace gld {
 
-// Wall-clock seconds of one call.
+// Returns the wall-clock seconds of one call.
 double seconds_of(const std::function<void()>& action);
 
-// The fastest of some calls after one that warms up, in seconds: at least two calls, then until 0.2 s are spent or 15
-// were made. For forecasts: other programs that disturb some of the calls must not make them slower.
+// Returns the fastest of some calls after one that warms up, in seconds: there are at least two calls, then more until
+// 0.2 s are spent or 15 were made. It is for forecasts: other programs that disturb some of the calls must not make
+// them slower.
 double fastest_seconds_of(const std::function<void()>& action);
 
 struct Spread {

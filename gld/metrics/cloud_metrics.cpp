@@ -26,7 +26,7 @@ double largest_side(const torch::Tensor& points) {
 
 double median_cloud_distance(const torch::Tensor& points, const torch::Tensor& surface) {
   if (points.size(0) == 0 || surface.size(0) == 0) return std::numeric_limits<double>::quiet_NaN();
-  // Around the surface's middle, so that a far origin costs no digits.
+  // Coordinates are around the surface's middle, so that a far origin costs no digits.
   const auto middle = surface.to(torch::kFloat64).mean(0, /*keepdim=*/true);
   const auto from = thinned(points.to(torch::kFloat64) - middle, 4000);
   const auto to = thinned(surface.to(torch::kFloat64) - middle, 200000);

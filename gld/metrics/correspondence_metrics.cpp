@@ -120,7 +120,7 @@ namespace {
 // As many as the published backbones have; of a level that a backbone lacks, the metric is absent.
 constexpr int64_t kComparedLevels = 4;
 
-// Mean over the pairs of the first view with each other one.
+// The metric is the mean over the pairs of the first view with each other one.
 Metric pck_of_level(int64_t level) {
   return {"pck_level" + std::to_string(level),
           "%",

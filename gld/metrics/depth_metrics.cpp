@@ -78,7 +78,7 @@ const NamedError kDelta1{&DepthErrors::delta1, "delta1", false, Better::kHigher}
 const NamedError kDelta2{&DepthErrors::delta2, "delta2", false, Better::kHigher};
 const NamedError kDelta3{&DepthErrors::delta3, "delta3", false, Better::kHigher};
 
-// A factor for each view, (views, 1, 1) or of one element; NaN for a view without a pixel to align.
+// Returns a factor for each view, (views, 1, 1) or of one element; it is NaN for a view without a pixel to align.
 torch::Tensor depth_factors(const MetricInputs& inputs, const torch::Tensor& truth,
                             const torch::Tensor& depth, DepthScaling scaling) {
   switch (scaling) {
@@ -190,13 +190,13 @@ double median_depth_scale(const torch::Tensor& truth, const torch::Tensor& predi
 
 double least_squares_depth_scale(const torch::Tensor& truth, const torch::Tensor& prediction) {
   const auto pairs = pairs_to_align(truth, prediction);
-  // In units of the largest prediction, so that squares neither overflow nor vanish.
+  // Predictions are in units of the largest one, so that squares neither overflow nor vanish.
   const auto unit = pairs.prediction.max();
   const auto p = pairs.prediction / unit;
   return ((p * pairs.truth).sum() / p.square().sum() / unit).item<double>();
 }
 
-// Every error under every way to scale.
+// Returns every error under every way to scale.
 std::vector<Metric> depth_metrics() {
   std::vector<Metric> metrics;
   for (const NamedScaling& scaling : depth_scalings()) {

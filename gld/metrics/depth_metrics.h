@@ -19,10 +19,9 @@ struct DepthErrors {
 // For the deltas predictions are clamped to at least 0.001, so that a zero counts as wrong and divides nothing.
 DepthErrors depth_errors(const torch::Tensor& truth, const torch::Tensor& prediction);
 
-// One factor for all views of a scene that brings predictions to the truth's unit; predictions are known
+// These return one factor for all views of a scene that brings predictions to the truth's unit; predictions are known
 // only up to scale. Multiply the predictions with it before depth_errors. Both throw Error when no pixel has a valid
-// truth and a positive finite prediction.
-// The median of truth / prediction: robust against outliers.
+// truth and a positive finite prediction. This is the median of truth / prediction, which is robust against outliers.
 double median_depth_scale(const torch::Tensor& truth, const torch::Tensor& prediction);
 // argmin over s of sum (s prediction - truth)^2.
 double least_squares_depth_scale(const torch::Tensor& truth, const torch::Tensor& prediction);

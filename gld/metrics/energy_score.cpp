@@ -22,10 +22,10 @@ using PlaceWeights = std::vector<std::vector<double>>;
 // One picture as it is compared: maps (channels, rows, columns), float32, contiguous.
 using Maps = std::vector<torch::Tensor>;
 
-// By (3, height, width) -> maps.
+// This makes maps of (3, height, width).
 using MapsOf = std::function<Maps(const torch::Tensor&)>;
 
-// In a fixed order, so that no bit depends on threads.
+// Sums are in a fixed order, so that no bit depends on threads.
 double squared_distance(const Maps& a, const Maps& b, const PlaceWeights& weights) {
   double sum = 0;
   std::vector<double> squares;
@@ -81,8 +81,8 @@ void require_samples(const std::string& metric, const torch::Tensor& truth, cons
   }
 }
 
-// Every map counts alike, and its places by their shares, (rows, columns), 0 to 1. numbers: how many of a place are
-// averaged: the colours of a pixel; 1 for features, whose vectors have length 1 and are compared whole.
+// Every map counts alike, and its places by their shares, (rows, columns), 0 to 1. numbers is how many of a place are
+// averaged: the colours of a pixel, or 1 for features, whose vectors have length 1 and are compared whole.
 PlaceWeights place_weights(const std::vector<torch::Tensor>& shares, int64_t numbers) {
   PlaceWeights weights;
   for (const torch::Tensor& of_map : shares) {

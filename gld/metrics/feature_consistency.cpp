@@ -76,7 +76,7 @@ Coverage coverage_of(const FeatureView& first, const FeatureView& other) {
   return result;
 }
 
-// The middles of pixels as shares of the picture, (count, 2).
+// Returns the middles of pixels as shares of the picture, (count, 2).
 torch::Tensor middles(const std::vector<int64_t>& pixels, size_t first, size_t count, const Camera& camera) {
   auto places = torch::empty({static_cast<int64_t>(count), 2}, torch::kFloat64);
   auto* place = places.data_ptr<double>();
@@ -113,7 +113,7 @@ FeatureConsistency feature_consistency(const FeatureView& first, const FeatureVi
 
 namespace {
 
-// Each target beside the view whose camera stands nearest to it in the scene.
+// Each target is compared with the view whose camera stands nearest to it in the scene.
 int64_t nearest_view(const Views& views, int64_t target) {
   int64_t nearest = -1;
   double least = std::numeric_limits<double>::infinity();

@@ -29,7 +29,7 @@ torch::Tensor gaussian_window(const torch::TensorOptions& options) {
   return weights / weights.sum();
 }
 
-// Weighted means over every window inside the image. maps: (n, 1, height, width).
+// Returns weighted means over every window inside the image. maps is (n, 1, height, width).
 torch::Tensor windowed(const torch::Tensor& maps, const torch::Tensor& window) {
   const auto columns = torch::conv2d(maps, window.view({1, 1, kWindow, 1}));
   return torch::conv2d(columns, window.view({1, 1, 1, kWindow}));
@@ -75,7 +75,7 @@ Metric psnr_metric() {
           }};
 }
 
-// PSNR over some of the target views' pixels: a view without any has none.
+// Returns the PSNR over some of the target views' pixels: a view without any has none.
 MetricValue psnr_of_pixels(const MetricInputs& inputs, const torch::Tensor& pixels) {
   const auto& truth = inputs.true_images;
   if (truth.size(0) != pixels.size(0)) return absent_metric("the images are not those of the target views");

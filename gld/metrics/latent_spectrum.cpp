@@ -10,7 +10,7 @@
 namespace gld {
 namespace {
 
-// The ring of each frequency of an n by n transform, in the transform's order.
+// Returns the ring of each frequency of an n by n transform, in the transform's order.
 std::vector<int64_t> rings_of(int64_t side) {
   std::vector<int64_t> rings;
   rings.reserve(static_cast<size_t>(side * side));
@@ -65,7 +65,7 @@ torch::Tensor principal_pictures(const torch::Tensor& latents, const torch::Tens
   const auto covariance = centred.t().matmul(centred) / static_cast<double>(points.size(0));
   const auto [values, vectors] = torch::linalg_eigh(covariance);
   const int64_t shown = std::min<int64_t>(3, channels);
-  // From the largest; the sign of a direction is free: its largest number is positive.
+  // Directions come from the largest; the sign of a direction is free: its largest number is positive.
   auto directions = vectors.slice(1, channels - shown, channels).flip({1});
   const auto largest = directions.gather(0, directions.abs().argmax(0, true));
   directions = directions * largest.sign();

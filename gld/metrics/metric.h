@@ -80,12 +80,13 @@ struct MetricValue {
   torch::Tensor per_view;  // (targets), float64; NaN for a view without one; undefined where absent
   std::string absent;      // one phrase; empty where there is a value
 
-  // Over the views that have a value; NaN where absent. One perfect view makes a mean PSNR infinite.
+  // Returns the mean over the views that have a value; it is NaN where absent. One perfect view makes a mean PSNR
+  // infinite.
   double mean() const;
 };
 
 MetricValue absent_metric(std::string reason);
-// Absent for that reason where no view has a value.
+// The value is absent for that reason where no view has a value.
 MetricValue metric_of_views(const torch::Tensor& per_view, const std::string& reason_without_any);
 
 // One number that is the same thing wherever the program reports it.
@@ -96,17 +97,17 @@ struct Metric {
   std::vector<MetricNeed> needs;
   std::function<MetricValue(const MetricInputs&)> compute;  // called only with everything in needs
 
-  // Whether it compares images, so that any picture can be measured by it.
+  // Returns whether it compares images, so that any picture can be measured by it.
   bool of_images() const;
-  // Whether it compares all samples of a scene with its truth, together: their number is one of the scene and not a
-  // mean over samples.
+  // Returns whether it compares all samples of a scene with its truth, together: their number is one of the scene and
+  // not a mean over samples.
   bool of_samples() const;
 };
 
-// Absent, with the reason, where something is missing that the metric needs.
+// The value is absent, with the reason, where something is missing that the metric needs.
 MetricValue measure(const Metric& metric, const MetricInputs& inputs);
 
-// The same for a metric that needs nothing but images, (views, 3, height, width) each.
+// Does the same for a metric that needs nothing but images, (views, 3, height, width) each.
 MetricValue measure_images(const Metric& metric, const torch::Tensor& truth, const torch::Tensor& images);
 
 // A metric over scenes (docs/FILES.md), of the finite values.

@@ -33,7 +33,7 @@ void require_one_of_each(const Views& views, const std::vector<Camera>& predicte
         "predict the rays of all views"});
 }
 
-// The cameras as the first one sees them.
+// Returns the cameras as the first one sees them.
 std::vector<Eigen::Isometry3d> seen_from_first(const std::vector<Camera>& cameras) {
   const Eigen::Isometry3d first_from_world = cameras.front().camera_from_world();
   std::vector<Eigen::Isometry3d> poses;
@@ -56,7 +56,7 @@ double largest_distance(const std::vector<Eigen::Isometry3d>& poses) {
   return largest;
 }
 
-// argmin over s >= 0 of sum |s predicted - truth|^2 over the centres.
+// Returns argmin over s >= 0 of sum |s predicted - truth|^2 over the centres.
 double centre_scale(const std::vector<Eigen::Isometry3d>& predicted,
                     const std::vector<Eigen::Isometry3d>& truth) {
   double product = 0, square = 0;

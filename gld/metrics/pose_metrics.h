@@ -23,8 +23,9 @@ struct PoseErrors {
   torch::Tensor ray_origin;
 };
 
-// predicted: one camera a view. rays: (views, rows, columns, 6), direction and origin in the frame of `predicted`; rays
-// that are not finite are left out of the means. Throws Error unless there is one of each a view, and a target view.
+// predicted has one camera a view. rays is (views, rows, columns, 6), direction and origin in the frame of `predicted`;
+// rays that are not finite are left out of the means. Throws Error unless there is one of each a view, and a target
+// view.
 PoseErrors pose_errors(const Views& views, const std::vector<Camera>& predicted, const torch::Tensor& rays);
 
 // How far cameras that were estimated without being given any are from the true ones. Each is (views - 1), float64, one

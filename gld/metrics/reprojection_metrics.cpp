@@ -34,7 +34,7 @@ bool is_known(double depth) { return std::isfinite(depth) && depth > 0; }
 // A view's depth as a surface.
 class DepthSurface {
  public:
-  // depth: (height, width) doubles, which must outlive this object.
+  // depth is (height, width) doubles, which must outlive this object.
   DepthSurface(const double* depth, const Camera& camera)
       : depth_(depth),
         camera_(camera),
@@ -45,7 +45,7 @@ class DepthSurface {
   Eigen::Vector3d lifted(double u, double v, double depth) const {
     return camera_.world_from_camera * (rays_ * Eigen::Vector3d(u, v, 1) * depth);
   }
-  // (u, v, depth); nothing behind the camera or outside the picture.
+  // Returns (u, v, depth), and nothing behind the camera or outside the picture.
   std::optional<Eigen::Vector3d> seen(const Eigen::Vector3d& x_in_world) const {
     const Eigen::Vector3d x = camera_.intrinsics * (camera_from_world_ * x_in_world);
     const double u = x.x() / x.z(), v = x.y() / x.z();
@@ -55,8 +55,8 @@ class DepthSurface {
     }
     return Eigen::Vector3d(u, v, x.z());
   }
-  // Between the middles of pixels, linear in 1 / depth; 0 where one of them is not known. A pixel at the rim has no
-  // neighbour there: its inverse depth goes on in the direction of the other side's.
+  // Returns the depth between the middles of pixels, linear in 1 / depth, and 0 where one of them is not known. A pixel
+  // at the rim has no neighbour there: its inverse depth goes on in the direction of the other side's.
   double between(double u, double v) const {
     const auto last_x = std::max<int64_t>(camera_.width - 2, 0),
                last_y = std::max<int64_t>(camera_.height - 2, 0);
@@ -98,7 +98,7 @@ double centre_spread(const std::vector<Camera>& cameras) {
   return std::sqrt(squares / count);
 }
 
-// NaN without a known pixel.
+// Returns NaN without a known pixel.
 double median_known_depth(const torch::Tensor& depth) {
   const auto values = depth.to(torch::kCPU, torch::kFloat64);
   const auto known = values.masked_select(values.isfinite() & (values > 0));
@@ -236,7 +236,7 @@ torch::Tensor rerender_distance(const Rerendering& both, const MetricInputs& inp
       .to(torch::kCPU, torch::kFloat64);
 }
 
-// Of all views together: sources and targets are drawn into each other.
+// The value is of all views together: sources and targets are drawn into each other.
 MetricValue of_all_views(const torch::Tensor& per_view) {
   return metric_of_views(per_view.mean().reshape({1}), "the pictures are not finite");
 }

@@ -17,7 +17,7 @@ namespace {
 
 using Poses = std::vector<Eigen::Isometry3d>;
 
-// Singular values of the covariance are products of both extents: a line that is thinner than this by its square.
+// Singular values of the covariance are products of both extents: a line that is thinner than this is so by its square.
 constexpr double kThinnestLine = 1e-6;
 constexpr double kOpposite = 180;  // degrees
 
@@ -50,7 +50,7 @@ CentredPoints centred(const Poses& poses) {
   return result;
 }
 
-// b_from_a of the centres.
+// Returns b_from_a of the centres.
 Similarity umeyama(const CentredPoints& a, const CentredPoints& b) {
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(b.points * a.points.transpose(),
                                               Eigen::ComputeFullU | Eigen::ComputeFullV);
@@ -63,7 +63,7 @@ Similarity umeyama(const CentredPoints& a, const CentredPoints& b) {
   return fit;
 }
 
-// Accurate near 0 and near 180 degrees.
+// The angle is accurate near 0 and near 180 degrees.
 double direction_angle(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b)) * kDegreesPerRadian;
 }

@@ -25,9 +25,9 @@ struct TrajectoryErrors {
   double scale = 0;  // truth units in one of the estimate's
 };
 
-// world_from_camera of the same views, any frame and unit for the estimate. Degenerate with fewer than 3 poses and
-// where the centres of either stand at one place or on a line, which leave the rotation open (relative tolerance 1e-6).
-// Throws Error unless there are as many of both.
+// Takes world_from_camera of the same views, in any frame and unit for the estimate. They are degenerate with fewer
+// than 3 poses and where the centres of either stand at one place or on a line, which leave the rotation open (relative
+// tolerance 1e-6). Throws Error unless there are as many of both.
 TrajectoryErrors trajectory_errors(const std::vector<Eigen::Isometry3d>& truth,
                                    const std::vector<Eigen::Isometry3d>& estimate);
 

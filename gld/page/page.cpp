@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// Of one page: nothing is fetched, and of scripts and styles only those run that the build put in.
+// Returns the policy of one page: nothing is fetched, and of scripts and styles only those run that the build put in.
 std::string policy_text() {
   std::string scripts, styles;
   for (const PagePart& part : embedded_page()) {

@@ -23,11 +23,11 @@ struct Page {
   int64_t reload_seconds = 0;  // a page of a run that goes on loads itself again after so many; 0: never
 };
 
-// The whole file. Texts may hold anything, also markup and bytes that are no UTF-8: they stay text. Equal pages give
-// equal bytes.
+// Returns the whole file. Texts may hold anything, also markup and bytes that are no UTF-8: they stay text. Equal pages
+// give equal bytes.
 std::string page_html(const Page& page);
 
-// How many bytes page_html() gives.
+// Returns how many bytes page_html() gives.
 size_t page_size(const Page& page);
 
 }  // namespace gld

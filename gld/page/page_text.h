@@ -11,22 +11,22 @@ namespace gld {
 
 std::string base64_text(std::string_view bytes);
 
-// As zlib's format (RFC 1950), which browsers call "deflate". Equal input gives equal bytes.
+// Returns bytes in zlib's format (RFC 1950), which browsers call "deflate". Equal input gives equal bytes.
 std::string deflated(std::string_view bytes);
 
-// Text as HTML, line by line as it is: &, <, > and quotes become entities.
+// Returns text as HTML, line by line as it is: &, <, > and quotes become entities.
 std::string escaped_text(std::string_view text);
 
-// Text of unknown origin as HTML, between tags and inside quoted attributes: of its printable_text().
+// Returns text of unknown origin as HTML, between tags and inside quoted attributes, of its printable_text().
 std::string html_text(const std::string& text);
 
-// JSON on one line that may stand inside a script element: nothing in it ends the element or begins a comment.
+// Returns JSON on one line that may stand inside a script element: nothing in it ends the element or begins a comment.
 std::string script_json(const nlohmann::ordered_json& value);
 
-// "data:image/png;base64,..."
+// Returns "data:image/png;base64,...".
 std::string data_address(const std::string& media_type, std::string_view bytes);
 
-// Base64 of the SHA-256 of a text, as a policy names an inline script: "'sha256-...'".
+// Returns base64 of the SHA-256 of a text, as a policy names an inline script: "'sha256-...'".
 std::string policy_hash(std::string_view text);
 
 }  // namespace gld

@@ -22,20 +22,20 @@ struct ResultTable {
 // Nothing is added where there is no row.
 void add_table(Page& page, const ResultTable& table);
 
-// Panels as gld/report/plot.h draws them; those with nothing to show are left out. Values that are not finite, or not
-// positive on a logarithmic axis, leave a gap.
+// Adds panels as gld/report/plot.h draws them; those with nothing to show are left out. Values that are not finite, or
+// not positive on a logarithmic axis, leave a gap.
 void add_charts(Page& page, const std::string& title, const std::vector<PlotPanel>& panels);
 
-// PNG files of the run as they are, each with its name; one that is missing or no PNG becomes a doubt. Nothing is
+// Adds PNG files of the run as they are, each with its name; one that is missing or no PNG becomes a doubt. Nothing is
 // added for none.
 void add_pictures(Page& page, const std::string& title, const std::string& hint,
                   const std::filesystem::path& run,
                   const std::vector<std::pair<std::string, std::string>>& names_and_files);
 
-// A line of "How it was made"; nothing is added for an empty text.
+// Adds a line of "How it was made"; nothing is added for an empty text.
 void add_fact(Page& page, const std::string& name, const std::string& text);
 
-// A page of this kind with title, heading, provenance and doubts of a run.
+// Returns a page of this kind with title, heading, provenance and doubts of a run.
 Page results_page(const std::string& title, const nlohmann::ordered_json& report);
 
 }  // namespace gld

@@ -14,7 +14,7 @@ namespace {
 
 constexpr const char* kRemedy = "name the folder that the command wrote with --out";
 
-// "sample".
+// Returns "sample", for example.
 std::string known_command_of_run(const std::filesystem::path& run) {
   std::error_code error;
   if (!std::filesystem::is_directory(run, error)) {
@@ -65,7 +65,7 @@ void report_run(const std::filesystem::path& run, const std::vector<PageMaker>& 
   const Page page = maker.make(run);
   const std::string html = page_html(page);
   {
-    // So that a later run with --overwrite knows the page for a file of this one.
+    // The journal is open so that a later run with --overwrite knows the page for a file of this one.
     const RunJournal journal(run);
     write_file_atomically(run / kPageFile, html);
   }

@@ -9,7 +9,7 @@
 
 namespace gld {
 
-// What a page is called in a run folder.
+// A page is called this in a run folder.
 inline constexpr const char* kPageFile = "report.html";
 
 // How the page of a command's runs is made from their folder.

@@ -12,7 +12,7 @@ namespace {
 constexpr uint64_t kLargestReport = uint64_t{1} << 28;
 constexpr const char* kScaleWarning = "The scale of the predicted depth is not known";
 
-// "a word" -> "A word."
+// Turns "a word" into "A word."
 std::string as_sentence(std::string text) {
   if (text.empty()) return text;
   text[0] = static_cast<char>(std::toupper(static_cast<unsigned char>(text[0])));

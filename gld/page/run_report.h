@@ -15,17 +15,18 @@ namespace gld {
 // Throws Error where there is none or it is no JSON.
 nlohmann::ordered_json read_run_report(const std::filesystem::path& run);
 
-// The text, number or anything else at a path of keys ("/verdict/sentence"); null where the report has none.
+// Returns the text, number or anything else at a path of keys ("/verdict/sentence"), and null where the report has
+// none.
 const nlohmann::ordered_json& report_value(const nlohmann::ordered_json& report, const std::string& path);
-// The text there; empty where there is none.
+// Returns the text there; it is empty where there is none.
 std::string report_text_at(const nlohmann::ordered_json& report, const std::string& path);
-// The number there as text; empty where there is none.
+// Returns the number there as text; it is empty where there is none.
 std::string report_number_at(const nlohmann::ordered_json& report, const std::string& path);
 
-// Every doubt, a sentence each: what the model has not seen, and the warnings of the run.
+// Returns every doubt, a sentence each: what the model has not seen, and the warnings of the run.
 std::vector<std::string> doubts_of_run(const nlohmann::ordered_json& report);
 
-// That of the run's files, by this program.
+// Returns the provenance of the run's files, by this program.
 TextItems provenance_of_run(const nlohmann::ordered_json& report);
 
 }  // namespace gld

@@ -12,7 +12,8 @@ struct BilinearNeighbours {
   std::array<size_t, 4> cells;  // row by row; the first is the upper left one
   std::array<float, 4> weights;
 
-  // x and y count from the first cell's middle; beyond the border the last cells count. width, height: at least 1.
+  // x and y count from the first cell's middle; beyond the border the last cells count. width and height are at least
+  // 1.
   BilinearNeighbours(int64_t width, int64_t height, double x, double y) {
     const double column = std::clamp(x, 0.0, static_cast<double>(width - 1));
     const double row = std::clamp(y, 0.0, static_cast<double>(height - 1));

@@ -12,8 +12,8 @@ namespace gld {
 // Neighbouring depths that differ by more belong to two surfaces: nothing lies between them.
 constexpr float kOneSurface = 1.15F;
 
-// The depth at a place that counts from the first cell's middle, interpolated where the cells around it are of one
-// surface and else the nearest cell's; 0 where not known.
+// Returns the depth at a place that counts from the first cell's middle, interpolated where the cells around it are of
+// one surface and else the nearest cell's, and 0 where not known.
 inline float depth_between(const PlanarDepth& depth, double x, double y) {
   const BilinearNeighbours around(depth.width, depth.height, x, y);
   float sum = 0, nearest = std::numeric_limits<float>::max(), farthest = 0;

@@ -15,7 +15,7 @@ namespace gld {
 // Close together about 1, where most errors of a match are.
 constexpr std::array<double, 11> kDepthFactors = {0.74, 0.82, 0.89, 0.94, 0.97, 1.0,
                                                   1.03, 1.06, 1.13, 1.22, 1.35};
-// What hypotheses are asked of: the photographs whose cameras stand nearest to the target's. One that is farther adds
+// Hypotheses are asked of these: the photographs whose cameras stand nearest to the target's. One that is farther adds
 // little but its errors.
 constexpr size_t kHypothesisPhotographs = 2;
 PlacedPhotographs nearest_photographs(const PlacedPhotographs& placed);
@@ -27,7 +27,7 @@ struct DepthHypothesis {
   std::vector<float> shown;  // how many of the photographs show it, as a share of kHypothesisPhotographs
 };
 
-// placed: what nearest_photographs() leaves of it, at least one photograph.
+// placed is what nearest_photographs() leaves of it, at least one photograph.
 DepthHypothesis depth_hypothesis(const PlacedPhotographs& placed, double factor);
 
 }  // namespace gld

@@ -20,13 +20,13 @@ constexpr double kSmallestLogDeviation =
     1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
 // A network's errors of camera centres have one cause: what it does not know of a baseline makes all of them shorter.
 // So the standard error by independent errors is too small, and the logarithm of the scale is off by a multiple of what
-// the fit leaves. The small model in training: a root mean square of 1.9 times it in the 12 of 24 drawn rooms (seed
+// the fit leaves. The small model in training had a root mean square of 1.9 times it in the 12 of 24 drawn rooms (seed
 // 900000) whose poses left less than 0.3.
 constexpr double kLogDeviationOfResidual = 2;
 
 double log_width(const DepthScale& estimate) { return std::log(estimate.high / estimate.low); }
 
-// Of the logarithm of the scale.
+// Returns the deviation of the logarithm of the scale.
 double deviation(const DepthScale& estimate) {
   return std::max(log_width(estimate) / 4, kSmallestLogDeviation);
 }

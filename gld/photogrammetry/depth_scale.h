@@ -18,21 +18,22 @@ struct DepthScale {
   double residual = 0;  // what the estimator's fit leaves, relative to what it fits; 0 is perfect
 };
 
-// From the distances between the predicted cameras and those between the given ones: the residual is what is left
-// between the centres, relative to their spread, and between the orientations, radians; the interval is as wide as that
-// says at least, because errors of predicted centres are not independent. Nothing where the cameras stand at one place.
+// The scale is from the distances between the predicted cameras and those between the given ones: the residual is what
+// is left between the centres, relative to their spread, and between the orientations, in radians; the interval is as
+// wide as that says at least, because errors of predicted centres are not independent. Returns nothing where the
+// cameras stand at one place.
 std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from_model);
 
-// The same estimate, where the logarithm of what it was compared with is off by an independent error of that standard
-// deviation.
+// Returns the same estimate, where the logarithm of what it was compared with is off by an independent error of that
+// standard deviation.
 DepthScale with_log_deviation(DepthScale estimate, double log_deviation);
 
-// Why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.4 of what it is fitted to, or its
-// interval is wider than a factor of 2.5. Empty where it tells it.
+// Returns why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.4 of what it is fitted to,
+// or its interval is wider than a factor of 2.5. The phrase is empty where it tells it.
 std::string doubt_about(const DepthScale& estimate);
 
-// What the estimates without doubt say together: the one with the narrowest interval, and with it all whose intervals
-// overlap with its own, their logarithms weighted by their precision. Nothing where all are in doubt.
+// Returns what the estimates without doubt say together: the one with the narrowest interval, and with it all whose
+// intervals overlap with its own, their logarithms weighted by their precision. Returns nothing where all are in doubt.
 std::optional<DepthScale> combined_depth_scale(const std::vector<DepthScale>& estimates);
 
 }  // namespace gld

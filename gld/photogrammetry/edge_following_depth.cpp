@@ -25,12 +25,12 @@ constexpr float kFlat = 0.02F, kSlope = 0.03F;
 
 constexpr size_t kWindowSide = 2 * kSamplesAside + 1;
 
-// The number of a sample of the window.
+// Returns the number of a sample of the window.
 size_t sample(int row, int column) {
   return static_cast<size_t>(row + kSamplesAside) * kWindowSide + static_cast<size_t>(column + kSamplesAside);
 }
 
-// (height, width, 3) of the depth's size.
+// Returns (height, width, 3) of the depth's size.
 std::vector<float> colours_of(const PicturedView& picture, const PlanarDepth& depth) {
   const PicturedView small = reduced_view(picture, std::max(depth.width, depth.height));
   std::vector<float> colours(static_cast<size_t>(3 * depth.width * depth.height));
@@ -62,7 +62,7 @@ class EdgeFollowing {
     }
   }
 
-  // Of the logarithms of depth around that pixel, whose own is known; NaN is not known.
+  // Returns the median of the logarithms of depth around that pixel, whose own is known; NaN is not known.
   float median(const std::vector<float>& logs, int64_t x, int64_t y) const {
     const float own = logs[static_cast<size_t>(y * width_ + x)];
     std::array<WeightedDepth, kWindowSide * kWindowSide> around;

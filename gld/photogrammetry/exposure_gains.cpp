@@ -35,15 +35,15 @@ LogRatio log_ratio(const CarriedPicture& first, const std::vector<float>& second
   if (ratios.size() < kFewest) return {};
   const float middle = median(ratios);
   for (float& ratio : ratios) ratio = std::abs(ratio - middle);
-  // 1.4826 times the median distance is the deviation of a normal distribution; 1.2533 / sqrt(n) of that the median's.
-  // Neighbouring pixels err together: a sixteenth of them counts.
+  // 1.4826 times the median distance is the deviation of a normal distribution; 1.2533 / sqrt(n) of that is the
+  // median's. Neighbouring pixels err together: a sixteenth of them counts.
   const double count = static_cast<double>(ratios.size()) / 16;
   const double scatter = 1.2533 * 1.4826 * static_cast<double>(median(ratios)) / std::sqrt(count);
   constexpr double kRounding = 1e-3;
   return {static_cast<double>(middle), 1 / (scatter * scatter + kRounding * kRounding)};
 }
 
-// log gains g with g_i + log a_i = g_j + log a_j for all pairs as well as their weights allow; their sum is 0.
+// Returns log gains g with g_i + log a_i = g_j + log a_j for all pairs as well as their weights allow; their sum is 0.
 Eigen::VectorXd adjusted_gains(const Eigen::MatrixXd& ratios, const Eigen::MatrixXd& weights) {
   const Eigen::Index count = ratios.rows();
   Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(count, count);

@@ -19,8 +19,8 @@
 namespace gld {
 namespace {
 
-// How far the sources confirm depths of a target view: the confidence of the surest one that shows the place at that
-// depth.
+// This tells how far the sources confirm depths of a target view: the confidence of the surest one that shows the place
+// at that depth.
 class Confirmation {
  public:
   Confirmation(const std::vector<ConfirmedDepth>& sources, const Camera& target)
@@ -29,7 +29,7 @@ class Confirmation {
       source_from_target_.push_back(source.view.camera.camera_from_world() * target.world_from_camera);
   }
 
-  // Of the target's pixel (x, y), counted from the picture's corner.
+  // Returns that of the target's pixel (x, y), counted from the picture's corner.
   float operator()(double x, double y, double depth) const {
     const Eigen::Vector3d in_target = depth * (rays_ * Eigen::Vector3d(x, y, 1));
     float surest = 0;
@@ -52,7 +52,7 @@ class Confirmation {
     const double column = u * static_cast<double>(depth.width) - 0.5;
     const double row = v * static_cast<double>(depth.height) - 0.5;
     const float shown = depth_between(depth, column, row);
-    // Two depths of one surface, as the match tells them apart.
+    // Two depths are of one surface up to this, as the match tells them apart.
     constexpr double kSameDepth = 0.05;
     if (shown == 0.0F || std::abs(std::log(in_source.z() / static_cast<double>(shown))) > kSameDepth)
       return 0;

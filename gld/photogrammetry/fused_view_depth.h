@@ -33,21 +33,22 @@ struct PredictedDepth {
   double believed = 1;
 };
 
-// How far the shape of a prediction is believed of which photographs say that much: half where the logarithm of its
-// ratio to theirs spreads by a quarter. All of it where they say nothing.
+// Returns how far the shape of a prediction is believed of which photographs say that much: half where the logarithm of
+// its ratio to theirs spreads by a quarter. All of it is believed where they say nothing.
 double belief_in_prior(const std::optional<PriorAgreement>& prior);
 
-// The depth of a target view from two that know it: what the sources show from there, in the unit of the cameras and
-// only where they see it, and the prediction. What photographs confirm stands. Where a source says a depth that none
-// confirms, it and a prediction that is believed count alike (the mean of the logarithms). What no source sees is the
-// prediction moved by the logarithm of the ratio that confirmed pixels around it have (gld/photogrammetry/membrane.h),
-// or where there are hardly any, by the median ratio of all pixels that sources see; and as far as the prediction is
-// not believed, the smooth surface through what sources show around. So there is no step where the sources end. reach:
-// how far depths may be off that sources say, a natural logarithm (SourceDepth::reach).
+// Returns the depth of a target view from two that know it: what the sources show from there, in the unit of the
+// cameras and only where they see it, and the prediction. What photographs confirm stands. Where a source says a depth
+// that none confirms, it and a prediction that is believed count alike (the mean of the logarithms). What no source
+// sees is the prediction moved by the logarithm of the ratio that confirmed pixels around it have
+// (gld/photogrammetry/membrane.h), or where there are hardly any, by the median ratio of all pixels that sources see;
+// and as far as the prediction is not believed, the smooth surface through what sources show around. So there is no
+// step where the sources end. reach is how far depths may be off that sources say, a natural logarithm
+// (SourceDepth::reach).
 FusedViewDepth fused_target_depth(const std::vector<ConfirmedDepth>& sources, double reach,
                                   const Camera& target, const PredictedDepth& predicted);
 
-// The same of a source view, which says its own depth.
+// Returns the same of a source view, which says its own depth.
 FusedViewDepth fused_source_depth(const ConfirmedDepth& source, const PredictedDepth& predicted);
 
 }  // namespace gld

@@ -12,7 +12,8 @@
 namespace gld {
 namespace {
 
-// A picture's mean over blocks, row by row; blocks at the right and bottom end are left out where they are not whole.
+// Returns a picture's mean over blocks, row by row; blocks at the right and bottom end are left out where they are not
+// whole.
 std::vector<float> block_means(const std::vector<float>& values, int64_t width, int64_t height,
                                int64_t channels, int64_t block) {
   if (block == 1) return values;
@@ -30,7 +31,8 @@ std::vector<float> block_means(const std::vector<float>& values, int64_t width, 
   return means;
 }
 
-// dB of colours from 0 to 1, over the pixels whose weight is at least a half; not a number where there are none.
+// Returns dB of colours from 0 to 1, over the pixels whose weight is at least a half; it is not a number where there
+// are none.
 double psnr_of(const std::vector<float>& truth, const std::vector<float>& made,
                const std::vector<float>& weights) {
   double sum = 0;
@@ -58,7 +60,8 @@ double turned_apart(const Camera& a, const Camera& b) {
   return std::acos(std::clamp(cosine, -1.0, 1.0));
 }
 
-// The others by how near they were taken: a turn by a radian counts as much as the distance to the farthest of them.
+// Returns the others by how near they were taken: a turn by a radian counts as much as the distance to the farthest of
+// them.
 std::vector<size_t> nearest_others(const std::vector<PicturedView>& views, size_t view, int64_t most) {
   double farthest = 0;
   std::vector<std::pair<double, size_t>> ranked;
@@ -90,8 +93,8 @@ struct Carried {
   bool by_its_match = false;
 };
 
-// Depth of the others alone; where they do not tell any, as a single one, that which they have with the photograph that
-// is left out; else what they came with.
+// Takes depth of the others alone; where they do not tell any, as a single one, that which they have with the
+// photograph that is left out; else what they came with.
 Carried with_depth(const std::vector<PicturedView>& views, const std::vector<size_t>& others, size_t left_out,
                    const std::vector<Eigen::Vector3d>& points, const StereoOptions& options,
                    const KernelSettings& settings) {
@@ -109,7 +112,7 @@ Carried with_depth(const std::vector<PicturedView>& views, const std::vector<siz
   return carried;
 }
 
-// sources: with depth, or with none of which nothing can be said.
+// sources are with depth, or with none of which nothing can be said.
 PhotographView predicted_view(std::vector<PicturedView> sources, double reach, const PicturedView& left_out) {
   const auto unknown = [](const PicturedView& source) { return source.depth.values.empty(); };
   sources.erase(std::remove_if(sources.begin(), sources.end(), unknown), sources.end());

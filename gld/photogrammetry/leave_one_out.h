@@ -39,7 +39,7 @@ struct LeaveOneOutOptions {
 // stereo_depth() finds it, carries them into the camera of the one that is left out. Where the others tell no depth
 // without it, one of two for example, their match with it does: then this is how far they fit each other. views have
 // one size; their depth is a prior in the unit of the cameras, or empty, and serves as it is where photographs agree
-// nowhere. Nothing of fewer than two views.
+// nowhere. Returns nothing of fewer than two views.
 //
 // Views that are left out lie farther from the others than most target views do: this is the lower end of what to
 // expect. Throws Error as stereo_depth() does.
@@ -48,8 +48,8 @@ std::vector<LeftOutPhotograph> leave_one_out(const std::vector<PicturedView>& vi
                                              const LeaveOneOutOptions& options = {},
                                              const KernelSettings& settings = {});
 
-// The means over those left out; psnr_covered over those of which something is covered, not a number where none is.
-// view and from are left empty.
+// Returns the means over those left out; psnr_covered is over those of which something is covered, and not a number
+// where none is. view and from are left empty.
 LeftOutPhotograph mean_of(const std::vector<LeftOutPhotograph>& left_out);
 
 }  // namespace gld

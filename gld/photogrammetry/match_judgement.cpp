@@ -12,7 +12,7 @@
 namespace gld {
 namespace {
 
-// Confidence: 0 at the first value, full at the second.
+// Confidence is 0 at the first value and full at the second.
 constexpr float kUnlikeCorrelation = 0.4F, kAlikeCorrelation = 0.75F;
 constexpr float kAmbiguousBelow = 0.01F, kUniqueAbove = 0.06F;
 // Movement in another photograph, in pixels, for 1 % of depth: matches are right to a sixth of a pixel or so.
@@ -84,7 +84,7 @@ class CrossCheck {
   const std::vector<StereoDepth>& depth_;
 };
 
-// The least (or most) of the values within radius, rows first.
+// Returns the least (or most) of the values within radius, rows first.
 template <class Choose>
 std::vector<float> window_extremes(const PlanarDepth& depth, int64_t radius, const Choose& choose) {
   std::vector<float> along(depth.values.size()), result(depth.values.size());

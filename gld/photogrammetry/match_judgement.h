@@ -11,8 +11,8 @@
 
 namespace gld {
 
-// Depth, confidence and doubt of all views from what was matched. finest_pixels: of the last pass, in a pixel of these
-// pictures; movement counts in them.
+// Returns depth, confidence and doubt of all views from what was matched. finest_pixels are those of the last pass, in
+// a pixel of these pictures; movement counts in them.
 std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictures,
                                         const std::vector<SweptView>& swept,
                                         const std::vector<MatchedPlanes>& matched, int64_t window_radius,

@@ -40,13 +40,13 @@ struct ReducedView {
   size_t pixels() const { return static_cast<size_t>(width * height); }
 };
 
-// The pixels of a side that a reduced pixel covers.
+// Returns the pixels of a side that a reduced pixel covers.
 std::pair<int64_t, int64_t> covered(int64_t reduced, int64_t side, int64_t reduced_side) {
   const int64_t first = reduced * side / reduced_side;
   return {first, std::max(first + 1, (reduced + 1) * side / reduced_side)};
 }
 
-// [1 2 1] / 4 along a line of values; the ends keep theirs.
+// Applies [1 2 1] / 4 along a line of values; the ends keep theirs.
 void smooth_line(float* values, int64_t count, int64_t stride) {
   float before = values[0];
   for (int64_t i = 1; i + 1 < count; ++i) {
@@ -199,8 +199,8 @@ class WindowComparison {
     if (first_is_fixed_) warp_first(1);
   }
 
-  // The correlation of each window at that scale, below -1 where one of the photographs does not show all of it or it
-  // has no texture.
+  // Computes the correlation of each window at that scale, below -1 where one of the photographs does not show all of
+  // it or it has no texture.
   void correlate(double scale, Plane& correlation) {
     if (!first_is_fixed_) warp_first(scale);
     second_.warp(scale);
@@ -230,7 +230,7 @@ class WindowComparison {
     measure(first_, first_means_, first_variance_);
   }
 
-  // means: sums over windows; the variance is that of the three colours together.
+  // means are sums over windows; the variance is that of the three colours together.
   void measure(const WarpedPhotograph& photograph, std::array<Plane, 3>& means, Plane& variance) {
     for (size_t c = 0; c < 3; ++c) sums_(photograph.colours[c], means[c]);
     for (size_t i = 0; i < scratch_.size(); ++i) {
@@ -252,7 +252,7 @@ class WindowComparison {
   std::array<Plane, 3> first_means_, second_means_;
 };
 
-// What the windows of a view say, each as an observation.
+// Adds what the windows of a view say, each as an observation.
 void compare(const std::vector<ReducedView>& views, const ComparedPhotographs& compared,
              ScaleConsensus& consensus) {
   const ReducedView& view = views[compared.view];
@@ -335,7 +335,7 @@ std::vector<ComparedPhotographs> comparisons_of(const std::vector<Camera>& camer
       }
     }
   }
-  // Every view's first comparison, then every view's second one.
+  // Every view's first comparison is taken, then every view's second one.
   std::vector<ComparedPhotographs> chosen;
   for (size_t rank = 0; rank < kMostComparisons; ++rank) {
     for (const auto& list : of_view) {

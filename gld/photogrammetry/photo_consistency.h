@@ -22,13 +22,13 @@ struct PicturedView {
       rgb;  // the photograph, (height, width, 3) in [0, 1]; empty where the view was not photographed
 };
 
-// The scale at which depth carries photographs to where other photographs show the same (triangulation by matching).
-// For every candidate scale two photographs are warped into a view by its depth and the cameras (a photographed view
-// takes its own as it is), and windows of 7x7 pixels are compared by their normalised correlation; what a window says
-// of its own depth is one observation of a ScaleConsensus. So depth of views that were not photographed is asked as
-// well. The candidates reach from where parallax is about as large as the picture to where it is one pixel. Pictures
-// are reduced to at most 128 pixels a side. Nothing where the photographs were taken at one place, or too little
-// texture is seen twice.
+// Returns the scale at which depth carries photographs to where other photographs show the same (triangulation by
+// matching). For every candidate scale two photographs are warped into a view by its depth and the cameras (a
+// photographed view takes its own as it is), and windows of 7x7 pixels are compared by their normalised correlation;
+// what a window says of its own depth is one observation of a ScaleConsensus. So depth of views that were not
+// photographed is asked as well. The candidates reach from where parallax is about as large as the picture to where it
+// is one pixel. Pictures are reduced to at most 128 pixels a side. Returns nothing where the photographs were taken at
+// one place, or too little texture is seen twice.
 std::optional<DepthScale> scale_from_photo_consistency(const std::vector<PicturedView>& views,
                                                        const std::string& estimator);
 
@@ -39,8 +39,8 @@ struct ComparedPhotographs {
   size_t second = 0;
 };
 
-// At most 24 comparisons: each view's nearest photographs, each with the one next to it that stands apart from it by
-// more than a hundredth of the largest distance between photographs.
+// Returns at most 24 comparisons: each view's nearest photographs, each with the one next to it that stands apart from
+// it by more than a hundredth of the largest distance between photographs.
 std::vector<ComparedPhotographs> comparisons_of(const std::vector<Camera>& cameras,
                                                 const std::vector<bool>& photographed);
 

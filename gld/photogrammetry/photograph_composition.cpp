@@ -21,15 +21,15 @@ constexpr float kVarianceOfOne = PhotographView::kVarianceOfOne;
 constexpr float kColourNoise = PhotographView::kColourNoise;
 // A generated picture's error where no photograph can tell it (22 dB).
 constexpr double kUsualGeneratedVariance = 0.006;
-// And where none shows the place (17 dB: real places have 12 to 24 there, drawn rooms 21).
+// And this is where none shows the place (17 dB: real places have 12 to 24 there, drawn rooms 21).
 constexpr double kUnseenVariance = 0.02;
 
-// A picture reduced to another size, every pixel the mean of the area that it covers.
+// Returns a picture reduced to another size, every pixel the mean of the area that it covers.
 std::vector<float> area_means(const PicturedView& view, int64_t width, int64_t height) {
   std::vector<float> reduced(static_cast<size_t>(3 * width * height), 0.0F);
   const double across = static_cast<double>(view.width) / static_cast<double>(width);
   const double down = static_cast<double>(view.height) / static_cast<double>(height);
-  // The part of source cell `cell` that [from, to) covers.
+  // Returns the part of source cell `cell` that [from, to) covers.
   const auto covered = [](int64_t cell, double from, double to) {
     return std::min(to, static_cast<double>(cell + 1)) - std::max(from, static_cast<double>(cell));
   };
@@ -69,8 +69,8 @@ class SightAngle {
   Eigen::Matrix3d rays_;
 };
 
-// How far a pixel's neighbourhood is seen, from 0 at the border of what is seen to 1 `reach` pixels inside: the
-// photograph's weight near where it ends. Steps along rows and columns.
+// Returns how far a pixel's neighbourhood is seen, from 0 at the border of what is seen to 1 `reach` pixels inside: the
+// photograph's weight near where it ends. Steps are along rows and columns.
 std::vector<float> inside_weight(const CarriedPicture& picture, int64_t reach) {
   const int64_t width = picture.width, height = picture.height;
   std::vector<int64_t> steps(picture.seen.size());
@@ -99,7 +99,7 @@ std::vector<float> inside_weight(const CarriedPicture& picture, int64_t reach) {
   return weights;
 }
 
-// Means over windows of `reach` pixels to each side of the values that are known, by running sums along rows and
+// Takes means over windows of `reach` pixels to each side of the values that are known, by running sums along rows and
 // columns.
 void known_window_means(int64_t width, int64_t height, int64_t reach, const std::vector<float>& known,
                         std::vector<float>& values) {
@@ -141,7 +141,7 @@ struct GeneratedErrors {
   double variance = 0;  // less what each colour is off by on average
 };
 
-// Nothing where photographs agree hardly anywhere, as where each place is shown by a single one.
+// Returns nothing where photographs agree hardly anywhere, as where each place is shown by a single one.
 std::optional<GeneratedErrors> errors_where_agreed(const PhotographView& view,
                                                    const std::vector<float>& generated) {
   constexpr size_t kFewest = 100;  // pixels
@@ -166,8 +166,8 @@ std::optional<GeneratedErrors> errors_where_agreed(const PhotographView& view,
   return errors;
 }
 
-// Depth of a target view at another size. Between cells of one surface it is interpolated; at an edge the nearest
-// cell's is taken, so that no surface hangs between two.
+// Returns the depth of a target view at another size. Between cells of one surface it is interpolated; at an edge the
+// nearest cell's is taken, so that no surface hangs between two.
 TargetDepth resized_depth(const TargetDepth& depth, int64_t width, int64_t height) {
   if (depth.width == width && depth.height == height) return depth;
   constexpr double kOneSurface = 1.05;
@@ -388,7 +388,7 @@ double expected_variance(const PhotographView& view, double generated_variance) 
   double sum = 0;
   for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {
     const auto variance = static_cast<double>(view.variance[pixel]);
-    // Of the mixture that compose() makes: v_g v / (v_g + v).
+    // The variance is of the mixture that compose() makes: v_g v / (v_g + v).
     sum += view.shown(pixel) ? variance / (1 + variance / generated_variance) : kUnseenVariance;
   }
   return view.variance.empty() ? kUnseenVariance : sum / static_cast<double>(view.variance.size());

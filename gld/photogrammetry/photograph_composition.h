@@ -31,15 +31,15 @@ struct PhotographView {
 
   bool shown(size_t pixel) const { return variance[pixel] < kNotShown; }
   double shown_share() const;  // of the pixels
-  // Whether photographs show all of it (but one pixel in a thousand, which are filled from around) and agree: a second
-  // one confirms nine tenths, and the error that is expected is that of a photograph that nothing contradicts.
+  // Returns whether photographs show all of it (but one pixel in a thousand, which are filled from around) and agree: a
+  // second one confirms nine tenths, and the error that is expected is that of a photograph that nothing contradicts.
   bool complete() const;
 
   static constexpr float kNotShown = 1e30F;
   // Of a photograph that alone shows a place: nothing contradicts it, and nothing confirms its depth. About 24 dB,
   // which is what carried photographs of drawn rooms and of real places have there.
   static constexpr float kVarianceOfOne = 0.004F;
-  // What colours differ by where everything is right: noise of cameras, bilinear interpolation.
+  // Colours differ by this where everything is right: noise of cameras, bilinear interpolation.
   static constexpr float kColourNoise = 0.0004F;
 };
 
@@ -52,15 +52,16 @@ struct PlacedPhotographs {
   CarryOptions carry;
 };
 
-// sources: depth in the unit of the cameras, as for matched_target_depth(); gains: one a source.
+// sources have depth in the unit of the cameras, as for matched_target_depth(); gains has one a source.
 PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
                                     const std::vector<ColourGains>& gains, const Camera& target,
                                     const PhotographViewOptions& options = {});
 
-// The photograph with at most `side` pixels on the longer side, each the mean of what it covers; depth stays as it is.
+// Returns the photograph with at most `side` pixels on the longer side, each the mean of what it covers; depth stays as
+// it is.
 PicturedView reduced_view(const PicturedView& view, int64_t side);
 
-// The same with target and photographs of at most `side` pixels on the longer side.
+// Returns the same with target and photographs of at most `side` pixels on the longer side.
 PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side);
 
 // Where several photographs show a place, those count most whose camera looks at it from the target's side (by the
@@ -68,19 +69,19 @@ PlacedPhotographs reduced(const PlacedPhotographs& placed, int64_t side);
 // contradict each other the one that counts most is taken alone.
 PhotographView view_from_photographs(const PlacedPhotographs& placed);
 
-// Both at once.
+// Does both at once.
 PhotographView view_from_photographs(const std::vector<PicturedView>& sources,
                                      const std::vector<ColourGains>& gains, const Camera& target,
                                      const PhotographViewOptions& options = {});
 
-// The variance of a generated picture's errors, measured where photographs agree with each other best; a usual value
-// where there is no such place. generated: (height, width, 3) of the view's size.
+// Returns the variance of a generated picture's errors, measured where photographs agree with each other best, and a
+// usual value where there is no such place. generated is (height, width, 3) of the view's size.
 double generated_variance(const PhotographView& view, const std::vector<float>& generated);
 
-// From 0 to 1: how far a generated picture is believed where no photograph shows anything, by the variance of its
-// errors where photographs agree best: 1 without errors, a half at 24 dB and where they agree hardly anywhere. At the
-// view's own size, so that detail which a small generated picture cannot have is an error. One that is wrong there
-// has nothing to say elsewhere; being brighter or darker all over is no fault, since compose() moves it.
+// Returns, from 0 to 1, how far a generated picture is believed where no photograph shows anything, by the variance of
+// its errors where photographs agree best: 1 without errors, a half at 24 dB and where they agree hardly anywhere. It
+// is measured at the view's own size, so that detail which a small generated picture cannot have is an error. One that
+// is wrong there has nothing to say elsewhere; being brighter or darker all over is no fault, since compose() moves it.
 double belief_in_generated(const PhotographView& view, const std::vector<float>& generated);
 
 struct ComposedPicture {
@@ -96,13 +97,13 @@ struct ComposedPicture {
 ComposedPicture compose(const PhotographView& view, const std::vector<float>& generated,
                         double generated_variance);
 
-// The variance that the errors of the composed view are expected to have, mean over its pixels, of numbers from 0 to 1;
-// with an infinite generated_variance of the view as photographs show it. What no photograph shows counts as wrong by a
-// usual amount, whoever makes it up: nothing in the view tells.
+// Returns the variance that the errors of the composed view are expected to have, mean over its pixels, of numbers from
+// 0 to 1; with an infinite generated_variance it is of the view as photographs show it. What no photograph shows counts
+// as wrong by a usual amount, whoever makes it up: nothing in the view tells.
 double expected_variance(const PhotographView& view, double generated_variance);
 
-// The view with what no photograph shows filled in smoothly from around it: what there is without a generated picture.
-// Mid-grey where nothing is shown at all.
+// Returns the view with what no photograph shows filled in smoothly from around it: what there is without a generated
+// picture. It is mid-grey where nothing is shown at all.
 std::vector<float> filled(const PhotographView& view);
 
 }  // namespace gld

@@ -15,19 +15,20 @@
 namespace gld {
 namespace {
 
-// Points along each side of a pixel of the photograph that are carried, so that what comes nearer stays without gaps.
+// So many points along each side of a pixel of the photograph are carried, so that what comes nearer stays without
+// gaps.
 constexpr int64_t kPointsAPixelSide = 3;
-// The depths that are tried for a pixel: the predicted one times exp(-depth_reach ... depth_reach).
+// So many depths are tried for a pixel: the predicted one times exp(-depth_reach ... depth_reach).
 constexpr int64_t kCandidates = 25;
-// What a depth costs that is off by a tenth, in brightness from 0 to 1; it grows with the square. Measured on drawn
-// rooms, with the windows.
+// A depth that is off by a tenth costs this, in brightness from 0 to 1; it grows with the square. It was measured on
+// drawn rooms, with the windows.
 constexpr float kPriceOfATenth = 0.005F;
 constexpr int64_t kMatchedWindow = 4;      // pixels to each side
 constexpr float kCostOfOneSource = 0.15F;  // of a pixel that fewer than two photographs show
 constexpr int64_t kReachedWithin = 2;      // pixels
 
-// What changes from one camera's pixels and planar depth to another's: (u, v, 1) depth -> depth (u, v, 1). Found in
-// double and applied in float, which places a pixel of a picture of 4096 to a thousandth.
+// This changes from one camera's pixels and planar depth to another's: (u, v, 1) depth -> depth (u, v, 1). It is found
+// in double and applied in float, which places a pixel of a picture of 4096 to a thousandth.
 class PixelTransform {
  public:
   struct Place {
@@ -40,7 +41,7 @@ class PixelTransform {
     moved_ = (to.intrinsics * to_from.translation()).cast<float>();
   }
 
-  // Of pixel (x, y), counted from the picture's corner, at that depth.
+  // Returns the place of pixel (x, y), counted from the picture's corner, at that depth.
   Place operator()(float x, float y, float depth) const {
     const auto row = [&](Eigen::Index i) {
       return (turned_(i, 0) * x + turned_(i, 1) * y + turned_(i, 2)) * depth + moved_(i);
@@ -53,7 +54,7 @@ class PixelTransform {
   Eigen::Vector3f moved_;
 };
 
-// The nearest depth that comes to lie in each pixel of the target; infinity where none does.
+// Returns the nearest depth that comes to lie in each pixel of the target, and infinity where none does.
 std::vector<double> carried_depth(const PicturedView& source, const Camera& target) {
   std::vector<double> nearest(static_cast<size_t>(target.width * target.height),
                               std::numeric_limits<double>::infinity());
@@ -132,7 +133,7 @@ struct NearestKnown {
   }
 };
 
-// [1 2 1] / 4 along both sides, of logarithms.
+// Applies [1 2 1] / 4 along both sides, of logarithms.
 void smooth(int64_t width, int64_t height, std::vector<double>& depth) {
   const auto line = [&](size_t first, int64_t count, size_t stride) {
     double before = depth[first];
@@ -200,7 +201,7 @@ class SourcesFromTarget {
 
   size_t count() const { return sources_.size(); }
 
-  // Of the target's pixel (x, y), counted from the picture's corner, at that depth.
+  // Returns the place of the target's pixel (x, y), counted from the picture's corner, at that depth.
   PlaceInSource place(size_t source, float x, float y, float depth) const {
     const PicturedView& view = sources_[source];
     const auto in_source = transforms_[source](x, y, depth);
@@ -234,7 +235,7 @@ class SourcesFromTarget {
     return mixed;
   }
 
-  // Whether the source shows something in front of that place.
+  // Returns whether the source shows something in front of that place.
   bool hidden(size_t source, const PlaceInSource& place, double behind) const {
     const PicturedView& view = sources_[source];
     const auto cell = [](float pixel, int64_t pixels, int64_t cells) {
@@ -251,7 +252,8 @@ class SourcesFromTarget {
   std::vector<PixelTransform> transforms_;
 };
 
-// How much the photographs differ at each pixel: twice the mean distance from their mean colour, over the colours.
+// Computes how much the photographs differ at each pixel: twice the mean distance from their mean colour, over the
+// colours.
 void differences(const SourcesFromTarget& sources, const Camera& target, const std::vector<double>& depth,
                  double factor, std::vector<float>& result) {
   std::vector<std::array<float, 3>> colours(sources.count());

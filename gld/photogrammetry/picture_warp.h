@@ -34,32 +34,32 @@ struct TargetDepth {
   std::vector<uint8_t> reached;  // 1 where the depth of some source comes to lie within 2 pixels
 };
 
-// What the depth of the sources says of the target view's, the nearest surface in front, and then what the photographs
-// themselves say: among depths up to options.depth_reach nearer and farther (of all sources together, so that an error
-// of the scale is mended too) each pixel takes that at which the photographs differ least in the 9x9 pixels around it,
-// with a small price for leaving the predicted one. source.depth in the unit of the cameras, of the same picture as
-// source.rgb, which all of them have; depth that is not finite and positive says nothing.
+// Takes what the depth of the sources says of the target view's, the nearest surface in front, and then what the
+// photographs themselves say: among depths up to options.depth_reach nearer and farther (of all sources together, so
+// that an error of the scale is mended too) each pixel takes that at which the photographs differ least in the 9x9
+// pixels around it, with a small price for leaving the predicted one. source.depth is in the unit of the cameras, of
+// the same picture as source.rgb, which all of them have; depth that is not finite and positive says nothing.
 TargetDepth matched_target_depth(const std::vector<PicturedView>& sources, const Camera& target,
                                  const CarryOptions& options = {});
 
-// Each photograph of sources carried into the target view, of the target camera's size, which depth has as well.
-// Colours are taken bilinearly from where a point was seen. A pixel that depth does not reach, that lies outside of a
-// photograph or behind what it shows, is not seen in it.
+// Returns each photograph of sources carried into the target view, of the target camera's size, which depth has as
+// well. Colours are taken bilinearly from where a point was seen. A pixel that depth does not reach, that lies outside
+// of a photograph or behind what it shows, is not seen in it.
 std::vector<CarriedPicture> carry_pictures_to(const std::vector<PicturedView>& sources, const Camera& target,
                                               const TargetDepth& depth, const CarryOptions& options = {});
 
-// Both at once.
+// Does both at once.
 std::vector<CarriedPicture> carry_pictures(const std::vector<PicturedView>& sources, const Camera& target,
                                            const CarryOptions& options = {});
 
-// Pictures carried into one view as one, without gaps: the mean of those that are seen at a pixel, and where none is,
-// that of the nearest pixel with one. seen tells where; a picture of which nothing is seen is black. At least one
-// picture.
+// Returns pictures carried into one view as one, without gaps: the mean of those that are seen at a pixel, and where
+// none is, that of the nearest pixel with one. seen tells where; a picture of which nothing is seen is black. There is
+// at least one picture.
 CarriedPicture completed_picture(const std::vector<CarriedPicture>& carried);
 
-// The depth of the target view, of its camera's size, as one source's depth says: the nearest surface of what it
-// shows, and where it shows nothing, that of the nearest pixel with one. In the unit of source.depth and of the
-// cameras; all zero where nothing lies in front of the target camera.
+// Returns the depth of the target view, of its camera's size, as one source's depth says: the nearest surface of what
+// it shows, and where it shows nothing, that of the nearest pixel with one. It is in the unit of source.depth and of
+// the cameras, and all zero where nothing lies in front of the target camera.
 PlanarDepth depth_seen_from(const PicturedView& source, const Camera& target);
 
 }  // namespace gld

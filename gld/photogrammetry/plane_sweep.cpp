@@ -45,7 +45,7 @@ struct MovingWindows {
   size_t slot(int64_t row) const { return static_cast<size_t>((row % rows) * width); }
 };
 
-// (planes, width) to (width, stride), with 255 behind the planes.
+// Turns (planes, width) into (width, stride), with 255 behind the planes.
 void put_planes_behind_each_other(CostVolume& volume, int64_t row, std::vector<uint8_t>& scratch) {
   constexpr int64_t kBlock = 16;
   uint8_t* const to = volume.at(0, row);
@@ -197,8 +197,8 @@ void sweep_rows(const PlaneSweep& sweep, const KernelTable& kernels, int64_t fir
 }
 
 double sweep_operations(int64_t window_radius) {
-  // Homogeneous place 6, division and two products 3, bilinear 9; moving three sums 9; three sums of a window;
-  // correlation 10; ordering and cost 8.
+  // The terms are the homogeneous place 6, division and two products 3, bilinear 9; moving three sums 9; three sums of
+  // a window; correlation 10; ordering and cost 8.
   return 6 + 3 + 9 + 9 + 3 * 2 * static_cast<double>(window_radius) + 10 + 8;
 }
 

@@ -62,8 +62,8 @@ struct PlaneSweep {
 void sweep_rows(const PlaneSweep& sweep, const KernelTable& kernels, int64_t first_row, int64_t end_row,
                 CostVolume& volume);
 
-// Floating-point operations and bytes of memory that sweep_rows needs for one plane, pixel and photograph, as the
-// formulas count, for benchmarks.
+// These return the floating-point operations and bytes of memory that sweep_rows needs for one plane, pixel and
+// photograph, as the formulas count, for benchmarks.
 double sweep_operations(int64_t window_radius);
 double sweep_bytes();
 

@@ -19,7 +19,7 @@ namespace {
 // Rows of a band of a sweep, which is one thread's: a window's rows are looked up twice at its ends.
 constexpr int64_t kBandRows = 56;
 
-// One pass over all views: everything but the check between views.
+// Does one pass over all views: everything but the check between views.
 std::vector<MatchedPlanes> sweep_views(const std::vector<StereoPicture>& pictures,
                                        const std::vector<SweptView>& swept, const StereoOptions& options,
                                        const KernelSettings& settings) {
@@ -182,7 +182,7 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
   const Baselines baselines(views);
   StereoScene scene;
 
-  // First pass: all depths, no prior.
+  // The first pass has all depths and no prior.
   const auto coarse =
       pictures_of(views, std::min(options.coarse_side, options.largest_side), radius, settings.threads);
   std::vector<SweptView> swept(views.size());
@@ -206,7 +206,7 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
   scene.prior = prior_agreement(first, coarse_priors);
   const bool prior_judged = scene.prior && scene.prior->pixels > 0;
 
-  // Second pass: the depths that were found, with the prior.
+  // The second pass has the depths that were found, with the prior.
   std::vector<std::vector<float>> priors;
   for (size_t view = 0; view < views.size(); ++view) {
     priors.push_back(prior_at(views[view], fine[view]));

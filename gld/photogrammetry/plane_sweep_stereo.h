@@ -40,7 +40,7 @@ enum class StereoDoubt : uint8_t {
   kEdge,          // a window about it shows two surfaces
 };
 
-// At least this confidence: of such pixels, the measured figures of tests/shared/shared_stereo_test.cpp are.
+// The measured figures of tests/shared/shared_stereo_test.cpp are of pixels with at least this confidence.
 constexpr float kConfidentStereo = 0.5F;
 
 struct StereoDepth {
@@ -69,14 +69,14 @@ struct StereoScene {
   std::optional<PriorAgreement> prior;  // where at least one view had one
 };
 
-// Depth that photographs agree on under their cameras: a plane sweep over inverse depth, each photograph against at
-// most `photographs` others, by the zero-mean normalised correlation of windows (so that gain and offset do not
-// matter) of the better half of those that see a point; semi-global matching over eight paths; a parabola between
+// Returns the depth that photographs agree on under their cameras: a plane sweep over inverse depth, each photograph
+// against at most `photographs` others, by the zero-mean normalised correlation of windows (so that gain and offset do
+// not matter) of the better half of those that see a point; semi-global matching over eight paths; a parabola between
 // planes; and the depths of other views as a check.
 //
-// views: rgb of each, of at least 2 x 2 pixels; values that are not finite are not there. depth of a view is its prior,
-// in the unit of the cameras up to a factor that all views share, or empty. points: sparse points of the scene in the
-// world, or none. The cameras must have passed check_cameras (gld/cameras/camera_checks.h).
+// views have the rgb of each, of at least 2 x 2 pixels; values that are not finite are not there. depth of a view is
+// its prior, in the unit of the cameras up to a factor that all views share, or empty. points are sparse points of the
+// scene in the world, or none. The cameras must have passed check_cameras (gld/cameras/camera_checks.h).
 //
 // The first pass, at coarse_side and without the prior, looks at all depths: those of the points that lie before the
 // view where it has 20 of them, else from where a quarter of the picture is still inside of another photograph, to
@@ -86,7 +86,7 @@ struct StereoScene {
 // confident, in the first pass or in the second, the prior is the result as it is, with confidence 0: of 224 drawn
 // rooms the 6 whose second pass was confident of less than a hundredth all had a wrong unit, by 16 to 76 %.
 //
-// Throws Error for a view without a photograph. The same on any number of threads.
+// Throws Error for a view without a photograph. The result is the same on any number of threads.
 StereoScene stereo_depth(const std::vector<PicturedView>& views,
                          const std::vector<Eigen::Vector3d>& points = {}, const StereoOptions& options = {},
                          const KernelSettings& settings = {});

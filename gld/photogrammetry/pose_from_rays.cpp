@@ -66,7 +66,7 @@ std::vector<Ray> usable_rays(const RayMap& map, const ConfidenceMap& confidence)
   return rays;
 }
 
-// Confidences relative to their median and at most 10, so that no single ray decides.
+// Makes confidences relative to their median and at most 10, so that no single ray decides.
 void level_confidences(std::vector<Ray>& rays) {
   std::vector<double> values;
   values.reserve(rays.size());
@@ -75,7 +75,7 @@ void level_confidences(std::vector<Ray>& rays) {
   for (Ray& ray : rays) ray.confidence = std::min(ray.confidence / middle, 10.0);
 }
 
-// Cauchy weights times confidences for residuals whose scale is their own median.
+// Returns Cauchy weights times confidences for residuals whose scale is their own median.
 std::vector<double> robust_weights(const std::vector<Ray>& rays, const std::vector<double>& residuals) {
   const double sigma = std::max(kMedianToSigma * median(residuals), kSmallestSigma);
   std::vector<double> weights(rays.size());
@@ -91,7 +91,7 @@ double sine_of_angle(const Eigen::Vector3d& unit, const Eigen::Vector3d& other) 
   return unit.dot(other) <= 0 ? 1.0 : unit.cross(other).norm() / other.norm();
 }
 
-// The 3x3 matrix of the linear fit, with the sign that maps pixels in front of the camera.
+// Returns the 3x3 matrix of the linear fit, with the sign that maps pixels in front of the camera.
 Eigen::Matrix3d linear_fit(const std::vector<Ray>& rays) {
   std::vector<double> weights;
   weights.reserve(rays.size());
@@ -168,8 +168,8 @@ Pinhole pinhole_of(const Eigen::Matrix3d& fit) {
   return pinhole;
 }
 
-// Derivatives of the ray's unit direction by a turn of the camera (3), the logarithms of the focal lengths (2) and the
-// principal point over the focal lengths (2).
+// Returns the derivatives of the ray's unit direction by a turn of the camera (3), the logarithms of the focal lengths
+// (2) and the principal point over the focal lengths (2).
 Eigen::Matrix<double, 3, 7> jacobian(const Pinhole& pinhole, const Eigen::Vector3d& in_camera) {
   const double length = in_camera.norm();
   const Eigen::Vector3d unit = in_camera / length;

@@ -54,7 +54,7 @@ std::vector<PlanePair> plane_pairs(const RayGrid& grid) {
                        grid.confidence[cell]});
     }
   }
-  // The surest first; of equals the earlier cell.
+  // The surest comes first, and of equals the earlier cell.
   std::stable_sort(pairs.begin(), pairs.end(),
                    [](const PlanePair& a, const PlanePair& b) { return a.weight > b.weight; });
   return pairs;
@@ -122,7 +122,7 @@ Eigen::Matrix3d robust_homography(const std::vector<PlanePair>& pairs, size_t vi
   return homography(inliers);
 }
 
-// H = rotation * lower, the diagonal of lower positive.
+// H = rotation * lower, where the diagonal of lower is positive.
 struct RotationAndLower {
   Eigen::Matrix3d rotation;
   Eigen::Matrix3d lower;

@@ -26,8 +26,8 @@ double median_of(std::vector<double> values) {
   return *middle;
 }
 
-// Where the maximum between two candidates (both included) lies, in candidates: the vertex of the parabola through the
-// largest value and its neighbours.
+// Returns where the maximum between two candidates (both included) lies, in candidates: the vertex of the parabola
+// through the largest value and its neighbours.
 double peak(const std::vector<double>& values, size_t first, size_t last) {
   const auto begin = values.begin();
   const auto best = static_cast<size_t>(std::max_element(begin + static_cast<std::ptrdiff_t>(first),
@@ -171,7 +171,7 @@ std::optional<DepthScale> ScaleConsensus::estimate(const std::string& estimator,
     return sum;
   };
 
-  // Where to look, and how often other blocks would have said to look elsewhere.
+  // This finds where to look, and how often other blocks would have said to look elsewhere.
   const double middle = peak(sum_of(all));
   std::vector<double> off;
   off.reserve(kResamplings);

@@ -15,7 +15,7 @@ struct ScaleCandidates {
   double log_step = 0.06;
   int64_t count = 1;
 
-  // From lowest to highest, both > 0.
+  // Candidates go from lowest to highest, both > 0.
   static ScaleCandidates between(double lowest, double highest);
   double log_scale(double index) const { return log_first + index * log_step; }
 };
@@ -41,17 +41,17 @@ class ScaleConsensus {
 
   const ScaleCandidates& candidates() const { return candidates_; }
 
-  // density: one value >= 0 a candidate, not all 0; its sum does not matter.
+  // density has one value >= 0 a candidate, not all 0; its sum does not matter.
   void add(const std::vector<float>& density, const ObservedPart& part);
-  // An observation of exactly this ratio; one outside the candidates counts as wrong.
+  // Adds an observation of exactly this ratio; one outside the candidates counts as wrong.
   void add_ratio(double ratio, const ObservedPart& part);
 
   int64_t observations() const { return observations_; }
 
-  // Nothing of fewer than 20 observations in fewer than 2 blocks. The interval covers where the maximum lies when
-  // blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never narrower
-  // than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over the
-  // observations that are decided by themselves.
+  // Returns nothing of fewer than 20 observations in fewer than 2 blocks. The interval covers where the maximum lies
+  // when blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never
+  // narrower than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over
+  // the observations that are decided by themselves.
   std::optional<DepthScale> estimate(const std::string& estimator, double smallest_deviation) const;
 
  private:

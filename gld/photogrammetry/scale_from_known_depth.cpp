@@ -20,7 +20,7 @@ struct Ratio {
   ObservedPart part;
 };
 
-// right and down: of the picture, from 0 to 1. 0 where the predicted depth is not known there.
+// right and down are of the picture, from 0 to 1. Returns 0 where the predicted depth is not known there.
 float depth_at(const PlanarDepth& depth, double right, double down) {
   const auto column =
       std::min(depth.width - 1, static_cast<int64_t>(right * static_cast<double>(depth.width)));
@@ -59,7 +59,7 @@ std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, const std::st
   for (const Ratio& ratio : ratios) sorted.push_back(ratio.value);
   std::sort(sorted.begin(), sorted.end());
   const size_t hundredth = sorted.size() / 100;
-  // A little beyond what is seen, so that the maximum is inside.
+  // Candidates go a little beyond what is seen, so that the maximum is inside.
   const double lowest = sorted[hundredth] / 1.2, highest = sorted[sorted.size() - 1 - hundredth] * 1.2;
   ScaleConsensus consensus(ScaleCandidates::between(lowest, highest));
   for (const Ratio& ratio : ratios) consensus.add_ratio(ratio.value, ratio.part);

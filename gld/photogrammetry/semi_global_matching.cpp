@@ -25,7 +25,7 @@ class PathRow {
     }
   }
 
-  // x from -1 to width.
+  // x goes from -1 to width.
   uint16_t* at(int64_t x) { return values_.data() + (x + 1) * stride_ + kPathGuard; }
   uint16_t& least(int64_t x) { return least_[static_cast<size_t>(x + 1)]; }
 
@@ -59,7 +59,7 @@ class BigSteps {
   uint16_t prices_[kLevels + 1] = {};
 };
 
-// One pass over the rows: direction 1 down and to the right, -1 up and to the left.
+// Makes one pass over the rows: direction 1 is down and to the right, -1 is up and to the left.
 template <class Visit>
 void pass(const CostVolume& volume, const BigSteps& big_steps, uint16_t small_step, int64_t direction,
           const Visit& visit) {
@@ -148,13 +148,13 @@ int64_t semi_global_bytes(const CostVolume& volume) {
 }
 
 double semi_global_operations() {
-  // Each path: three minima, two additions, a subtraction, the least and the sum.
+  // Each path takes three minima, two additions, a subtraction, the least and the sum.
   return kPaths * 8;
 }
 
 double semi_global_traffic() {
-  // In each of two passes the cost; each path thrice as it was and once as it becomes; the sum written, read, written
-  // and read twice for the least.
+  // In each of two passes the cost counts; each path counts thrice as it was and once as it becomes; the sum is
+  // written, read, written and read twice for the least.
   return 2 * 1 + kPaths * 4 * 2 + 5 * 2;
 }
 

@@ -33,11 +33,11 @@ MatchedPlanes match_semi_globally(const CostVolume& volume, const StereoPicture&
                                   const PathPenalties& penalties, int64_t one_minimum,
                                   const KernelTable& kernels);
 
-// Bytes of the sums and paths, without the volume's own.
+// Returns the bytes of the sums and paths, without the volume's own.
 int64_t semi_global_bytes(const CostVolume& volume);
-// Operations on 16 bits for each plane and pixel, as the formulas count, for benchmarks.
+// Returns the operations on 16 bits for each plane and pixel, as the formulas count, for benchmarks.
 double semi_global_operations();
-// Bytes that they read and write for it.
+// Returns the bytes that they read and write for it.
 double semi_global_traffic();
 
 }  // namespace gld

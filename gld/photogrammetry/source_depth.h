@@ -22,7 +22,7 @@ struct SourceDepth {
   bool known() const { return !views.empty(); }
 };
 
-// Depth that the scene itself has, which is not off: one map a source view.
+// Returns depth that the scene itself has, which is not off: one map a source view.
 inline SourceDepth depth_of_scene(std::vector<PlanarDepth> views) {
   SourceDepth depth;
   depth.views = std::move(views);

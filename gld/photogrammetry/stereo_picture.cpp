@@ -100,7 +100,7 @@ void normalise(std::vector<float>& values, float& deviation) {
   deviation = static_cast<float>(std::sqrt(squares / std::max(count, 1.0)));
 }
 
-// Every pixel within radius of one that has no value.
+// Marks every pixel within radius of one that has no value.
 void mark_invalid(StereoPicture& picture, int64_t radius) {
   picture.valid.assign(picture.brightness.size(), 1);
   for (int64_t y = 0; y < picture.height; ++y) {
@@ -151,7 +151,7 @@ StereoPicture stereo_picture(const PicturedView& view, int64_t largest_side, int
   picture.camera = resized_camera(view.camera, picture.width, picture.height);
   picture.brightness = reduced(brightness_of(view), picture.width, picture.height).values;
   normalise(picture.brightness, picture.deviation);
-  // One more than the window, because a place in the picture lies between pixels.
+  // The radius is one more than the window's, because a place in the picture lies between pixels.
   mark_invalid(picture, window_radius + 1);
   make_texels(picture);
   return picture;

@@ -25,7 +25,7 @@ struct StereoPicture {
   TexelPicture texel_picture() const { return {texels.data(), width + 2, height + 2}; }
 };
 
-// The photograph reduced by area to at most largest_side pixels a side (never enlarged).
+// Returns the photograph reduced by area to at most largest_side pixels a side (never enlarged).
 StereoPicture stereo_picture(const PicturedView& view, int64_t largest_side, int64_t window_radius);
 
 }  // namespace gld

@@ -44,8 +44,8 @@ struct ShortestHalf {
   }
 };
 
-// Logarithm of photographs' depth over the prior as the confident pixels about each pixel say, wide windows first; it
-// falls to 0 where there are none.
+// Returns the logarithm of photographs' depth over the prior as the confident pixels about each pixel say, wide windows
+// first; it falls to 0 where there are none.
 std::vector<double> local_correction(const StereoDepth& found, const std::vector<float>& log_prior,
                                      double spread) {
   const int64_t width = found.depth.width, height = found.depth.height;
@@ -63,7 +63,7 @@ std::vector<double> local_correction(const StereoDepth& found, const std::vector
     const int64_t radius = std::max<int64_t>(2, std::max(width, height) / share / 2);
     window_sums(width, height, radius, weights);
     window_sums(width, height, radius, rest);
-    // As many confident pixels as a twentieth of the window count half.
+    // Confident pixels count half where they are as many as a twentieth of the window.
     const double doubt = 0.05 * static_cast<double>((2 * radius + 1) * (2 * radius + 1));
     for (size_t i = 0; i < correction.size(); ++i) correction[i] += rest[i] / (weights[i] + doubt);
   }
@@ -147,7 +147,7 @@ void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreeme
     const double plane = 0.5 * swept.planes.step * static_cast<double>(depth);
     const auto confidence = static_cast<double>(found.confidence.values[i]);
     const double sure = plane * plane + 1e-6, unsure = agreement.uncertain * agreement.uncertain;
-    // Between both by confidence, on a scale of logarithms.
+    // The variance lies between both by confidence, on a scale of logarithms.
     const double variance = std::exp(std::min(1.0, confidence / static_cast<double>(kConfidentStereo)) *
                                      std::log(sure / unsure)) *
                             unsure;

@@ -12,24 +12,24 @@ namespace gld {
 
 // Of a plane-sweep stereo (plane_sweep_stereo.h): a model's depth as a prior of what photographs are matched for.
 
-// The prior at every pixel of the view's picture; 0 where not known.
+// Returns the prior at every pixel of the view's picture, and 0 where not known.
 std::vector<float> prior_at(const PicturedView& view, const StereoPicture& picture);
 
-// What the confident pixels of a pass say of the priors, one a view as prior_at() gives them; nothing where there is
-// none.
+// Returns what the confident pixels of a pass say of the priors, one a view as prior_at() gives them, and nothing where
+// there is none.
 std::optional<PriorAgreement> prior_agreement(const std::vector<StereoDepth>& found,
                                               const std::vector<std::vector<float>>& priors);
 
-// A prior as costs take it, as far as that agreement lets it be believed.
+// Returns a prior as costs take it, as far as that agreement lets it be believed.
 ScaledPrior scaled_prior(const std::vector<float>& prior, const PriorAgreement& agreement);
 
-// Whether a prior of that agreement is near enough to the truth for its depths to be looked at.
+// Returns whether a prior of that agreement is near enough to the truth for its depths to be looked at.
 bool widens_range(const PriorAgreement& agreement);
 
-// Each pixel's logarithm of depth as the mean of photographs and prior, by how far both are sure.
+// Makes each pixel's logarithm of depth the mean of photographs and prior, by how far both are sure.
 void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreement& agreement);
 
-// What the prior is where nothing else is known.
+// Takes what the prior is where nothing else is known.
 void take_prior(StereoDepth& result, const std::vector<float>& prior);
 
 }  // namespace gld

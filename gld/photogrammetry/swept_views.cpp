@@ -119,7 +119,7 @@ InverseDepths range_of_visibility(size_t view, const std::vector<StereoPicture>&
   for (size_t other = 0; other < pictures.size(); ++other) {
     if (other == view || !baselines.apart(view, other)) continue;
     const double unit = baseline(pictures[view].camera, pictures[other].camera);
-    // From a hundred baselines away to a tenth of one, in steps of a tenth.
+    // The search goes from a hundred baselines away to a tenth of one, in steps of a tenth.
     for (double inverse = 10 / unit; inverse > 0.01 / unit && inverse > range.most; inverse /= 1.1) {
       if (overlap_at(pictures[view], pictures[other], inverse).share >= kLeastOverlap) {
         range.most = inverse;

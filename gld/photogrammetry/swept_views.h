@@ -17,22 +17,22 @@ namespace gld {
 // Of a plane-sweep stereo (plane_sweep_stereo.h): which depths of each view are looked at, and in which other
 // photographs.
 
-// Pixels and planar depth of one camera to another's, both counted from pixel middles.
+// This takes pixels and planar depth of one camera to another's, both counted from pixel middles.
 struct BetweenViews {
   Eigen::Matrix3d turned;
   Eigen::Vector3d moved;
 
   BetweenViews(const Camera& from, const Camera& to);
-  // (x, y, 1) times its depth in the other view.
+  // Returns (x, y, 1) times its depth in the other view.
   Eigen::Vector3d operator()(double x, double y, double depth) const {
     return depth * (turned * Eigen::Vector3d(x, y, 1)) + moved;
   }
 };
 
-// Whether (x, y, 1) times its depth lies in the picture, before its camera.
+// Returns whether (x, y, 1) times its depth lies in the picture, before its camera.
 bool lies_inside(const Eigen::Vector3d& place, const StereoPicture& picture);
 
-// Which views stand far enough from each other to say something.
+// This tells which views stand far enough from each other to say something.
 class Baselines {
  public:
   // The views must outlive this object.
@@ -51,20 +51,20 @@ struct InverseDepths {
   bool empty() const { return !(most > least); }
 };
 
-// Of the points before the view and inside of it.
+// Returns the range of the points before the view and inside of it.
 InverseDepths range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points);
-// From infinity to where a quarter of the picture is inside of another photograph.
+// The range goes from infinity to where a quarter of the picture is inside of another photograph.
 InverseDepths range_of_visibility(size_t view, const std::vector<StereoPicture>& pictures,
                                   const Baselines& baselines);
-// What the first pass is sure of, or nothing.
+// Returns what the first pass is sure of, or nothing.
 InverseDepths range_of_found(const StereoDepth& found);
-// Of a prior times its scale, 0 where not known.
+// Returns the range of a prior times its scale; the prior is 0 where not known.
 InverseDepths range_of_prior(const std::vector<float>& prior, double scale);
 
-// That many planes, none of them at infinity, whose depth is no number.
+// Returns that many planes, none of them at infinity, whose depth is no number.
 SweptPlanes planes_over(const InverseDepths& range, int64_t count);
 
-// Those which see most of what the view sees at the middle of its range, from somewhere else.
+// Returns those which see most of what the view sees at the middle of its range, from somewhere else.
 std::vector<size_t> photographs_for(size_t view, const std::vector<StereoPicture>& pictures,
                                     const Baselines& baselines, const InverseDepths& range, int64_t most);
 
@@ -88,7 +88,7 @@ struct SweptView {
 int64_t planes_of_one_minimum(size_t view, const std::vector<StereoPicture>& pictures,
                               const SweptView& swept);
 
-// Whether so many confident pixels of so many are too few to say something of range or prior.
+// Returns whether so many confident pixels of so many are too few to say something of range or prior.
 bool hardly_any(size_t confident, size_t of);
 
 }  // namespace gld

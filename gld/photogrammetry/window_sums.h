@@ -5,7 +5,7 @@
 
 namespace gld {
 
-// Sums over windows of radius to each side, in the place of the values, (height, width); zeros outside.
+// Puts sums over windows of radius to each side in the place of the values, (height, width), with zeros outside.
 void window_sums(int64_t width, int64_t height, int64_t radius, std::vector<double>& values);
 
 }  // namespace gld

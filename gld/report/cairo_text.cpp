@@ -18,7 +18,7 @@ struct Unref {
 };
 using Layout = std::unique_ptr<PangoLayout, Unref>;
 
-// Grey edges and whole-pixel advances, whatever the desktop says about its screen.
+// The layout has grey edges and whole-pixel advances, whatever the desktop says about its screen.
 Layout make_layout(const TextFont& font) {
   const std::unique_ptr<PangoContext, Unref> context(
       pango_font_map_create_context(pango_cairo_font_map_get_default()));
@@ -60,7 +60,7 @@ std::vector<Character> characters(const std::string& text) {
   return result;
 }
 
-// Byte offsets of the characters that no installed font has.
+// Returns the byte offsets of the characters that no installed font has.
 std::vector<size_t> missing_characters(PangoLayout* layout) {
   std::vector<size_t> missing;
   if (pango_layout_get_unknown_glyphs_count(layout) == 0) return missing;
@@ -96,7 +96,7 @@ std::string with_code_points(const std::vector<Character>& text, const std::vect
   return result;
 }
 
-// Where the text may be cut: byte offsets from 0 to its end, a character with its accents between two of them.
+// Returns where the text may be cut: byte offsets from 0 to its end, a character with its accents between two of them.
 std::vector<size_t> character_ends(const std::string& text, const TextFont& font) {
   const std::vector<Character> all = characters(text);
   std::string valid;

@@ -15,9 +15,10 @@ struct TextFont {
   TextWeight weight = TextWeight::kRegular;
 };
 
-// Text on plots and pictures, by Pango: it finds, character by character, an installed font that has it, and joins and
-// orders the letters of scripts that need that, which cairo's own text cannot. Texts are single lines of UTF-8. What no
-// installed font has, control characters and bytes that are no UTF-8 are drawn as code points: "U+6F22", "U+FFFD".
+// Text on plots and pictures is drawn by Pango: it finds, character by character, an installed font that has it, and
+// joins and orders the letters of scripts that need that, which cairo's own text cannot. Texts are single lines of
+// UTF-8. What no installed font has, control characters and bytes that are no UTF-8 are drawn as code points: "U+6F22",
+// "U+FFFD".
 
 // How far the text reaches; x to the right and y down from the left end of its baseline.
 struct TextExtent {
@@ -30,11 +31,11 @@ TextExtent text_extent(const std::string& text, const TextFont& font);
 // Paints the text with the context's source; (x, y) is the left end of its baseline.
 void show_text(cairo_t* cairo, double x, double y, const std::string& text, const TextFont& font);
 
-// The text with code points for what cannot be drawn, as both functions above take it.
+// Returns the text with code points for what cannot be drawn, as both functions above take it.
 std::string drawable_text(const std::string& text, const TextFont& font);
 
-// The text where it is at most that wide; otherwise its middle is left out ("corridor_…_0012"), since the ends are what
-// tells names apart. Characters with their accents stay whole. Empty where not even "…" fits.
+// Returns the text where it is at most that wide; otherwise its middle is left out ("corridor_…_0012"), since the ends
+// are what tells names apart. Characters with their accents stay whole. The result is empty where not even "…" fits.
 std::string shortened_text(const std::string& text, double width, const TextFont& font);
 
 }  // namespace gld

@@ -98,7 +98,7 @@ class Canvas {
   std::unique_ptr<cairo_t, decltype(&cairo_destroy)> cairo_;
 };
 
-// Names of the legend in order of first appearance; the index gives colour and marker.
+// Returns the names of the legend in order of first appearance; the index gives colour and marker.
 std::vector<PlotSeries> legend_entries(const Figure& figure) {
   std::vector<PlotSeries> entries;
   for (const auto& panel : figure.panels) {
@@ -344,7 +344,7 @@ void write_png(const Figure& figure, const std::filesystem::path& file) {
   require_panels(figure, file);
   const auto entries = legend_entries(figure);
   const auto size = figure_size(figure, entries);
-  // Twice the pixels, so that the picture stays sharp when it is enlarged.
+  // The picture has twice the pixels, so that it stays sharp when it is enlarged.
   constexpr double kScale = 2;
   const Surface surface(cairo_image_surface_create(CAIRO_FORMAT_RGB24, static_cast<int>(kScale * size.width),
                                                    static_cast<int>(kScale * size.height)),

@@ -46,12 +46,12 @@ struct Figure {
   int64_t height = 440;
 };
 
-// Draws the figure with cairo, the same commands for both kinds of file; written to a temporary name and renamed.
-// Throws Error for a figure without panels or with nothing to show in a panel.
+// Draws the figure with cairo, the same commands for both kinds of file; the file is written to a temporary name and
+// renamed. Throws Error for a figure without panels or with nothing to show in a panel.
 void write_svg(const Figure& figure, const std::filesystem::path& file);
 void write_png(const Figure& figure, const std::filesystem::path& file);
 
-// The points no other point beats in both coordinates (smaller is better), by increasing x.
+// Returns the points no other point beats in both coordinates (smaller is better), by increasing x.
 std::vector<std::pair<double, double>> pareto_front(std::vector<std::pair<double, double>> points);
 
 }  // namespace gld

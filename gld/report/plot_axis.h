@@ -16,13 +16,13 @@ struct AxisTick {
 // The shown range of an axis and its ticks.
 class AxisLayout {
  public:
-  // values: every coordinate to be shown; those the scale cannot show (not finite, not positive on a log axis) do not
-  // count. Throws Error when none is left; where names the panel.
+  // values are every coordinate to be shown; those the scale cannot show (not finite, not positive on a log axis) do
+  // not count. Throws Error when none is left; where names the panel.
   AxisLayout(const PlotAxis& axis, const std::vector<double>& values, const std::string& where);
 
-  // Whether the value lies in the shown range.
+  // Returns whether the value lies in the shown range.
   bool shows(double value) const;
-  // 0 at the low end, 1 at the high end.
+  // Returns 0 at the low end and 1 at the high end.
   double position(double value) const;
   const std::vector<AxisTick>& ticks() const { return ticks_; }
 

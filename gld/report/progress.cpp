@@ -28,7 +28,7 @@ nlohmann::ordered_json progress_json(const std::string& stage) {
   return {{"stage", stage}, {"done", 0}, {"total", nullptr}, {"seconds_left", nullptr}, {"note", ""}};
 }
 
-// Whether it could be written: a disk that is full refuses the results too, and they say so.
+// Returns whether it could be written: a disk that is full refuses the results too, and they say so.
 bool write_progress_file(const std::filesystem::path& run, const nlohmann::ordered_json& json) {
   try {
     write_file_atomically(run / kRunProgress, json_text(json, 2) + "\n");

@@ -31,7 +31,7 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
 
-  // done steps so far, those of before included; note is shown behind the rate ("t 0.43", "loss 0.12").
+  // done is the steps so far, those of before included; note is shown behind the rate ("t 0.43", "loss 0.12").
   void update(int64_t done, const std::string& note = "");
   void finish();
 
@@ -53,13 +53,13 @@ class Progress {
 // Writes into progress.json of a run that a stage of unknown length begins.
 void note_stage(const std::filesystem::path& run, const std::string& stage);
 
-// What progress.json of a run says last; null where there is none, or no JSON object.
+// Returns what progress.json of a run says last, and null where there is none, or no JSON object.
 nlohmann::ordered_json read_run_progress(const std::filesystem::path& run);
 
 // Whether progress is shown at all, which it is until this says otherwise. The terminal is one for the whole process.
 void show_progress(bool shown);
 
-// "1 h 02 min", "3 min 20 s", "4.2 s".
+// Returns "1 h 02 min", "3 min 20 s" or "4.2 s", for example.
 std::string duration_text(double seconds);
 
 }  // namespace gld

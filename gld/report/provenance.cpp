@@ -27,7 +27,7 @@ void shorten_paths(nlohmann::json& values) {
   }
 }
 
-// A value as a flag takes it: lists are divided at commas.
+// Returns a value as a flag takes it: lists are divided at commas.
 std::string flag_value(const nlohmann::json& value) {
   if (value.is_string()) return value.get<std::string>();
   if (!value.is_array()) return value.dump();

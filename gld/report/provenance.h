@@ -25,10 +25,10 @@ struct Provenance {
   std::string precision;  // "bfloat16 on AVX512-BF16"; empty where no model took part
 };
 
-// "gld 0.1.0": this build.
+// Returns "gld 0.1.0" for this build, for example.
 std::string program_version();
 
-// JSON on one line of a run's options, as to_json() writes them: those that identify a result
+// Returns JSON on one line of a run's options, as to_json() writes them: those that identify a result
 // (options_beside_the_result), of absolute paths the last name.
 std::string identifying_options(nlohmann::json options);
 
@@ -36,13 +36,14 @@ std::string identifying_options(nlohmann::json options);
 // not depend on where it lies.
 Provenance make_provenance(const std::string& command, const OptionsGroup& options);
 
-// The command line that makes a result again: "gld sample --views.sources 0,6 ...", quoted for a shell, with the
-// options that have another value than in `defaults`, without those that change no result; of absolute paths the last
-// name.
+// Returns the command line that makes a result again: "gld sample --views.sources 0,6 ...", quoted for a shell, with
+// the options that have another value than in `defaults`, without those that change no result; of absolute paths the
+// last name.
 std::string command_line_text(const std::string& command, const OptionsGroup& options,
                               const OptionsGroup& defaults);
 
-// "Software", "gld:command", "gld:options", "gld:model", "gld:seed", "gld:precision"; empty texts are left out.
+// The items are "Software", "gld:command", "gld:options", "gld:model", "gld:seed", "gld:precision"; empty texts are
+// left out.
 TextItems provenance_items(const Provenance& provenance);
 
 }  // namespace gld

@@ -11,10 +11,10 @@ struct ReportText {
   std::vector<std::string> warnings;  // one sentence each, which --quiet shows too
 };
 
-// Standard output shows the text, standard error the warnings.
+// Standard output shows the text, and standard error shows the warnings.
 void print_report(const ReportText& report);
 
-// "warning: SENTENCE", a line each on standard error, behind what standard output was given before.
+// Prints "warning: SENTENCE", a line each on standard error, behind what standard output was given before.
 void print_warnings(const std::vector<std::string>& warnings);
 
 }  // namespace gld

@@ -40,7 +40,7 @@ bool holds_nothing(const std::filesystem::path& folder) {
   return !error;
 }
 
-// Of a run that was killed as it began.
+// Returns whether the journal is of a run that was killed as it began.
 bool has_no_result(const RunJournal::Found& journal) {
   return std::none_of(journal.written.begin(), journal.written.end(), is_result_of_run);
 }

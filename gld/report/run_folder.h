@@ -23,14 +23,15 @@ enum class EarlierRun {
 // Of a command that has --overwrite and cannot go on with a run.
 EarlierRun earlier_run(bool overwrite);
 
-// The command of the run that is in a folder, finished or not, "sample"; empty where there is none.
+// Returns the command of the run that is in a folder, finished or not, "sample"; it is empty where there is none.
 std::string command_of_run(const std::filesystem::path& folder);
 
-// What goes on with the run in a folder, or begins it anew where its command has no --resume: a line for a shell.
+// Returns what goes on with the run in a folder, or begins it anew where its command has no --resume: a line for a
+// shell.
 std::string resume_command(const std::filesystem::path& folder);
 
-// Throws Error where RunFolder of the same arguments would, as far as that can be told beforehand. Touches nothing: for
-// commands that have something long to do before they write.
+// Throws Error where RunFolder of the same arguments would, as far as that can be told beforehand. It touches nothing:
+// it is for commands that have something long to do before they write.
 void check_run_folder(const std::filesystem::path& folder, const std::string& command, EarlierRun earlier);
 
 // The folder a command writes into: the resolved configuration first, then results, report.json and a closing
@@ -45,14 +46,14 @@ class RunFolder {
             EarlierRun earlier);
 
   const std::filesystem::path& path() const { return folder_; }
-  // A sub-folder, created when missing.
+  // Returns a sub-folder, created when missing.
   std::filesystem::path subfolder(const std::string& name) const;
 
   void write_report(const nlohmann::ordered_json& report) const;
 
-  // A line of the closing box: what it is and where, relative to the folder.
+  // Adds a line of the closing box: what it is and where, relative to the folder.
   void note(const std::string& what, const std::string& where);
-  // The box as text, for standard output.
+  // Returns the box as text, for standard output.
   std::string closing_box() const;
 
  private:

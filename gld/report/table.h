@@ -21,9 +21,10 @@ class Table {
   const std::vector<std::string>& columns() const { return columns_; }
   const std::vector<std::vector<TableCell>>& rows() const { return rows_; }
 
-  // RFC 4180 with '\n' line ends; numbers with as many digits as they need to be read back exactly, "nan", "inf".
+  // Returns CSV of RFC 4180 with '\n' line ends, and numbers with as many digits as they need to be read back exactly,
+  // "nan", "inf".
   std::string csv() const;
-  // A pipe table, columns aligned, numbers with three digits and to the right.
+  // Returns a pipe table, with columns aligned and numbers with three digits and to the right.
   std::string markdown() const;
 
  private:
@@ -31,7 +32,7 @@ class Table {
   std::vector<std::vector<TableCell>> rows_;
 };
 
-// Three significant digits, as tables and plots show numbers: "0.0123", "1.5e-07", "1.2e+05".
+// Returns three significant digits, as tables and plots show numbers: "0.0123", "1.5e-07", "1.2e+05".
 std::string short_number(double value);
 
 }  // namespace gld

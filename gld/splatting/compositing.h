@@ -61,7 +61,7 @@ CompositingGradients composite_backward(const SplatView& view, const SplatFeatur
                                         const SplatImage& of_image, SplatGradients wanted,
                                         const KernelSettings& settings, const TileLists* kept = nullptr);
 
-// d loss / d the splat's place, covariance and opacity, from its moments.
+// Returns d loss / d the splat's place, covariance and opacity, from its moments.
 ProjectedGradient projected_gradient(const VisibleSplat& splat, const float* moments);
 
 // The weights of a view's pixels as a sparse matrix by rows, a row a pixel (row by row, without what lies behind a
@@ -73,7 +73,7 @@ struct PixelWeights {
 };
 PixelWeights pixel_weights(const SplatView& view, const KernelSettings& settings);
 
-// A picture of a set in 3DGS's colours.
+// Renders a picture of a set in 3DGS's colours.
 CompositedView render_colours(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
 
 // What a step of fitting needs: the gradients of all parameters (zero for Gaussians that are not seen), and for
@@ -83,15 +83,15 @@ struct ColourGradients {
   GaussianSet of_set;
   std::vector<float> of_means_in_picture;
 };
-// colours: view_colours of the same set. kFeatures: of colours and harmonics alone, with geometry's left 0.
-// gradients.of_set is reused where it has the set's size; what it held is gone. kept: as composite() kept them for the
-// same colours, or null.
+// colours are view_colours of the same set. With kFeatures gradients are of colours and harmonics alone, with
+// geometry's left 0. gradients.of_set is reused where it has the set's size; what it held is gone. kept is as
+// composite() kept them for the same colours, or null.
 void render_colours_backward(const GaussianSet& set, const SplatView& view, const std::vector<float>& colours,
                              const SplatImage& of_image, SplatGradients wanted,
                              const KernelSettings& settings, ColourGradients& gradients,
                              const TileLists* kept = nullptr);
 
-// A picture of a set's features.
+// Renders a picture of a set's features.
 CompositedView render_features(const GaussianSet& set, const SplatView& view, const KernelSettings& settings);
 // Its gradients, of features and geometry, are added to of_set, which has the set's shape.
 void render_features_backward(const GaussianSet& set, const SplatView& view, const SplatImage& of_image,

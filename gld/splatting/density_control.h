@@ -47,9 +47,9 @@ struct DensityChange {
   int64_t copied = 0, split = 0, removed = 0;
   bool reset = false;
 };
-// What the options ask for at a step, in the set and in its moments, which are 0 for new Gaussians. Where the cap
-// leaves no room for all, those with the largest gradient go first, of equal ones the lower index. The statistics
-// start anew where Gaussians were looked at.
+// Does what the options ask for at a step, in the set and in its moments, which are 0 for new Gaussians. Where the cap
+// leaves no room for all, those with the largest gradient go first, of equal ones the lower index. The statistics start
+// anew where Gaussians were looked at.
 DensityChange control_density(const DensityOptions& options, const DensityStep& step,
                               DensityStatistics& statistics, GaussianSet& set, SplatMoments& moments);
 

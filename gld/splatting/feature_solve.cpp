@@ -89,11 +89,11 @@ class Problem {
   int64_t gaussians() const { return by_gaussian_.rows(); }
   int threads() const { return threads_; }
 
-  // W f and W^T p.
+  // These compute W f and W^T p.
   void forward(const ChannelTable& f, ChannelTable& p) const { multiply(by_pixel_, f, p); }
   void back(const ChannelTable& p, ChannelTable& f) const { multiply(by_gaussian_, p, f); }
 
-  // Of a Gaussian: the sum of its weights, and W^T W 1.
+  // These return the sum of a Gaussian's weights, and W^T W 1.
   float weight(int64_t i) const { return weights_[static_cast<size_t>(i)]; }
   float total(int64_t i) const { return totals_[static_cast<size_t>(i)]; }
 
@@ -122,7 +122,7 @@ class Problem {
   std::vector<float> weights_, totals_;
 };
 
-// Channels `first` to `first + channels` of all views' pixels.
+// Returns channels `first` to `first + channels` of all views' pixels.
 ChannelTable pixels_of(const std::vector<FeatureView>& views, int64_t pixels, int64_t first,
                        int64_t channels) {
   ChannelTable table(pixels, channels);
@@ -181,7 +181,7 @@ class ChannelSolve {
     turn_direction();
   }
 
-  // The residual of the worst channel, relative to the right side.
+  // Returns the residual of the worst channel, relative to the right side.
   double residual() const {
     double worst = 0;
     for (size_t c = 0; c < size_.size(); ++c) {
@@ -224,13 +224,13 @@ class ChannelSolve {
   const float* values(int64_t gaussian) const { return values_.row(gaussian); }
 
  private:
-  // Of the normal equations' rows, ridge included: what bounds their diagonal.
+  // Returns the inverse of what bounds the diagonal of the normal equations' rows, ridge included.
   float inverse(int64_t i) const {
     const float total = problem_.total(i);
     return total > 0 ? 1 / (total * (1 + ridge_)) : 0.0F;
   }
 
-  // values = m, residual = W^T pictures.
+  // Sets values = m and residual = W^T pictures.
   void begin_at_means() {
     problem_.back(pixels_, residual_);
     per_row([&](int64_t i) {
@@ -264,7 +264,7 @@ class ChannelSolve {
     });
   }
 
-  // The sum over Gaussians of what row(i, sums) adds for each channel: by parts, in their order.
+  // Returns the sum over Gaussians of what row(i, sums) adds for each channel, by parts, in their order.
   template <class Row>
   std::vector<double> sums(const Row& row) const {
     const auto each = static_cast<size_t>(stride_);
@@ -287,8 +287,8 @@ class ChannelSolve {
   std::vector<float> turn_;
 };
 
-// Residuals of one part of the channels among those of the others: at each iteration the worst, the last where a part
-// was done.
+// Takes residuals of one part of the channels among those of the others: at each iteration the worst, and the last
+// where a part was done.
 void take_worst(const std::vector<double>& part, std::vector<double>& all) {
   const double last = all.empty() ? 0 : all.back();
   for (size_t i = 0; i < std::max(part.size(), all.size()); ++i) {

@@ -33,9 +33,9 @@ struct SolvedFeatures {
 
   int64_t iterations() const { return static_cast<int64_t>(residuals.size()) - 1; }
 };
-// By conjugate gradients from m, 64 channels at once with steps of their own, preconditioned by t, which bounds the
-// normal equations' rows. W is made once, as a sparse matrix by rows and by columns. The result does not depend on
-// settings.threads. Pictures have one number of channels. Error for no view.
+// Solves by conjugate gradients from m, 64 channels at once with steps of their own, preconditioned by t, which bounds
+// the normal equations' rows. W is made once, as a sparse matrix by rows and by columns. The result does not depend on
+// settings.threads. Pictures have one number of channels. Throws Error for no view.
 SolvedFeatures solve_features(const std::vector<FeatureView>& views, int64_t gaussians,
                               const FeatureSolveOptions& options, const KernelSettings& settings);
 

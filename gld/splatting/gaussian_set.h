@@ -12,7 +12,7 @@ namespace gld {
 
 constexpr int64_t kMostHarmonicDegree = 3;
 
-// Coefficients of spherical harmonics up to a degree: 1, 4, 9 or 16.
+// Returns how many coefficients spherical harmonics have up to a degree: 1, 4, 9 or 16.
 constexpr int64_t harmonic_coefficients(int64_t degree) { return (degree + 1) * (degree + 1); }
 
 // A scene as n 3D Gaussians (Kerbl et al. 2023). Each array holds n rows. Gradients of a loss, moments of Adam and the
@@ -42,21 +42,21 @@ struct GaussianArray {
   int64_t each;
 };
 constexpr size_t kGaussianArrays = 7;
-// In the order of GaussianSet's declaration.
+// The arrays are in the order of GaussianSet's declaration.
 std::array<GaussianArray, kGaussianArrays> gaussian_arrays(const GaussianSet& set);
 
-// n Gaussians whose numbers are all 0, as sums of gradients begin.
+// Returns n Gaussians whose numbers are all 0, as sums of gradients begin.
 GaussianSet zero_gaussians(int64_t count, int64_t degree);
-// The same with the degree, the channels and the origin of another set.
+// Returns the same with the degree, the channels and the origin of another set.
 GaussianSet zero_gaussians_like(const GaussianSet& set, int64_t count);
 
 // Throws Error that names the Gaussian and the parameter: a number that is not finite, a quaternion of length 0, arrays
 // of the wrong length. where names the set ("splats.ply").
 void check_gaussians(const GaussianSet& set, const std::string& where);
 
-// Of the Gaussians for which keep is not 0, in their order.
+// Returns the Gaussians for which keep is not 0, in their order.
 GaussianSet kept_gaussians(const GaussianSet& set, const std::vector<uint8_t>& keep);
-// Gaussian i of from behind the last of set; both have one degree and as many channels.
+// Puts Gaussian i of from behind the last of set; both have one degree and as many channels.
 void append_gaussian(GaussianSet& set, const GaussianSet& from, int64_t i);
 
 }  // namespace gld

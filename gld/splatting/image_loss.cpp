@@ -26,7 +26,7 @@ std::array<float, kWeightedRows> window_weights() {
   return result;
 }
 
-// Rows of pictures under the window; one a thread.
+// This gives rows of pictures under the window; there is one a thread.
 class Window {
  public:
   Window(int64_t width, const KernelTable& kernels)

@@ -28,7 +28,8 @@ struct ImageLoss {
 ImageLoss image_loss(const SplatImage& image, const LossTarget& target, double dissimilarity,
                      const KernelSettings& settings);
 
-// Mean squared difference of valid pixels, x clamped to [0, 1], and as peak signal-to-noise ratio in dB.
+// These return the mean squared difference of valid pixels, x clamped to [0, 1], and that as peak signal-to-noise ratio
+// in dB.
 double mean_squared_error(const SplatImage& image, const LossTarget& target);
 double decibels(double mean_squared);
 

@@ -25,7 +25,7 @@ struct Seen {
 
 double relative_distance(double value, double jump) { return std::abs(value - jump) / jump; }
 
-// The Gaussians of a pixel, and what is left behind them.
+// Finds the Gaussians of a pixel, and returns what is left behind them.
 double look_through(const NaiveScene& scene, const std::vector<size_t>& order, int64_t x, int64_t y,
                     std::vector<Seen>& seen, double& to_jump) {
   seen.clear();

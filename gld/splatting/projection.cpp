@@ -11,7 +11,7 @@ namespace gld {
 namespace {
 
 constexpr double kFaintestOpacity = 1.0 / 255;
-// How far beyond the picture's edge, in half its sides, the Jacobian still follows a Gaussian.
+// So far beyond the picture's edge, in half its sides, the Jacobian still follows a Gaussian.
 constexpr double kBeyondTheEdge = 0.3;
 
 double sigmoid(double x) { return 1 / (1 + std::exp(-x)); }
@@ -25,7 +25,7 @@ Eigen::Matrix3d rotation_of(const Eigen::Vector4d& unit) {
   return r;
 }
 
-// d loss / d unit quaternion from d loss / d rotation.
+// Returns d loss / d unit quaternion from d loss / d rotation.
 Eigen::Vector4d rotation_backward(const Eigen::Vector4d& unit, const Eigen::Matrix3d& g) {
   const double w = unit[0], x = unit[1], y = unit[2], z = unit[3];
   return 2 * Eigen::Vector4d(x * (g(2, 1) - g(1, 2)) + y * (g(0, 2) - g(2, 0)) + z * (g(1, 0) - g(0, 1)),
@@ -52,7 +52,7 @@ Jacobian jacobian_of(const Eigen::Vector3d& t, const SplatCamera& camera) {
   return result;
 }
 
-// J R_cw: row a is focal_a / z (row a of R_cw - held_a row 2 of R_cw).
+// Returns J R_cw: row a is focal_a / z (row a of R_cw - held_a row 2 of R_cw).
 Eigen::Matrix<double, 2, 3> picture_from_world(const Eigen::Vector3d& t, const Jacobian& jacobian,
                                                const SplatCamera& camera) {
   const Eigen::Matrix3d& r = camera.camera_from_world_rotation;
@@ -141,7 +141,7 @@ void project_gaussian_backward(const GaussianShape& shape, const SplatCamera& ca
       of_projected.covariance[2];
   Eigen::Matrix<double, 2, 3> of_m = 2 * of_covariance * m;
   if (camera.antialias && projected.plain_determinant > 0) {
-    // log of the opacity's factor is (log det M M^T - log det S2) / 2.
+    // The log of the opacity's factor is (log det M M^T - log det S2) / 2.
     const double xx = m.row(0).squaredNorm(), yy = m.row(1).squaredNorm(), xy = m.row(0).dot(m.row(1));
     Eigen::Matrix<double, 2, 3> of_plain;
     of_plain.row(0) = 2 * (yy * m.row(0) - xy * m.row(1));
@@ -182,7 +182,7 @@ void seen_colour(const GaussianSet& set, int64_t i, const Eigen::Vector3d& from_
   const int64_t others = harmonic_coefficients(set.degree) - 1;
   const float* first = set.colours.data() + 3 * i;
   const float* rest = set.harmonics.data() + 3 * others * i;
-  // Two coefficients, of three channels each, at a time: vectors without a stride.
+  // It takes two coefficients, of three channels each, at a time: these are vectors without a stride.
   double sums[6] = {};
   int64_t k = 0;
   for (; k + 2 <= others; k += 2) {

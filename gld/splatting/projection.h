@@ -33,7 +33,7 @@ struct SplatCamera {
   double near = 0;
   bool antialias = false;
 };
-// origin: that of the set.
+// origin is that of the set.
 SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
                          const ProjectionOptions& options);
 
@@ -62,7 +62,7 @@ struct ProjectedGaussian {
   double plain_determinant;                    // of M M^T
   double opacity;                              // after antialiasing
 };
-// False where nothing is drawn: before the near plane, fainter than 1/255, or not finite in double.
+// Returns false where nothing is drawn: before the near plane, fainter than 1/255, or not finite in double.
 bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, ProjectedGaussian& projected);
 
 // d loss / d what project_gaussian gives; covariance holds that of the symmetric matrix, its xy once.

@@ -31,7 +31,7 @@ void adam_step(const SplatRates& rates, const SplatStep& step, const GaussianSet
       rates.mean > 0 && rates.last_mean > 0
           ? rates.mean * std::pow(rates.last_mean / rates.mean, std::clamp(step.progress, 0.0, 1.0))
           : rates.mean;
-  // In the order of gaussian_arrays.
+  // The rates are in the order of gaussian_arrays.
   const double rate_of[kGaussianArrays] = {of_mean * step.extent, rates.log_scale, rates.rotation,
                                            rates.opacity,         rates.colour,    rates.harmonic,
                                            rates.feature};

@@ -32,7 +32,7 @@ struct SplatStep {
   double progress = 0;  // of the fit, 0 to 1: where the rate of means stands
   double extent = 1;    // of the scene
 };
-// One step of Adam with beta .9 and .999 and epsilon 1e-15.
+// Takes one step of Adam with beta .9 and .999 and epsilon 1e-15.
 void adam_step(const SplatRates& rates, const SplatStep& step, const GaussianSet& gradients,
                SplatMoments& moments, GaussianSet& set, const KernelSettings& settings);
 

@@ -26,7 +26,7 @@ std::vector<std::string> property_names(int64_t harmonics_each) {
   return names;
 }
 
-// Whether world coordinates lose digits that matter as floats.
+// Returns whether world coordinates lose digits that matter as floats.
 bool is_far_away(const GaussianSet& set) {
   constexpr double kFloatRounding = 1.0 / (1 << 24), kHarmless = 1e-5;
   if (set.size() == 0) return false;

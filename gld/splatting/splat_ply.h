@@ -9,14 +9,14 @@
 
 namespace gld {
 
-// Where the Gaussians of a run folder are.
+// The Gaussians of a run folder are in this file.
 constexpr const char* kSplatFile = "splats.ply";
 
-// Gaussians in the PLY file that 3DGS writes and public viewers open: per vertex x y z, nx ny nz (0), f_dc_0 .. 2,
-// f_rest_* (all of red, then of green, then of blue), opacity (logit), scale_0 .. 2 (logarithms), rot_0 .. 3 (w x y z),
-// floats. Coordinates are the world's where floats hold them to 1e-5 of the scene's size, and else relative to the
-// origin that the comment "gld:origin X Y Z" says. notes are comments "NAME TEXT". Atomic. Errors as of
-// check_gaussians.
+// Writes Gaussians in the PLY file that 3DGS writes and public viewers open: per vertex x y z, nx ny nz (0),
+// f_dc_0 .. 2, f_rest_* (all of red, then of green, then of blue), opacity (logit), scale_0 .. 2 (logarithms), rot_0 ..
+// 3 (w x y z), floats. Coordinates are the world's where floats hold them to 1e-5 of the scene's size, and else
+// relative to the origin that the comment "gld:origin X Y Z" says. notes are comments "NAME TEXT". Writing is atomic.
+// Errors are as of check_gaussians.
 void write_splat_ply(const std::filesystem::path& file, const GaussianSet& set,
                      const std::vector<std::pair<std::string, std::string>>& notes);
 

@@ -13,7 +13,7 @@ namespace {
 
 constexpr int64_t kChunk = 512;  // Gaussians that a thread takes at a time
 
-// Pixels whose middles lie within reach of mean, cut to the picture; both ends in [0, side].
+// Finds the pixels whose middles lie within reach of mean, cut to the picture; both ends are in [0, side].
 void covered_pixels(double mean, double reach, int64_t side, int32_t& first, int32_t& end) {
   const double limit = static_cast<double>(side);
   first = static_cast<int32_t>(std::clamp(std::ceil(mean - reach - 0.5), 0.0, limit));
@@ -24,7 +24,7 @@ bool visible_splat(const GaussianSet& set, int64_t i, const SplatCamera& camera,
   ProjectedGaussian projected;
   if (!project_gaussian(gaussian_shape(set, i), camera, projected)) return false;
   const double height = std::log2(projected.opacity);
-  // alpha >= 1/255 up to q = d^T S2^-1 d = 2 ln(255 opacity).
+  // alpha is at least 1/255 up to q = d^T S2^-1 d = 2 ln(255 opacity).
   const double q = (height - static_cast<double>(kFaintestSplat)) / kExponentUnit;
   const double xx = projected.covariance[0], xy = projected.covariance[1], yy = projected.covariance[2];
   covered_pixels(projected.mean[0], std::sqrt(std::max(0.0, q) * xx), camera.width, splat.first_column,

@@ -26,13 +26,13 @@ struct VisibleSplat {
   int32_t first_column, end_column, first_row, end_row;  // pixels that it may cover: alpha >= 1/255
 };
 
-// Of a splat that is read soon, and lies anywhere.
+// Fetches a splat that is read soon, and lies anywhere.
 inline void fetch(const VisibleSplat& splat) {
   const char* const begin = reinterpret_cast<const char*>(&splat);
   __builtin_prefetch(begin);
   __builtin_prefetch(begin + sizeof(VisibleSplat) - 1);
 }
-// How many are read before it.
+// So many are read before it.
 constexpr int64_t kFetchedAhead = 6;
 
 // What a view shows of a set: Gaussians front to back, those at one depth by index, and for each tile those that reach
@@ -52,7 +52,7 @@ struct SplatView {
   // A tile's first column and row of pixels.
   int64_t tile_left(int64_t tile) const { return tile % tile_columns * kSplatTile; }
   int64_t tile_top(int64_t tile) const { return tile / tile_columns * kSplatTile; }
-  // in_set_order[place], while the one that is some places ahead is fetched.
+  // Returns in_set_order[place], while the one that is some places ahead is fetched.
   int64_t splat_in_order(int64_t place) const {
     if (place + kFetchedAhead < size())
       fetch(splats[static_cast<size_t>(in_set_order[static_cast<size_t>(place + kFetchedAhead)])]);
@@ -63,10 +63,10 @@ struct SplatView {
 // Projects, sorts and lists. The result does not depend on settings.threads.
 SplatView view_of_splats(const GaussianSet& set, const SplatCamera& camera, const KernelSettings& settings);
 
-// The numbers of keys in rising order, equal ones in their own: a radix sort. Keys are positive and finite.
+// Returns the numbers of keys in rising order, equal ones in their own: a radix sort. Keys are positive and finite.
 std::vector<int32_t> sorted_by_depth(const std::vector<float>& depths);
 
-// max(0, 1/2 + harmonics) of every splat of the view, (splats, 3).
+// Returns max(0, 1/2 + harmonics) of every splat of the view, (splats, 3).
 std::vector<float> view_colours(const GaussianSet& set, const SplatView& view,
                                 const KernelSettings& settings);
 

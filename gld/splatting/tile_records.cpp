@@ -6,7 +6,7 @@
 namespace gld {
 namespace {
 
-// Columns of a tile and one to either side; -1 of what is no number.
+// Holds a value within the columns of a tile and one to either side; it is -1 of what is no number.
 double held_in_tile(double value) {
   return value > -1 ? std::min(value, static_cast<double>(kSplatTile)) : -1;
 }

@@ -6,15 +6,15 @@
 
 namespace gld {
 
-// Whether something says what is read from LibTorch's meta device, which has shapes without numbers: never in the
-// program, in tests where whole commands run on it (tests/support/meta_device.h).
+// Returns whether something says what is read from LibTorch's meta device, which has shapes without numbers: never in
+// the program, in tests where whole commands run on it (tests/support/meta_device.h).
 bool reads_meta_device();
 
-// "cpu", "cuda" or "cuda:N"; "meta" where reads_meta_device(). Throws Error for another text and for a device that
-// LibTorch does not have.
+// text is "cpu", "cuda" or "cuda:N", and "meta" where reads_meta_device(). Throws Error for another text and for a
+// device that LibTorch does not have.
 torch::Device device_from_text(const std::string& text);
 
-// What is sold under which name: "NVIDIA H100 80GB HBM3", or the processor's.
+// Returns the name under which it is sold: "NVIDIA H100 80GB HBM3", or the processor's.
 std::string device_name(const torch::Device& device);
 
 // Waits until a GPU has computed all that was asked of it: what follows, a clock among it, sees it done. Elsewhere

@@ -15,7 +15,7 @@
 namespace gld {
 namespace {
 
-// Floats a thread takes at a time.
+// A thread takes so many floats at a time.
 constexpr int64_t kFloatsAPart = 32768;
 
 bool one_pass_applies(std::initializer_list<torch::Tensor> tensors) {
@@ -31,7 +31,7 @@ struct BroadcastRows {
   int64_t stride;
 };
 
-// Nothing where the tensor's strides do not allow that.
+// Returns nothing where the tensor's strides do not allow that.
 std::optional<BroadcastRows> broadcast_rows(const torch::Tensor& vectors, const torch::Tensor& x) {
   const auto full = vectors.expand_as(x);
   if (full.size(-1) > 1 && full.stride(-1) != 1) return std::nullopt;
@@ -59,8 +59,8 @@ const KernelTable& kernels() { return kernel_table(best_instruction_set()); }
 torch::Tensor composed_rms_norm(const RmsNormInputs& inputs) {
   // Halves are normalised in float32, as their own range ends at 65504.
   const auto wide = inputs.x.element_size() < 4 ? inputs.x.to(torch::kFloat32) : inputs.x;
-  // A power of two near each row's largest value, but not so small that epsilon divided by its square overflows: x is
-  // then far below sqrt(epsilon), and its square may vanish.
+  // The scale is a power of two near each row's largest value, but not so small that epsilon divided by its square
+  // overflows: x is then far below sqrt(epsilon), and its square may vanish.
   const double smallest =
       std::max<double>(std::numeric_limits<float>::min(), std::sqrt(inputs.epsilon) * 0x1p-40);
   const auto largest = wide.detach().abs().amax(-1, /*keepdim=*/true).clamp_min(smallest);

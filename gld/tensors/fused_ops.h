@@ -17,14 +17,14 @@ struct RmsNormInputs {
   torch::Tensor scale;
 };
 
-// x / sqrt(mean(x^2) + epsilon) * weight * (1 + scale) + shift. Exact to rounding for any finite x: rows whose squares
-// would overflow or vanish are divided by a power of two first.
+// Returns x / sqrt(mean(x^2) + epsilon) * weight * (1 + scale) + shift. It is exact to rounding for any finite x: rows
+// whose squares would overflow or vanish are divided by a power of two first.
 torch::Tensor rms_norm(const RmsNormInputs& inputs);
 
-// SiLU(a) * b with [a | b] = x: (..., 2 * width) -> (..., width) (Shazeer 2020).
+// Returns SiLU(a) * b with [a | b] = x: (..., 2 * width) -> (..., width) (Shazeer 2020).
 torch::Tensor silu_gate(const torch::Tensor& x);
 
-// x + gate * update; gate is broadcast to x.
+// Returns x + gate * update; gate is broadcast to x.
 torch::Tensor gated_sum(const torch::Tensor& x, const torch::Tensor& gate, const torch::Tensor& update);
 
 }  // namespace gld

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// a b^T, (rows, depth) with (columns, depth); bias (columns) or undefined.
+// Returns a b^T, (rows, depth) with (columns, depth); bias is (columns) or undefined.
 torch::Tensor product(const torch::Tensor& a, const torch::Tensor& b, const torch::Tensor& bias,
                       ComputePrecision precision) {
   return PackedLayer(b, 1, precision).times(a, bias, 0, 1);
@@ -19,7 +19,7 @@ torch::Tensor product(const torch::Tensor& a, const torch::Tensor& b, const torc
 
 class LearningProduct : public torch::autograd::Function<LearningProduct> {
  public:
-  // bias: empty for none; LibTorch's functions take no undefined tensors.
+  // bias is empty for none; LibTorch's functions take no undefined tensors.
   static torch::Tensor forward(torch::autograd::AutogradContext* context, const torch::Tensor& x,
                                const torch::Tensor& weight, const torch::Tensor& bias, int64_t precision) {
     context->save_for_backward({x, weight});

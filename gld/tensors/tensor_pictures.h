@@ -7,13 +7,13 @@
 
 namespace gld {
 
-// A tensor's numbers in its order, float32, wherever it lies.
+// Returns a tensor's numbers in its order, float32, wherever it lies.
 std::vector<float> numbers_of(const torch::Tensor& tensor);
 
-// (height, width, channels) values -> (channels, height, width).
+// Turns (height, width, channels) values into (channels, height, width).
 torch::Tensor planes_of(const std::vector<float>& values, int64_t channels, int64_t width, int64_t height);
 
-// (height, width, 3) -> (3, height, width), and back.
+// These turn (height, width, 3) into (3, height, width), and back.
 torch::Tensor picture_of(const std::vector<float>& rgb, int64_t width, int64_t height);
 std::vector<float> pixels_of(const torch::Tensor& picture);
 

@@ -17,7 +17,7 @@ bool own_product_applies(const torch::Tensor& x, const torch::Tensor& weight, co
          x.numel() > 0 && weight.numel() > 0 && x.size(1) == weight.size(1);
 }
 
-// The matrix with its rows in one piece each, any distance apart.
+// Returns the matrix with its rows in one piece each, any distance apart.
 torch::Tensor with_whole_rows(const torch::Tensor& matrix) {
   const bool whole = (matrix.stride(1) == 1 || matrix.size(1) == 1) &&
                      (matrix.stride(0) >= matrix.size(1) || matrix.size(0) == 1);

@@ -28,7 +28,7 @@ bool aligned(const TensorEntry& entry) {
   return reinterpret_cast<uintptr_t>(entry.data) % static_cast<uintptr_t>(byte_size(entry.dtype)) == 0;
 }
 
-// A view of the file's memory; `keep_alive` lives as long as the tensor.
+// Returns a view of the file's memory; `keep_alive` lives as long as the tensor.
 torch::Tensor view_of(const TensorEntry& entry, const std::vector<int64_t>& strides, torch::Dtype dtype,
                       const std::shared_ptr<const WeightFile>& keep_alive) {
   // The mapping is private and copy on write (MappedFile), so handing out a mutable pointer is safe.
@@ -37,7 +37,7 @@ torch::Tensor view_of(const TensorEntry& entry, const std::vector<int64_t>& stri
       data, entry.shape, strides, [keep_alive](void*) {}, torch::TensorOptions().dtype(dtype));
 }
 
-// Element-wise copy by strides, for data that is not aligned or not contiguous.
+// Copies element by element by strides, for data that is not aligned or not contiguous.
 torch::Tensor copy_of(const TensorEntry& entry, torch::Dtype dtype) {
   auto copy = torch::empty(entry.shape, torch::TensorOptions().dtype(dtype));
   const int64_t count = entry.element_count(), size = byte_size(entry.dtype);
@@ -134,7 +134,7 @@ void save_safetensors(const std::filesystem::path& file, std::vector<TensorEntry
                       const std::function<torch::Tensor(const TensorEntry&)>& make,
                       const std::map<std::string, std::string>& metadata) {
   std::sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) { return a.name < b.name; });
-  // Wide elements first: every tensor is then aligned to its element size without holes, which the format forbids.
+  // Wide elements come first: every tensor is then aligned to its element size without holes, which the format forbids.
   std::stable_sort(entries.begin(), entries.end(),
                    [](const auto& a, const auto& b) { return byte_size(a.dtype) > byte_size(b.dtype); });
   AtomicFile target(file);

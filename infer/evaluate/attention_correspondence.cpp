@@ -29,7 +29,7 @@ struct ShownScene {
   torch::Tensor clean;
 };
 
-// Normalised latents of the true pictures of all views, by generator, and of the sources encoded alone.
+// Returns normalised latents of the true pictures of all views, by generator, and of the sources encoded alone.
 std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const SamplingScene& scene,
                                      const torch::Tensor& images) {
   const LatentSpace space(models.models.backbone(), models.models.levels.boundary);
@@ -60,7 +60,8 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
   return shown;
 }
 
-// (1, tokens of all views, heads, head_dim) -> (views, heads * head_dim, rows, columns) of the patch tokens.
+// Makes of (1, tokens of all views, heads, head_dim) the maps (views, heads * head_dim, rows, columns) of the patch
+// tokens.
 torch::Tensor patch_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
   const int64_t a_view = tokens.size(1) / grid.views, patches = grid.tokens_per_view();
   return tokens.reshape({grid.views, a_view, tokens.size(2) * tokens.size(3)})
@@ -70,7 +71,7 @@ torch::Tensor patch_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
       .to(torch::kCPU, torch::kFloat32);
 }
 
-// Mean over the pairs of the first view with each other one; NaN without any.
+// Returns the mean over the pairs of the first view with each other one; it is NaN without any.
 double mean_pck(const AttentionTap& tap, const LatentGrid& grid, const Views& views,
                 const std::vector<torch::Tensor>& depths) {
   const auto queries = patch_maps(tap.query, grid), keys = patch_maps(tap.key, grid);

@@ -22,21 +22,22 @@ struct AttentionCorrespondence {
       0;  // percent (gld/metrics/correspondence_metrics.h), mean over the pairs of the first view with the others
 };
 
-// Of every generator and block at each time: queries and keys as attention multiplies them (after normalisation and
-// PRoPE), heads one after the other, of the patch tokens; the state is the scene's own latent on the straight path to
-// the noise of that seed. Empty where a target has no picture, a view no true depth, or no pair of views a point.
+// Returns this for every generator and block at each time: queries and keys are taken as attention multiplies them
+// (after normalisation and PRoPE), heads one after the other, of the patch tokens; the state is the scene's own latent
+// on the straight path to the noise of that seed. The result is empty where a target has no picture, a view no true
+// depth, or no pair of views a point.
 std::vector<AttentionCorrespondence> attention_correspondence(const EvaluationModels& models,
                                                               const SamplingScene& scene,
                                                               const std::vector<double>& times,
                                                               int64_t noise_seed);
 
-// For the record of a scene, and back. Throws nlohmann::json::exception for something else.
+// These make the record of a scene and read it back. Reading throws nlohmann::json::exception for something else.
 nlohmann::ordered_json attention_record(const std::vector<AttentionCorrespondence>& scene);
 std::vector<AttentionCorrespondence> attention_from_record(const nlohmann::json& record);
 
-// A row a stage, block and time: attention_pck.csv; the means with intervals over scenes.
+// Returns attention_pck.csv, which has a row a stage, block and time: the means with intervals over scenes.
 std::string attention_csv(const std::vector<std::vector<AttentionCorrespondence>>& scenes);
-// A panel a stage: PCK against the block, a line a time.
+// Draws a panel a stage, with PCK against the block, a line a time.
 Figure attention_picture(const std::vector<std::vector<AttentionCorrespondence>>& scenes);
 
 }  // namespace gld

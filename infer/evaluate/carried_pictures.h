@@ -12,7 +12,7 @@ namespace gld {
 
 // What the source views say of the target views without anything generated.
 
-// For every target the image of the source whose camera centre is nearest, (targets, 3, height, width).
+// Returns for every target the image of the source whose camera centre is nearest, (targets, 3, height, width).
 torch::Tensor nearest_sources(const Views& views, const torch::Tensor& source_images);
 
 // The photographs carried by the depth of their own views, as the model and `photographs` of the evaluation find it.
@@ -25,7 +25,7 @@ struct CarriedPictures {
 };
 CarriedPictures carried_pictures(const EvaluationModels& models, const SamplingScene& scene);
 
-// What the true depth of the sources would carry; undefined unless every source has a depth map.
+// Returns what the true depth of the sources would carry; it is undefined unless every source has a depth map.
 FilledViews filled_by_true_depth(const SamplingScene& scene);
 
 }  // namespace gld

@@ -21,7 +21,7 @@ void check_frames(const std::vector<int64_t>& frames, const char* flag, const Sc
   }
 }
 
-// `count` of the frames, spread evenly from the first to the last.
+// Returns `count` of the frames, spread evenly from the first to the last.
 std::vector<int64_t> spread(const std::vector<int64_t>& frames, int64_t count) {
   const auto last = static_cast<int64_t>(frames.size()) - 1;
   std::vector<int64_t> chosen;

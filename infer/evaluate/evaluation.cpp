@@ -37,7 +37,7 @@
 namespace gld {
 namespace {
 
-// The sources, then of each target view the truth, the prediction of the mean and the sample.
+// Draws the sources, then of each target view the truth, the prediction of the mean and the sample.
 Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   const auto first_target = static_cast<size_t>(scene.views.num_sources);
   SheetSection sources;
@@ -76,7 +76,7 @@ struct MeasuredScene {
   std::string sheet;  // its contact sheet as PNG; empty where none was asked for
 };
 
-// Over everything but itself.
+// Returns the checksum over everything but itself.
 std::string checksum_of(nlohmann::ordered_json kept) {
   kept.erase("checksum");
   Sha256 hash;
@@ -92,7 +92,7 @@ std::string text_of(const KeptScene& scene) {
   return kept.dump(1) + "\n";
 }
 
-// Nothing for text that is no record, or a damaged one.
+// Returns nothing for text that is no record, or a damaged one.
 std::optional<KeptScene> scene_of(const std::string& text, const std::string& where) {
   try {
     const auto kept = nlohmann::ordered_json::parse(text);
@@ -115,14 +115,14 @@ class SceneRecords {
 
   std::filesystem::path sheet(int64_t index) const { return folder_ / fmt::format("{:06}.png", index); }
 
-  // Nothing where the scene is still to be measured, which one with a damaged record is.
+  // Returns nothing where the scene is still to be measured, which one with a damaged record is.
   std::optional<KeptScene> find(int64_t index) const {
     const auto file = record(index);
     if (!std::filesystem::is_regular_file(file)) return std::nullopt;
     return scene_of(read_file(file), file.string());
   }
 
-  // The sheet first: a scene that has a record is done.
+  // The sheet is written first: a scene that has a record is done.
   void write(int64_t index, const std::string& kept_text, const std::string& png) const {
     if (!png.empty()) write_file_atomically(sheet(index), png);
     write_file_atomically(record(index), kept_text);
@@ -134,7 +134,7 @@ class SceneRecords {
   std::filesystem::path folder_;
 };
 
-// The scenes with the largest, the middle and the least PSNR of the sample; fewer than 3 scenes have no such.
+// Returns the scenes with the largest, the middle and the least PSNR of the sample; fewer than 3 scenes have no such.
 std::vector<std::pair<std::string, size_t>> chosen_scenes(const std::vector<SceneEvaluation>& scenes) {
   std::vector<size_t> order;
   for (size_t i = 0; i < scenes.size(); ++i) {
@@ -257,7 +257,7 @@ EvaluatedViews EvaluationOptions::evaluated_views() const {
 
 namespace {
 
-// Seeds of a scene's samples: the first is what one sample alone would have.
+// Returns the seeds of a scene's samples: the first is what one sample alone would have.
 std::vector<int64_t> noise_seeds(const EvaluationOptions& options, int64_t scene) {
   constexpr int64_t kNextSample = 1'000'000;
   std::vector<int64_t> seeds;
@@ -323,7 +323,7 @@ MeasuredScene measured_scene(const EvaluationModels& models, const EvaluationOpt
   return measured;
 }
 
-// A measured scene on its way to the process that keeps it.
+// Returns the bytes of a measured scene on its way to the process that keeps it.
 std::string bytes_of(const MeasuredScene& scene) {
   const std::vector<uint8_t> sheet(scene.sheet.begin(), scene.sheet.end());
   const auto bytes =
@@ -337,7 +337,7 @@ std::string progress_note(const KeptScene& scene) {
                      first.number("sample_psnr").value, first.number("mean_prediction_psnr").value);
 }
 
-// The scenes that the run folder of rank 0 does not have yet; the same at every process.
+// Returns the scenes that the run folder of rank 0 does not have yet; they are the same at every process.
 std::vector<int64_t> scenes_to_measure(const ProcessShare& share, const SceneRecords* records,
                                        int64_t count) {
   std::vector<int64_t> missing;
@@ -374,7 +374,7 @@ void measure_scenes(const ProcessShare& share, const EvaluationOptions& options,
   if (progress) progress->finish();
 }
 
-// Contact sheets of the first scenes, and of those with the best, the median and the worst PSNR.
+// Writes contact sheets of the first scenes, and of those with the best, the median and the worst PSNR.
 void write_sheets(const EvaluationOptions& options, const RunFolder& folder, const SceneRecords& records,
                   const std::vector<SceneEvaluation>& results) {
   const auto sheets = folder.subfolder("sheets");
@@ -397,7 +397,7 @@ void write_attention(const EvaluationOptions& options, const RunFolder& folder,
   if (!picture.panels.empty()) write_png(picture, folder.subfolder("plots") / "attention_pck.png");
 }
 
-// What of a run is the same for all numbers of sources, and the summaries of each, the first one's outermost.
+// Returns what of a run is the same for all numbers of sources, and the summaries of each, the first one's outermost.
 nlohmann::ordered_json summaries(const std::vector<std::vector<SceneEvaluation>>& by_count) {
   auto report = evaluation_summary(by_count.front());
   if (by_count.size() == 1) return report;

@@ -17,8 +17,8 @@
 
 namespace gld {
 
-// gld eval: novel views of scenes with known truth. Samples and the prediction of the mean are measured side by side;
-// the prediction of the mean is fixed, solver and guidance are those of the samples.
+// gld eval makes and measures novel views of scenes with known truth. Samples and the prediction of the mean are
+// measured side by side; the prediction of the mean is fixed; solver and guidance are those of the samples.
 struct EvaluationOptions : OptionsGroup {
   std::string model = "configs/tiny";
   std::string out;
@@ -41,7 +41,8 @@ struct EvaluationOptions : OptionsGroup {
   int64_t seed = 0;  // of the first scene's noise; each next scene has the next seed
   PoseEstimator poses = PoseEstimator::kOurs;
   std::string pose_model;  // whose geometry head looks at the pictures; empty: the model's own
-  // Flow times at which queries and keys of the DiTs are matched (attention_correspondence.h); empty: not at all.
+  // Queries and keys of the DiTs are matched at these flow times (attention_correspondence.h); where this is empty,
+  // they are not matched at all.
   std::vector<double> attention_times;
   LpipsFiles lpips;
   int64_t pictures = 6;
@@ -55,13 +56,13 @@ struct EvaluationOptions : OptionsGroup {
   void check() const override;
 
   EvaluatedViews evaluated_views() const;
-  // How gld sample would draw the samples with this solver and guidance.
+  // Returns how gld sample would draw the samples with this solver and guidance.
   SamplingMethod sampling_method() const;
 };
 
 // Runs the evaluation and writes the run folder (docs/FILES.md). A scene that is done is kept in scenes/, from where
 // `resume` goes on. Several processes take a scene each in turns; rank 0 alone writes, after each turn. Returns the
-// tables and the closing box as text, nothing where another process writes the run folder.
+// tables and the closing box as text, or nothing where another process writes the run folder.
 std::string evaluate(const EvaluationOptions& options);
 
 }  // namespace gld

@@ -85,7 +85,7 @@ std::string predictor_name(const Predictor& predictor) {
 
 namespace {
 
-// Whether a metric compares the depth of target views with the true one, and needs nothing else.
+// Returns whether a metric compares the depth of target views with the true one, and needs nothing else.
 bool compares_depth(const Metric& metric) {
   const auto& needs = metric.needs;
   return std::find(needs.begin(), needs.end(), MetricNeed::kTrueDepth) != needs.end() &&

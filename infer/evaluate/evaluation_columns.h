@@ -13,7 +13,7 @@ struct Predictor {
   enum Kind {
     kSample,          // a sample of the model, as gld sample draws it
     kMeanPrediction,  // the model's prediction of the mean, mean_prediction_settings
-    // Trivial ones, which know the sources only:
+    // The next three are trivial ones, which know the sources only.
     kNearestSource,  // the source whose camera is nearest, copied
     kMeanSource,     // pixel by pixel mean of the sources
     kMeanColor,      // the mean colour of the sources
@@ -44,24 +44,26 @@ struct Predictor {
   Predictor(Kind which, int64_t level_alone = 0) : kind(which), level(level_alone) {}
   bool operator==(const Predictor& other) const { return kind == other.kind && level == other.level; }
   bool operator!=(const Predictor& other) const { return !(*this == other); }
-  // Of reconstructions, which are of all views and not of the targets alone.
+  // Returns true for reconstructions, which are of all views and not of the targets alone.
   bool of_all_views() const { return kind == kReconstruction || kind == kReconstructionOfLevel; }
 };
 const std::vector<Predictor>& all_predictors();
 const std::vector<Predictor>& main_predictors();  // without those of one level
-// Those of one level alone, by level: four columns, whatever backbone there is, because files have as many.
+// Returns those of one level alone, by level: there are four columns, whatever backbone there is, because files have as
+// many.
 const std::vector<Predictor>& level_predictors();
 const std::vector<Predictor>& trivial_predictors();
 bool is_trivial(const Predictor& predictor);
 std::string predictor_name(const Predictor& predictor);  // "mean_prediction", "reconstruction_level0"
 
-// What samples are compared with room by room: everything that does not generate, and the mean prediction. More than
-// the trivial predictors, which know nothing of the model.
+// Returns what samples are compared with room by room: everything that does not generate, and the mean prediction.
+// These are more than the trivial predictors, which know nothing of the model.
 const std::vector<Predictor>& rivals();
-// By which metrics: PSNR and the energy scores, of all pixels, of those that photographs show and of the others.
+// Returns the metrics by which they are compared: PSNR and the energy scores, of all pixels, of those that photographs
+// show and of the others.
 const std::vector<Metric>& compared_metrics();
 
-// Whether a metric has a column for each predictor: those of images and of samples.
+// Returns whether a metric has a column for each predictor, as those of images and of samples have.
 bool of_every_predictor(const Metric& metric);
 
 // A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
@@ -74,7 +76,7 @@ struct EvaluationColumn {
   Predictor of = Predictor::kSample;
 };
 const std::vector<EvaluationColumn>& evaluation_columns();
-// Of a metric that every predictor has, as above.
+// Returns the name for a metric that every predictor has, as above.
 std::string column_name(const Predictor& predictor, const Metric& metric);
 
 }  // namespace gld

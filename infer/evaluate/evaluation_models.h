@@ -15,7 +15,7 @@ namespace gld {
 // Why a model does not say where its pictures stand.
 constexpr const char* kNoCameraHead = "the model has no geometry head that sees cameras";
 
-// What all scenes of an evaluation share.
+// All scenes of an evaluation share these.
 struct EvaluationModels {
   BundleOptions bundle;
   PipelineModels models;
@@ -23,7 +23,8 @@ struct EvaluationModels {
   torch::Device device = torch::kCPU;
   PhotographUse photographs;  // of the samples
   PoseEstimator poses = PoseEstimator::kOurs;
-  // Whose geometry head looks at the sources and the generated pictures, for poses; the model's own reads the levels.
+  // The geometry head of this model looks at the sources and the generated pictures, for poses; the model's own reads
+  // the levels.
   std::optional<PipelineModels> pose_model;
 };
 

@@ -47,7 +47,7 @@ nlohmann::ordered_json statistics_json(const EvaluationColumn& column,
   return json;
 }
 
-// Of an even number the upper middle one.
+// Returns the median, of an even number the upper middle one.
 double median_over_scenes(std::vector<double> values) {
   if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
@@ -81,8 +81,8 @@ std::string name_with_unit(const Metric& metric) {
   return metric.unit.empty() ? metric.name : metric.name + " (" + metric.unit + ")";
 }
 
-// A line a reason: "depth_abs_rel_unscaled, depth_rmse_unscaled: absent in 52 of 64 scenes, the cameras do not tell
-// ...".
+// Returns a line a reason: "depth_abs_rel_unscaled, depth_rmse_unscaled: absent in 52 of 64 scenes, the cameras do not
+// tell ...".
 std::string absent_text(const nlohmann::ordered_json& means, size_t scenes) {
   std::vector<std::pair<std::string, std::string>> names_by_reason;
   for (const Metric& metric : metric_list()) {
@@ -124,7 +124,7 @@ std::string image_table(const nlohmann::ordered_json& means) {
   return table.markdown();
 }
 
-// How often samples win, and of how many scenes that have both numbers.
+// Returns how often samples win, and of how many scenes that have both numbers.
 nlohmann::ordered_json wins_json(const std::vector<SceneEvaluation>& scenes, const Predictor& rival,
                                  const Metric& metric) {
   int64_t won = 0, compared = 0;
@@ -155,7 +155,7 @@ std::string wins_table(const nlohmann::ordered_json& wins) {
   return table.markdown();
 }
 
-// What the energy score of samples is made of: with one sample a scene it is no score of its distribution.
+// Returns what the energy score of samples is made of: with one sample a scene it is no score of its distribution.
 nlohmann::ordered_json energy_score_json(const std::vector<SceneEvaluation>& scenes) {
   int64_t fewest = std::numeric_limits<int64_t>::max();
   for (const SceneEvaluation& scene : scenes) fewest = std::min(fewest, scene.samples);
@@ -179,7 +179,7 @@ std::string geometry_table(const nlohmann::ordered_json& means) {
   return table.markdown();
 }
 
-// As RFC 4180 quotes: names of scenes are names of folders.
+// Quotes as RFC 4180 does: names of scenes are names of folders.
 std::string csv_cell(const std::string& text) {
   if (text.find_first_of(",\"\n\r") == std::string::npos) return text;
   std::string quoted = "\"";
@@ -187,7 +187,7 @@ std::string csv_cell(const std::string& text) {
   return quoted + "\"";
 }
 
-// Those whose wins stand in the rows of eval.csv.
+// Returns those whose wins stand in the rows of eval.csv.
 const std::vector<Metric>& metrics_of_rows() {
   static const std::vector<Metric> metrics{metric_named("energy_score"),
                                            metric_named("energy_score_features")};
@@ -204,7 +204,7 @@ std::string target_cell(const SceneNumber& number, size_t sample, size_t target)
   return std::isnan(value) ? "" : fmt::format("{:.6f}", value);
 }
 
-// Finite ones, ascending.
+// Returns the finite ones, ascending.
 std::vector<double> sorted_values(const std::vector<SceneEvaluation>& scenes, const std::string& column) {
   std::vector<double> values;
   for (const SceneEvaluation& scene : scenes) {

@@ -10,14 +10,14 @@
 
 namespace gld {
 
-// eval.csv: the header and one row a scene, numbers with 6 digits, "inf" for the PSNR of a perfect prediction, nothing
-// where a number is absent; then 1 or 0 for each trivial predictor that the sample beats or does not, for each rival
-// against which the samples win or do not by an energy score, and the numbers of sources and of samples. Text that CSV
-// would split is quoted.
+// Returns eval.csv: the header and one row a scene, with numbers with 6 digits, "inf" for the PSNR of a perfect
+// prediction, nothing where a number is absent; then 1 or 0 for each trivial predictor that the sample beats or does
+// not, for each rival against which the samples win or do not by an energy score, and the numbers of sources and of
+// samples. Text that CSV would split is quoted.
 std::string evaluation_csv(const std::vector<SceneEvaluation>& scenes);
 
-// targets.csv: one row a scene, number of sources, sample and target view, for the metrics that have a value a target.
-// What does not depend on the sample stands in the rows of the first one only.
+// Returns targets.csv: one row a scene, number of sources, sample and target view, for the metrics that have a value a
+// target. What does not depend on the sample stands in the rows of the first one only.
 std::string targets_csv(const std::vector<SceneEvaluation>& scenes);
 
 // A metric's values over scenes, sorted, a line for each predictor that has it: "psnr", "depth_abs_rel_unscaled". Only
@@ -28,12 +28,12 @@ struct MetricPicture {
 };
 std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& scenes);
 
-// For report.json: each column's mean, deviation and intervals over scenes, with how many scenes have a finite value,
-// an infinite one or none, and why; the best trivial predictor, the margins over it, and how often samples beat them;
-// how often samples win against each rival by each of compared_metrics(), and what their energy score is made of.
+// Returns for report.json each column's mean, deviation and intervals over scenes, with how many scenes have a finite
+// value, an infinite one or none, and why; the best trivial predictor, the margins over it, and how often samples beat
+// them; how often samples win against each rival by each of compared_metrics(), and what their energy score is made of.
 nlohmann::ordered_json evaluation_summary(const std::vector<SceneEvaluation>& scenes);
 
-// The same for people: predictors side by side, then the samples' geometry.
+// Returns the same for people: predictors side by side, then the samples' geometry.
 std::string evaluation_text(const nlohmann::ordered_json& summary);
 
 }  // namespace gld

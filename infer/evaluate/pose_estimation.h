@@ -23,8 +23,8 @@ enum class PoseEstimator {
 const std::vector<std::string>&
 pose_estimator_names();  // "none", "ours", "da3", "gld", "vggt", "da3_decoder"
 
-// One camera a view of geometry.rays, in their frame and unit. given: the scene's, for sizes and (ours) principal
-// points. Throws Error where no camera fits a view, and for kNone.
+// Returns one camera a view of geometry.rays, in their frame and unit. given are the scene's cameras, for sizes and
+// (ours) principal points. Throws Error where no camera fits a view, and for kNone.
 std::vector<Camera> estimated_cameras(PoseEstimator estimator, const GeometryOutput& geometry,
                                       const std::vector<Camera>& given);
 

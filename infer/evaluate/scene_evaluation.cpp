@@ -42,7 +42,7 @@ EncodedPictures encoded(const EvaluationModels& models, const torch::Tensor& ima
   return pictures;
 }
 
-// All levels that the decoder takes, or `alone` with the others zero.
+// Decodes all levels that the decoder takes, or `alone` with the others zero.
 torch::Tensor reconstruction(const EvaluationModels& models, const EncodedPictures& pictures,
                              std::optional<int64_t> alone) {
   auto levels = pictures.levels;
@@ -53,7 +53,7 @@ torch::Tensor reconstruction(const EvaluationModels& models, const EncodedPictur
   return models.models.rgb_decoder()->decode(features, pictures.grid).to(torch::kCPU);
 }
 
-// Pictures of the target views encoded beside the sources' and decoded; undefined where there are none.
+// Returns pictures of the target views encoded beside the sources' and decoded; undefined where there are none.
 torch::Tensor through_decoder(const EvaluationModels& models, const torch::Tensor& source_images,
                               const torch::Tensor& images) {
   if (!images.defined()) return {};
@@ -61,14 +61,14 @@ torch::Tensor through_decoder(const EvaluationModels& models, const torch::Tenso
       .narrow(0, source_images.size(0), images.size(0));
 }
 
-// (views, tokens, channels) -> (views, channels, rows, columns).
+// Makes (views, channels, rows, columns) of (views, tokens, channels).
 torch::Tensor as_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
   return tokens.transpose(1, 2)
       .reshape({tokens.size(0), tokens.size(2), grid.height, grid.width})
       .to(torch::kCPU);
 }
 
-// The deepest level of each picture, encoded alone: nothing that views tell each other goes in.
+// Returns the deepest level of each picture, encoded alone: nothing that views tell each other goes in.
 torch::Tensor features_of_each(const EvaluationModels& models, const torch::Tensor& images) {
   const auto backbone = models.models.backbone();
   const auto& architecture = backbone->architecture();
@@ -82,14 +82,14 @@ torch::Tensor features_of_each(const EvaluationModels& models, const torch::Tens
   return torch::cat(features);
 }
 
-// Undefined unless every target view has a picture.
+// The result is undefined unless every target view has a picture.
 torch::Tensor true_images(const SamplingScene& scene) {
   const auto& images = scene.true_images;
   const bool complete = std::none_of(images.begin(), images.end(), [](const Image& i) { return i.empty(); });
   return complete ? stacked(images) : torch::Tensor();
 }
 
-// 0 where unknown; undefined where no target view has a depth map.
+// Depth is 0 where unknown; the result is undefined where no target view has a depth map.
 torch::Tensor true_depth(const SamplingScene& scene) {
   bool any = false;
   std::vector<torch::Tensor> maps;
@@ -108,7 +108,7 @@ torch::Tensor points_of(const PointCloud& cloud) {
   return points;
 }
 
-// 0 where unknown; undefined unless every view has a depth map.
+// Depth is 0 where unknown; the result is undefined unless every view has a depth map.
 torch::Tensor all_true_depth(const SamplingScene& scene) {
   std::vector<DepthMap> depths = scene.source_depths;
   depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
@@ -120,7 +120,7 @@ torch::Tensor all_true_depth(const SamplingScene& scene) {
   return static_cast<int64_t>(maps.size()) == scene.views.size() ? torch::stack(maps) : torch::Tensor();
 }
 
-// What the true depth of all views shows of the scene, (points, 3); undefined where a view has none.
+// Returns what the true depth of all views shows of the scene, (points, 3); undefined where a view has none.
 torch::Tensor true_surface(const SamplingScene& scene) {
   std::vector<DepthMap> depths = scene.source_depths;
   depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
@@ -196,7 +196,7 @@ class SceneMetrics {
   SceneMetrics(const SceneMetrics&) = delete;
   SceneMetrics& operator=(const SceneMetrics&) = delete;
 
-  // Of target views, or with the true images of the views that `images` are of.
+  // Returns the inputs of target views, or those with the true images of the views that `images` are of.
   MetricInputs of_images(const torch::Tensor& images) const { return of_images(truth_.true_images, images); }
   MetricInputs of_images(const torch::Tensor& truth, const torch::Tensor& images) const {
     MetricInputs inputs = truth_;
@@ -206,14 +206,14 @@ class SceneMetrics {
     return inputs;
   }
 
-  // Of all samples of the target views together.
+  // Returns the inputs of all samples of the target views together.
   MetricInputs of_samples(const std::vector<torch::Tensor>& samples) const {
     MetricInputs inputs = of_images(samples.front());
     inputs.samples = torch::stack(samples);
     return inputs;
   }
 
-  // Of the geometry of all views of a sample.
+  // Returns the inputs of the geometry of all views of a sample.
   MetricInputs of_geometry(const PipelineResult& sample) const {
     const GeometryOutput& geometry = sample.geometry;
     MetricInputs inputs = truth_;
@@ -258,11 +258,12 @@ class SceneMetrics {
     return inputs;
   }
 
-  // The true ones of all views.
+  // Returns the true ones of all views.
   const EncodedPictures& pictures() const { return pictures_; }
 
  private:
-  // As gld sample writes it: the sources' pixels with their photographs, the targets' with the sample's images.
+  // Makes the cloud as gld sample writes it: the sources' pixels have their photographs' colours, the targets' those of
+  // the sample's images.
   PointCloud cloud_of(const PipelineResult& sample, const GeometryPlacement& placement) const {
     std::vector<Image> images = scene_.source_images;
     for (int64_t i = 0; i < sample.images.size(0); ++i) images.push_back(to_image(sample.images[i]));
@@ -270,7 +271,8 @@ class SceneMetrics {
                           PointCloudOptions());
   }
 
-  // Its depth, and the cameras that it finds when it is given the true pictures of all views and no cameras.
+  // Sets the head's depth, and the cameras that it finds when it is given the true pictures of all views and no
+  // cameras.
   void set_what_the_head_says_of_true_pictures(const GeometryOutput& geometry) {
     truth_.pseudo_depth = geometry.depth.narrow(0, truth_.views.num_sources, truth_.views.num_targets());
     const torch::Tensor& pictures = pictures_.images;
@@ -313,7 +315,7 @@ class SceneMetrics {
   std::shared_ptr<Lpips> lpips_;
 };
 
-// What a metric has for the targets: nothing where it is of the scene. A reconstruction is of all views.
+// Returns what a metric has for the targets: nothing where it is of the scene. A reconstruction is of all views.
 std::vector<double> of_targets(const MetricValue& value, const Views& views, const Predictor& predictor) {
   if (!value.per_view.defined()) return {};
   const int64_t count = value.per_view.size(0);
@@ -325,7 +327,7 @@ std::vector<double> of_targets(const MetricValue& value, const Views& views, con
   return {first, first + numbers.numel()};
 }
 
-// Whether a column's number is another one in each sample.
+// Returns whether a column's number is another one in each sample.
 bool depends_on_sample(const EvaluationColumn& column) {
   const auto& needs = column.metric.needs;
   const auto needs_one_of = [&](const std::vector<MetricNeed>& wanted) {
@@ -339,7 +341,7 @@ bool depends_on_sample(const EvaluationColumn& column) {
   return !needs_one_of({MetricNeed::kPhotoCameras, MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures});
 }
 
-// One number of several samples' values.
+// Makes one number of several samples' values.
 SceneNumber over_samples(const std::vector<MetricValue>& values, const EvaluationColumn& column,
                          const Views& views) {
   SceneNumber number;

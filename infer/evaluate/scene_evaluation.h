@@ -31,12 +31,12 @@ struct SceneEvaluation {
   std::vector<std::string> targets;
   std::vector<SceneNumber> numbers;  // in the order of evaluation_columns
 
-  // By the name of its column. Throws Error for a name that is none.
+  // Returns the number by the name of its column. Throws Error for a name that is none.
   const SceneNumber& number(const std::string& column) const;
-  // Whether the PSNR of a trivial predictor is below that of the sample.
+  // Returns whether the PSNR of a trivial predictor is below that of the sample.
   bool sample_beats(const Predictor& trivial) const;
-  // Whether the sample's number of a metric that is better higher or lower is better than another predictor's; nothing
-  // where either has none.
+  // Returns whether the sample's number of a metric that is better higher or lower is better than another predictor's;
+  // nothing where either has none.
   std::optional<bool> sample_wins(const Predictor& other, const Metric& metric) const;
   bool sample_beats_every_trivial() const;
 };
@@ -48,8 +48,8 @@ struct EvaluatedScene {
   PipelineResult mean_prediction;
 };
 
-// Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling:
-// how samples are drawn. At least one seed.
+// Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling
+// says how samples are drawn. There is at least one seed.
 EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScene& scene,
                               const FlowSettings& sampling, const std::vector<int64_t>& noise_seeds);
 

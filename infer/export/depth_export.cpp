@@ -17,8 +17,8 @@ constexpr double kSteps = 65535;
 constexpr double kOutlierFactor = 4;
 constexpr double kUnknownUnit = 1e-3;
 
-// The smallest of 1, 2, 5 times a power of ten that is at least value. Read from text, because factor * 10^n is rounded
-// and would print as 2.0000000000000002e-05.
+// Returns the smallest of 1, 2, 5 times a power of ten that is at least value. It is read from text, because factor *
+// 10^n is rounded and would print as 2.0000000000000002e-05.
 double rounded_up(double value) {
   const auto exponent = static_cast<int>(std::floor(std::log10(value)));
   for (const char* digits : {"1e{}", "2e{}", "5e{}"}) {

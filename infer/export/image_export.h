@@ -9,10 +9,10 @@
 
 namespace gld {
 
-// "view_03", the name of a view in every output folder; three digits from 100 views on.
+// Returns "view_03", the name of a view in every output folder; it has three digits from 100 views on.
 std::string view_name(int64_t view, int64_t num_views);
 
-// A PNG with its provenance and further texts; the file appears whole or not at all.
+// Writes a PNG with its provenance and further texts; the file appears whole or not at all.
 void export_image(const std::filesystem::path& file, const Image& image, const Provenance& provenance,
                   const TextItems& more = {});
 

@@ -27,7 +27,7 @@ namespace {
 
 using nlohmann::ordered_json;
 
-// Texts of files may be any bytes, JSON is UTF-8: what is not is replaced.
+// Texts of files may be any bytes, but JSON is UTF-8: what is not is replaced.
 std::string valid_text(const std::string& text) { return ordered_json::parse(json_text(ordered_json(text))); }
 
 std::string state_of_run(const std::filesystem::path& folder) {
@@ -45,7 +45,7 @@ ordered_json number_or_null(const nlohmann::json& object, const char* key) {
   return found != object.end() && found->is_number() ? ordered_json(found->get<double>()) : ordered_json();
 }
 
-// Of the header alone: the tensors and their checksum are looked at by --resume.
+// The summary is of the header alone: the tensors and their checksum are looked at by --resume.
 ordered_json checkpoint_summary(const std::filesystem::path& file, const std::filesystem::path& folder) {
   ordered_json summary = {{"file", file.lexically_relative(folder).string()}};
   try {
@@ -74,7 +74,7 @@ ordered_json checkpoints_of(const std::filesystem::path& folder) {
     const std::string name = item.path().filename().string();
     if (name == "best.safetensors" || name.rfind("step_", 0) == 0) files.push_back(item.path());
   }
-  // best before step_...
+  // This puts best before step_...
   std::sort(files.begin(), files.end());
   ordered_json summaries = ordered_json::array();
   for (const auto& file : files) summaries.push_back(checkpoint_summary(file, folder));
@@ -173,7 +173,7 @@ ordered_json texts_json(const TextItems& items) {
   return texts;
 }
 
-// "NAME TEXT", and "NAME+ TEXT" where a text goes on.
+// The comments are "NAME TEXT", and "NAME+ TEXT" where a text goes on.
 TextItems texts_of_comments(const std::vector<std::string>& comments) {
   TextItems items;
   for (const auto& comment : comments) {
@@ -217,7 +217,8 @@ size_t size_of_list(const nlohmann::json& object, const char* key) {
   return found != object.end() && found->is_array() ? found->size() : 0;
 }
 
-// glTF 2.0, binary: 12 bytes of header, then chunks of length, type and bytes, the first of which is JSON.
+// Inspects glTF 2.0, binary: it has 12 bytes of header, then chunks of length, type and bytes, the first of which is
+// JSON.
 ordered_json inspect_scene(ByteView bytes, const std::string& where) {
   constexpr size_t kBeforeJson = 20;
   constexpr uint32_t kJsonChunk = 0x4E4F534A;

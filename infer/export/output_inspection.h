@@ -19,7 +19,7 @@ namespace gld {
 // for a damaged PNG, PLY or GLB file; a checkpoint that cannot be read is listed with its "problem".
 std::optional<nlohmann::ordered_json> inspect_output(const std::filesystem::path& file_or_folder);
 
-// The same for people. What is no printable text is written so that it is.
+// Returns the same for people. What is no printable text is written so that it is.
 std::string output_inspection_text(const nlohmann::ordered_json& inspection);
 
 }  // namespace gld

@@ -29,7 +29,7 @@ std::string comments(const TextItems& items) {
   return lines;
 }
 
-// The header's lines about a vertex.
+// Returns the header's lines about a vertex.
 std::string property_lines(bool doubles) {
   std::string lines;
   for (const char* axis : {"x", "y", "z"}) {

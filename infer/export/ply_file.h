@@ -7,10 +7,10 @@
 
 namespace gld {
 
-// A binary little-endian PLY file: x y z, red green blue (uchar), confidence (float), with the provenance as comments
-// "NAME TEXT". Coordinates are floats, and doubles where a float's rounding would be more than 1e-5 of the cloud's
-// size, as for a scene far from the origin. An empty cloud is a file of 0 vertices. Atomic. A point that is not finite
-// is an Error.
+// Writes a binary little-endian PLY file: x y z, red green blue (uchar), confidence (float), with the provenance as
+// comments "NAME TEXT". Coordinates are floats, and doubles where a float's rounding would be more than 1e-5 of the
+// cloud's size, as for a scene far from the origin. An empty cloud is a file of 0 vertices. Writing is atomic. A point
+// that is not finite is an Error.
 void export_ply(const std::filesystem::path& file, const PointCloud& cloud, const Provenance& provenance);
 
 struct PlyFile {

@@ -100,7 +100,7 @@ class ViewLifter {
   ViewLifter(const PointView& view, double depth_scale, PointLifting lifting)
       : view_(view), depth_scale_(depth_scale), lifting_(lifting) {}
 
-  // Not finite where the ray or the predicted point is not.
+  // The result is not finite where the ray or the predicted point is not.
   Eigen::Vector3d x_in_world(int64_t x, int64_t y) const {
     if (lifting_ == PointLifting::kPointMaps) {
       return view_.world_from_rays *
@@ -193,7 +193,7 @@ struct GridCell {
   size_t point = 0;
 };
 
-// The cell of each point; 21 bits an axis.
+// Returns the cell of each point, with 21 bits an axis.
 std::vector<GridCell> grid_cells(const PointCloud& cloud, const Eigen::Vector3d& corner, double cell_size) {
   constexpr double kLastCell = (1 << 21) - 1;
   std::vector<GridCell> cells(cloud.x_in_world.size());
@@ -207,7 +207,7 @@ std::vector<GridCell> grid_cells(const PointCloud& cloud, const Eigen::Vector3d&
   return cells;
 }
 
-// The surest point of each cell, the first of equals; in the order of the cloud.
+// Returns the surest point of each cell, the first of equals; they are in the order of the cloud.
 std::vector<size_t> kept_points(const PointCloud& cloud, std::vector<GridCell> cells) {
   std::sort(cells.begin(), cells.end(), [&](const GridCell& a, const GridCell& b) {
     if (a.key != b.key) return a.key < b.key;

@@ -75,9 +75,9 @@ struct PointCloud {
 PointCloud build_point_cloud(const std::vector<PointView>& views, double depth_scale,
                              const PointCloudOptions& options);
 
-// 1 where a pixel lies at a step of the surface. Inverse depth is affine on a plane seen in perspective, so its second
-// difference between the two neighbours in a row or column, relative to the pixel's own inverse depth, is 0 on slanted
-// planes and large at occlusions. Neighbours with unknown depth do not count. (height, width).
+// Returns 1 where a pixel lies at a step of the surface. Inverse depth is affine on a plane seen in perspective, so its
+// second difference between the two neighbours in a row or column, relative to the pixel's own inverse depth, is 0 on
+// slanted planes and large at occlusions. Neighbours with unknown depth do not count. The result is (height, width).
 std::vector<uint8_t> depth_edges(const DepthMap& depth, double step);
 
 // Keeps the surest point of each cell of a cubic grid, the smallest tried with which at most max_points are left.

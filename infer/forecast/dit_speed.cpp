@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kFlowTime = 0.5;
 
-// One block a part where all of them would take long to make.
+// Returns options with one block a part where all of them would take long to make.
 DitOptions probe_options(const DitOptions& options, const LatentGrid& grid) {
   constexpr int64_t kMostWeightBytes = 256'000'000;
   DitOptions probe = options;

@@ -123,7 +123,7 @@ std::vector<std::string> advice_for(const SamplingPlan& plan, const DoctorOption
   return advice;
 }
 
-// What can be told before the machine is measured.
+// Checks what can be told before the machine is measured.
 void check_forecast(const DoctorOptions& options) {
   const ImageSize size = image_size_from_text(options.size, "--size");
   if (!options.model.empty()) {

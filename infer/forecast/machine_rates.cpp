@@ -44,14 +44,14 @@ double once_after_another(const std::function<void()>& action) {
   return seconds_of(action);
 }
 
-// A linear layer of DA3-Base's feed-forward part, on as many tokens.
+// Returns the speed of a linear layer of DA3-Base's feed-forward part, on as many tokens.
 double linear_speed(int64_t rows, const Timing& timing) {
   constexpr int64_t kInputs = 768, kOutputs = 3072;
   const auto x = at::randn({rows, kInputs}), weight = at::zeros({kOutputs, kInputs});
   return 2.0 * static_cast<double>(rows * kInputs * kOutputs) / timing([&] { times_transposed(x, weight); });
 }
 
-// The same packed, as models of that precision compute them; operations a second.
+// Returns the same speed of packed layers, as models of that precision compute them, in operations a second.
 double packed_speed(int64_t rows, ComputePrecision precision, const Timing& timing) {
   constexpr int64_t kInputs = 768, kOutputs = 3072;
   const auto x = at::randn({rows, kInputs}), weight = at::randn({kOutputs, kInputs});
@@ -87,8 +87,8 @@ DitOptions small_model() {
 }
 const LatentGrid kSmallGrid{4, 8, 8}, kLargeGrid{1, 12, 15};
 
-// Precisions without a unit run in portable code, a few times slower than float32: nothing to wait for a measurement
-// of.
+// Precisions without a unit run in portable code, a few times slower than float32: a measurement of them is nothing to
+// wait for.
 constexpr double kPlainUnit = 0.1;
 
 void measure_precisions(int64_t rows, int64_t tokens, const Timing& timing, MachineSpeed& speed) {
@@ -131,7 +131,7 @@ constexpr Entry kEntries[] = {{"multiply_add_peak", &MachineSpeed::multiply_add_
 // measured in the same second, and repeats.
 constexpr double kAbovePeak = 1.05, kWidestSpread = 0.3, kLeastInt8 = 0.5;
 constexpr size_t kRepeats = 5;
-// How many runs of a precision are remembered.
+// So many runs of a precision are remembered.
 constexpr size_t kRemembered = 8;
 
 // One repeat of all kinds of work.
@@ -161,7 +161,7 @@ constexpr std::pair<ComputePrecision, double MachineSpeed::*> kStages[] = {
     {ComputePrecision::kBFloat16, &MachineSpeed::bfloat16_stages},
     {ComputePrecision::kInt8, &MachineSpeed::int8_stages}};
 
-// From the runs that are remembered.
+// Sets them from the runs that are remembered.
 void set_stages(MeasuredSpeed& measured) {
   for (const auto& [precision, stages] : kStages) {
     auto ratios = measured.runs[precision];
@@ -179,7 +179,7 @@ std::string time_text(int64_t seconds) {
   return text.data();
 }
 
-// "measured on 2026-11-24 03:50 UTC, repeats within 6 %, and mended by 3 runs"
+// Returns for example "measured on 2026-11-24 03:50 UTC, repeats within 6 %, and mended by 3 runs".
 std::string certainty_text(const MeasuredSpeed& measured) {
   size_t runs = 0;
   for (const auto& [precision, ratios] : measured.runs) runs += ratios.size();
@@ -193,7 +193,8 @@ nlohmann::ordered_json key_json(const RateKey& key) {
       {"host", key.host}, {"processor", key.processor}, {"threads", key.threads}, {"program", key.program}};
 }
 
-// The file's list of measurements; an empty one where it is missing or is not what keep_machine_speed writes.
+// Returns the file's list of measurements, or an empty one where the file is missing or is not what keep_machine_speed
+// writes.
 nlohmann::ordered_json kept_list(const std::filesystem::path& file) {
   constexpr uint64_t kMostBytes = 1'000'000;
   std::error_code error;
@@ -202,7 +203,7 @@ nlohmann::ordered_json kept_list(const std::filesystem::path& file) {
     auto list = parse_ordered_json(read_file(file, kMostBytes), file.string()).at("rates");
     if (list.is_array()) return list;
   } catch (const std::exception&) {
-    // Unreadable or no JSON: a cache that counts for nothing.
+    // The file is unreadable or no JSON: a cache that counts for nothing.
   }
   return nlohmann::ordered_json::array();
 }

@@ -23,7 +23,7 @@ struct MachineSpeed {
   // operations add, for a small model (160 and 288 wide, 256 tokens) and for blocks of the published sizes.
   double small_model = 1;
   double large_model = 1;
-  // How many times as fast as in float32 linear layers and attention are in other precisions, with the best unit.
+  // Linear layers and attention are so many times as fast in other precisions as in float32, with the best unit.
   double bfloat16_linear = 1;
   double int8_linear = 1;
   double bfloat16_attention = 1;
@@ -49,21 +49,22 @@ struct MeasuredSpeed {
   std::map<ComputePrecision, std::vector<double>> runs;
 };
 
-// The median of five repeats of each kind of work, the kinds in turn, so that what else runs on the machine meets all
-// alike; of the peak the best. With the present thread setting, some ten seconds. It waits until the scheduler has
-// spread the threads, so it belongs to gld doctor and never before other work.
+// Measures the median of five repeats of each kind of work, the kinds in turn, so that what else runs on the machine
+// meets all alike; of the peak it takes the best. With the present thread setting it takes some ten seconds. It waits
+// until the scheduler has spread the threads, so it belongs to gld doctor and never before other work.
 MeasuredSpeed measure_machine_speed();
-// What contradicts itself in a measurement, a sentence each: work faster than the peak, int8 below half of bfloat16,
-// repeats more than 30 % apart. Such rates are of a busy machine.
+// Returns what contradicts itself in a measurement, a sentence each: work faster than the peak, int8 below half of
+// bfloat16, repeats more than 30 % apart. Such rates are of a busy machine.
 std::vector<std::string> contradictions(const MeasuredSpeed& measured);
-// One short run of each kind, at most about 0.1 s on an idle processor and never repeated: may be half of the truth on
-// a busy machine, where threads start on one core.
+// Makes one short run of each kind, which takes at most about 0.1 s on an idle processor and is never repeated: the
+// result may be half of the truth on a busy machine, where threads start on one core.
 MachineSpeed estimate_machine_speed();
 
-// What these operations take at these speeds, element-wise work left out.
+// Returns what these operations take at these speeds, element-wise work left out.
 double computing_seconds(const Cost& cost, const MachineSpeed& speed, const LayerPrecision& precision = {});
-// The same with it: cost is that of `passes` equal passes through a model. The factor lies between small_model and
-// large_model, linear in the logarithm of a pass's operations. What it adds is the same in every precision.
+// Returns the same with element-wise work: cost is that of `passes` equal passes through a model. The factor lies
+// between small_model and large_model, linear in the logarithm of a pass's operations. What it adds is the same in
+// every precision.
 double model_seconds(const Cost& cost, double passes, const MachineSpeed& speed,
                      const LayerPrecision& precision = {});
 
@@ -76,11 +77,11 @@ struct RateKey {
 };
 RateKey present_rate_key();  // this machine, build and thread setting
 
-// machine_rates.json in the user's cache folder; empty where there is none (gld/base/user_cache.h).
+// Returns machine_rates.json in the user's cache folder; empty where there is none (gld/base/user_cache.h).
 std::filesystem::path machine_rates_file();
 
-// The rates kept under that key; none where the file is missing, damaged or holds other keys only, or where what it
-// holds contradicts itself.
+// Returns the rates kept under that key; none where the file is missing, damaged or holds other keys only, or where
+// what it holds contradicts itself.
 std::optional<MeasuredSpeed> kept_machine_speed(const std::filesystem::path& file, const RateKey& key);
 // Adds them to the file in the place of earlier ones of that key. A damaged file is replaced. Throws Error where it
 // cannot be written.
@@ -94,7 +95,7 @@ struct KnownSpeed {
   std::vector<std::string> doubts;  // contradictions()
   bool kept = false;                // learn_from_run() may mend them
 };
-// The kept rates, or a quick estimate. Never measures at length and writes nothing.
+// Returns the kept rates, or a quick estimate. It never measures at length and writes nothing.
 KnownSpeed known_machine_speed();
 // Measures anew and keeps the rates, unless they contradict themselves when measured again; where they are not kept,
 // origin says so.

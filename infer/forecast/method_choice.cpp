@@ -18,7 +18,7 @@ bool same_grid(const LatentGrid& a, const LatentGrid& b) {
   return a.views == b.views && a.height == b.height && a.width == b.width;
 }
 
-// What this machine is expected to take, in seconds.
+// Returns what this machine is expected to take, in seconds.
 double seconds_of_method(const SamplingMethod& method, const SampleOptions& options,
                          const ModelBundle& bundle, PlanRequest request, const MachineSpeed& speed) {
   request.flow = flow_settings(method, options.guidance, bundle.options());
@@ -27,9 +27,9 @@ double seconds_of_method(const SamplingMethod& method, const SampleOptions& opti
   return plan.seconds();
 }
 
-// What each method takes for this request, in seconds. A small model spends its time on more than operations, so that
-// time and operations do not rank methods alike: where the table was measured on scenes of this size its own seconds
-// are compared, else those that this machine is expected to take.
+// Returns what each method takes for this request, in seconds. A small model spends its time on more than operations,
+// so that time and operations do not rank methods alike: where the table was measured on scenes of this size its own
+// seconds are compared, else those that this machine is expected to take.
 std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions& options,
                                    const ModelBundle& bundle, const PlanRequest& request,
                                    const MachineSpeed& speed) {
@@ -44,7 +44,7 @@ std::vector<double> method_seconds(const PlanErrors& table, const SampleOptions&
   return seconds;
 }
 
-// Whether a measured method may be taken with these options.
+// Returns whether a measured method may be taken with these options.
 bool allowed(const MethodErrors& entry, const SampleOptions& options) {
   const ComputePrecision precision = entry.method.precision;
   if (!errors_hold_on(options.device, precision)) return false;
@@ -60,7 +60,7 @@ std::string size_text(const LatentGrid& grid) {
   return fmt::format("{} views of {}x{} tokens", grid.views, grid.width, grid.height);
 }
 
-// Where the scene is unlike those that were measured.
+// Returns notes on where the scene is unlike those that were measured.
 std::vector<std::string> notes_on(const PlanErrors& table, const PlanRequest& request,
                                   double guidance_scale) {
   std::vector<std::string> notes;
@@ -109,7 +109,7 @@ ChosenMethod within_tolerance(const SampleOptions& options, const ModelBundle& b
   return choice;
 }
 
-// The fastest precision whose error with this method was measured to be small enough.
+// Takes the fastest precision whose error with this method was measured to be small enough.
 void choose_precision(const PlanErrors& table, const SampleOptions& options, const ModelBundle& bundle,
                       const PlanRequest& request, const MachineSpeed& speed, SamplingMethod& method) {
   double least = seconds_of_method(method, options, bundle, request, speed);
@@ -156,7 +156,7 @@ ChosenMethod choose_method(const SampleOptions& options, const ModelBundle& bund
     float32_because("No precision was measured with this method");
   }
   if (automatic && table.model_hash == model_hash()) {
-    // Of the float32 method that was asked for, then in the precision that was found.
+    // The method is first the float32 method that was asked for, then that in the precision that was found.
     SamplingMethod found = choice.method;
     choose_precision(table, options, bundle, request, speed, found);
     choice.method.precision = found.precision;

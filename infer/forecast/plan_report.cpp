@@ -36,7 +36,7 @@ const StageRecord* record_of(const std::vector<StageRecord>& records, const std:
   return nullptr;
 }
 
-// Of a stage that ran on a GPU what tensors had there, which is what was predicted.
+// For a stage that ran on a GPU it is what tensors had there, which is what was predicted.
 int64_t bytes_of(const StageRecord& record) {
   return record.device_bytes > 0 ? record.device_bytes : record.peak_bytes;
 }

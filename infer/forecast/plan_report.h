@@ -12,15 +12,15 @@
 // A plan for people and for report.json, before a run and beside what it took.
 namespace gld {
 
-// A table, one line a stage, for people.
+// Returns a table, one line a stage, for people.
 std::string plan_text(const SamplingPlan& plan);
 nlohmann::ordered_json plan_json(const SamplingPlan& plan);
 
-// The same with what every stage took: seconds, peak memory, and both over what was predicted.
+// Returns the same with what every stage took: seconds, peak memory, and both over what was predicted.
 nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
-// What learn_from_run() (infer/forecast/machine_rates.h) takes.
+// Returns what learn_from_run() (infer/forecast/machine_rates.h) takes.
 std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector<StageRecord>& records);
-// One line: the planned stages' seconds and peak memory together, as they were and as predicted.
+// Returns one line: the planned stages' seconds and peak memory together, as they were and as predicted.
 std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 
 }  // namespace gld

@@ -17,7 +17,7 @@
 namespace gld {
 namespace {
 
-// The flow time that each evaluation starts its step from.
+// Returns the flow time that each evaluation starts its step from.
 std::vector<double> evaluation_times(const SolverOptions& solver) {
   const auto steps = solver_times(solver);
   const auto step_count = static_cast<int64_t>(steps.size()) - 1;
@@ -35,7 +35,7 @@ int64_t guided_evaluations(const SolverOptions& solver, const GuidanceOptions& g
 
 bool is_cascade(const DitOptions& options) { return options.conditioning == DitConditioning::kDeeperLevel; }
 
-// Conditions that the approximate savings keep, in bytes.
+// Returns the bytes of the conditions that the approximate savings keep.
 int64_t kept_conditions_bytes(const DitOptions& options, const SolverOptions& solver,
                               const PlanRequest& request) {
   const FlowSettings& flow = request.flow;
@@ -164,7 +164,7 @@ Cost image_decoding_cost(const BundleOptions& bundle, const LatentGrid& grid) {
                                   : bundle.backbone.architecture().decoding_cost(grid);
 }
 
-// Of geometry_of_pictures(), whose pictures have that grid.
+// Returns the cost of geometry_of_pictures(), whose pictures have that grid.
 Cost geometry_of_pictures_cost(const BundleOptions& geometry, const LatentGrid& grid, GeometryMaps maps) {
   Cost cost = geometry.backbone.architecture().encoding_cost(grid, geometry.backbone.levels() - 1);
   const Cost head = geometry.geometry_head.cost(grid, maps);
@@ -215,14 +215,15 @@ PlannedStage photo_cameras_stage(const BundleOptions& bundle, const PlanRequest&
   stage.memory.held =
       2 * geometry.backbone.levels() * latent_bytes(geometry.backbone.level_channels(), grid) +
       pixels * 3 * (1 + 2 * kFloatBytes);
-  // Before any of it, the photographs one after another as they were taken: bytes of the file's order and of ours.
+  // Before any of it, it reads the photographs one after another as they were taken, with bytes of the file's order and
+  // of ours.
   StageMemory reading;
   reading.held = pixels * 3 + 2 * 3 * request.photograph_pixels;
   stage.peak_bytes = std::max(predicted_peak_bytes(stage.memory), predicted_peak_bytes(reading));
   return stage;
 }
 
-// Of the stages that run once.
+// Returns the cost of the stages that run once.
 Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const PlanRequest& request) {
   const auto& backbone = bundle.backbone.architecture();
   const LatentGrid sources = with_views(request.grid, request.num_sources);
@@ -242,7 +243,7 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
       if (mends_source_depth(bundle.level_set(), stages)) {
         const ImageSize matched = largest_matched_size(bundle, request);
         Cost mending = depth_refinement_cost(bundle.depth_refinement, matched.height, matched.width);
-        // All views at once.
+        // It mends all views at once.
         mending.convolution_flop *= static_cast<double>(stages.num_sources);
         cost.add_operations_of(mending);
         cost.working_bytes = std::max(cost.working_bytes, mending.working_bytes * stages.num_sources);
@@ -401,7 +402,7 @@ void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed) {
 
 void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed) {
-  // What a stage that runs once may take for it to be run beforehand.
+  // A stage that runs once may take so long for it to be run beforehand.
   constexpr double kShort = 0.2;
   for (auto& stage : plan.stages) {
     if (!stage.runs || !stage.of_products) continue;

@@ -46,13 +46,13 @@ struct PlanRequest {
   StageRequest stage_request() const;
 };
 
-// The grid of another backbone that looks at pictures of the bundle's grid: sides in whole patches of its
-// own.
+// Returns the grid of another backbone that looks at pictures of the bundle's grid: its sides are in whole patches of
+// its own.
 LatentGrid geometry_model_grid(const BundleOptions& geometry, const BundleOptions& bundle,
                                const LatentGrid& pictures);
 
-// The most pixels that depth which photographs are matched for may have: they may have been taken larger than the model
-// sees them.
+// Returns the most pixels that depth which photographs are matched for may have: they may have been taken larger than
+// the model sees them.
 ImageSize largest_matched_size(const BundleOptions& bundle, const PlanRequest& request);
 
 // How often each part of a model runs in a flow, over both branches of guidance.
@@ -60,11 +60,11 @@ struct PlannedRuns {
   int64_t condition_encoder = 0;
   int64_t velocity_decoder = 0;
 };
-// What the pipeline will count (DitCounts) with a fixed-step solver of one evaluation a step; adaptive solvers are
-// counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
+// Returns what the pipeline will count (DitCounts) with a fixed-step solver of one evaluation a step; adaptive solvers
+// are counted with solver.evaluations, and staged ones as if their stages lay at the steps' starts.
 PlannedRuns planned_runs(const DitOptions& model, const SolverOptions& solver, const FlowSettings& flow);
 
-// The stage that estimates the cameras of photographs, in plans and records.
+// This stage estimates the cameras of photographs, in plans and records.
 inline constexpr const char* kPhotoCamerasStage = "photo cameras";
 
 // A stage with what it takes.
@@ -90,15 +90,16 @@ struct SamplingPlan {
   int64_t peak_bytes() const;  // of the largest stage
 };
 
-// The stages that this request needs, with their cost, that of the cameras of photographs first. Adaptive solvers are
-// counted with options.evaluations.
+// Returns the stages that this request needs, with their cost, that of the cameras of photographs first. Adaptive
+// solvers are counted with options.evaluations.
 SamplingPlan plan_sampling(const BundleOptions& bundle, const PlanRequest& request);
-// The parts of the model that the stages of a request load, statistics included, each once.
+// Returns the parts of the model that the stages of a request load, statistics included, each once.
 std::vector<BundlePart> needed_parts(const BundleOptions& bundle, const StageRequest& request);
-// Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. Runs nothing.
+// Fills in PlannedStage::seconds, loading included, from operations and the machine's speed. It runs nothing.
 void predict_seconds(SamplingPlan& plan, const MachineSpeed& speed);
-// The same by running: of flows from runs of their models' parts (infer/forecast/dit_speed.h), of other stages where
-// they are short from a run (infer/forecast/stage_speed.h). Takes a few seconds at full size: for gld plan --measure.
+// Does the same by running: it times flows from runs of their models' parts (infer/forecast/dit_speed.h), and other
+// stages where they are short from a run (infer/forecast/stage_speed.h). It takes a few seconds at full size, and is
+// for gld plan --measure.
 void measure_seconds(SamplingPlan& plan, const BundleOptions& bundle, const PlanRequest& request,
                      const MachineSpeed& speed);
 

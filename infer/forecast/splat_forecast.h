@@ -8,12 +8,12 @@
 
 namespace gld {
 
-// The stage that fits Gaussians to a run's pictures, in plans and records.
+// This stage fits Gaussians to a run's pictures, in plans and records.
 inline constexpr const char* kSplatStage = "splats";
 
 SplatWork splat_work(const PlanRequest& request, int64_t patch_side, const SceneFitOptions& options);
 
-// request.splats is there.
+// The request must have request.splats.
 PlannedStage splat_stage(const PlanRequest& request, int64_t patch_side);
 // Fills in the seconds of the plan's stage kSplatStage, where it has one.
 void time_splat_stage(SamplingPlan& plan, const PlanRequest& request, int64_t patch_side, int threads);

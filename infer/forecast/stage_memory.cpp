@@ -9,9 +9,9 @@
 namespace gld {
 
 int64_t predicted_peak_bytes(const StageMemory& memory) {
-  // LibTorch's, OpenCV's and BLAS's libraries and heaps before any model is loaded, measured.
+  // LibTorch's, OpenCV's and BLAS's libraries and heaps take this before any model is loaded, as measured.
   constexpr int64_t kProgramBytes = 215'000'000;
-  // Packed panels of products and attention, buffers of BLAS: measured in large stages.
+  // Packed panels of products and attention and buffers of BLAS take this, as measured in large stages.
   constexpr int64_t kMostScratchBytes = 60'000'000;
   constexpr double kKeptShare = 0.5;  // of activations, measured
   const int64_t computing = std::min(kMostScratchBytes, memory.working) + memory.weights + memory.working +

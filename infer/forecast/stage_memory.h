@@ -18,12 +18,12 @@ struct StageMemory {
   int64_t working = 0;  // activations (models/cost/cost_model.h)
 };
 
-// Resident memory of the process at the stage's peak: these, the program itself, the kernels' scratch, and freed blocks
-// that wait for the next tensor of their size (gld/machine/block_memory.h). Within a quarter of what was measured with
-// the published sizes at 112x112 to 504x504 and with configs/tiny.
+// Returns the resident memory of the process at the stage's peak: these, the program itself, the kernels' scratch, and
+// freed blocks that wait for the next tensor of their size (gld/machine/block_memory.h). It is within a quarter of what
+// was measured with the published sizes at 112x112 to 504x504 and with configs/tiny.
 int64_t predicted_peak_bytes(const StageMemory& memory);
 
-// All parameters and buffers of that part in float32. Computes nothing and takes no memory.
+// Returns the bytes of all parameters and buffers of that part in float32. It computes nothing and takes no memory.
 int64_t weight_bytes_of(const BundlePart& part, const BundleOptions& options);
 
 }  // namespace gld

@@ -17,7 +17,7 @@
 namespace gld {
 namespace {
 
-// Of any size, as long as no number is a NaN or a denormal, which would be slow.
+// Weights may have any size, as long as no number is a NaN or a denormal, which would be slow.
 void fill(torch::nn::Module& module) {
   for (auto& parameter : module.parameters()) {
     if (!parameter.is_floating_point()) continue;
@@ -54,7 +54,7 @@ double encoding_seconds(const BundleOptions& bundle, const PlanRequest& request)
   });
 }
 
-// Of the source photographs and what is carried into the target views, together.
+// Returns the seconds for the source photographs and what is carried into the target views, together.
 double warp_encoding_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   const auto backbone = bundle.backbone.make(ParameterPlacement{});
   fill(*backbone);
@@ -89,7 +89,7 @@ double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
   return seconds_of([&] { decoder.decode(features, grid); });
 }
 
-// Of the network alone; what photographs are carried by is found when it runs.
+// Returns the seconds of the network alone; what photographs are carried by is found when it runs.
 double blending_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   PhotographBlending blending(bundle.blending, ParameterPlacement{});
   fill(blending);
@@ -111,12 +111,12 @@ double geometry_seconds(const BundleOptions& bundle, const LatentGrid& grid, Geo
   return seconds_of([&] { head->forward(inputs, grid, maps); });
 }
 
-// What the head takes to say how deep the source views are.
+// Returns what the head takes to say how deep the source views are.
 double source_geometry_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   return geometry_seconds(bundle, with_views(request.grid, request.num_sources), GeometryMaps::kDepthAndRays);
 }
 
-// Of the network alone, likewise.
+// Returns the seconds of the network alone, likewise.
 double depth_refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   DepthRefinement refinement(bundle.depth_refinement, ParameterPlacement{});
   fill(refinement);
@@ -133,7 +133,7 @@ double depth_refinement_seconds(const BundleOptions& bundle, const PlanRequest& 
   return seconds_of([&] { refinement.forward(evidence); });
 }
 
-// Of another backbone and its head, which look at the generated images.
+// Returns the seconds of another backbone and its head, which look at the generated images.
 double geometry_model_seconds(const BundleOptions& geometry, const BundleOptions& bundle,
                               const PlanRequest& request) {
   const LatentGrid grid = geometry_model_grid(geometry, bundle, request.grid);

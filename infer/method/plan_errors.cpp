@@ -38,14 +38,14 @@ PlanErrors from_json(const nlohmann::json& document, const std::string& where) {
     method.largest = number_of(entry, "largest_error");
     method.bound = number_of(entry, "error_bound");
     if (entry.contains("seconds")) method.seconds = number_of(entry, "seconds");
-    // Tables of before there were precisions are of float32.
+    // Tables from before there were precisions are of float32.
     if (entry.contains("precision_error")) method.of_precision = number_of(entry, "precision_error");
     errors.methods.push_back(std::move(method));
   }
   return errors;
 }
 
-// The t that Student's distribution exceeds with this probability (below 1/2).
+// Returns the t that Student's distribution exceeds with this probability (below 1/2).
 double student_quantile(double degrees_of_freedom, double probability) {
   const auto exceeded = [&](double t) {
     return 0.5 * Eigen::numext::betainc(0.5 * degrees_of_freedom, 0.5,

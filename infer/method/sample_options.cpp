@@ -15,13 +15,13 @@
 namespace gld {
 namespace {
 
-// Fields that make up a SamplingMethod.
+// Returns whether the field is one of those that make up a SamplingMethod.
 bool decides_the_method(const std::string& key) {
   return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 ||
          key == "guidance.guidance_interval";
 }
 
-// The first field of the method that the command line names or a file changes; empty for none.
+// Returns the first field of the method that the command line names or a file changes; it is empty for none.
 std::string method_field_asked_for(const SampleOptions& options) {
   for (const auto& key : options.named) {
     if (decides_the_method(key)) return key;
@@ -37,8 +37,8 @@ std::string method_field_asked_for(const SampleOptions& options) {
 
 bool begins_with(const std::string& key, const std::string& group) { return key.rfind(group, 0) == 0; }
 
-// "--orbit-center" for "views.orbit_center", and the whole key where the command has an option of that name outside
-// groups: "--tolerance" is another one than "--solver.tolerance".
+// Returns "--orbit-center" for "views.orbit_center", and the whole key where the command has an option of that name
+// outside groups: "--tolerance" is another one than "--solver.tolerance".
 std::string flag_of(const std::string& key) {
   const std::string last = key.substr(key.find('.') + 1);
   for (const auto& option : describe_options(SampleOptions())) {
@@ -87,7 +87,7 @@ std::vector<Use> uses_of_options(const SampleOptions& options) {
   };
 }
 
-// What the command line asks for and nothing would look at.
+// Refuses what the command line asks for and nothing would look at.
 void refuse_without_effect(const SampleOptions& options) {
   const auto uses = uses_of_options(options);
   for (const auto& key : options.named) {
@@ -138,7 +138,7 @@ void refuse_orbit_options_of(const SampleOptions& options, const std::string& pa
 }
 
 SplatOutputOptions::SplatOutputOptions() {
-  // About a minute for 20 views of 256x256 on two cores.
+  // These take about a minute for 20 views of 256x256 on two cores.
   constexpr int64_t kSteps = 1000;
   fit.steps = kSteps;
   // So that all degrees have their turn.

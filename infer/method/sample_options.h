@@ -43,13 +43,13 @@ struct SampleOptions : OptionsGroup {
   std::string size = "auto";
   PhotographOptions photograph_use;
   std::vector<std::string> outputs{"image", "depth", "points", "page"};
-  // Bundle whose backbone and geometry head look at the generated images; empty for the model's own levels.
+  // The backbone and geometry head of this bundle look at the generated images; it is empty for the model's own levels.
   std::string geometry_model;
   GeometryCameras geometry_cameras =
       GeometryCameras::kFound;  // what that bundle is told of the views' cameras
   int64_t seed = 0;
-  // Instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error stays
-  // below a tolerance (infer/method/plan_errors.h; 0 for none). Neither goes together with those options.
+  // These stand instead of the options that make up a SamplingMethod: a fixed one, or the cheapest whose measured error
+  // stays below a tolerance (infer/method/plan_errors.h; 0 for none). Neither goes together with those options.
   SamplingQuality quality = SamplingQuality::kOptions;
   double tolerance = 0;
   SolverOptions solver;
@@ -63,7 +63,7 @@ struct SampleOptions : OptionsGroup {
   PrecisionChoice precision = PrecisionChoice::kFloat32;
   std::string device = "cpu";
   int64_t threads = 0;
-  // Gigabytes that sampling may take; 0 for what is free.
+  // Sampling may take so many gigabytes; 0 stands for what is free.
   double memory_limit = 0;
   bool allow_mixed = false;
   int64_t preview = 0;  // evaluations between two previews; 0: none
@@ -80,11 +80,11 @@ struct SampleOptions : OptionsGroup {
 
   RequestedOutputs requested() const;  // Error for a name that is no output
   ExactSavings savings() const;        // Error for a name that is no saving
-  // What all options but tolerance say; float32 for an automatic precision.
+  // Returns what all options but tolerance say; precision is float32 for an automatic one.
   SamplingMethod method() const;
 };
 
-// Error where the command line names options of an orbit (views.orbit_*) and the targets lie on that other path.
+// Throws Error where the command line names options of an orbit (views.orbit_*) and the targets lie on that other path.
 // Options say what their own path is; which one photographs without --path get is known when they are counted.
 void refuse_orbit_options_of(const SampleOptions& options, const std::string& path);
 

@@ -25,14 +25,14 @@ struct SamplingMethod : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// What --solver, --guidance and --approximate say, in that precision.
+// Returns what --solver, --guidance and --approximate say, in that precision.
 SamplingMethod method_of_options(const SolverOptions& solver, const GuidanceOptions& guidance,
                                  const ApproximateSavings& approximate, ComputePrecision precision);
 
-// Whether both sample alike, whatever they are called.
+// Returns whether both sample alike, whatever they are called.
 bool same_method(const SamplingMethod& a, const SamplingMethod& b);
 
-// "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
+// Returns for example "unipc3 on logsnr, 16 evaluations a level; cascade encoder at 6 flow times".
 std::string method_text(const SamplingMethod& method, const std::string& device = "cpu");
 
 // --quality. `options` is what the other options say; the rest are fixed methods, guided everywhere and without
@@ -47,19 +47,18 @@ std::string method_text(const SamplingMethod& method, const std::string& device 
 enum class SamplingQuality { kOptions, kPublished, kExact, kFast };
 const std::vector<std::string>& sampling_quality_names();
 
-// Whether a cascade's condition encoder can be computed at nodes (models/dit/node_field.h).
+// Returns whether a cascade's condition encoder can be computed at nodes (models/dit/node_field.h).
 bool can_have_encoder_nodes(const BundleOptions& bundle);
 
-// For any but kOptions.
+// Returns the method of any quality but kOptions.
 SamplingMethod quality_method(SamplingQuality quality);
 
-// The method with a model's time shifts and a guidance scale: what the flows are run with.
-// guidance gives what the method does not say: scale and how branches are evaluated. A shift of 0 in the method's
-// schedule is the model's.
+// Returns the method with a model's time shifts and a guidance scale: what the flows are run with. guidance gives what
+// the method does not say: scale and how branches are evaluated. A shift of 0 in the method's schedule is the model's.
 FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
                            const BundleOptions& bundle);
-// The prediction of the mean of what could be there: one evaluation of each flow from t = 1, without guidance. A
-// regression, which PSNR rewards, and not a sample: neighbouring possibilities are averaged.
+// Returns the settings that predict the mean of what could be there: one evaluation of each flow from t = 1, without
+// guidance. It is a regression, which PSNR rewards, and not a sample: neighbouring possibilities are averaged.
 FlowSettings mean_prediction_settings(const BundleOptions& bundle);
 
 }  // namespace gld

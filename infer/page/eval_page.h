@@ -6,7 +6,8 @@
 
 namespace gld {
 
-// The page of a run of gld eval from its folder: means with intervals, plots over scenes, and the sheets of scenes.
+// Makes the page of a run of gld eval from its folder: means with intervals, plots over scenes, and the sheets of
+// scenes.
 Page evaluation_page(const std::filesystem::path& run);
 
 }  // namespace gld

@@ -9,20 +9,21 @@
 
 namespace gld {
 
-// Numbers of many things as planes of bytes, one number after another, as the page's script planes.js takes them apart.
+// These functions write numbers of many things as planes of bytes, one number after another, as the page's script
+// planes.js takes them apart.
 
-// Neighbours in a list are neighbours in space: differences of 16 bits, small ones of both signs as small numbers, the
-// low bytes of all of them and then the high ones.
+// Neighbours in a list are neighbours in space: differences are of 16 bits, small ones of both signs are small numbers,
+// and the low bytes of all of them come first, then the high ones.
 void append_differences(std::string& bytes, const std::vector<uint16_t>& values);
-// Differences of 8 bits.
+// Differences are of 8 bits.
 void append_differences(std::string& bytes, const std::vector<uint8_t>& values);
 
-// Point = low + step * (three numbers of 16 bits).
+// A point is low + step * (three numbers of 16 bits).
 struct PackedBox {
   Eigen::Vector3d low, step;
   double diagonal = 0;  // of the box around the points
 };
-// Three planes; of at least one point. None moves by more than the 131070th part of the box.
+// Appends three planes, of at least one point. None moves by more than the 131070th part of the box.
 PackedBox append_positions(std::string& bytes, const std::vector<Eigen::Vector3d>& points);
 
 nlohmann::ordered_json vector_json(const Eigen::Vector3d& x);

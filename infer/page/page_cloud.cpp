@@ -14,11 +14,11 @@ namespace {
 
 // Footprints are stored as logarithms: the smallest times 2^(k / this).
 constexpr double kStepsAnOctave = 16;
-// How far a point may lie from the depth of a camera that sees it.
+// A point may lie so far from the depth of a camera that sees it.
 constexpr double kSameSurface = 0.03;
 
-// The length that a pixel of this camera covers at the point; infinite where it lies outside of the picture. `seen` is
-// whether the camera's depth there is the point's.
+// Returns the length that a pixel of this camera covers at the point; infinite where it lies outside of the picture.
+// `seen` is whether the camera's depth there is the point's.
 double pixel_length(const SeenDepth& view, const Eigen::Isometry3d& camera_from_world,
                     const Eigen::Vector3d& x_in_world, bool& seen) {
   seen = false;
@@ -65,8 +65,8 @@ std::vector<double> footprints_of(const PointCloud& cloud, const std::vector<See
   return lengths;
 }
 
-// The share of all points that are not surer, of 255: to hide those below a share never hides more than it, and nothing
-// where all are equally sure.
+// Returns the share of all points that are not surer, of 255: to hide those below a share never hides more than it, and
+// nothing where all are equally sure.
 std::vector<uint8_t> ranks_of(const std::vector<float>& confidences) {
   std::vector<float> sorted = confidences;
   std::sort(sorted.begin(), sorted.end());

@@ -16,7 +16,7 @@ size_t total_size(const std::vector<std::string>& texts) {
   return sum;
 }
 
-// Of the longest side, the other one to whole pixels.
+// Returns a side reduced so that the longest one fits; the other one is rounded to whole pixels.
 int64_t reduced_side(int64_t side, int64_t longest) {
   return std::max<int64_t>(2, (side * kPagePictureSide + longest / 2) / longest);
 }

@@ -14,11 +14,12 @@ constexpr int64_t kPagePictureSide = 1280;
 // The pictures of a page, by number.
 class PagePictures {
  public:
-  // Its number.
+  // Returns its number.
   int64_t add(const Image& image);
 
-  // Addresses ("data:image/png;base64,...") for all of them: PNG where that comes to at most so many bytes, else the
-  // smaller of PNG and JPEG each, of the best quality of 95, 90, 80 and 70 with which it does, else of 70.
+  // Returns addresses ("data:image/png;base64,...") for all of them: they are PNG where that comes to at most so many
+  // bytes, else the smaller of PNG and JPEG each, of the best quality of 95, 90, 80 and 70 with which it does, else of
+  // 70.
   std::vector<std::string> addresses(size_t most_bytes) const;
 
  private:

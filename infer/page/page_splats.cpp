@@ -21,7 +21,7 @@ double opacity_of(const GaussianSet& set, size_t i) {
   return 1 / (1 + std::exp(-static_cast<double>(set.logit_opacities[i])));
 }
 
-// Those that cover most, in the set's order.
+// Returns those that cover most, in the set's order.
 std::vector<size_t> chosen_gaussians(const GaussianSet& set, int64_t most) {
   std::vector<size_t> all(static_cast<size_t>(set.size()));
   std::iota(all.begin(), all.end(), size_t{0});
@@ -40,7 +40,7 @@ std::vector<size_t> chosen_gaussians(const GaussianSet& set, int64_t most) {
 
 uint8_t byte_of(double value) { return static_cast<uint8_t>(std::clamp(std::lround(value), 0L, 255L)); }
 
-// Length 1, with the real part not negative: the same rotation.
+// Returns the same rotation with length 1 and the real part not negative.
 std::array<double, 4> unit_rotation(const GaussianSet& set, size_t i) {
   std::array<double, 4> q{};
   double length = 0;

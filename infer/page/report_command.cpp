@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// As the run says, then as the command line does.
+// The options are as the run says, then as the command line does.
 PageOptions page_options(const std::filesystem::path& run, const ReportOptions& asked) {
   const auto file = run / "report.json";
   const nlohmann::json report = parse_json(read_file(file), file.string());

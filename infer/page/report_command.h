@@ -21,8 +21,8 @@ struct ReportOptions : OptionsGroup {
 // For report_run(). The options must outlive it.
 PageMaker sample_page_maker(const ReportOptions& options);
 
-// The page of a run of gld sample into its folder, whole or not at all; returns its bytes. For the command that writes
-// the run.
+// Writes the page of a run of gld sample into its folder, whole or not at all; returns its bytes. It is for the command
+// that writes the run.
 size_t write_run_page(const std::filesystem::path& run, const PageOptions& options);
 
 }  // namespace gld

@@ -6,11 +6,12 @@
 
 namespace gld {
 
-// What the report.json of a run of gld sample says, in sentences for people.
+// These functions say what the report.json of a run of gld sample says, in sentences for people.
 
-// What was asked for: "Asked for: 4 new views of kitchen from 2 photographs, ..."; empty where the report does not say.
+// Returns what was asked for: "Asked for: 4 new views of kitchen from 2 photographs, ..."; it is empty where the report
+// does not say.
 std::string asked_of_sample(const nlohmann::ordered_json& report);
-// What came out, whatever the pictures look like.
+// Returns what came out, whatever the pictures look like.
 std::string verdict_of_sample(const nlohmann::ordered_json& report);
 
 }  // namespace gld

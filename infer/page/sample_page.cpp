@@ -108,7 +108,7 @@ std::vector<PageView> read_views(RunParts& parts, const Json& report, bool& metr
   return views;
 }
 
-// The value of the row with that name in a list of the report; null without one.
+// Returns the value of the row with that name in a list of the report; null without one.
 const Json& row_value(const Json& report, const std::string& list, const std::string& name,
                       const std::string& key) {
   static const Json none;
@@ -118,7 +118,7 @@ const Json& row_value(const Json& report, const std::string& list, const std::st
   return none;
 }
 
-// The source that stands nearest to each view, by number; -1 for a source and where there is none.
+// Returns the source that stands nearest to each view, by number; -1 for a source and where there is none.
 std::vector<int64_t> nearest_sources(const std::vector<PageView>& views) {
   Views sources;
   std::vector<int64_t> numbers;
@@ -198,7 +198,7 @@ Json depth_json(const DepthRange& range, bool metric) {
           {"colours", colours}};
 }
 
-// What the run was made with, a line each.
+// Returns what the run was made with, a line each.
 Json facts_json(const Json& report) {
   Json facts = Json::array();
   const auto add = [&](const char* what, const std::string& text) {
@@ -226,7 +226,7 @@ Json stages_json(const Json& report) {
   return stages;
 }
 
-// The middle of cameras and cloud, which becomes the page's 0: floats of a browser hold no scene far from it.
+// Returns the middle of cameras and cloud, which becomes the page's 0: floats of a browser hold no scene far from it.
 Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& cloud) {
   std::optional<Eigen::Vector3d> low, high;
   const auto add = [&](const Eigen::Vector3d& x) {
@@ -238,7 +238,7 @@ Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& 
   return low ? (*low + *high) / 2 : Eigen::Vector3d(Eigen::Vector3d::Zero());
 }
 
-// Why the page shows no cloud, or none with cameras; empty where it does.
+// Returns why the page shows no cloud, or none with cameras; empty where it does.
 std::string cloud_note(const Json& report, const PointCloud& cloud, bool has_file,
                        const PageOptions& options) {
   if (options.page_points == 0) return "The cloud was left out of this page (--page-points 0).";

@@ -22,8 +22,8 @@ struct CameraPathOptions : OptionsGroup {
   void check() const override;  // orbit_center is a point or nothing, and not beside a distance to find it by
 };
 
-// What an orbit sweeps where nothing else is asked for. About a single photograph 10 degrees to either side: of 30
-// what a model guesses of its depth bends a facade into waves.
+// An orbit sweeps this where nothing else is asked for. About a single photograph it is 10 degrees to either side: at
+// 30 what a model guesses of its depth bends a facade into waves.
 constexpr double kUsualOrbitDegrees = 60;
 constexpr double kOrbitDegreesOfOnePhotograph = 20;
 

@@ -40,11 +40,11 @@ double largest_baseline(const std::vector<Camera>& cameras) {
   return largest;
 }
 
-// The point with the least sum of weighted squared distances from the axes; nothing where they are parallel.
+// Returns the point with the least sum of weighted squared distances from the axes; nothing where they are parallel.
 std::optional<Eigen::Vector3d> where_axes_meet(const std::vector<Camera>& cameras,
                                                const std::vector<double>& weights) {
   const Eigen::Vector3d middle = mean_centre(cameras);
-  // Normal equations around the middle, so that a far origin costs no digits.
+  // The normal equations are around the middle, so that a far origin costs no digits.
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   double sum = 0;
@@ -62,7 +62,7 @@ std::optional<Eigen::Vector3d> where_axes_meet(const std::vector<Camera>& camera
   return middle + normal.ldlt().solve(right);
 }
 
-// Least absolute distances instead of squares, by reweighting.
+// This takes the least absolute distances instead of squares, by reweighting.
 std::optional<Eigen::Vector3d> where_most_axes_meet(const std::vector<Camera>& cameras) {
   if (cameras.empty()) return std::nullopt;
   std::vector<double> weights(cameras.size(), 1.0);
@@ -81,7 +81,7 @@ std::optional<Eigen::Vector3d> where_most_axes_meet(const std::vector<Camera>& c
   return point;
 }
 
-// In front of every source, and about as far as what they see.
+// Returns whether the point is in front of every source, and about as far as what they see.
 bool is_seen(const Eigen::Vector3d& point, const std::vector<Camera>& sources, double typical_depth) {
   constexpr double kLargestFactor = 3;
   return std::all_of(sources.begin(), sources.end(), [&](const Camera& camera) {
@@ -156,7 +156,8 @@ std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const Orbi
   const Eigen::Vector3d up = mean_direction(sources, 1, -1);
   const Eigen::Vector3d to_middle = mean_centre(sources) - target;
   Eigen::Vector3d outwards = to_middle - up * up.dot(to_middle);
-  // Sources straight above the point or all around it: start where the first one stands, or looks from.
+  // Where sources stand straight above the point or all around it, the circle starts where the first one stands, or
+  // looks from.
   if (outwards.norm() < 1e-3 * to_middle.norm() || to_middle.norm() < 1e-12) {
     const Eigen::Vector3d first = centre(sources.front()) - target;
     outwards = first - up * up.dot(first);

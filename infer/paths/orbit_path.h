@@ -17,9 +17,9 @@ struct LookAtPoint {
   bool from_axes = false;  // false: the axes are parallel or meet behind a camera, and a distance was assumed
 };
 
-// The point nearest to all optical axes (least squares of the distances). Where the axes determine none, the point at
-// fallback_distance along the mean axis; where that is 0, at three times the largest distance between two cameras, or
-// 1 when they all stand at one place.
+// Returns the point nearest to all optical axes (least squares of the distances). Where the axes determine none, it is
+// the point at fallback_distance along the mean axis; where that is 0, at three times the largest distance between two
+// cameras, or 1 when they all stand at one place.
 LookAtPoint look_at_point(const std::vector<Camera>& cameras, double fallback_distance);
 
 // What is known of a scene beside its source cameras.
@@ -38,8 +38,8 @@ struct OrbitCentre {
 };
 OrbitCentre orbit_centre(const std::vector<Camera>& sources, const PathSurroundings& surroundings);
 
-// How far the scene reaches, in the unit of its poses, as far as that is known: the largest of the distances between
-// two cameras, of the typical depth and of the point where axes meet. 0 where nothing tells it.
+// Returns how far the scene reaches, in the unit of its poses, as far as that is known: the largest of the distances
+// between two cameras, of the typical depth and of the point where axes meet. It is 0 where nothing tells it.
 double known_reach(const std::vector<Camera>& sources, const PathSurroundings& surroundings);
 
 struct OrbitShape {
@@ -50,13 +50,13 @@ struct OrbitShape {
   double radius = 0;                      // of the circle; 0: the sources' mean distance
 };
 
-// Cameras on a circle around the vertical axis through the look-at point, each looking exactly at it. Up is the mean
-// of the sources' up directions. The circle has the sources' mean distance from the axis (or the shape's radius) and
-// mean height; size and intrinsics are the first source's, with the principal point kept.
+// Returns cameras on a circle around the vertical axis through the look-at point, each looking exactly at it. Up is the
+// mean of the sources' up directions. The circle has the sources' mean distance from the axis (or the shape's radius)
+// and mean height; size and intrinsics are the first source's, with the principal point kept.
 std::vector<Camera> orbit_cameras(const std::vector<Camera>& sources, const OrbitShape& shape);
 
-// The rotation (columns x, y, z of the camera in the world) that looks along forward with up in the upper half of the
-// picture. forward need not have length 1; where it is parallel to up another direction stands in for up.
+// Returns the rotation (columns x, y, z of the camera in the world) that looks along forward with up in the upper half
+// of the picture. forward need not have length 1; where it is parallel to up another direction stands in for up.
 Eigen::Matrix3d looking_along(const Eigen::Vector3d& forward, const Eigen::Vector3d& up);
 
 }  // namespace gld

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// The logarithm of a unit quaternion with a non-negative real part, as half the rotation vector.
+// Returns the logarithm of a unit quaternion with a non-negative real part, as half the rotation vector.
 Eigen::Vector3d half_rotation_vector(const Eigen::Quaterniond& rotation) {
   const double sine = rotation.vec().norm();
   if (sine < 1e-12) return rotation.vec();
@@ -26,8 +26,8 @@ Eigen::Quaterniond from_half_rotation_vector(const Eigen::Vector3d& half) {
   return rotation.normalized();
 }
 
-// The cameras' rotations with signs such that neighbours lie in one half sphere: q and -q are the same rotation, but
-// interpolation between them is not.
+// Returns the cameras' rotations with signs such that neighbours lie in one half sphere: q and -q are the same
+// rotation, but interpolation between them is not.
 std::vector<Eigen::Quaterniond> aligned_rotations(const std::vector<Camera>& cameras) {
   std::vector<Eigen::Quaterniond> rotations;
   for (const Camera& camera : cameras) {
@@ -39,7 +39,7 @@ std::vector<Eigen::Quaterniond> aligned_rotations(const std::vector<Camera>& cam
   return rotations;
 }
 
-// Shoemake's inner control point of rotation i; at the ends the rotation itself.
+// Returns Shoemake's inner control point of rotation i; at the ends it is the rotation itself.
 Eigen::Quaterniond inner_control(const std::vector<Eigen::Quaterniond>& rotations, size_t i) {
   if (i == 0 || i + 1 == rotations.size()) return rotations[i];
   const Eigen::Quaterniond back = rotations[i].conjugate() * rotations[i - 1];
@@ -71,8 +71,8 @@ Eigen::Matrix3d rotation_at(const std::vector<Camera>& cameras, size_t segment, 
   return slerp(outer, inner, 2 * fraction * (1 - fraction)).toRotationMatrix();
 }
 
-// Relative to the first camera, so that a far origin costs no digits. Beyond the ends the path goes on as straight as
-// its end segments.
+// Places are relative to the first camera, so that a far origin costs no digits. Beyond the ends the path goes on as
+// straight as its end segments.
 Eigen::Vector3d centre_at(const std::vector<Camera>& cameras, size_t segment, double fraction) {
   const Eigen::Vector3d origin = cameras.front().world_from_camera.translation();
   const auto point = [&](size_t i) {
@@ -88,7 +88,7 @@ Eigen::Vector3d centre_at(const std::vector<Camera>& cameras, size_t segment, do
                          f * f * f * (3 * (p1 - p2) + p3 - p0));
 }
 
-// fx, fy, cx, cy in pixels of a picture of the first camera's size.
+// Returns fx, fy, cx, cy in pixels of a picture of the first camera's size.
 Eigen::Vector4d intrinsics_of(const Camera& camera, const Camera& first) {
   const double sx = static_cast<double>(first.width) / static_cast<double>(camera.width);
   const double sy = static_cast<double>(first.height) / static_cast<double>(camera.height);
@@ -124,7 +124,7 @@ std::vector<double> positions_between(int64_t cameras, int64_t frames) {
   // The middle of the path, or of the stretch before it where a camera stands there.
   if (frames == 1) return {cameras % 2 == 0 ? last / 2 : std::max(last / 2 - 0.5, 0.0)};
   // Both ends are left out by some of the path, at most by what lies between two frames then. Of several such margins
-  // those that keep all frames farthest from the given cameras, and the largest of these.
+  // those are taken that keep all frames farthest from the given cameras, and the largest of these.
   constexpr int kMargins = 20;
   const auto margin = [&](int step) { return step / static_cast<double>(kMargins * (frames + 1)); };
   std::vector<double> best;

@@ -30,7 +30,7 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   models.rgb_decoder = [=] {
     return packed(shared->load_image_decoder(placement), model_kind_of(StageKind::kRgbDecoding));
   };
-  // Stays in float32 (ModelKind::kLeanedOn).
+  // It stays in float32 (ModelKind::kLeanedOn).
   models.geometry_head = [=] { return shared->load_geometry_head(placement); };
   // On the CPU, where photographs are.
   if (bundle.options().blending.exists()) models.blending = [=] { return shared->load_blending(); };

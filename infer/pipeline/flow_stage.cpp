@@ -22,7 +22,7 @@ struct FlowStage {
   torch::Tensor noise;
 };
 
-// The field that the approximate savings ask for; with none of them the exact one.
+// Returns the field that the approximate savings ask for; with none of them it is the exact one.
 std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const FlowStage& stage,
                                      const PipelineRequest& request) {
   const auto& savings = request.flow.approximate;
@@ -52,7 +52,7 @@ class PreviewTimes {
   int64_t every_, next_;
 };
 
-// preview: takes the flow's prediction.
+// preview takes the flow's prediction.
 torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stage,
                        const PipelineRequest& request,
                        const std::function<void(const torch::Tensor&)>& preview, PipelineResult& result) {
@@ -97,7 +97,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   return solved.state;
 }
 
-// The same models with a backbone and a decoder that stay in memory once they are asked for.
+// Returns the same models with a backbone and a decoder that stay in memory once they are asked for.
 PipelineModels loaded_once(const PipelineModels& models) {
   PipelineModels kept = models;
   const auto backbone = std::make_shared<std::shared_ptr<Backbone>>();
@@ -107,7 +107,7 @@ PipelineModels loaded_once(const PipelineModels& models) {
   return kept;
 }
 
-// The target views as they would be if the flow of this level ended with this prediction.
+// Returns the target views as they would be if the flow of this level ended with this prediction.
 torch::Tensor preview_images(const PipelineModels& models, const PipelineRequest& request,
                              const PipelineState& state, const LatentGrid& grid, int64_t level,
                              const torch::Tensor& predicted) {

@@ -12,13 +12,13 @@
 
 namespace gld {
 
-// From generated latents to what decoders take, and to images. Each function throws Error naming the stage where a
-// number is not finite.
+// These functions lead from generated latents to what decoders take, and to images. Each function throws Error naming
+// the stage where a number is not finite.
 
-// what: "images".
+// what is for example "images".
 void require_finite(const torch::Tensor& tensor, const std::string& stage, const std::string& what);
 
-// All levels of all views from the latents of the generated ones, of which none may be missing.
+// Returns all levels of all views from the latents of the generated ones, of which none may be missing.
 CompletedLevels complete_levels(const PipelineModels& models, const PipelineState& state,
                                 const LatentGrid& grid, const std::string& stage);
 
@@ -30,7 +30,7 @@ struct DecodableViews {
 DecodableViews select_views(const std::vector<torch::Tensor>& levels, const LatentGrid& grid,
                             DecodedViews which, int64_t num_sources);
 
-// (views, 3, height, width) on the CPU, not clamped.
+// The images are (views, 3, height, width) on the CPU, not clamped.
 torch::Tensor decoded_images(const PipelineModels& models, const DecodableViews& views,
                              const std::string& stage);
 

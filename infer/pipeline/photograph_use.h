@@ -39,8 +39,8 @@ struct PhotographUse {
 
 // What of a model decides on that.
 struct PhotographModel {
-  // Photographs that it takes in each target view; 0: it was trained without, and its sampling stays as it was
-  // published unless the options say otherwise.
+  // It takes so many photographs in each target view; where this is 0, it was trained without, and its sampling stays
+  // as it was published unless the options say otherwise.
   int64_t warped_sources = 0;
   bool has_geometry_head = false;
   bool has_blending = false;          // trained, and on the depth of photographs and head together

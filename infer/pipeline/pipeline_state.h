@@ -12,7 +12,7 @@
 
 namespace gld {
 
-// What the stages hand on to each other.
+// The stages hand this on to each other.
 struct PipelineState {
   SourceConditioning sources;
   std::optional<SourceDepth> depth;

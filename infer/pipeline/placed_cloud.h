@@ -20,15 +20,15 @@ struct PlacedDepth {
   bool unit_known() const { return !in_scene.empty() || placement.scale.has_value(); }
 };
 
-// The cloud of all views, images one a view: with depth in the unit of the given cameras in their world, else in the
-// frame of cameras_of_depth(). Where there are none, rays lift, and the head's own depth with them.
+// Returns the cloud of all views, images being one a view: with depth in the unit of the given cameras it is in their
+// world, else in the frame of cameras_of_depth(). Where there are none, rays lift, and the head's own depth with them.
 PointCloud point_cloud_of(const PlacedDepth& depth, const std::vector<Camera>& given,
                           const std::vector<Image>& images, const PointCloudOptions& options);
 
-// As a file and a cloud take it.
+// Returns the depth as a file and a cloud take it.
 DepthMap depth_map_of(const PlanarDepth& depth);
 
-// What point_cloud_of uses.
+// Returns what point_cloud_of uses.
 PointLifting lifting_of(const PlacedDepth& depth, const PointCloudOptions& options);
 
 }  // namespace gld

@@ -36,7 +36,7 @@ void run_source_encoding(const PipelineModels& models, const PipelineRequest& re
   }
 }
 
-// How far the source views are from what each generator was trained on, by their patch tokens.
+// Returns how far the source views are from what each generator was trained on, by their patch tokens.
 std::vector<double> source_divergences(const PipelineModels& models, const SourceConditioning& sources) {
   std::vector<double> divergences;
   for (size_t i = 0; i < models.levels.generators.size(); ++i) {
@@ -54,7 +54,7 @@ const SourcePhotographs& photographs_of(const PipelineRequest& request, Pipeline
   return state.photographs;
 }
 
-// What the geometry head says of the source views alone; nothing where it is not asked.
+// Returns what the geometry head says of the source views alone; nothing where it is not asked.
 std::optional<GeometryOutput> head_geometry(const PipelineModels& models, const PipelineState& state) {
   if (state.sources.for_geometry.levels.empty()) return std::nullopt;
   return source_geometry(*models.geometry_head(), state.sources);
@@ -89,7 +89,7 @@ void run_source_warp(const PipelineModels& models, const PipelineRequest& reques
   }
 }
 
-// Null where photographs are laid together by rule.
+// The result is null where photographs are laid together by rule.
 std::shared_ptr<PhotographBlending> blending_of(const PipelineModels& models,
                                                 const PipelineRequest& request) {
   return request.photographs.blends() ? models.blending() : nullptr;
@@ -136,7 +136,7 @@ void check_request(const PipelineModels& models, const PipelineRequest& request,
   }
 }
 
-// Depth and rays as another model sees them in the source images and the generated ones.
+// Returns depth and rays as another model sees them in the source images and the generated ones.
 GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRequest& request,
                                   const PipelineResult& result, const std::string& stage) {
   if (!result.images.defined()) {
@@ -155,7 +155,7 @@ GeometryOutput geometry_of_images(const PipelineModels& models, const PipelineRe
   return maps;
 }
 
-// With what the photographs agree on, where they were matched.
+// Depth is fused with what the photographs agree on, where they were matched.
 void fuse_depth(const PipelineRequest& request, const PipelineState& state, PipelineResult& result) {
   if (!result.stereo || !state.depth || !state.depth->known() || !result.geometry.depth.defined()) return;
   result.view_depth = fused_view_depths(request.views, request.source_images, *state.depth, *result.stereo,
@@ -164,7 +164,8 @@ void fuse_depth(const PipelineRequest& request, const PipelineState& state, Pipe
   if (request.photographs.refines()) result.view_depth_from += ", mended by a network";
 }
 
-// The request without some of its target views (numbers from 0), for what is generated of the others: their pictures.
+// Returns the request without some of its target views (numbers from 0), for what is generated of the others: their
+// pictures.
 PipelineRequest without_targets(const PipelineRequest& request, const std::vector<int64_t>& left_out,
                                 const SourceDepth& depth) {
   PipelineRequest rest = request;
@@ -184,7 +185,7 @@ PipelineRequest without_targets(const PipelineRequest& request, const std::vecto
   return rest;
 }
 
-// Rows of `some` at the places that `numbers` name, and of `others` in order at the other places.
+// Takes rows of `some` at the places that `numbers` name, and of `others` in order at the other places.
 torch::Tensor merged(const torch::Tensor& some, const std::vector<int64_t>& numbers,
                      const torch::Tensor& others) {
   std::vector<torch::Tensor> rows;

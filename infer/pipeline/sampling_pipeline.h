@@ -30,8 +30,8 @@
 
 namespace gld {
 
-// Where the stages get their modules. Each function is called when a stage starts and what it returns is dropped when
-// the stage ends, so that the weights of one stage are in memory at a time.
+// The stages get their modules from this. Each function is called when a stage starts and what it returns is dropped
+// when the stage ends, so that the weights of one stage are in memory at a time.
 struct PipelineModels {
   LevelSet levels;
   std::function<std::shared_ptr<Backbone>()> backbone;
@@ -47,7 +47,7 @@ struct PipelineModels {
   std::vector<LevelStatistics> statistics;  // of what each generator makes
 };
 
-// What the flows are run with.
+// The flows are run with these.
 struct FlowSettings {
   std::vector<SolverOptions> solvers;  // one a generator: each has its time shift
   GuidanceOptions guidance;
@@ -61,8 +61,8 @@ struct PipelineRequest {
   torch::Tensor source_images;  // (source views, 3, height, width), RGB in [0, 1]
   // Depth of the source views where something else than the model's geometry head says it.
   std::optional<SourceDepth> source_depth;
-  // The cameras' units that the geometry head's is long where it sees a single source view, which does not tell it; 0:
-  // not known, and a single source is not carried.
+  // The geometry head's unit is so many of the cameras' units long where it sees a single source view, which does not
+  // tell it; where this is 0, it is not known, and a single source is not carried.
   double single_source_unit = 0;
   double single_source_unit_deviation = 0;  // of its logarithm; 0: not known
   PhotographUse photographs;
@@ -79,14 +79,15 @@ struct PipelineRequest {
   torch::Device device = torch::kCPU;
   // Called when a flow-matching stage starts (step 0) and after each accepted step.
   std::function<void(const std::string& stage, const SolveProgress& progress)> on_step;
-  // After so many evaluations of a flow, and again after as many: the target views that its present prediction decodes
-  // to, with what no flow has made yet at its mean and nothing of the photographs laid over; (target views, 3, height,
-  // width). The decoder, and a backbone that completes levels, are in memory beside the flow's model for it. 0: never.
+  // After so many evaluations of a flow, and again after as many, on_preview gets the target views that its present
+  // prediction decodes to, with what no flow has made yet at its mean and nothing of the photographs laid over, (target
+  // views, 3, height, width). The decoder, and a backbone that completes levels, are in memory beside the flow's model
+  // for it. 0 stands for never.
   int64_t preview_every = 0;
   std::function<void(const std::string& stage, const torch::Tensor& images)> on_preview;
   // Asked after each accepted step whether to stop, beside Ctrl-C; may be empty. Interrupted is thrown then.
   std::function<bool()> stop_requested;
-  // Levels that are there already, as PipelineResult::latents holds them: their flows are not run.
+  // These levels are there already, as PipelineResult::latents holds them: their flows are not run.
   std::map<int64_t, torch::Tensor> kept_latents;
   // Called when a flow has generated its level.
   std::function<void(int64_t level, const torch::Tensor& latent)> on_latent;
@@ -127,14 +128,15 @@ struct PipelineResult {
   // What the geometry head alone says of the source views, in the unit of their cameras; none where it was not
   // asked for their depth or the unit is not known.
   std::vector<PlanarDepth> head_depth;
-  // Where that unit is the usual one (PipelineRequest::single_source_unit): the deviation of its logarithm, if known.
+  // Where that unit is the usual one (PipelineRequest::single_source_unit), this is the deviation of its logarithm, if
+  // known.
   double head_depth_log_deviation = 0;
   // One a generator: how far the source views' latents are from its statistics (gld/latents/latent_divergence.h).
   std::vector<double> divergences;
   // Of the target views, where photographs were kept in them: images are then the composed ones.
   std::optional<ComposedViews> composed;
   torch::Tensor generated_images;  // before composition; undefined where there was none, or not for all views
-  // Target views by number from 0 that come from photographs alone: no flow was run for them. Then latents, levels,
+  // These target views, by number from 0, come from photographs alone: no flow was run for them. Then latents, levels,
   // leading and grid are of the other views, and geometry is what the head sees in the pictures of all.
   std::vector<int64_t> carried_only;
   GeometryOutput geometry;  // of the decoded views; maps not asked for are undefined

@@ -9,7 +9,7 @@
 namespace gld {
 namespace {
 
-// Of the stages that run once; a flow has its generator's.
+// Returns the name of the stages that run once; a flow has its generator's.
 const char* name_of(StageKind kind) {
   switch (kind) {
     case StageKind::kSourceEncoding:

@@ -20,7 +20,7 @@ enum class DecodedViews { kNone, kTargets, kAll };
 // or those that are given.
 enum class GeometryCameras { kFound, kGiven };
 
-// What decides which stages a sampling run has.
+// This decides which stages a sampling run has.
 struct StageRequest {
   int64_t views = 2;
   int64_t num_sources = 1;
@@ -47,10 +47,10 @@ enum class StageKind {
   kGeometry
 };
 
-// Of what its models are, where they are asked what to compute in. Backbones are float32 as geometry is: the depth that
-// carries photographs into target views is of their features, and where it moves a photograph by a token, a flow ends
-// elsewhere. In bfloat16 they made 20 times the error of the whole of the flows (configs/tiny: 0.029 instead of
-// 0.0015), and they take a hundredth of a scene's time.
+// Returns what kind its models are of, where they are asked what to compute in. Backbones are float32 as geometry is:
+// the depth that carries photographs into target views is of their features, and where it moves a photograph by a
+// token, a flow ends elsewhere. In bfloat16 they made 20 times the error of the whole of the flows (configs/tiny: 0.029
+// instead of 0.0015), and they take a hundredth of a scene's time.
 ModelKind model_kind_of(StageKind kind);
 
 // A stage of sampling: what the planner prices, the forecast sizes, the pipeline runs and reports print.
@@ -62,25 +62,25 @@ struct SamplingStage {
   std::string reason;  // why it runs or not, in words
 };
 
-// All stages in their order, also those that this request leaves out.
+// Returns all stages in their order, also those that this request leaves out.
 std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRequest& request);
 
-// What the stages of a kind took together: with kFlow those of all generators.
+// Returns what the stages of a kind took together: with kFlow those of all generators.
 double stage_seconds(const LevelSet& levels, StageKind kind, const StageRecords& records);
 
-// Whether the depth of the source views is needed, to carry photographs into target views as the model is shown them
-// or as they are kept in its pictures; one source view alone leaves its unit open, unless its depth is given or its
-// usual unit is known.
+// Returns whether the depth of the source views is needed, to carry photographs into target views as the model is shown
+// them or as they are kept in its pictures; one source view alone leaves its unit open, unless its depth is given or
+// its usual unit is known.
 bool needs_source_depth(const LevelSet& levels, const StageRequest& request);
-// Whether finding it is a stage of its own: beside the head's depth, which the warp asks for itself.
+// Returns whether finding it is a stage of its own: beside the head's depth, which the warp asks for itself.
 bool has_source_depth_stage(const LevelSet& levels, const StageRequest& request);
-// Whether the geometry head is asked for it.
+// Returns whether the geometry head is asked for it.
 bool uses_source_depth(const LevelSet& levels, const StageRequest& request);
 
-// Whether a network mends it: what several photographs agree on.
+// Returns whether a network mends it: what several photographs agree on.
 bool mends_source_depth(const LevelSet& levels, const StageRequest& request);
 
-// What is encoded of the source views, and to which level.
+// Returns what is encoded of the source views, and to which level.
 ConditioningNeeds conditioning_needs(const LevelSet& levels, const StageRequest& request);
 int64_t deepest_encoded_level(const LevelSet& levels, const StageRequest& request);
 

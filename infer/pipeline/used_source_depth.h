@@ -10,9 +10,9 @@
 
 namespace gld {
 
-// The depth of the source views by which a run that makes this use of photographs carries and keeps them, with the
-// model's own network where that mends it. head: what the geometry head says of the source views alone; null where it
-// is not asked. single_source_unit: as source_depth_of_head() takes it.
+// Returns the depth of the source views by which a run that makes this use of photographs carries and keeps them, with
+// the model's own network where that mends it. head is what the geometry head says of the source views alone; it is
+// null where it is not asked. single_source_unit is as source_depth_of_head() takes it.
 PhotographDepth used_source_depth(const PipelineModels& models, const PhotographUse& use, const Views& views,
                                   const torch::Tensor& source_images, const SourcePhotographs& photographs,
                                   const GeometryOutput* head, double single_source_unit);

@@ -45,7 +45,7 @@ double spread_of(const std::vector<Camera>& cameras) {
   return std::sqrt(square);
 }
 
-// focal_length: in pixels, of both directions, where it is known.
+// focal_length is in pixels, of both directions, where it is known.
 RecoveredCamera recovered_camera(const GeometryOutput& geometry, size_t photograph, const ImageSize& size,
                                  const std::optional<double>& focal_length) {
   const auto row = static_cast<int64_t>(photograph);
@@ -66,7 +66,7 @@ double focal_length_of(const RecoveredCamera& recovered) {
   return std::sqrt(intrinsics(0, 0) * intrinsics(1, 1));
 }
 
-// Of photographs whose cameras were found each for itself.
+// The lens is that of photographs whose cameras were found each for itself.
 SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
                        const std::vector<PhotographLens>& lenses, const std::vector<size_t>& photographs) {
   std::vector<double> logs;
@@ -84,8 +84,8 @@ SharedLens shared_lens(const std::vector<RecoveredCamera>& recovered,
   return shared;
 }
 
-// Of all photographs in which EXIF is far from what the model sees, or rays that fit a camera do not fit that of EXIF;
-// empty where there are none.
+// Returns the doubt about all photographs in which EXIF is far from what the model sees, or rays that fit a camera do
+// not fit that of EXIF; it is empty where there are none.
 std::string exif_doubt(const std::vector<PhotographFocalLength>& focal_lengths,
                        const std::vector<RecoveredCamera>& recovered) {
   std::vector<size_t> photographs;
@@ -199,7 +199,7 @@ PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& 
     camera.world_from_camera = first_from_rays * camera.world_from_camera;
     found.cameras.push_back(camera);
   }
-  // Exactly, so that whoever reads the file sees what the world is.
+  // This makes it exact, so that whoever reads the file sees what the world is.
   found.cameras.front().world_from_camera = Eigen::Isometry3d::Identity();
   found.spread = spread_of(found.cameras);
   found.origin_error = median_of(origin_errors);

@@ -31,7 +31,7 @@ struct SharedLens {
   double exif_focal_length = 0;    // 0 where EXIF names none
   double seen_focal_length = 0;    // the median of what each photograph's rays alone ask for
   double lowest = 0, highest = 0;  // of these
-  // Taken for all: EXIF's where there is one.
+  // This one is taken for all: EXIF's where there is one.
   double focal_length() const { return exif_focal_length > 0 ? exif_focal_length : seen_focal_length; }
 };
 
@@ -57,16 +57,16 @@ struct PhotoCameras {
   // where cameras and depth bear each other out. Nothing where the cameras stand at one place.
   std::optional<DepthScale> depth_check;
 
-  // Why the places of the cameras are not to be relied on, as phrases; empty where they are.
+  // Returns why the places of the cameras are not to be relied on, as phrases; empty where they are.
   std::vector<std::string> doubts() const;
 };
 
-// Of depth and rays of photographs, (views, 3, height, width) in [0, 1] (geometry_of_pictures.h). The principal points
-// are the pictures' middles, as of photographs that were not cut off to one side. lenses: one a photograph, or none:
-// then each has a lens of its own. A lens that EXIF tells of has EXIF's focal length, with square pixels; the
-// photographs of another one get one together: the median over them of the geometric mean of the two that each one's
-// rays ask for. A camera whose focal length is given is turned to fit again. Throws Error naming the photograph where
-// no camera fits its rays.
+// Finds them from depth and rays of photographs, (views, 3, height, width) in [0, 1] (geometry_of_pictures.h). The
+// principal points are the pictures' middles, as they are of photographs that were not cut off to one side. lenses are
+// one a photograph, or none: then each has a lens of its own. A lens that EXIF tells of has EXIF's focal length, with
+// square pixels; the photographs of another one get one together: the median over them of the geometric mean of the two
+// that each one's rays ask for. A camera whose focal length is given is turned to fit again. Throws Error naming the
+// photograph where no camera fits its rays.
 PhotoCameras photo_cameras(const GeometryOutput& geometry, const torch::Tensor& photographs,
                            const std::vector<PhotographLens>& lenses = {});
 

@@ -35,7 +35,7 @@ void add_target_frames(const Scene& scene, const ViewSelection& selection, const
   }
 }
 
-// The median depth of the scene's sparse points in front of the first source view; 0 where it has none.
+// Returns the median depth of the scene's sparse points in front of the first source view; 0 where it has none.
 double typical_depth(const Scene& scene, const Camera& camera) {
   std::vector<double> depths;
   const Eigen::Isometry3d camera_from_world = camera.camera_from_world();

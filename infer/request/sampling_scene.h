@@ -64,46 +64,46 @@ struct SamplingScene {
   std::vector<std::string> warnings;  // what is unusual about the cameras, one sentence each
 };
 
-// The selection with the numbers of all frames. "7" is a number, also where a frame has that name; "007" is a name.
-// Throws Error for a name that the scene does not have, and for a frame that is chosen twice under two names.
+// Returns the selection with the numbers of all frames. "7" is a number, also where a frame has that name; "007" is a
+// name. Throws Error for a name that the scene does not have, and for a frame that is chosen twice under two names.
 ViewSelection looked_up(const ViewSelection& selection, const Scene& scene);
 
-// The selected frames and views without their pixels, for which no image file is decoded: images and depths are empty.
-// Throws Error as load_sampling_scene does.
+// Returns the selected frames and views without their pixels, for which no image file is decoded: images and depths are
+// empty. Throws Error as load_sampling_scene does.
 SamplingScene sampling_views(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
 
 // Loads the selected frames, resized and centre-cropped to `size` with their intrinsics. Throws Error for frame
 // numbers that the scene does not have and for cameras that make no sense (gld/cameras/camera_checks.h).
 SamplingScene load_sampling_scene(const Scene& scene, const ViewSelection& selection, const ImageSize& size);
 
-// The measured depth of the source views, an empty map for one that has none.
+// Loads the measured depth of the source views, an empty map for one that has none.
 void load_source_depths(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling);
 
-// What photographs are matched and kept at unless their own size is asked for: the sweep's default.
+// Photographs are matched and kept at this unless their own size is asked for: it is the sweep's default.
 constexpr int64_t kMatchedPhotographSide = 448;
-// Their own size, as far as memory and the time of carrying go along: with --size photographs.
+// Their own size is kept up to this, as far as memory and the time of carrying go along: with --size photographs.
 constexpr int64_t kLargestPhotographSide = 2048;
-// What asks for it: the model's size is as for "auto", pictures are larger.
+// This asks for it: the model's size is as for "auto", pictures are larger.
 constexpr const char* kPhotographSize = "photographs";
 
-// Pixels of the longer side that photographs are kept at, by what --size says.
+// Returns the pixels of the longer side that photographs are kept at, by what --size says.
 int64_t largest_photograph_side(const std::string& size);
 
-// How many times as large as the size photographs are kept: whole times, as all source views' frames were taken, with a
-// longer side of at most `largest_side` pixels.
+// Returns how many times as large as the size photographs are kept: whole times, as all source views' frames were
+// taken, with a longer side of at most `largest_side` pixels.
 int64_t photograph_magnification(const Scene& scene, const ViewSelection& selection, int64_t largest_side,
                                  const ImageSize& size);
-// The photographs of the source views as large as all of them were taken, in whole multiples of the size, of which the
-// longer side is at most `largest_side` pixels.
+// Loads the photographs of the source views as large as all of them were taken, in whole multiples of the size, of
+// which the longer side is at most `largest_side` pixels.
 void load_source_photographs(const Scene& scene, const ViewSelection& selection, int64_t largest_side,
                              SamplingScene& sampling);
 
-// The target views' images as large as photographs are kept, to stand beside pictures of that size. After
-// load_source_photographs.
+// Loads the target views' images as large as photographs are kept, to stand beside pictures of that size. It is called
+// after load_source_photographs.
 void load_large_true_images(const Scene& scene, const ViewSelection& selection, SamplingScene& sampling);
 
-// "504x280" -> that size; "auto" and "photographs" -> the trained size whose aspect is nearest to the first
-// frame's. Sides must be whole patches. Throws Error otherwise.
+// Returns that size for "504x280"; for "auto" and "photographs" it is the trained size whose aspect is nearest to the
+// first frame's. Sides must be whole patches. Throws Error otherwise.
 ImageSize choose_size(const std::string& text, const Scene& scene,
                       const std::vector<ImageSize>& trained_sizes, int64_t patch_size);
 

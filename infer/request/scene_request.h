@@ -12,11 +12,11 @@
 
 namespace gld {
 
-// Images of one size -> (images, 3, height, width) in [0, 1].
+// Makes of images of one size a tensor (images, 3, height, width) in [0, 1].
 torch::Tensor stacked(const std::vector<Image>& images);
 
-// The views, source images and noise of a scene as the pipeline takes them. How the flows are solved and what is
-// decoded is left to the caller.
+// Returns the views, source images and noise of a scene as the pipeline takes them. How the flows are solved and what
+// is decoded is left to the caller.
 PipelineRequest scene_request(const SamplingScene& scene, const BundleOptions& bundle, int64_t noise_seed,
                               const torch::Device& device);
 

@@ -18,11 +18,11 @@ struct ColmapCounts {
 };
 
 // Writes folder/images/view_XX.png (the run's own files), folder/sparse/0/*.bin and folder/sparse_txt/*.txt: a PINHOLE
-// camera a view, and the cloud, each point with the views whose depth shows it. A point is seen in a view where it
-// lies inside of the picture and at the depth that the view has there, within 5 %. It is sighted exactly where it
-// projects to, so the error of a point is not that of its sightings but how far the views' own depths disagree about
-// them: the mean distance in pixels from where one of its views sees it to where another one's depth carries it; -1
-// (COLMAP's "not known") where fewer than two views see it. The folder exists.
+// camera a view, and the cloud, each point with the views whose depth shows it. A point is seen in a view where it lies
+// inside of the picture and at the depth that the view has there, within 5 %. It is sighted exactly where it projects
+// to, so the error of a point is not that of its sightings but how far the views' own depths disagree about them: the
+// mean distance in pixels from where one of its views sees it to where another one's depth carries it; -1 (COLMAP's
+// "not known") where fewer than two views see it. The folder has to exist.
 ColmapCounts export_colmap(const std::filesystem::path& folder, const FinishedRun& run,
                            const PointCloud& cloud, const TextItems& provenance);
 

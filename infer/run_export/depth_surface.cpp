@@ -12,7 +12,7 @@ namespace {
 
 // Relative difference of depth from a pixel to the next beyond which no surface is believed.
 constexpr float kSteepest = 0.08F;
-// Pixels from a step to what counts as its sides: predicted depth smears steps over a few.
+// So many pixels from a step count as its sides: predicted depth smears steps over a few.
 constexpr int64_t kStepWidth = 4;
 constexpr uint32_t kNoVertex = std::numeric_limits<uint32_t>::max();
 
@@ -46,12 +46,13 @@ class SurfaceMaker {
   }
 
  private:
-  // The pixel of a place of the grid; its last one is the picture's last.
+  // Returns the pixel of a place of the grid; its last one is the picture's last.
   int64_t pixel(int64_t place, int64_t size) const {
     return std::min(place * options_.step + (options_.step - 1) / 2, size - 1);
   }
 
-  // How inverse depth changes from a place to the next one in that direction; nothing where one of them is not known.
+  // Returns how inverse depth changes from a place to the next one in that direction; nothing where one of them is not
+  // known.
   std::optional<float> change(int64_t x, int64_t y, Neighbour next) const {
     if (x < 0 || y < 0 || x + next.dx >= grid_.width || y + next.dy >= grid_.height) return std::nullopt;
     const float a = grid_.at(x, y), b = grid_.at(x + next.dx, y + next.dy);
@@ -59,8 +60,8 @@ class SurfaceMaker {
     return 1 / b - 1 / a;
   }
 
-  // The same some places away in that direction, or as far as the picture goes; where nothing is known there, half as
-  // far on the other side.
+  // Returns the same some places away in that direction, or as far as the picture goes; where nothing is known there,
+  // it is taken half as far on the other side.
   std::optional<float> change_near(int64_t x, int64_t y, Neighbour next, int64_t away) const {
     const int64_t here = next.dx > 0 ? x : y, last = (next.dx > 0 ? grid_.width : grid_.height) - 2;
     const auto change_at = [&](int64_t place) {
@@ -71,7 +72,7 @@ class SurfaceMaker {
     return found ? found : change_at(here - away / 2);
   }
 
-  // Whether a place and the next one in that direction are on one surface.
+  // Returns whether a place and the next one in that direction are on one surface.
   bool joined(int64_t x, int64_t y, Neighbour next) const {
     const auto here = change(x, y, next);
     if (!here) return false;
@@ -106,7 +107,7 @@ class SurfaceMaker {
     surface_.corners.insert(surface_.corners.end(), {a, b, c});
   }
 
-  // The cell with that upper left corner: two triangles, or the one whose corners are joined, or none.
+  // Adds the cell with that upper left corner: two triangles, or the one whose corners are joined, or none.
   void add_cell(int64_t x, int64_t y) {
     const bool top = joined(x, y, {1, 0}), bottom = joined(x, y + 1, {1, 0});
     const bool left = joined(x, y, {0, 1}), right = joined(x + 1, y, {0, 1});
@@ -115,7 +116,7 @@ class SurfaceMaker {
     const auto lower_left = [&] { return vertex(x, y + 1); };
     const auto lower_right = [&] { return vertex(x + 1, y + 1); };
     if (top && bottom && left && right) {
-      // Along the diagonal whose ends are nearer to each other, in inverse depth.
+      // The cell is cut along the diagonal whose ends are nearer to each other, in inverse depth.
       const auto apart = [&](float a, float b) { return std::abs(1 / a - 1 / b); };
       if (apart(grid_.at(x, y), grid_.at(x + 1, y + 1)) < apart(grid_.at(x + 1, y), grid_.at(x, y + 1))) {
         add_triangle(upper_left(), lower_left(), lower_right());

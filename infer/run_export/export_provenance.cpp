@@ -25,7 +25,7 @@ std::string escaped(const std::string& text) {
   return result;
 }
 
-// "gld:run_options" as it is, "Software" as the property that XMP has for it.
+// It leaves "gld:run_options" as it is, and makes of "Software" the property that XMP has for it.
 std::string element_name(const std::string& name) {
   return name.rfind("gld:", 0) == 0 ? name : "xmp:CreatorTool";
 }

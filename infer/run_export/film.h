@@ -39,11 +39,12 @@ struct FilmOptions {
   int64_t views_a_second = 4;
 };
 
-// Whether a path comes back to its beginning: from the last camera to the first it is no farther, by distance and by
-// angle, than 1.5 times the longest way from one camera to the next. Three cameras or more.
+// Returns whether a path comes back to its beginning: from the last camera to the first it is no farther, by distance
+// and by angle, than 1.5 times the longest way from one camera to the next. There are three cameras or more.
 bool path_closes(const std::vector<Camera>& cameras);
 
-// Numbers of frames in the order of showing: 0, 1, ..., and back without the ends twice where the path does not close.
+// Returns the numbers of frames in the order of showing: 0, 1, ..., and back without the ends twice where the path does
+// not close.
 std::vector<size_t> shown_frames(size_t frames, bool closes);
 
 // Throws Error where no target has a picture, sizes differ, or depth is missing for pictures between views.
@@ -55,13 +56,14 @@ void check_film(const FinishedRun& run, int64_t between);
 // check_film(), and Interrupted on Ctrl-C.
 Film make_film(const FinishedRun& run, const FilmOptions& options, const std::filesystem::path& folder);
 
-// "1-3, 5-7": the pictures between views, by their number in the order of showing, from 0; empty where there are none.
+// Returns for example "1-3, 5-7": the pictures between views, by their number in the order of showing, from 0; it is
+// empty where there are none.
 std::string carried_frames_text(const Film& film);
 
-// The provenance with "gld:carried_frames" and "gld:frame_views", which say what each picture is.
+// Returns the provenance with "gld:carried_frames" and "gld:frame_views", which say what each picture is.
 TextItems film_provenance(const FinishedRun& run, const Film& film, TextItems provenance);
 
-// For the report: rate, seconds, whether it closes, and each picture.
+// Returns for the report: rate, seconds, whether it closes, and each picture.
 nlohmann::ordered_json film_json(const FinishedRun& run, const Film& film);
 
 }  // namespace gld

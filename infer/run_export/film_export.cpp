@@ -35,7 +35,7 @@ Image even_sides(const Image& image) {
   return even;
 }
 
-// The film's pictures in the order of showing, as ffmpeg takes them: 000000.png, ...
+// Puts the film's pictures there in the order of showing, as ffmpeg takes them: 000000.png, ...
 void put_pictures(const Film& film, const std::filesystem::path& folder) {
   const bool even = film.width % 2 == 0 && film.height % 2 == 0;
   std::vector<std::filesystem::path> files;
@@ -49,7 +49,7 @@ void put_pictures(const Film& film, const std::filesystem::path& folder) {
     std::filesystem::create_symlink(files[film.shown[i]], folder / fmt::format("{:06}.png", i));
 }
 
-// A path in which ffmpeg looks for numbers.
+// Returns a path in which ffmpeg looks for numbers.
 std::string as_pattern(const std::filesystem::path& folder) {
   std::string pattern;
   for (const char letter : folder.string()) pattern += letter == '%' ? "%%" : std::string(1, letter);

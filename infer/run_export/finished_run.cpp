@@ -50,7 +50,7 @@ void require_size(int64_t width, int64_t height, const Camera& camera, const std
         size_text(width, height), "copy the run folder whole, or sample again"});
 }
 
-// Of the unit of the cameras the cloud is only where the scale is known or the cameras are the model's own
+// The cloud is in the unit of the cameras only where the scale is known or the cameras are the model's own
 // (docs/FILES.md, "Rays"): then the report says how these fit the given ones.
 bool cloud_is_in_world(const nlohmann::json& report) {
   return report.contains("depth_scale") || report.contains("pose_alignment");

@@ -29,7 +29,7 @@ struct RunView {
   DepthMap depth_map() const;
 };
 
-// The depth as photogrammetry takes it.
+// Returns the depth as photogrammetry takes it.
 PlanarDepth planar_depth(const DepthMap& depth);
 
 struct FinishedRun {

@@ -20,7 +20,7 @@ namespace {
 constexpr const char* kUnlit = "KHR_materials_unlit";
 constexpr double kFloatRounding = 1.0 / (1 << 24);
 constexpr double kLargestRounding = 1e-6;  // over the scene's size
-// How far a principal point may be from the middle for glTF's cameras, which have none, to be right: pixels.
+// A principal point may be so many pixels from the middle for glTF's cameras, which have none, to be right.
 constexpr double kMiddle = 1e-3;
 constexpr double kNearest = 1e-2, kFarthest = 1e2;  // typical depths, where viewers clip
 
@@ -40,7 +40,7 @@ std::vector<double> numbers(const Eigen::Quaterniond& rotation) {
   return {q.x(), q.y(), q.z(), q.w()};
 }
 
-// The linear light of an 8-bit sRGB value, of 65535 (IEC 61966-2-1).
+// Returns the linear light of an 8-bit sRGB value, of 65535 (IEC 61966-2-1).
 std::array<uint16_t, 256> linear_values() {
   std::array<uint16_t, 256> table{};
   for (size_t i = 0; i < table.size(); ++i) {
@@ -80,7 +80,7 @@ class GlbMaker {
     return number;
   }
 
-  // The nodes above the world; returns the world's.
+  // Adds the nodes above the world; returns the world's.
   int add_frames() {
     tinygltf::Node turned;
     turned.name = "y_up";
@@ -206,7 +206,7 @@ class GlbMaker {
     return add_mesh(view.name, primitive);
   }
 
-  // -1 where glTF's cameras cannot say what this one does.
+  // Returns -1 where glTF's cameras cannot say what this one does.
   int add_camera(const GlbView& view) {
     const Eigen::Matrix3d& k = view.camera.intrinsics;
     const auto width = static_cast<double>(view.camera.width);

@@ -31,7 +31,7 @@ namespace {
 
 constexpr const char* kCommand = "export";
 
-// What of the options can change the files of a format.
+// These options can change the files of a format.
 struct ExportFormat {
   std::string name;
   std::string output;  // in the run folder
@@ -61,7 +61,7 @@ std::string names_text(const std::vector<std::string>& names) {
   return text;
 }
 
-// The options that say what is in the files.
+// Returns the options that say what is in the files.
 std::vector<std::string> options_of_results() {
   std::vector<std::string> names;
   for (const ExportFormat& format : formats())
@@ -114,7 +114,7 @@ class Exporter {
       warnings_.push_back(sentence);
   }
 
-  // The run's cloud, thinned; empty, with a warning, where there is none.
+  // Returns the run's cloud, thinned; it is empty, with a warning, where there is none.
   const PointCloud& cloud() {
     if (cloud_) return *cloud_;
     cloud_.emplace();
@@ -236,7 +236,7 @@ bool asked_for(const ExportOptions& options, const std::string& format) {
   return std::find(options.as.begin(), options.as.end(), format) != options.as.end();
 }
 
-// What a run must have, before anything is written.
+// Checks what a run must have, before anything is written.
 void check_run(const ExportOptions& options, const FinishedRun& run) {
   const std::string where = run.folder.string();
   const std::string remedy = "sample again with --outputs image,depth,points";

@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// gld export: a run of gld sample in formats that other programs take as they are.
+// gld export makes of a run of gld sample formats that other programs take as they are.
 struct ExportOptions : OptionsGroup {
   std::string run;
   std::vector<std::string> as;
@@ -24,16 +24,16 @@ struct ExportOptions : OptionsGroup {
   std::vector<std::string> named;
 
   void visit(FieldVisitor& visitor) override;
-  // The formats exist, each once, and something looks at each option that was named.
+  // Checks that the formats exist, each once, and that something looks at each option that was named.
   void check() const override;
 };
 
-// "glb", "colmap", "nerfstudio", "webp", "mp4".
+// Returns "glb", "colmap", "nerfstudio", "webp", "mp4".
 const std::vector<std::string>& export_format_names();
 
 // Reads the run's folder and nothing else; writes scene.glb, colmap/, nerfstudio/, path.webp, path.mp4, those that are
 // asked for, and report.json into options.out. Each is there whole or not at all, and has the same bytes whatever is
-// asked for beside it. What is missing in the run is an Error before anything is written. Stops between files and
+// asked for beside it. What is missing in the run is an Error before anything is written. It stops between files and
 // pictures on Ctrl-C.
 void run_export(const ExportOptions& options);
 

@@ -100,10 +100,10 @@ std::vector<std::string> names_of(const Scene& scene) {
   return names;
 }
 
-// Features where they find all cameras without a doubt: on the photographs of
-// tests/shared/shared_registration_test.cpp they are as right as COLMAP, of small pictures from near places more
-// so, and some five times as fast. Else whichever of the two finds more, of those that the selection allows;
-// without one the model's rays are left, or an Error of the last way.
+// Features are taken where they find all cameras without a doubt: on the photographs of
+// tests/shared/shared_registration_test.cpp they are as right as COLMAP, of small pictures from near places more so,
+// and some five times as fast. Else it is whichever of the two finds more, of those that the selection allows; without
+// one the model's rays are left, or an Error of the last way.
 void register_photographs(PhotoScene& made, const PhotoSceneRequest& request) {
   const PhotoCameraWay asked = request.selection.cameras;
   const bool automatic = asked == PhotoCameraWay::kAutomatic;
@@ -148,7 +148,7 @@ void register_photographs(PhotoScene& made, const PhotoSceneRequest& request) {
   if (!made.registration && !request.geometry) std::rethrow_exception(by_features);
 }
 
-// What a photograph of that size is kept at.
+// Returns what a photograph of that size is kept at.
 ImageSize kept_size(int64_t width, int64_t height, const PhotoSceneRequest& request) {
   const ImageSize& size = request.size;
   const int64_t times =
@@ -157,7 +157,7 @@ ImageSize kept_size(int64_t width, int64_t height, const PhotoSceneRequest& requ
   return {times * size.width, times * size.height};
 }
 
-// A frame for each photograph that registered, distortion undone.
+// Makes a frame for each photograph that registered, with distortion undone.
 void take_registered(PhotoScene& made, const PhotoSceneRequest& request) {
   std::vector<Frame> frames;
   for (size_t i = 0; i < made.photographs.size(); ++i) {

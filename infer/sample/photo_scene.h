@@ -31,13 +31,13 @@ struct Photograph {
   double focal_length = 0;        // by EXIF, over the longer side; 0 where nothing tells
 };
 
-// Image files, folders whose image files are taken in natural order, and videos, whose chosen pictures are put into
-// frames_folder. Decodes nothing but these. Throws Error for no photograph and for two of one name.
+// Lists image files, folders whose image files are taken in natural order, and videos, whose chosen pictures are put
+// into frames_folder. It decodes nothing but these. Throws Error for no photograph and for two of one name.
 std::vector<Photograph> list_photographs(const PhotoSelection& selection,
                                          const std::filesystem::path& frames_folder);
 
-// What can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The cameras, side
-// by side, only stand in for those that follow; there are no pixels.
+// Returns what can be said of a scene before its cameras are known: names, numbers and sizes of its frames. The
+// cameras, side by side, only stand in for those that follow; there are no pixels.
 Scene scene_before_cameras(const std::vector<Photograph>& photographs);
 
 // Photographs without cameras, made a scene (gld sample --photos).
@@ -45,18 +45,19 @@ struct PhotoScene {
   // A frame a photograph with its camera, at a whole multiple of the model's size; those without a camera are left out.
   Scene scene;
   std::vector<Image> images;  // the same pictures
-  // One of the two: cameras from what photographs share, or from what a geometry model sees.
+  // One of the two is there: cameras from what photographs share, or from what a geometry model sees.
   std::optional<Registration> registration;
   std::optional<PhotoCameras> seen;
   std::vector<UnregisteredPhotograph> photographs;  // all that were given
   std::vector<std::string> passed_over;  // ways that were tried before and found nothing, a sentence each
   double median_depth = 0;               // of what the photographs show
-  // Of a single photograph: what the model that saw its camera sees, whose unit is the camera's. Of more, they tell it.
+  // Of a single photograph it is what the model that saw its camera sees, whose unit is the camera's. Of more, they
+  // tell it.
   std::optional<SourceDepth> depth;
   std::string text;  // what was found and how sure it is, for people
 };
 
-// Whether the cameras of so many photographs can come from a geometry model alone.
+// Returns whether the cameras of so many photographs can come from a geometry model alone.
 bool only_rays(const PhotoSelection& selection, size_t photographs);
 
 struct PhotoSceneRequest {
@@ -65,7 +66,7 @@ struct PhotoSceneRequest {
   // Photographs are kept as large as they were taken, in whole multiples of the size, of which the longer side is at
   // most so many pixels.
   int64_t largest_side = 0;
-  // Gives the models that see cameras (bundle_models.h), when they are needed; empty where there are none.
+  // It gives the models that see cameras (bundle_models.h), when they are needed; it is empty where there are none.
   std::function<PipelineModels()> geometry;
   torch::Device device = torch::kCPU;
   int threads = 1;
@@ -76,11 +77,11 @@ struct PhotoSceneRequest {
 PhotoScene photo_scene(const std::vector<Photograph>& photographs, const PhotoSceneRequest& request,
                        StageRecords& stages);
 
-// photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures and, where there
-// are any, the sparse points.
+// Writes photo_scene/ in the run folder: a scene that every command reads, cameras.json beside the pictures and, where
+// there are any, the sparse points.
 void write_photo_scene(RunFolder& run, const PhotoScene& photos, const Provenance& provenance);
 
-// For report.json.
+// Returns what report.json has of it.
 nlohmann::ordered_json photo_scene_json(const PhotoScene& photos);
 
 }  // namespace gld

@@ -29,7 +29,7 @@ constexpr double kBeyond = 0.6, kBeside = 0.85;
 
 // Share of the target views' pixels that reads as 100 %.
 constexpr double kWhole = 0.995;
-// dB that a view is expected to be worse than the middle one, to be named.
+// A view is named that is expected to be so many dB worse than the middle one.
 constexpr double kWorseBy = 3;
 
 PhotographsAgree agreement_of(const std::vector<LeftOutPhotograph>& left_out) {
@@ -50,7 +50,7 @@ bool is_unfamiliar(const PictureEvidence& evidence) {
   return false;
 }
 
-// Whether photographs that agree so let something be expected of the views.
+// Returns whether photographs that agree so let something be expected of the views.
 bool promises(PhotographsAgree agree) {
   return agree == PhotographsAgree::kWell || agree == PhotographsAgree::kRoughly;
 }
@@ -137,7 +137,7 @@ std::string views_sentence(const PictureEvidence& evidence) {
   return text + ", only " + decibels_between(sorted.front(), *(first - 1)) + " of " + names;
 }
 
-// Nothing that stands in the pictures was generated, to the percent that the sentence says.
+// Returns whether nothing that stands in the pictures was generated, to the percent that the sentence says.
 bool nothing_generated(const PictureEvidence& evidence) {
   return evidence.keeps_photographs && evidence.kept >= kWhole;
 }

@@ -25,8 +25,8 @@ struct PictureEvidence {
   int64_t sources = 1;
   std::vector<LeftOutPhotograph> left_out;  // empty with one source
   bool keeps_photographs = false;           // what they show of target views is kept in the pictures
-  // Where one photograph is carried in the unit that is usual for the model: how sure that is, the deviation of its
-  // logarithm; 0 where nobody knows.
+  // Where one photograph is carried in the unit that is usual for the model, this is how sure that is, the deviation of
+  // its logarithm; it is 0 where nobody knows.
   double unit_log_deviation = 0;
   double kept = 0;  // of the target views' pixels, the share that comes from photographs
   std::vector<ExpectedView>
@@ -53,23 +53,23 @@ struct PictureVerdict {
   std::string sentence;
 };
 
-// The PSNR that the target views can be expected to have: what expected_variance() says, moved by what it was wrong by
-// where the truth is known, the mean over the photographs that were left out; upwards only as far as photographs show
-// as much of a view as of each other, since they lie side by side where a view lies beyond them. None where none was
-// left out, or no photographs are kept. On 25 views of six real places this was off by 2.6 dB (RMS; 1.3 too low on
-// average, since photographs that are left out lie farther from the others), with a correlation of .96
-// (docs/RESULTS.md, "What can be expected of a view"). Of pictures of the model's size.
+// Returns the PSNR that the target views can be expected to have: what expected_variance() says, moved by what it was
+// wrong by where the truth is known, the mean over the photographs that were left out; upwards only as far as
+// photographs show as much of a view as of each other, since they lie side by side where a view lies beyond them. There
+// is none where none was left out, or no photographs are kept. On 25 views of six real places this was off by 2.6 dB
+// (RMS; 1.3 too low on average, since photographs that are left out lie farther from the others), with a correlation of
+// .96 (docs/RESULTS.md, "What can be expected of a view"). It is that of pictures of the model's size.
 std::vector<ExpectedView> expected_views(const PictureEvidence& evidence);
 
-// One sentence for people.
+// Returns one sentence for people.
 PictureVerdict verdict_of(const PictureEvidence& evidence);
 
-// The left-out photographs, for people: a line, empty where there are none.
+// Returns the left-out photographs, for people: a line, empty where there are none.
 std::string left_out_text(const std::vector<LeftOutPhotograph>& left_out);
 
-// For report.json.
+// Returns what report.json has of it.
 nlohmann::ordered_json verdict_json(const PictureVerdict& verdict, const PictureEvidence& evidence);
-// names: of the source views.
+// names are those of the source views.
 nlohmann::ordered_json left_out_json(const std::vector<LeftOutPhotograph>& left_out,
                                      const std::vector<std::string>& names);
 

@@ -27,7 +27,7 @@ struct PlannedSampling {
 PlannedSampling plan_of(const PreparedSampling& prepared, const SampleOptions& options, PlanTiming timing,
                         const std::function<std::string()>& model_hash);
 
-// What the pipeline is asked for, all but its callbacks. The pixels are loaded (load_pixels).
+// Returns what the pipeline is asked for, all but its callbacks. The pixels are loaded (load_pixels).
 PipelineRequest pipeline_request(const PreparedSampling& prepared, const SampleOptions& options,
                                  const FlowSettings& settings);
 

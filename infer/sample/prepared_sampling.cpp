@@ -21,7 +21,7 @@
 namespace gld {
 namespace {
 
-// Where more or other views are asked for than the model was trained on, a sentence each.
+// Returns where more or other views are asked for than the model was trained on, a sentence each.
 std::vector<std::string> unlike_training(const SamplingScene& scene, const ModelBundle& model) {
   const BundleOptions& bundle = model.options();
   const int64_t views = trained_views(model);
@@ -52,7 +52,7 @@ void check_lifting(const SampleOptions& options, const ModelBundle& geometry_mod
         "choose another, or --geometry-model DIR with a head that does (VGGT's)"});
 }
 
-// Only rays tell where depth and points belong. flag: what chose the model.
+// Only rays tell where depth and points belong. flag is what chose the model.
 void check_rays(const SampleOptions& options, const ModelBundle& geometry_model, const char* flag) {
   if (!options.requested().needs_geometry() || geometry_model.options().geometry_head.predicts_rays()) return;
   fail({flag, "image or latents of a model without a camera head",
@@ -72,7 +72,7 @@ void check_known_cameras(const SampleOptions& options, const ModelBundle& geomet
         "leave the option out, or convert DA3's published file, which holds one, into a new folder"});
 }
 
-// Where depth, rays and points come from.
+// Returns where depth, rays and points come from.
 std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const ModelBundle& bundle) {
   if (!options.geometry_model.empty()) {
     auto geometry_model = ModelBundle::open(options.geometry_model);
@@ -130,13 +130,13 @@ void complete_for_photographs(ViewSelection& selection, int64_t photographs) {
     selection.path.orbit_degrees = kOrbitDegreesOfOnePhotograph;
 }
 
-// Whether the model that sees the camera of a single photograph says its depth too: not where photographs alone are
-// asked.
+// Returns whether the model that sees the camera of a single photograph says its depth too: not where photographs alone
+// are asked.
 bool keeps_seen_depth(const SampleOptions& options) {
   return options.photograph_use.source_depth != PhotographOptions::DepthChoice::kStereo;
 }
 
-// Numbers of photographs become numbers of those that have a camera. Error where one that was chosen has none.
+// Numbers of photographs become numbers of those that have a camera. Throws Error where one that was chosen has none.
 void follow_registered(std::vector<FrameChoice>& chosen, const PreparedSampling& prepared, const char* flag) {
   const auto& frames = prepared.found.frames;
   for (FrameChoice& choice : chosen) {
@@ -168,7 +168,7 @@ void leave_out_unregistered(PreparedSampling& prepared, const SampleOptions& opt
   follow_registered(prepared.selection.targets, prepared, "--targets");
 }
 
-// The views with the cameras that are known now, and what is unusual about them.
+// Chooses the views with the cameras that are known now, and notes what is unusual about them.
 void choose_views(PreparedSampling& prepared, const ImageSize& size) {
   prepared.scene = sampling_views(prepared.found, prepared.selection, size);
   if (!prepared.cameras_known()) {

@@ -40,26 +40,27 @@ struct PreparedSampling {
   const ModelBundle& camera_model() const { return geometry_model ? *geometry_model : bundle; }
 };
 
-// Reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the
+// It reads no pixels, and of photographs without cameras no more than their sizes: what is wrong with the options, the
 // model or the cameras, or does not fit, is said first, as an Error.
 PreparedSampling prepare(const SampleOptions& options);
-// The same of a scene that is at hand, in the place of the one that options.scene names.
+// Prepares the same of a scene that is at hand, in the place of the one that options.scene names.
 PreparedSampling prepare(const SampleOptions& options, Scene scene);
 
-// Of photographs: loads and runs the model that sees their cameras, and chooses the views anew.
+// For photographs it loads and runs the model that sees their cameras, and chooses the views anew.
 void estimate_cameras(PreparedSampling& prepared, const SampleOptions& options, StageRecords& stages);
 
-// The pixels of the views, which were chosen without them.
+// Loads the pixels of the views, which were chosen without them.
 void load_pixels(PreparedSampling& prepared, const SampleOptions& options);
 
-// The parts of the bundle that sampling loads; Error where the file of one, or of the geometry model, is missing.
+// Returns the parts of the bundle that sampling loads; throws Error where the file of one, or of the geometry model, is
+// missing.
 std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const SampleOptions& options);
 
-// All but the flow.
+// Returns all but the flow.
 PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& options);
 
-// Why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is known
-// here.
+// Returns why the scene does not fit into memory and what would; empty where it fits. Of a GPU's own memory nothing is
+// known here.
 std::string memory_problem(const PreparedSampling& prepared, const SampleOptions& options);
 
 }  // namespace gld

@@ -69,17 +69,17 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
   if (result.flows.empty()) return fmt::format("model {}, nothing generated", model);
   int64_t evaluations = 0;  // of a flow that was run now
   for (const auto& flow : result.flows) evaluations = std::max(evaluations, flow.evaluations);
-  // None was: all levels were made before --resume.
+  // Where none was, all levels were made before --resume.
   const std::string solved =
       evaluations > 0 ? fmt::format("{} evaluations a level", evaluations) : "levels of an interrupted run";
   return fmt::format("model {}, seed {}, {}, guidance {}", model, options.seed, solved,
                      options.guidance.guidance_scale);
 }
 
-// The target views side by side as the flow would end now, as long as there are no others.
+// It shows the target views side by side as the flow would end now, as long as there are no others.
 constexpr const char* kPreviewFile = "preview.png";
 
-// One progress line a flow-matching stage.
+// This prints one progress line a flow-matching stage.
 class FlowProgress {
  public:
   explicit FlowProgress(std::filesystem::path run) : run_(std::move(run)) {}
@@ -99,8 +99,8 @@ class FlowProgress {
   std::unique_ptr<Progress> line_;
 };
 
-// What was not computed because target views were left out of the flows: the plan's operations less those of a plan for
-// the others, or of flows and decoding where all were.
+// Returns what was not computed because target views were left out of the flows: the plan's operations less those of a
+// plan for the others, or of flows and decoding where all were.
 double saved_flop(const PreparedSampling& prepared, const SampleOptions& options,
                   const PlannedSampling& planned, const PipelineResult& result) {
   const auto left_out = static_cast<int64_t>(result.carried_only.size());
@@ -126,8 +126,8 @@ std::string planned_text(const PlannedSampling& planned) {
   return choice_text(planned.choice) + plan_text(planned.plan) + planned.speed.origin + "\n";
 }
 
-// What was made of the photographs beside showing them to the model: how far they agree on the depth of the source
-// views, and how much of each target view comes from them.
+// Returns what was made of the photographs beside showing them to the model: how far they agree on the depth of the
+// source views, and how much of each target view comes from them.
 nlohmann::ordered_json photographs_json(const SamplingScene& scene, const PipelineResult& result,
                                         const std::vector<ExpectedView>& expected) {
   nlohmann::ordered_json json;
@@ -156,7 +156,7 @@ nlohmann::ordered_json photographs_json(const SamplingScene& scene, const Pipeli
   return json;
 }
 
-// Names of target views, generated or not.
+// Returns the names of target views, generated or not.
 std::string carried_names(const SamplingScene& scene, const PipelineResult& result, bool carried) {
   std::string names;
   for (int64_t target = 0; target < scene.views.num_targets(); ++target) {
@@ -187,7 +187,7 @@ std::string photographs_text(const SamplingScene& scene, const PipelineResult& r
   return text;
 }
 
-// Words in lines of at most so many characters.
+// Returns the words in lines of at most so many characters.
 std::vector<std::string> lines_of(const std::string& sentence, size_t most) {
   std::vector<std::string> lines(1);
   size_t begin = 0;
@@ -335,7 +335,7 @@ void sample(const SampleOptions& options) {
     return provenance.model_hash;
   };
   const PlannedSampling planned = plan_of(prepared, options, PlanTiming::kPredicted, wait_for_hash);
-  // Not before the plan, which may estimate how fast this machine computes.
+  // It does not begin before the plan, which may estimate how fast this machine computes.
   if (!hash) hash = std::make_unique<BackgroundHash>(bundle);
   if (!options.json) {
     std::cout << scene_line(scene) << planned_text(planned);

@@ -10,11 +10,11 @@
 
 namespace gld {
 
-// What a sampling's verdict goes by, but for the photographs that are left out one at a time.
+// Returns what a sampling's verdict goes by, but for the photographs that are left out one at a time.
 PictureEvidence sampling_evidence(const PreparedSampling& prepared, const PipelineResult& result);
 
-// Each source photograph predicted from the others, as they are matched, with what the geometry head said of their
-// depth.
+// Returns each source photograph predicted from the others, as they are matched, with what the geometry head said of
+// their depth.
 std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, const PhotographUse& use,
                                                     const PipelineResult& result);
 
@@ -22,7 +22,7 @@ std::vector<LeftOutPhotograph> left_out_photographs(const SamplingScene& scene, 
 // from photographs alone.
 std::vector<std::string> doubts_of_generated(const PreparedSampling& prepared, const PipelineResult& result);
 
-// Every doubt in a sentence: what the page says of the run too.
+// Returns every doubt in a sentence: what the page says of the run too.
 std::vector<std::string> doubts_of(const std::optional<PictureVerdict>& verdict,
                                    const PictureEvidence& evidence, const std::vector<std::string>& warnings);
 

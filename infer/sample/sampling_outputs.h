@@ -19,9 +19,10 @@
 
 namespace gld {
 
-// How many times as large as the model's the pictures of views are, where they are asked for in the photographs' size.
+// Returns how many times as large as the model's the pictures of views are, where they are asked for in the
+// photographs' size.
 int64_t picture_magnification(const SamplingScene& scene, const SampleOptions& options);
-// The target views as they are written, of (targets, 3, height, width) and what was composed of them.
+// Returns the target views as they are written, of (targets, 3, height, width) and what was composed of them.
 std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptions& options,
                                    const torch::Tensor& images, const std::optional<ComposedViews>& composed);
 
@@ -32,22 +33,22 @@ class SamplingOutputs {
   SamplingOutputs(RunFolder& run, const SamplingScene& scene, const RequestedOutputs& requested,
                   const SampleOptions& options, const Provenance& provenance);
 
-  // images/: the target views, (targets, 3, height, width), with --size photographs as large as these. Keeps them for
-  // the sheet and the point cloud.
+  // Writes images/ with the target views, (targets, 3, height, width), with --size photographs as large as these. It
+  // keeps them for the sheet and the point cloud.
   void write_images(const torch::Tensor& images, const std::optional<ComposedViews>& composed);
-  // depth/, rays/, points.ply as requested, latents.safetensors, cameras.json, and truth/ for the page.
+  // Writes depth/, rays/, points.ply as requested, latents.safetensors, cameras.json, and truth/ for the page.
   void write_rest(const PipelineResult& result);
-  // contact_sheet.png, last; text: verdict, doubts and subtitle; expected: of the target views, or none.
+  // Writes contact_sheet.png, last; text is verdict, doubts and subtitle; expected is of the target views, or none.
   void write_contact_sheet(SheetText text, const std::vector<ExpectedView>& expected);
 
-  // splats.ply: Gaussians fitted to the run folder as gld splat fit --run reads it, with the same bytes. After
-  // write_rest; left out, with a warning, where cameras.json has no depth.
+  // Writes splats.ply: Gaussians fitted to the run folder as gld splat fit --run reads it, with the same bytes. It is
+  // called after write_rest; the file is left out, with a warning, where cameras.json has no depth.
   void write_splats();
 
-  // What is known of the depth's unit, a line; nothing where no depth was asked for.
+  // Returns what is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
 
-  // PSNR and SSIM of each target view that has a truth, depth scale, counts of points; for report.json.
+  // Returns PSNR and SSIM of each target view that has a truth, depth scale, counts of points; this is for report.json.
   const nlohmann::ordered_json& findings() const { return findings_; }
   const std::vector<std::string>& warnings() const { return warnings_; }
 
@@ -59,13 +60,14 @@ class SamplingOutputs {
   void write_cameras();
   void write_source_images();
   void write_true_images();
-  // Cameras of the model's size as those of the pictures that are written, without depth where that has another size.
+  // Makes cameras of the model's size those of the pictures that are written, without depth where that has another
+  // size.
   CameraList of_pictures(CameraList list) const;
   int64_t magnification() const { return picture_magnification(scene_, options_); }
   // Fills placement_, with what is unusual about it among the warnings.
   void place(const PipelineResult& result);
   std::vector<Camera> geometry_cameras() const;
-  // "m" where depth is in metres.
+  // Returns "m" where depth is in metres.
   std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
   void compare_with_truth();
 

@@ -26,7 +26,7 @@ std::string checksum_of(const torch::Tensor& latent) {
   return hash.hex_digest();
 }
 
-// Its bits, with its length, so that two lists never run into each other.
+// Adds the bits of the numbers, with their length, so that two lists never run into each other.
 template <class Number>
 void add(Sha256& hash, const Number* numbers, size_t count) {
   const uint64_t length = count * sizeof(Number);
@@ -66,7 +66,7 @@ std::map<int64_t, torch::Tensor> UnfinishedLatents::read(const Origin& origin) c
       const torch::Tensor latent = read_tensor(*file, "latent").clone();
       if (is(kChecksum, checksum_of(latent))) latents[level] = latent;
     } catch (const Error&) {
-      // Damaged, which costs no more than the stage that made it.
+      // The file is damaged, which costs no more than the stage that made it.
     }
   }
   return latents;

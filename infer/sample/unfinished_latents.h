@@ -24,8 +24,8 @@ class UnfinishedLatents {
     std::string inputs;  // inputs_hash()
   };
 
-  // As PipelineRequest::kept_latents takes them; those of another origin are not taken, nor damaged ones: their bytes
-  // are under a checksum. Their stages run again.
+  // Returns them as PipelineRequest::kept_latents takes them; those of another origin are not taken, nor damaged ones:
+  // their bytes are under a checksum. Their stages run again.
   std::map<int64_t, torch::Tensor> read(const Origin& origin) const;
   void write(int64_t level, const torch::Tensor& latent, const Origin& origin) const;
   // When everything that is made of them is written.
@@ -35,8 +35,8 @@ class UnfinishedLatents {
   std::filesystem::path folder_;
 };
 
-// SHA-256 of what a scene gives the pipeline: sizes, names, cameras, and the pixels and measured depth of the source
-// views.
+// Returns the SHA-256 of what a scene gives the pipeline: sizes, names, cameras, and the pixels and measured depth of
+// the source views.
 std::string inputs_hash(const SamplingScene& scene);
 
 }  // namespace gld

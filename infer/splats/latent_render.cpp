@@ -22,7 +22,7 @@
 namespace gld {
 namespace {
 
-// What draws latents of a run of gld splat fit --features.
+// This draws latents of a run of gld splat fit --features.
 struct LatentDrawing {
   DrawnSplats splats;
   LatentDecoding decoding;

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// As many of them as asked for, evenly spread; the first and the last stay.
+// Keeps as many of them as asked for, evenly spread; the first and the last stay.
 template <class View>
 void thin_out(std::vector<View>& views, int64_t wanted) {
   const auto count = static_cast<int64_t>(views.size());

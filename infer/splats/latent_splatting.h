@@ -59,17 +59,17 @@ struct LatentSplats {
   StillGaussians gaussians() const { return {fit.set, projection, cameras, fitted}; }
   int64_t views() const { return static_cast<int64_t>(cameras.size()); }
   std::vector<Camera> fitted_cameras() const { return {cameras.begin(), cameras.begin() + fitted}; }
-  // What the Gaussians show of the held-out views' latents of a level, normalised: (views - fitted, channels, height,
-  // width).
+  // Returns what the Gaussians show of the held-out views' latents of a level, normalised: (views - fitted, channels,
+  // height, width).
   torch::Tensor shown(size_t level, const KernelSettings& settings) const;
-  // As they are encoded, of views `first` to `end`.
+  // Returns them as they are encoded, of views `first` to `end`.
   torch::Tensor encoded(size_t level, int64_t first, int64_t end) const;
 };
 
 LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
                            const LatentSplattingOptions& options, const KernelSettings& settings);
 
-// Error where the bundle lacks the weights of a backbone or of what decodes images.
+// Throws Error where the bundle lacks the weights of a backbone or of what decodes images.
 void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where);
 
 }  // namespace gld

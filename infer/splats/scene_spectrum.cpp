@@ -34,7 +34,7 @@ SizedViews sized_views(const Scene& scene, int64_t side, const SpectrumSettings&
   return result;
 }
 
-// Rings of views `first` to `end` as they are encoded and as features show them, and pictures of the first.
+// Returns the rings of views `first` to `end` as they are encoded and as features show them, and pictures of the first.
 ViewSpectrum view_spectrum(const StillGaussians& gaussians, const LatentFit& fit,
                            const LatentPictures& latents, int64_t first, int64_t end,
                            const KernelSettings& kernels, SpaceSpectrum* pictures) {

@@ -109,7 +109,7 @@ double mean_sharpness(const torch::Tensor& truth, const torch::Tensor& pictures)
   return sharpness(truth, pictures.clamp(0, 1)).mean().item<double>();
 }
 
-// |latents - encoded| over |encoded - its mean|, mean over levels.
+// Returns |latents - encoded| over |encoded - its mean|, as a mean over levels.
 double mean_error(const std::vector<torch::Tensor>& latents, const std::vector<torch::Tensor>& encoded) {
   double sum = 0;
   for (size_t level = 0; level < latents.size(); ++level)
@@ -171,7 +171,7 @@ struct ScoreColumn {
   double SplatScores::*value;
   enum Of { kAll, kRefined, kSquare, kRefinedSquare } of = kAll;
 };
-// What every scene has.
+// Returns what every scene has.
 std::vector<ScoreColumn> score_columns(bool refined, bool square) {
   const std::vector<ScoreColumn> columns{
       {"rgb_psnr", "the Gaussians' colours, PSNR in dB", &SplatScores::rgb_psnr},
@@ -226,8 +226,8 @@ Table scene_table(const std::vector<SplatScores>& scenes, const std::vector<Scor
   return table;
 }
 
-// The first held-out view: truth, colours, decoded latents, what the refiner makes of them where there is one, and what
-// decoding alone loses.
+// Writes the first held-out view: truth, colours, decoded latents, what the refiner makes of them where there is one,
+// and what decoding alone loses.
 void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const std::string& name,
                     const Provenance& provenance) {
   const HeldOutPictures& pictures = scene.pictures;

@@ -8,9 +8,9 @@
 
 namespace gld {
 
-// gld splat eval: what Gaussians show of views that they were not fitted to, in colours and in a model's latents that
-// its image decoder turns into pictures, as they are shown and, where the bundle has a refiner, as that repairs them
-// (Splatent, arXiv 2512.09923, table 1).
+// gld splat eval measures what Gaussians show of views that they were not fitted to, in colours and in a model's
+// latents that its image decoder turns into pictures, as they are shown and, where the bundle has a refiner, as that
+// repairs them (Splatent, arXiv 2512.09923, table 1).
 struct SplatEvaluationOptions : ScenesSplattingOptions {};
 
 // Means over the held-out views of a scene. PSNR in dB, SSIM.

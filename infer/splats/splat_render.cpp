@@ -23,7 +23,7 @@
 namespace gld {
 namespace {
 
-// The cameras that a path is made from: those that a fit names as its sources, or all.
+// Returns the cameras that a path is made from: those that a fit names as its sources, or all.
 std::vector<Camera> path_sources(const CameraList& list) {
   std::vector<Camera> sources, all;
   for (const CameraRecord& record : list.records) {

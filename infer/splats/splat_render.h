@@ -25,7 +25,7 @@ enum class SplatShown {
   kRefined,  // the same, repaired by the model's refiner before
 };
 
-// gld splat render: Gaussians drawn along a path of gld sample.
+// gld splat render draws Gaussians along a path of gld sample.
 struct SplatRenderOptions : OptionsGroup {
   std::string splats;
   std::string cameras;
@@ -49,15 +49,16 @@ struct DrawnSplats {
   std::filesystem::path file;  // the PLY file
   KernelSettings settings;
 };
-// A picture of them; it may have another size than the camera, which is then changed to that.
+// This draws a picture of them; it may have another size than the camera, which is then changed to that.
 using DrawSplats = std::function<Image(Camera& camera)>;
 
-// Writes images/NAME.png, cameras.json and report.json into options.out. Stops between pictures on Ctrl-C. make_drawing
-// is asked for what draws latents, which this part of the program, without LibTorch, does not know (latent_render.h).
+// Writes images/NAME.png, cameras.json and report.json into options.out. It stops between pictures on Ctrl-C.
+// make_drawing is asked for what draws latents, which this part of the program, without LibTorch, does not know
+// (latent_render.h).
 void run_splat_render(const SplatRenderOptions& options,
                       const std::function<DrawSplats(const DrawnSplats&)>& make_drawing);
 
-// The file of that name in a run folder, or that file as it is.
+// Returns the file of that name in a run folder, or that file as it is.
 std::filesystem::path splat_file_in(const std::filesystem::path& place, const std::string& name);
 
 }  // namespace gld

@@ -52,7 +52,7 @@ SpectrumSettings settings_of(const SplatSpectrumOptions& options) {
   return settings;
 }
 
-// Every scene once: one that counts twice would make the intervals too narrow.
+// Every scene is there once: one that counts twice would make the intervals too narrow.
 std::vector<SceneLocation> locations_of(const SplatSpectrumOptions& options) {
   std::vector<SceneLocation> locations;
   std::set<std::string> known;
@@ -176,7 +176,7 @@ Figure figure_of(const std::vector<SpaceSummary>& spaces) {
   return figure;
 }
 
-// The picture, what is encoded of it and what the features show, side by side; each latent pixel is a square.
+// Writes the picture, what is encoded of it and what the features show, side by side; each latent pixel is a square.
 void write_pictures(const RunFolder& run, const SceneSpectrum& scene, const Provenance& provenance) {
   const std::vector<int64_t> size{kPictureSide, kPictureSide};
   const auto enlarged = [&](const torch::Tensor& picture) {

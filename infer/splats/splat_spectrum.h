@@ -10,7 +10,8 @@
 
 namespace gld {
 
-// gld splat spectrum: which latent space is the same from everywhere, by what splatting leaves of its frequencies.
+// gld splat spectrum measures which latent space is the same from everywhere, by what splatting leaves of its
+// frequencies.
 struct SplatSpectrumOptions : OptionsGroup {
   std::vector<std::string> scenes;
   std::vector<std::string> models{"configs/tiny"};

@@ -100,7 +100,7 @@ torch::Tensor noise_picture(const WorldNoise& noise, const StillGaussians& gauss
           const auto number = static_cast<size_t>(c * each + w);
           sum += std::cos(noise.waves[number].dot(at) + noise.phases[number]);
         }
-        // About 1, so that there is a DC to divide by.
+        // The values are about 1, so that there is a DC to divide by.
         values[(c * latent_side + row) * latent_side + x / kPlacesAside] +=
             static_cast<float>((1 + size * sum) * share);
       }

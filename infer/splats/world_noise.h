@@ -20,18 +20,18 @@ struct WorldNoise {
 
   int64_t waves_each() const { return static_cast<int64_t>(waves.size()) / channels; }
 };
-// pixel: what a latent pixel covers of a surface there, in units of the world.
+// pixel is what a latent pixel covers of a surface there, in units of the world.
 WorldNoise make_world_noise(double pixel, uint64_t seed);
 
-// Where the Gaussians lie that a camera sees, per pixel: their means by weight, relative to the set's origin, and how
-// much of the pixel they cover, 4 channels.
+// Returns where the Gaussians lie that a camera sees, per pixel: their means by weight, relative to the set's origin,
+// and how much of the pixel they cover, 4 channels.
 SplatImage seen_places(const StillGaussians& gaussians, const Camera& camera, const KernelSettings& settings);
 
-// The median over views of what a pixel of a latent with so many a side covers of what it sees.
+// Returns the median over views of what a pixel of a latent with so many a side covers of what it sees.
 double typical_pixel(const StillGaussians& gaussians, int64_t latent_side, const KernelSettings& settings);
 
-// The texture at the places that a view sees, (channels, latent_side, latent_side): the mean of four by four places of
-// every latent pixel. 0 where nothing is seen.
+// Returns the texture at the places that a view sees, (channels, latent_side, latent_side): the mean of four by four
+// places of every latent pixel. It is 0 where nothing is seen.
 torch::Tensor noise_picture(const WorldNoise& noise, const StillGaussians& gaussians, const Camera& camera,
                             int64_t latent_side, const KernelSettings& settings);
 

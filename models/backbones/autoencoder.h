@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// What autoencoders have in common as backbones: their one level is the latent in tokens of latent_patch x latent_patch
+// Autoencoders have this in common as backbones: their one level is the latent in tokens of latent_patch x latent_patch
 // latent pixels, views do not see each other, nothing is propagated, and images are decoded by the autoencoder itself.
 struct AutoencoderArchitecture : BackboneArchitecture {
   int64_t levels() const override { return 1; }
@@ -24,11 +24,11 @@ class Autoencoder : public Backbone {
  public:
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override { return patches; }
-  // View by view, so that memory is that of one.
+  // Views are decoded one by one, so that memory is that of one.
   torch::Tensor decode(const torch::Tensor& patches, const LatentGrid& grid) const override;
 
  protected:
-  // The level's latents of a view, (1, channels, height, width) -> its image, RGB in about [0, 1].
+  // Decodes the level's latents of a view, (1, channels, height, width), to its image, RGB in about [0, 1].
   virtual torch::Tensor decoded_view(const torch::Tensor& latents) const = 0;
 };
 

@@ -18,7 +18,7 @@ namespace gld {
 namespace {
 
 constexpr double kNormEpsilon = 1e-6;
-// Between which the logarithm of a posterior's variance is held.
+// The logarithm of a posterior's variance is held between these.
 constexpr double kLeastLogVariance = -30, kLargestLogVariance = 20;
 
 }  // namespace
@@ -58,7 +58,7 @@ enum class KlHalf { kEncoder, kDecoder };
 
 namespace {
 
-// The channels of the stages of a half, as they run.
+// Returns the channels of the stages of a half, as they run.
 std::vector<int64_t> stage_channels(const AutoencoderKlOptions& options, KlHalf half) {
   auto channels = options.block_out_channels;
   if (half == KlHalf::kDecoder) std::reverse(channels.begin(), channels.end());
@@ -106,8 +106,8 @@ Cost half_cost(const AutoencoderKlOptions& options, const LatentGrid& grid, KlHa
   }
   if (encodes) middle(width);
   add_convolution(cost, pixels, width, encodes ? latents : 3, 3);
-  // One view at a time, at full size: a block's input, its normalised copies and its result, and what LibTorch lays out
-  // for a convolution; then the images of all views.
+  // This counts one view at a time, at full size: a block's input, its normalised copies and its result, and what
+  // LibTorch lays out for a convolution; then the images of all views.
   const double full_size = latent_pixels / static_cast<double>(grid.views) * reduction * reduction;
   const auto widest = static_cast<double>(
       std::max(options.block_out_channels.front(),
@@ -189,7 +189,7 @@ class AutoencoderKlHalf : public torch::nn::Module {
       for (const auto& layer : stage.layers) x = layer->forward(x);
       if (!stage.resize) continue;
       if (half_ == KlHalf::kEncoder) {
-        // A row and a column of zeros at the far sides only.
+        // A row and a column of zeros are added at the far sides only.
         x = stage.resize->forward(torch::constant_pad_nd(x, {0, 1, 0, 1}));
       } else {
         x = stage.resize->forward(torch::upsample_nearest2d(x, {2 * x.size(2), 2 * x.size(3)}));

@@ -14,7 +14,7 @@ namespace gld {
 
 enum class Posterior { kMean, kSample };
 
-// Defaults are Stable Diffusion 1.x and 2.x. SDXL: scaling_factor 0.13025.
+// Defaults are Stable Diffusion 1.x and 2.x. SDXL has scaling_factor 0.13025.
 struct AutoencoderKlOptions : AutoencoderArchitecture {
   int64_t latent_channels = 4;
   std::vector<int64_t> block_out_channels = {128, 256, 512, 512};  // each but the last halves the sides
@@ -33,7 +33,7 @@ struct AutoencoderKlOptions : AutoencoderArchitecture {
   std::unique_ptr<BackboneArchitecture> copy() const override;
   std::shared_ptr<Backbone> make(const ParameterPlacement& placement) const override;
   std::string published_prefix() const override { return ""; }
-  // Image pixels of a latent pixel along each side, 8 by default.
+  // Returns how many image pixels a latent pixel has along each side, 8 by default.
   int64_t reduction() const { return int64_t{1} << (block_out_channels.size() - 1); }
   int64_t patch_side() const override { return reduction() * latent_patch; }
   int64_t latent_pixels() const override { return latent_patch; }
@@ -59,10 +59,10 @@ class AutoencoderKl : public Autoencoder {
   Autoencoding autoencode(const torch::Tensor& images, const torch::Generator& generator) const override;
   void initialise(const torch::Generator& generator) override;
 
-  // What the encoder gives for images (views, 3, height, width), RGB in [0, 1]: mean and logarithm of the variance,
-  // clamped to [-30, 20], (views, 2 latent_channels, height', width'), before scaling.
+  // Returns what the encoder gives for images (views, 3, height, width), RGB in [0, 1]: mean and logarithm of the
+  // variance, clamped to [-30, 20], (views, 2 latent_channels, height', width'), before scaling.
   torch::Tensor moments(const torch::Tensor& images) const;
-  // Latents before scaling -> images, RGB in about [0, 1].
+  // Decodes latents before scaling to images, RGB in about [0, 1].
   torch::Tensor images_of(const torch::Tensor& latents) const;
 
  protected:

@@ -10,7 +10,7 @@ namespace gld {
 
 using BackboneKind = ArchitectureKind<BackboneArchitecture>;
 
-// All families, the default one first. A new one is a file of its own and one line in backbone_registry.cpp.
+// Returns all families, the default one first. A new one is a file of its own and one line in backbone_registry.cpp.
 const std::vector<BackboneKind>& backbone_kinds();
 
 // The backbone of a bundle: its kind, and that kind's fields.

@@ -31,14 +31,15 @@ struct NormalisedCameras {
 };
 NormalisedCameras normalised_cameras(const std::vector<Camera>& cameras);
 
-// One token for each known camera (depth_anything_3/model/cam_enc.py): its nine numbers (gld/cameras/pose_encoding.h)
-// through a two-layer network, then blocks in which the cameras of a scene attend to each other.
+// Makes one token for each known camera (depth_anything_3/model/cam_enc.py): its nine numbers
+// (gld/cameras/pose_encoding.h) go through a two-layer network, then through blocks in which the cameras of a scene
+// attend to each other.
 class CameraEncoder : public torch::nn::Module {
  public:
   CameraEncoder(const CameraEncoderSizes& sizes, const ParameterPlacement& placement);
 
-  // Cameras of the world, not normalised yet, at least one -> (views, 1, channels). Their sizes are those that their
-  // intrinsics are for, whatever the size of the pictures that the backbone gets.
+  // Makes of cameras of the world, not normalised yet, at least one, tokens (views, 1, channels). Their sizes are those
+  // that their intrinsics are for, whatever the size of the pictures that the backbone gets.
   torch::Tensor forward(const std::vector<Camera>& cameras) const;
 
  private:

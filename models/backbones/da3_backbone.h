@@ -15,9 +15,9 @@
 
 namespace gld {
 
-// Defaults are DA3-Base. Small: embed_dim 384, 6 heads. Large: 1024, depth 24, 16 heads, out_layers 11, 15,
-// 19, 23 and the three starts at 8. Giant: 1536, depth 40, 24 heads, out_layers 19, 27, 33, 39, the starts at
-// 13, and ffn_layer swiglufused.
+// Defaults are DA3-Base. Small has embed_dim 384 and 6 heads. Large has 1024, depth 24, 16 heads, out_layers 11, 15,
+// 19, 23 and the three starts at 8. Giant has 1536, depth 40, 24 heads, out_layers 19, 27, 33, 39, the starts at 13,
+// and ffn_layer swiglufused.
 struct Da3BackboneOptions : BackboneArchitecture {
   int64_t patch_size = 14;  // pixels
   int64_t embed_dim = 768;
@@ -56,7 +56,7 @@ struct Da3BackboneOptions : BackboneArchitecture {
   bool takes_cameras() const override { return camera_encoder_depth > 0; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost propagation_cost(const LatentGrid& grid, int64_t level) const override;
-  // Blocks first_block up to, not including, last_block.
+  // Returns the cost of blocks first_block up to, not including, last_block.
   Cost blocks_cost(const LatentGrid& grid, int64_t first_block, int64_t last_block) const;
 };
 
@@ -75,17 +75,17 @@ class Da3Backbone : public Backbone {
                                     std::vector<AttentionTap>* taps) const override;
   std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
                                                  const std::vector<Camera>& cameras) const override;
-  // The encoder's token of each camera, which takes the place of the learned camera token: (views, 1, embed_dim).
-  // Error without an encoder.
+  // Returns the encoder's token of each camera, which takes the place of the learned camera token: (views, 1,
+  // embed_dim). Throws Error without an encoder.
   torch::Tensor camera_tokens(const std::vector<Camera>& cameras) const;
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   // The second half of the channels goes through the final LayerNorm.
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
 
-  // The position table for that grid: (1, 1 + tokens, embed_dim), class token first.
+  // Returns the position table for that grid: (1, 1 + tokens, embed_dim), class token first.
   torch::Tensor position_embedding(const LatentGrid& grid) const;
 
-  // DINOv2's scheme; layer scales are 1.
+  // This follows DINOv2's scheme; layer scales are 1.
   void initialise(const torch::Generator& generator) override;
 
  private:

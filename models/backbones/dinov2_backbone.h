@@ -24,12 +24,12 @@ struct Dinov2Sizes {
   int64_t pos_embed_grid = 37;  // rows and columns of the stored position table
   PositionResizing positions = {0.0, true};
 
-  // Without patch_size, embed_dim, num_heads and mlp_ratio, which a model around these layers has too.
+  // Visits all but patch_size, embed_dim, num_heads and mlp_ratio, which a model around these layers has too.
   void visit_positions(FieldVisitor& visitor);
   void check() const;
-  // Class and register tokens.
+  // Returns how many class and register tokens there are.
   int64_t leading_tokens() const { return 1 + num_register_tokens; }
-  // Of blocks [0, count) on the tokens of all views.
+  // Returns the cost of blocks [0, count) on the tokens of all views.
   Cost blocks_cost(const LatentGrid& grid, int64_t count) const;
 };
 
@@ -40,7 +40,7 @@ class Dinov2Layers {
  public:
   Dinov2Layers(torch::nn::Module& owner, const Dinov2Sizes& sizes, const ParameterPlacement& placement);
 
-  // images: (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns what each of those blocks
+  // images are (views, 3, height, width), RGB in [0, 1], sides whole patches. Returns what each of those blocks
   // (ascending) gives, through the final norm: (views, class + register + patch tokens, embed_dim).
   std::vector<torch::Tensor> forward(const torch::Tensor& images, const std::vector<int64_t>& blocks) const;
 
@@ -54,9 +54,9 @@ class Dinov2Layers {
   torch::Tensor position_table_;   // (1, 1 + pos_embed_grid^2, embed_dim)
 };
 
-// Defaults are DINOv2-Base with registers and its last layer, as RAE (Zheng et al. 2025) uses it. Small: embed_dim 384,
-// 6 heads. Large: 1024, depth 24, 16 heads. Without registers the published models have num_register_tokens 0,
-// antialias false and interpolate_offset 0.1.
+// Defaults are DINOv2-Base with registers and its last layer, as RAE (Zheng et al. 2025) uses it. Small has embed_dim
+// 384 and 6 heads, Large 1024, depth 24 and 16 heads. Without registers the published models have num_register_tokens
+// 0, antialias false and interpolate_offset 0.1.
 struct Dinov2Options : BackboneArchitecture {
   Dinov2Sizes sizes;
   std::vector<int64_t> out_layers;  // blocks after which the levels are taken; the last block when empty

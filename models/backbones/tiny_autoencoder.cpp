@@ -23,7 +23,8 @@ ConvolutionSizes tiny_sizes(int64_t inputs, int64_t outputs, int64_t kernel, boo
   return sizes;
 }
 
-// relu(x + three convolutions of x), where x may first be normalised over the map, widened, and added to itself.
+// Computes relu(x + three convolutions of x), where x may first be normalised over the map, widened, and added to
+// itself.
 class TinyBlock : public torch::nn::Module {
  public:
   TinyBlock(int64_t width, bool middle_norm, const ParameterPlacement& placement) {
@@ -99,7 +100,7 @@ class TinySequence {
   std::vector<std::function<torch::Tensor(const torch::Tensor&)>> steps_;
 };
 
-// Of either half: three stages of blocks, one at the latent's size, and a block at full size.
+// Returns the cost of either half: three stages of blocks, one at the latent's size, and a block at full size.
 Cost tiny_half_cost(const TinyAutoencoderOptions& options, const LatentGrid& grid) {
   const auto width = static_cast<double>(options.width);
   const auto latent_pixels =
@@ -116,7 +117,7 @@ Cost tiny_half_cost(const TinyAutoencoderOptions& options, const LatentGrid& gri
   }
   add_convolution(cost, pixels, width, static_cast<double>(kConvolutionsABlock) * width + 3, 3);
   add_convolution(cost, latent_pixels, width, static_cast<double>(options.latent_channels), 3);
-  // One view at a time: maps of a block at full size, and the images of all views.
+  // This counts one view at a time: maps of a block at full size, and the images of all views.
   const double full_size = pixels / static_cast<double>(grid.views);
   cost.working_bytes = bytes_of_floats(full_size * (5 * width + 9 * static_cast<double>(grid.views)));
   return cost;
@@ -217,7 +218,7 @@ Autoencoding TinyAutoencoder::autoencode(const torch::Tensor& images,
   Autoencoding result;
   const auto latents = latents_of(images);
   result.images = images_of(latents);
-  // Latents of deviation 1, where the decoder's bound leaves them nearly as they are.
+  // This asks for latents of deviation 1, where the decoder's bound leaves them nearly as they are.
   result.divergence = latents.square().mean() / 2;
   return result;
 }

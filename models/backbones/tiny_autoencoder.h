@@ -13,8 +13,8 @@
 
 namespace gld {
 
-// Defaults are TAEF2, the tiny autoencoder of FLUX.2's latents. TAESD and TAESDXL: latent_channels 4, middle_norm
-// false.
+// Defaults are TAEF2, the tiny autoencoder of FLUX.2's latents. TAESD and TAESDXL have latent_channels 4 and
+// middle_norm false.
 struct TinyAutoencoderOptions : AutoencoderArchitecture {
   int64_t latent_channels = 32;
   int64_t width = 64;        // channels of every map between image and latent

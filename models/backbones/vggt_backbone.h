@@ -46,13 +46,13 @@ struct VggtBackboneOptions : BackboneArchitecture {
   int64_t level_channels() const override { return 2 * embed_dim; }
   int64_t leading_tokens() const override { return 1 + num_register_tokens; }  // camera, registers
   int64_t leading_rows() const override { return 2; }
-  // Counted as they run: block 2 i is the frame block of pair i, block 2 i + 1 its global block.
+  // Blocks are counted as they run: block 2 i is the frame block of pair i, block 2 i + 1 its global block.
   int64_t blocks() const override { return 2 * depth; }
   bool attends_over_views(int64_t block) const override { return block % 2 == 1; }
   Cost encoding_cost(const LatentGrid& grid, int64_t last_level) const override;
   Cost propagation_cost(const LatentGrid& grid, int64_t level) const override;
 
-  // Of the transformer in front.
+  // Returns the sizes of the transformer in front.
   Dinov2Sizes patch_embed_sizes() const;
 };
 
@@ -78,12 +78,12 @@ class VggtBackbone : public Backbone {
   std::vector<DecodableLevel> propagate(const PropagationStart& start) const override;
   torch::Tensor normalise_for_decoding(const torch::Tensor& patches) const override;
 
-  // DINOv2's scheme; layer scales are 1.
+  // This follows DINOv2's scheme; layer scales are 1.
   void initialise(const torch::Generator& generator) override;
 
  private:
-  // Pairs first_pair up to that of last_level, on (views, leading + patch tokens, embed_dim). Every level that is
-  // reached.
+  // Runs pairs first_pair up to that of last_level, on (views, leading + patch tokens, embed_dim). Returns every level
+  // that is reached.
   std::vector<torch::Tensor> run_pairs(torch::Tensor tokens, int64_t first_pair, int64_t last_level,
                                        const LatentGrid& grid, std::vector<AttentionTap>* taps) const;
   // (1, 2, n, embed_dim) -> (views, n, embed_dim)

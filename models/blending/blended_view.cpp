@@ -9,7 +9,7 @@
 namespace gld {
 namespace {
 
-// What the network chooses in a view, (1 + hypotheses, height, width).
+// Returns what the network chooses in a view, (1 + hypotheses, height, width).
 torch::Tensor shares_in(const PhotographBlending& blending, const PlacedPhotographs& nearest,
                         const PhotographView& view) {
   BlendingCandidates views = blending_candidates(nearest, view);
@@ -17,7 +17,7 @@ torch::Tensor shares_in(const PhotographBlending& blending, const PlacedPhotogra
   return chosen_shares(blending, views)[0];
 }
 
-// Of the target and of all photographs, in pixels.
+// Returns the longest side of the target and of all photographs, in pixels.
 int64_t longest_side(const PlacedPhotographs& placed) {
   int64_t longest = std::max(placed.target.width, placed.target.height);
   for (const PicturedView& view : placed.photographs) longest = std::max({longest, view.width, view.height});
@@ -27,8 +27,8 @@ int64_t longest_side(const PlacedPhotographs& placed) {
 // A thousandth of a colour is less than what a file of 8 bits keeps.
 constexpr float kNegligibleShare = 1e-3F;
 
-// Of each pixel the mean of colours by their shares, and the variance of its error: the mean of theirs, and what they
-// are apart (the law of total variance), mean over the colours.
+// Gives of each pixel the mean of colours by their shares, and the variance of its error: the mean of theirs, and what
+// they are apart (the law of total variance), mean over the colours.
 class ColourMixture {
  public:
   explicit ColourMixture(size_t pixels)
@@ -75,7 +75,7 @@ void blend_photographs(const PhotographBlending& blending, const PlacedPhotograp
     const PlacedPhotographs small = reduced(placed, side);
     shares = shares_in(blending, nearest_photographs(small), view_from_photographs(small));
   }
-  // One hypothesis after the other: of a large picture all of them would be a gigabyte.
+  // Hypotheses are taken one after the other: of a large picture all of them would be a gigabyte.
   const auto share = [&](int64_t number) {
     return torch::upsample_bilinear2d(shares[number].view({1, 1, shares.size(1), shares.size(2)}),
                                       {view.height, view.width}, false)

@@ -16,7 +16,7 @@ namespace {
 
 constexpr auto kHypotheses = static_cast<int64_t>(kDepthFactors.size());
 
-// log(depth / its median), 0 where no source reaches: (1, height, width).
+// Returns log(depth / its median), 0 where no source reaches: (1, height, width).
 torch::Tensor relative_depth(const TargetDepth& depth) {
   std::vector<float> logs(depth.values.size(), 0.0F), known;
   for (size_t i = 0; i < logs.size(); ++i) {
@@ -81,7 +81,7 @@ torch::Tensor blending_inputs(const BlendingCandidates& views) {
   const auto hypotheses = views.colours.narrow(1, 1, kHypotheses),
              shown = views.shown.narrow(1, 1, kHypotheses);
   const auto off = torch::where(shown.unsqueeze(2) > 0, hypotheses - rule, torch::zeros({}, rule.options()));
-  // All about as large as 1, where they say much.
+  // All are about as large as 1, where they say much.
   return torch::cat({rule.squeeze(1) - 0.5, views.shown.narrow(1, 0, 1), views.depth, 2 * off.flatten(1, 2),
                      8 * views.disagreement, shown - 0.5},
                     1);

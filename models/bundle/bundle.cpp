@@ -179,8 +179,8 @@ int64_t ModelBundle::converted_bytes(const BundlePart& part) const {
 template <class Module>
 std::shared_ptr<Module> ModelBundle::loaded(std::shared_ptr<Module> module, const BundlePart& part) const {
   load_into(*module, part);
-  // The module's first parameters were replaced by those of the file; kept, their blocks would let later tensors take
-  // that much more memory.
+  // The module's first parameters were replaced by those of the file; where they are kept, their blocks would let later
+  // tensors take that much more memory.
   release_kept_blocks();
   return module;
 }
@@ -248,7 +248,7 @@ LevelStatistics ModelBundle::load_statistics(const LevelGenerator& generator) co
 std::string ModelBundle::content_hash() const {
   Sha256 hash;
   const auto add = [&](const std::filesystem::path& file) {
-    // Name and digest of each file, so that bytes cannot move from one to the next.
+    // Name and digest of each file are hashed, so that bytes cannot move from one to the next.
     hash.update(file.filename().string() + ":" + sha256_of_file(file) + "\n");
   };
   add(folder_ / kOptionsFile);

@@ -46,7 +46,7 @@ struct BundlePart {
   static BundlePart refiner() { return {Kind::kRefiner, {}, 0}; }
   static BundlePart of(const LevelGenerator& generator) { return {Kind::kGenerator, generator, 0}; }
   static BundlePart statistics(int64_t level) { return {Kind::kStatistics, {}, level}; }
-  // Of the special tokens that are generated in front of a level's patch tokens.
+  // Returns the statistics of the special tokens that are generated in front of a level's patch tokens.
   static BundlePart special_statistics(int64_t level) { return {Kind::kSpecialStatistics, {}, level}; }
 
   bool operator==(const BundlePart& other) const {
@@ -54,11 +54,11 @@ struct BundlePart {
   }
 };
 
-// Those that a bundle with these options consists of.
+// Returns the parts that a bundle with these options consists of.
 std::vector<BundlePart> bundle_parts(const BundleOptions& options);
 std::string bundle_part_name(const BundlePart& part);  // "level1"; the file is "level1.safetensors"
 
-// The module of a part, with uninitialised parameters; null for statistics.
+// Returns the module of a part, with uninitialised parameters; null for statistics.
 std::shared_ptr<torch::nn::Module> make_bundle_module(const BundlePart& part, const BundleOptions& options,
                                                       const ParameterPlacement& placement);
 
@@ -74,31 +74,33 @@ class ModelBundle {
   std::filesystem::path file(const BundlePart& part) const;
   bool has(const BundlePart& part) const;
 
-  // Loads the part's file into a module that was built from these options; Error when the file is missing, with what
-  // to do.
+  // Loads the part's file into a module that was built from these options; throws Error when the file is missing, with
+  // what to do.
   LoadReport load_into(torch::nn::Module& module, const BundlePart& part) const;
 
-  // Bytes of the float32 numbers that loading makes of weights in another type; the others are read in place, page by
-  // page. 0 for a part that is missing.
+  // Returns the bytes of the float32 numbers that loading makes of weights in another type; the others are read in
+  // place, page by page. It is 0 for a part that is missing.
   int64_t converted_bytes(const BundlePart& part) const;
 
-  // The module with its weights, in the placement's dtype whatever the file's is.
+  // Returns the module with its weights, in the placement's dtype whatever the file's is.
   std::shared_ptr<Backbone> load_backbone(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<GeometryHead> load_geometry_head(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<RgbDecoder> load_rgb_decoder(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<PhotographBlending> load_blending(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DepthRefinement> load_depth_refinement(const ParameterPlacement& placement = {}) const;
   std::shared_ptr<DenoisingUnet> load_refiner(const ParameterPlacement& placement = {}) const;
-  // The RGB decoder, or the backbone's own half where that decodes images; the part that it is of.
+  // Returns the RGB decoder, or the backbone's own half where that decodes images; the second function returns the part
+  // that it is of.
   std::shared_ptr<ImageDecoder> load_image_decoder(const ParameterPlacement& placement = {}) const;
   BundlePart image_decoder_part() const;
   std::shared_ptr<DitDh> load_generator(const LevelGenerator& generator,
                                         const ParameterPlacement& placement = {}) const;
-  // Of the latent that this generator makes, with the bundle's epsilon; Error unless there are as many channels as the
-  // backbone's levels have. Of special tokens where it generates those.
+  // Loads the statistics of the latent that this generator makes, with the bundle's epsilon; throws Error unless there
+  // are as many channels as the backbone's levels have. It loads those of special tokens too where it generates those.
   LevelStatistics load_statistics(const LevelGenerator& generator) const;
 
-  // SHA-256 over the names and contents of model.yaml and the parts, 64 hexadecimal digits. Reads every file.
+  // Returns the SHA-256 over the names and contents of model.yaml and the parts, 64 hexadecimal digits. Reads every
+  // file.
   std::string content_hash() const;
 
  private:

@@ -18,7 +18,7 @@
 
 namespace gld {
 
-// Reads "504x280" (width x height); Error naming where otherwise.
+// Reads "504x280" (width x height); throws Error naming where otherwise.
 ImageSize image_size_from_text(const std::string& text, const std::string& where);
 
 // s of t' = s t / (1 + (s - 1) t), which training draws with and sampling runs with (DESIGN.md section 4, "Flow").
@@ -60,31 +60,31 @@ struct BundleOptions : OptionsGroup {
   double single_source_unit = 0;
   double single_source_unit_deviation = 0;  // of that logarithm, one standard deviation; 0: not known
 
-  // DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
+  // The defaults are DA3-Base with the sizes of the paper, and the time shifts of its released checkpoints.
   BundleOptions();
   void visit(FieldVisitor& visitor) override;
-  // The parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that are whole
-  // patches.
+  // Checks that the parts fit each other: channels, patch sizes, a set of levels that can be sampled, and sizes that
+  // are whole patches.
   void check() const override;
   std::vector<ImageSize> image_sizes() const;
 
   LevelSet level_set() const;
   // Replaces the generators by these; those that were there keep their options.
   void set_generators(const std::vector<LevelGenerator>& wanted);
-  // Error naming the bundle's generators where it is none of them.
+  // Throws Error naming the bundle's generators where it is none of them.
   const GeneratorOptions& generator(const LevelGenerator& generator) const;
   GeneratorOptions& generator(const LevelGenerator& generator);
-  // Whether the model has a geometry head and it can run: it takes all levels.
+  // Returns whether the model has a geometry head and it can run: it takes all levels.
   bool has_geometry() const;
-  // The unit by which a single source's depth is carried (source_depth_of_head()), 0 for none: ours is in metres, so
-  // that of scenes in another unit nothing is known.
+  // Returns the unit by which a single source's depth is carried (source_depth_of_head()), 0 for none: ours is in
+  // metres, so that of scenes in another unit nothing is known.
   double unit_of_single_source(const Views& views, bool metric) const;
-  // Whether images come from an RGB decoder, and not from the other half of an autoencoder.
+  // Returns whether images come from an RGB decoder, and not from the other half of an autoencoder.
   bool has_rgb_decoder() const { return !backbone.architecture().decodes_images(); }
 };
 
-// A new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an autoencoder. Its
-// time shift is the paper's.
+// Returns a new model of the deepest level of a backbone that propagates none, without geometry: DINOv2, or an
+// autoencoder. Its time shift is the paper's.
 BundleOptions single_level_options(const std::string& name, const BackboneOptions& backbone);
 
 }  // namespace gld

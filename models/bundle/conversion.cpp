@@ -174,7 +174,7 @@ ParameterPlacement on_meta() {
   return meta;
 }
 
-// Statistics are few numbers that everything is divided by: never rounded.
+// Statistics are few numbers that everything is divided by: they are never rounded.
 ordered_json convert_statistics(const WeightFile& file, const Source& source, const BundlePart& part,
                                 const ConversionOptions& options, const BundleOptions& bundle) {
   const auto statistics = read_latent_statistics(file);
@@ -326,7 +326,7 @@ void replace_head(const ConversionOptions& options, const BundleOptions& bundle,
   report["parts"]["dpt_head"] = std::move(part);
 }
 
-// What the weights are of.
+// Returns the options of what the weights are of.
 BundleOptions described_bundle(const ConversionOptions& options) {
   if (!options.description.empty()) {
     BundleOptions bundle;
@@ -366,7 +366,7 @@ void refuse_part_that_is_there(const ConversionOptions& options, const BundlePar
         "choose another --out, or add --overwrite to replace it"});
 }
 
-// A bundle, or a folder with nothing but what killed conversions left.
+// Throws Error unless the folder is a bundle, or has nothing but what killed conversions left.
 void refuse_other_folder(const std::filesystem::path& folder) {
   if (RunJournal::find(folder)) {
     fail({folder.string(), "a bundle, or a new or empty folder", "a run folder", "choose another --out"});
@@ -439,7 +439,7 @@ ordered_json convert(const ConversionOptions& given) {
   const BundleOptions bundle = described_bundle(options);
   check_backbone_files(options, bundle);
   const auto sources = sources_of(options, bundle);
-  // Everything that can be told beforehand, so that a mistake leaves nothing behind.
+  // Everything that can be told beforehand is checked here, so that a mistake leaves nothing behind.
   for (const auto& source : sources) {
     const auto file = WeightFile::open(source.file);
     if (!source.network.empty()) require_no_backbone(*file, source.network);

@@ -16,7 +16,7 @@ namespace gld {
 // is a plain state_dict.
 enum class CheckpointWeights { kEma, kModel, kPlain };
 
-// gld convert: the published files into a model bundle. Parts whose file is not given are left out and can be added
+// gld convert makes of the published files a model bundle. Parts whose file is not given are left out and can be added
 // later by converting again into the same folder.
 struct ConversionOptions : OptionsGroup {
   // Folder of the published release, whose files are known by their names (published_release.h); empty: none. Files
@@ -45,9 +45,9 @@ struct ConversionOptions : OptionsGroup {
 };
 
 // Converts and returns the report: {"bundle", "parts": {name: {"source", "selection", "tensors", "elements", "from":
-// {dtype: tensors}, "to", "bytes"}}, "ignored": [{"source", "names", "tensors", "reason"}], "missing": [...]}. Strict:
-// every tensor of a source file is used or listed under "ignored" with its reason, and every tensor of a module is
-// there. Numbers that are not finite, or not in the new precision, are an Error naming the tensor. Tensors are
+// {dtype: tensors}, "to", "bytes"}}, "ignored": [{"source", "names", "tensors", "reason"}], "missing": [...]}. It is
+// strict: every tensor of a source file is used or listed under "ignored" with its reason, and every tensor of a module
+// is there. Numbers that are not finite, or not in the new precision, are an Error naming the tensor. Tensors are
 // converted one at a time. The report is also written into the bundle as conversion.json.
 nlohmann::ordered_json convert(const ConversionOptions& options);
 

@@ -9,7 +9,7 @@
 
 namespace gld {
 
-// What gld inspect says about a weight file or a model bundle, as JSON:
+// Returns what gld inspect says about a weight file or a model bundle, as JSON:
 //   file:   {"file", "format", "bytes", "tensors": [{"name", "dtype", "shape"}], "values": {...}, "metadata": {...},
 //            "totals": {"tensors", "elements", "bytes", "dtypes": {...}}}
 //   bundle: {"bundle", "name", "hash", "options": {...}, "parts": {"backbone": file without "tensors", ...},
@@ -17,7 +17,7 @@ namespace gld {
 // Tensors of bundle parts are checked against the modules of model.yaml. Throws Error as the readers do.
 nlohmann::ordered_json inspect(const std::filesystem::path& file_or_bundle);
 
-// The same for people: one line a tensor or part, then the totals.
+// Returns the same for people: one line a tensor or part, then the totals.
 std::string inspection_text(const nlohmann::ordered_json& inspection);
 
 }  // namespace gld

@@ -16,11 +16,11 @@ namespace {
 
 constexpr const char* kTrainedOn = "gld:trained_on";
 
-// Each file once, however many parts were trained on it.
+// Hashes each file once, however many parts were trained on it.
 class PartHashes {
  public:
   explicit PartHashes(const ModelBundle& bundle) : bundle_(bundle) {}
-  // Empty for a part that is not there.
+  // Returns empty text for a part that is not there.
   const std::string& of(const BundlePart& part) {
     const auto [entry, added] = hashes_.try_emplace(bundle_part_name(part));
     if (added && bundle_.has(part)) entry->second = sha256_of_file(bundle_.file(part));

@@ -10,12 +10,12 @@ namespace gld {
 // A part belongs to the parts that it was trained on: M1 of another backbone samples noise. So each carries, in the
 // metadata of its file, the SHA-256 of their files ("gld:trained_on", JSON by part name).
 
-// What that part is trained on: the backbone; for generators the statistics that their latents are normalised with; for
-// what is shown carried photographs the geometry head too.
+// Returns what that part is trained on: the backbone; for generators the statistics that their latents are normalised
+// with; for what is shown carried photographs the geometry head too.
 std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& options);
 
-// Writes into the part's file what its bundle has of those parts now. For each part right after it was made, and for
-// parts that were made together in the order of bundle_parts().
+// Writes into the part's file what its bundle has of those parts now. It is called for each part right after it was
+// made, and for parts that were made together in the order of bundle_parts().
 void note_trained_on(const ModelBundle& bundle, const BundlePart& part);
 
 // Throws Error naming the part that must be trained again where one of `parts` was trained on another file than the

@@ -38,7 +38,7 @@ bool holds(const WeightFile& file, const PublishedBackbone& published) {
   });
 }
 
-// What of the table a file holds; null for nothing of it.
+// Returns what of the table a file holds; null for nothing of it.
 const PublishedBackbone* held_backbone(const WeightFile& file) {
   const auto& table = published_backbones();
   const auto found = std::find_if(table.begin(), table.end(),

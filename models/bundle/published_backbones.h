@@ -20,7 +20,7 @@ struct PublishedBackbone {
   std::string name;       // "VGGT", for people
   std::string kind;       // of BackboneArchitecture
   std::string signature;  // a tensor's name, or its beginning, that no other published file has
-  // Beginnings of names that are taken away, one after the other, which not every such file has.
+  // These beginnings of names are taken away, one after the other; not every such file has them.
   std::vector<std::string> outer_prefixes;
   // Beginnings that the same weights have in other layouts, which are not read, and what those are.
   std::vector<std::pair<std::string, std::string>> other_layouts;
@@ -28,21 +28,23 @@ struct PublishedBackbone {
       module_prefix;  // in front of the file's names in the bundle: "encoder." of a file with that half alone
   bool with_head = false;  // whether it holds the geometry head too
   std::vector<IgnoredName> ignored;
-  // The module's name of a tensor of the file, after the prefixes; empty for the same.
+  // Returns the module's name of a tensor of the file, after the prefixes; empty stands for the same.
   std::function<std::string(const std::string& name, const BundleOptions& bundle)> renamed;
   std::function<BundleOptions()> options;  // the model it is of, where no description is given
-  // What of that model files may have or not: sets it in the model's options by what the file holds. Empty for nothing.
+  // Sets in the model's options, by what the file holds, what of that model files may have or not. Empty stands for
+  // nothing.
   std::function<void(const WeightFile& file, BundleOptions& bundle)> take_optional_parts;
-  // Parts of the file that the model does without.
+  // Returns the parts of the file that the model does without.
   std::function<std::vector<IgnoredName>(const BundleOptions& bundle)> left_out;
-  // What else the file must hold for that model: Error naming the first that is missing. Empty for nothing.
+  // Requires what else the file must hold for that model: throws Error naming the first that is missing. Empty stands
+  // for nothing.
   std::function<void(const WeightFile& file, const BundleOptions& bundle)> require_whole;
 };
 
-// What the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published
+// Returns what the released DA3-Base checkpoints need: 28-layer RGB decoder, cascade with single embedders, published
 // conventions of cameras.
 BundleOptions released_da3_options();
-// The same for the released VGGT checkpoints: 5 special tokens generated with the
+// Returns the same for the released VGGT checkpoints: 5 special tokens generated with the
 // patches (num_special_tokens: 0 leaves them to propagation, as the paper's final experiments do).
 BundleOptions released_vggt_options();
 
@@ -56,18 +58,19 @@ struct GivenBackbone {
 };
 std::vector<GivenBackbone> given_backbones(const std::map<std::string, std::string>& files);
 
-// The name of a tensor of such a file without what is taken away in front.
+// Returns the name of a tensor of such a file without what is taken away in front.
 std::string inner_name(const PublishedBackbone& published, const std::string& name);
 
-// Error naming what the file is, where it is a published backbone, but not one of that option.
+// Throws Error naming what the file is, where it is a published backbone, but not one of that option.
 void require_published(const WeightFile& file, const std::string& option);
 
-// Of a file that is to hold something else ("M1"): Error naming the backbone that it holds, or latent statistics.
+// Throws, of a file that is to hold something else ("M1"), Error naming the backbone that it holds, or latent
+// statistics.
 void require_no_backbone(const WeightFile& file, const std::string& wanted);
 
-// The name in diffusers' files of a tensor of an autoencoder in the original ones (CompVis), which both also write in
-// older ways; others are returned as they are. stages: of the autoencoder, which originals count from the finest in
-// both halves.
+// Returns the name in diffusers' files of a tensor of an autoencoder in the original ones (CompVis), which both also
+// write in older ways; others are returned as they are. stages are those of the autoencoder, which originals count from
+// the finest in both halves.
 std::string diffusers_autoencoder_name(const std::string& name, int64_t stages);
 
 }  // namespace gld

@@ -14,8 +14,8 @@ bool is_given(const ConversionOptions& options, const char* backbone) {
   return found != options.backbones.end() && !found->second.empty();
 }
 
-// Where a file of the release may lie in a folder: at its own path, or without the folders that hold nothing else of
-// its name. Both decoders are called mae_decoder.pt, and the statistics of both models are too.
+// Returns where a file of the release may lie in a folder: at its own path, or without the folders that hold nothing
+// else of its name. Both decoders are called mae_decoder.pt, and the statistics of both models are too.
 std::vector<std::filesystem::path> places_of(const std::filesystem::path& path) {
   std::vector<std::filesystem::path> places{path};
   const std::filesystem::path inner = path.lexically_relative(*path.begin());
@@ -27,7 +27,7 @@ std::vector<std::filesystem::path> places_of(const std::filesystem::path& path) 
   return places;
 }
 
-// Empty where it is in none of its places.
+// Returns an empty path where it is in none of its places.
 std::string find_file(const std::filesystem::path& folder, const std::string& path) {
   std::error_code none;
   for (const auto& place : places_of(path)) {

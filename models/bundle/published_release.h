@@ -19,10 +19,10 @@ struct ReleaseFile {
 enum class ReleasedModel { kDa3, kVggt };
 const std::vector<ReleaseFile>& release_files(ReleasedModel model);
 
-// The options with every file that is not given taken from options.release: the model on VGGT where vggt is given, else
-// that on DA3. A file is found at its path in the release, below the release's first folder left out, and where that
-// name is of one file alone beside the others. Options without a release stay as they are. Throws Error naming all
-// files that are missing; what may be missing is what an option gives.
+// Returns the options with every file that is not given taken from options.release: the model on VGGT where vggt is
+// given, else that on DA3. A file is found at its path in the release, below the release's first folder left out, and
+// where that name is of one file alone beside the others. Options without a release stay as they are. Throws Error
+// naming all files that are missing; what may be missing is what an option gives.
 ConversionOptions with_release(const ConversionOptions& options);
 
 }  // namespace gld

@@ -8,13 +8,13 @@
 
 namespace gld {
 
-// A bundle with random weights: for tests, benchmarks and for trying the program without trained weights. Unlike the
-// modules' own initialisation no layer is zero, so every part changes the result. Tensors are written one at a time;
-// each depends on the seed, its part and its name alone.
+// Writes a bundle with random weights: for tests, benchmarks and for trying the program without trained weights. Unlike
+// with the modules' own initialisation no layer is zero, so every part changes the result. Tensors are written one at a
+// time; each depends on the seed, its part and its name alone.
 void write_random_bundle(const std::filesystem::path& folder, const BundleOptions& options, uint64_t seed,
                          DType dtype = DType::kFloat32);
 
-// A model that runs in seconds on one core; the same layout as DA3-Base and its DiTs.
+// Returns a model that runs in seconds on one core; its layout is that of DA3-Base and its DiTs.
 BundleOptions small_bundle_options();
 
 }  // namespace gld

@@ -18,7 +18,7 @@ namespace {
 
 constexpr const char* kSeenFormat = "gld seen scenes 1";
 
-// Of the statistics of that level; empty where the bundle has none.
+// Returns the hash of the statistics of that level; empty where the bundle has none.
 std::string statistics_hash(const ModelBundle& bundle, int64_t level) {
   const BundlePart part = BundlePart::statistics(level);
   return bundle.has(part) ? sha256_of_file(bundle.file(part)) : std::string();

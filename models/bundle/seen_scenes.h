@@ -27,14 +27,14 @@ struct SeenScenes {
 
 constexpr const char* kSeenScenesFile = "seen_scenes.json";
 
-// divergences: one a scene, in any order; at least one.
+// divergences has one a scene, in any order; at least one.
 SeenLevel seen_level(int64_t level, std::vector<double> divergences);
 
-// Beside the bundle's statistics, whose files it names by their SHA-256.
+// Writes it beside the bundle's statistics, whose files it names by their SHA-256.
 void write_seen_scenes(const ModelBundle& bundle, const SeenScenes& seen);
 
-// Nothing where the bundle has no such file, as published ones, or one of other statistics. Throws Error, naming the
-// file, for a damaged one.
+// Returns nothing where the bundle has no such file, as published ones, or one of other statistics. Throws Error,
+// naming the file, for a damaged one.
 std::optional<SeenScenes> read_seen_scenes(const ModelBundle& bundle);
 
 }  // namespace gld

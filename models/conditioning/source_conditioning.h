@@ -19,7 +19,7 @@ struct SourceScene {
   Views views;
   // (source views, 3, height, width), RGB in [0, 1], on the device of the latent space's backbone.
   torch::Tensor images;
-  // Of another origin than the geometry head, which is not asked then.
+  // This depth is of another origin than the geometry head, which is not asked then.
   std::optional<SourceDepth> depth;
   double single_source_unit = 0;  // as source_depth_of_head() takes it
 };
@@ -32,7 +32,8 @@ struct ConditioningNeeds {
   bool propagation = false;    // whether levels of all views will be propagated
 };
 
-// Of generators that are shown levels up to that one and take so many photographs in each target view.
+// Returns the needs of generators that are shown levels up to that one and take so many photographs in each target
+// view.
 ConditioningNeeds conditioning_needs(const SourceScene& scene, int64_t deepest_shown, int64_t warped_sources);
 
 // Levels 0 to this one of the source views are encoded, of so many that the backbone has.
@@ -57,18 +58,18 @@ struct SourceConditioning {
   WarpedFeatures warped;
 };
 
-// The backbone's part: all but what is carried into target views.
+// Does the backbone's part: all but what is carried into target views.
 SourceConditioning encode_sources(const LatentSpace& space, const torch::Tensor& source_images,
                                   const ConditioningNeeds& needs);
 
-// What the head says of source views that were encoded for it, in its own unit.
+// Returns what the head says of source views that were encoded for it, in its own unit.
 GeometryOutput source_geometry(const GeometryHead& head, const SourceConditioning& sources);
 
-// Carries the photographs into the target views, and encodes what was carried. scene.depth: must be there.
+// Carries the photographs into the target views, and encodes what was carried. scene.depth must be there.
 WarpedFeatures warp_into_targets(const LatentSpace& space, const SourceScene& scene,
                                  const ConditioningNeeds& needs);
 
-// All of it, for who has the models at hand. head may be null where its depth is not needed.
+// Does all of it, for who has the models at hand. head may be null where its depth is not needed.
 SourceConditioning condition_on_sources(const LatentSpace& space, const GeometryHead* head,
                                         const SourceScene& scene, const ConditioningNeeds& needs);
 

@@ -32,8 +32,8 @@ Cost dit_stack_cost(const DitOptions& options, int64_t tokens, const StackShape&
   return cost;
 }
 
-// The most of a block, in floats: x, qkv and the attention's output; or x, that output, the result, and of a group of
-// tokens (by_view_groups) the modulation and what the feed-forward part makes.
+// Returns the most of a block, in floats: x, qkv and the attention's output; or x, that output, the result, and of a
+// group of tokens (by_view_groups) the modulation and what the feed-forward part makes.
 double block_floats(const DitOptions& options, int64_t width, const LatentGrid& grid) {
   const int64_t per_view = grid.tokens_per_view() + options.num_special_tokens;
   const auto tokens = static_cast<double>(grid.views * per_view);
@@ -74,8 +74,8 @@ Cost dit_cost(const DitOptions& options, const LatentGrid& grid) {
   cost.linear_flop += encoder.linear_flop;
   cost.attention_flop += encoder.attention_flop;
   cost.weight_bytes += encoder.weight_bytes;
-  // What a scene keeps (source halves of both embeddings, camera embedding), the embedded latent, and then a block of
-  // the condition encoder, or its output, its activation and a block of the velocity decoder.
+  // This counts what a scene keeps (source halves of both embeddings, camera embedding), the embedded latent, and then
+  // a block of the condition encoder, or its output, its activation and a block of the velocity decoder.
   const auto tokens = static_cast<double>(tokens_of(options, grid));
   const auto encoder_width = static_cast<double>(options.encoder_width());
   const auto decoder_width = static_cast<double>(options.decoder_width());
@@ -117,7 +117,7 @@ Cost rgb_decoder_cost(const RgbDecoderOptions& options, const LatentGrid& grid) 
       add_convolution(cost, views * pixels_of_view, channels, channels, 3);
     }
     add_convolution(cost, views * pixels_of_view, channels, 3, 3);
-    // The refined pixels of all views, and of one view two maps and what its convolution rearranges.
+    // This counts the refined pixels of all views, and of one view two maps and what its convolution rearranges.
     cost.working_bytes += bytes_of_floats(3 * views * pixels_of_view + 4 * channels * pixels_of_view);
   }
   return cost;

@@ -11,11 +11,11 @@
 
 namespace gld {
 
-// What the unit's result is added to: x, or relu(x), which is what published code whose activations work in place adds
+// The unit's result is added to this: x, or relu(x), which is what published code whose activations work in place adds
 // it to.
 enum class FusionResidual { kRaw, kRectified };
 
-// x + conv2(relu(conv1(relu(x)))), 3x3 convolutions; parameters "conv1", "conv2".
+// Computes x + conv2(relu(conv1(relu(x)))), with 3x3 convolutions; parameters are "conv1" and "conv2".
 class ResidualConvolution : public torch::nn::Module {
  public:
   ResidualConvolution(int64_t channels, FusionResidual residual, const ParameterPlacement& placement);
@@ -45,7 +45,7 @@ class FusionBlock : public torch::nn::Module {
     int64_t height = 0;
     int64_t width = 0;
   };
-  // running and lateral: (views, channels, height, width); lateral undefined for FusionInputs::kRunning.
+  // running and lateral are (views, channels, height, width); lateral is undefined for FusionInputs::kRunning.
   // Returns (views, channels, size.height, size.width), enlarged bilinearly with aligned corners.
   torch::Tensor forward(const torch::Tensor& running, const torch::Tensor& lateral,
                         const MapSize& size) const;

@@ -55,11 +55,12 @@ class DptHead : public GeometryHead {
 
   const DptHeadOptions& options() const { return options_; }
 
-  // levels: the four decodable levels, (views, tokens, dim_in) each, patch tokens only. Views are processed
+  // levels are the four decodable levels, (views, tokens, dim_in) each, patch tokens only. Views are processed
   // in chunks of about one 504x504 image, so that only the maps it returns grow with them.
   GeometryOutput forward(const std::vector<torch::Tensor>& levels, const LatentGrid& grid,
                          GeometryMaps maps) const;
-  // The same and, with rays, the cameras that a camera decoder finds in the leading tokens, of which each view has one.
+  // Returns the same and, with rays, the cameras that a camera decoder finds in the leading tokens, of which each view
+  // has one.
   GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid,
                          GeometryMaps maps) const override;
 

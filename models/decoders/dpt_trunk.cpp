@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// Sine and cosine of `positions` (n) at channels / 2 frequencies of base 100: (channels, n).
+// Returns sine and cosine of `positions` (n) at channels / 2 frequencies of base 100: (channels, n).
 torch::Tensor sinusoids(const torch::Tensor& positions, int64_t channels) {
   const auto exponents = torch::arange(channels / 2, torch::kFloat32) / (static_cast<double>(channels) / 2);
   const auto frequencies = torch::pow(100.0, exponents).reciprocal();
@@ -16,7 +16,7 @@ torch::Tensor sinusoids(const torch::Tensor& positions, int64_t channels) {
   return torch::cat({angles.sin(), angles.cos()});
 }
 
-// Pixel centres of `count` pixels across +-span.
+// Returns the pixel centres of `count` pixels across +-span.
 torch::Tensor centres(double span, int64_t count) {
   const double outermost = span * static_cast<double>(count - 1) / static_cast<double>(count);
   return torch::linspace(-outermost, outermost, count, torch::kFloat32);
@@ -202,8 +202,9 @@ void add_dpt_output(Cost& cost, const DptSizes& sizes, const LatentGrid& grid) {
 }
 
 int64_t dpt_working_bytes(const DptSizes& sizes, const LatentGrid& grid, const DptMapChannels& channels) {
-  // Of a chunk of views: pyramid and fused maps, then the depth decoder's maps at full resolution, enlarged and with
-  // positions, or beside its hidden maps. Of all views the maps, and the chunks' maps that they are made of.
+  // This counts, of a chunk of views, pyramid and fused maps, then the depth decoder's maps at full resolution,
+  // enlarged and with positions, or beside its hidden maps, and of all views the maps, and the chunks' maps that they
+  // are made of.
   const auto tokens = static_cast<double>(grid.views * grid.tokens_per_view());
   const auto features = static_cast<double>(sizes.features);
   const auto patch_pixels = static_cast<double>(sizes.patch_size * sizes.patch_size);

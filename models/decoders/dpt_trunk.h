@@ -50,17 +50,17 @@ class DptTrunk {
   };
   Pyramid pyramid(const std::vector<torch::Tensor>& levels, const LatentGrid& grid) const;
   static torch::Tensor fuse(const Pyramid& pyramid, const std::vector<std::shared_ptr<FusionBlock>>& stages);
-  // Fused maps -> maps of the output's size, with positions.
+  // Makes of fused maps maps of the output's size, with positions.
   torch::Tensor enlarged(const torch::Tensor& fused, const LatentGrid& grid) const;
   torch::Tensor with_positions(const torch::Tensor& maps, const LatentGrid& grid) const;
 
-  // Error unless there are four levels of these views.
+  // Throws Error unless there are four levels of these views.
   void check_levels(const std::vector<torch::Tensor>& levels, const LatentGrid& grid) const;
   // Calls with the pyramid of one chunk of views after the other.
   void for_each_chunk(const std::vector<torch::Tensor>& levels, const LatentGrid& grid,
                       const std::function<void(const Pyramid&)>& use) const;
 
-  // "refinenet1" to "refinenet4" with that suffix, registered on the scratch module.
+  // Returns "refinenet1" to "refinenet4" with that suffix, registered on the scratch module.
   std::vector<std::shared_ptr<FusionBlock>> fusion_stages(const std::string& suffix, FusionResidual residual,
                                                           const ParameterPlacement& placement) const;
 
@@ -74,19 +74,20 @@ class DptTrunk {
   std::vector<std::shared_ptr<Convolution>> lateral_;  // layer1_rn .. layer4_rn
 };
 
-// Helpers to register the parts of a head.
+// These helpers register the parts of a head.
 std::shared_ptr<torch::nn::Module> child_module(torch::nn::Module& parent, const std::string& name);
 std::shared_ptr<Convolution> child_convolution(torch::nn::Module& parent, const std::string& name,
                                                const ConvolutionSizes& sizes,
                                                const ParameterPlacement& placement);
 
-// exp, finite for any finite logits.
+// Returns exp, finite for any finite logits.
 torch::Tensor bounded_exponential(const torch::Tensor& logits);
 
-// Operations of one pass: the pyramid and the fusion by `decoders` decoders; one decoder of full size.
+// These add the operations of one pass: the pyramid and the fusion by `decoders` decoders; one decoder of full size.
 void add_dpt_pyramid(Cost& cost, const DptSizes& sizes, const LatentGrid& grid, double decoders);
 void add_dpt_output(Cost& cost, const DptSizes& sizes, const LatentGrid& grid);
-// Activations of a chunk of views, and of all views the maps of so many channels a full-size pixel and a ray.
+// These count the activations of a chunk of views, and of all views the maps of so many channels a full-size pixel and
+// a ray.
 struct DptMapChannels {
   double full_size = 0;
   double rays = 0;

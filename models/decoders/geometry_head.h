@@ -26,13 +26,13 @@ struct GeometryOutput {
   torch::Tensor
       rays;  // (views, 8 grid height, 8 grid width, 6): direction and origin (gld/photogrammetry/view_maps.h)
   torch::Tensor ray_confidence;  // (views, 8 grid height, 8 grid width), >= 1
-  // Of heads that predict points apart from depth and cameras, with depth; undefined of others. In the frame of the
-  // rays.
+  // Heads that predict points apart from depth and cameras give these, with depth; they are undefined of others. They
+  // are in the frame of the rays.
   torch::Tensor points;            // (views, height, width, 3)
   torch::Tensor point_confidence;  // (views, height, width), >= 1
-  // Of heads with a decoder for cameras, with rays; undefined of others. (views, 9), each a PoseEncoding
-  // (gld/cameras/pose_encoding.h) in the frame and unit of the rays, which it does not come from: decoded_cameras() in
-  // camera_decoder.h.
+  // Heads with a decoder for cameras give these, with rays; they are undefined of others. They are (views, 9), each a
+  // PoseEncoding (gld/cameras/pose_encoding.h) in the frame and unit of the rays, which it does not come from:
+  // decoded_cameras() in camera_decoder.h makes cameras of them.
   torch::Tensor camera_encodings;
 };
 
@@ -44,12 +44,12 @@ struct GeometryInputs {
   torch::Tensor leading;
 };
 
-// Depth, rays and what else a backbone's head reads off its levels.
+// Reads depth, rays and what else a backbone's head reads off its levels.
 class GeometryHead : public torch::nn::Module {
  public:
   virtual GeometryOutput forward(const GeometryInputs& inputs, const LatentGrid& grid,
                                  GeometryMaps maps) const = 0;
-  // Random weights to train from.
+  // Draws random weights to train from.
   virtual void initialise(const torch::Generator& generator) = 0;
 };
 
@@ -61,19 +61,19 @@ class GeometryHeadArchitecture : public OptionsGroup {
   virtual std::string kind() const = 0;
   virtual std::unique_ptr<GeometryHeadArchitecture> copy() const = 0;
   virtual std::shared_ptr<GeometryHead> make(const ParameterPlacement& placement) const = 0;
-  // Of the tensors' names in the published file.
+  // Returns the beginning of the tensors' names in the published file.
   virtual std::string published_prefix() const = 0;
-  // Parts of the module that have another beginning in the published file: {there, in the module}.
+  // Returns the parts of the module that have another beginning in the published file: {there, in the module}.
   virtual std::vector<std::pair<std::string, std::string>> published_elsewhere() const { return {}; }
   virtual int64_t level_channels() const = 0;  // C
   virtual int64_t patch_side() const = 0;      // pixels
-  // Leading tokens of the backbone that it was made for; -1 for any.
+  // Returns how many leading tokens the backbone has that it was made for; -1 for any.
   virtual int64_t leading_tokens() const { return -1; }
-  // Whether it predicts rays, and with them cameras: depth without rays has no place in a scene.
+  // Returns whether it predicts rays, and with them cameras: depth without rays has no place in a scene.
   virtual bool predicts_rays() const { return true; }
-  // Whether depth comes with GeometryOutput::points.
+  // Returns whether depth comes with GeometryOutput::points.
   virtual bool predicts_points() const { return false; }
-  // Whether GeometryOutput::camera_encodings come with rays.
+  // Returns whether GeometryOutput::camera_encodings come with rays.
   virtual bool decodes_cameras() const { return false; }
   virtual Cost cost(const LatentGrid& grid, GeometryMaps maps) const = 0;
 };

@@ -10,7 +10,7 @@ namespace gld {
 
 using GeometryHeadKind = ArchitectureKind<GeometryHeadArchitecture>;
 
-// All families, the default one first, and "none" for backbones without geometry.
+// Returns all families, the default one first, and "none" for backbones without geometry.
 const std::vector<GeometryHeadKind>& geometry_head_kinds();
 
 // The geometry head of a bundle (dpt_head in model.yaml): its kind, and that kind's fields.

@@ -7,7 +7,7 @@
 
 namespace gld {
 
-// What makes images of the levels that decoders take: a trained RGB decoder, or an autoencoder's own half.
+// This makes images of the levels that decoders take: a trained RGB decoder, or an autoencoder's own half.
 class ImageDecoder : public torch::nn::Module {
  public:
   // features: (views, tokens, channels), the decoded levels concatenated on channels -> images (views, 3, height,

@@ -12,10 +12,10 @@
 
 namespace gld {
 
-// What a linear layer cannot draw from one token at a time: the patches of a picture lie in a plane of as many
-// dimensions as the token has channels, in which an edge at any place and angle is blurred, and they do not meet where
-// they join. A few 3x3 convolutions with GELU between them look at the drawn pixels and add what is missing. Ours; no
-// published decoder has it. Parameters "0.weight", "0.bias", "1.weight", ...
+// This draws what a linear layer cannot draw from one token at a time: the patches of a picture lie in a plane of as
+// many dimensions as the token has channels, in which an edge at any place and angle is blurred, and they do not meet
+// where they join. A few 3x3 convolutions with GELU between them look at the drawn pixels and add what is missing. It
+// is ours; no published decoder has it. Parameters are "0.weight", "0.bias", "1.weight", ...
 class PixelRefinement : public torch::nn::Module {
  public:
   struct Sizes {
@@ -28,7 +28,7 @@ class PixelRefinement : public torch::nn::Module {
   // large enough.
   torch::Tensor forward(const torch::Tensor& pixels) const;
 
-  // With random weights that add nothing yet.
+  // Draws random weights that add nothing yet.
   void initialise(const torch::Generator& generator);
 
  private:

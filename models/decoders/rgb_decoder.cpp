@@ -14,8 +14,8 @@
 namespace gld {
 namespace {
 
-// Sine-cosine positions of a square grid (ViT-MAE): (grid^2, channels), the first half of the channels from
-// the column, the second from the row, each sines then cosines at base 10000.
+// Returns sine-cosine positions of a square grid (ViT-MAE): (grid^2, channels), the first half of the channels from the
+// column, the second from the row, each sines then cosines at base 10000.
 torch::Tensor sine_cosine_positions(int64_t grid, int64_t channels) {
   const auto exponents = torch::arange(channels / 4, torch::kFloat64) / (static_cast<double>(channels) / 4);
   const auto frequencies = torch::pow(10000.0, exponents).reciprocal();

@@ -56,19 +56,19 @@ class RgbDecoder : public ImageDecoder {
   // (views, tokens, 3 * patch_size^2): each patch's pixels, row by row, channels last, ImageNet-normalised.
   torch::Tensor logits(const torch::Tensor& features, const LatentGrid& grid) const;
 
-  // Logits -> images (views, 3, height, width), still ImageNet-normalised.
+  // Makes of logits images (views, 3, height, width), still ImageNet-normalised.
   torch::Tensor unpatchify(const torch::Tensor& logits, const LatentGrid& grid) const;
 
-  // features -> images (views, 3, height, width), RGB in about [0, 1], not clamped.
+  // Decodes features to images (views, 3, height, width), RGB in about [0, 1], not clamped.
   torch::Tensor decode(const torch::Tensor& features, const LatentGrid& grid) const override;
 
-  // The position table for that grid: (1, 1 + tokens, hidden_size), class token first.
+  // Returns the position table for that grid: (1, 1 + tokens, hidden_size), class token first.
   torch::Tensor position_embedding(const LatentGrid& grid) const;
 
-  // The last layer's weight (3 * patch_size^2, hidden_size): the adaptive GAN weight is measured on it.
+  // Returns the last layer's weight (3 * patch_size^2, hidden_size): the adaptive GAN weight is measured on it.
   const torch::Tensor& last_layer_weight() const { return prediction_->weight; }
 
-  // Random weights and sine-cosine positions to train from.
+  // Draws random weights and sine-cosine positions to train from.
   void initialise(const torch::Generator& generator);
 
  private:

@@ -16,7 +16,7 @@ constexpr int64_t kRaysASide = 8;
 
 int64_t value_channels(VggtDptOutput output) { return output == VggtDptOutput::kDepth ? 1 : 3; }
 
-// R of unit quaternions (x, y, z, w), (views, 4) -> (views, 3, 3). Quaternions need not have length 1.
+// Returns R of unit quaternions (x, y, z, w), (views, 4) -> (views, 3, 3). Quaternions need not have length 1.
 torch::Tensor rotations(const torch::Tensor& quaternions) {
   const auto q = quaternions.unbind(-1);
   const auto &x = q[0], &y = q[1], &z = q[2], &w = q[3];
@@ -28,7 +28,7 @@ torch::Tensor rotations(const torch::Tensor& quaternions) {
       .view({-1, 3, 3});
 }
 
-// Middles of the cells, from -1 to 1 across the image.
+// Returns the middles of the cells, from -1 to 1 across the image.
 torch::Tensor cell_middles(int64_t count, const torch::TensorOptions& options) {
   return (torch::arange(count, options) + 0.5) * (2.0 / static_cast<double>(count)) - 1;
 }

@@ -28,7 +28,7 @@ class VggtDptHead : public torch::nn::Module {
     torch::Tensor values;      // (views, height, width) depth, or (views, height, width, 3) points
     torch::Tensor confidence;  // (views, height, width), >= 1
   };
-  // levels: four, raw, (views, tokens, dim_in), patch tokens only.
+  // levels are four, raw, (views, tokens, dim_in), patch tokens only.
   Maps forward(const std::vector<torch::Tensor>& levels, const LatentGrid& grid) const;
 
  private:
@@ -52,11 +52,11 @@ struct VggtCameras {
   torch::Tensor encoding;
 
   torch::Tensor camera_from_world() const;  // (views, 3, 4)
-  // (views, 3, 3) in pixels of images of that size, the principal point in the middle.
+  // Returns (views, 3, 3) in pixels of images of that size, the principal point in the middle.
   torch::Tensor intrinsics(int64_t height, int64_t width) const;
-  // (views, rows, columns, 6): direction K^-1 [u, v, 1] turned to the world, and the camera's centre, of rays through
-  // the middles of the cells that cover the image evenly. Finite for any finite encoding: fields of view are kept below
-  // pi.
+  // Returns (views, rows, columns, 6): direction K^-1 [u, v, 1] turned to the world, and the camera's centre, of rays
+  // through the middles of the cells that cover the image evenly. They are finite for any finite encoding: fields of
+  // view are kept below pi.
   torch::Tensor rays(int64_t rows, int64_t columns) const;
 };
 
@@ -66,7 +66,7 @@ class VggtCameraHead : public torch::nn::Module {
  public:
   VggtCameraHead(const VggtCameraSizes& sizes, const ParameterPlacement& placement);
 
-  // camera_tokens: (views, dim_in) of the last level, raw, of all views of the scene.
+  // camera_tokens are (views, dim_in) of the last level, raw, of all views of the scene.
   VggtCameras forward(const torch::Tensor& camera_tokens) const;
   void initialise(const torch::Generator& generator);
 

@@ -15,7 +15,7 @@ DepthRefinement::DepthRefinement(const PixelUnetOptions& options, const Paramete
 }
 
 torch::Tensor DepthRefinement::forward(const DepthEvidence& views) const {
-  // All about as large as 1, where they say much.
+  // All are about as large as 1, where they say much.
   const auto inputs = torch::cat({views.colours - 0.5, views.log_depth, views.confidence - 0.5,
                                   4 * views.head, 4 * views.differences.flatten(1, 2), views.shown - 0.5},
                                  1);
@@ -32,7 +32,7 @@ void DepthRefinement::initialise(const torch::Generator& generator) {
 Cost depth_refinement_cost(const PixelUnetOptions& options, int64_t height, int64_t width) {
   Cost cost = pixel_unet_cost(options, {DepthRefinement::kInputs, 1}, height, width);
   const ImageSize seen = image_within(width, height, options.side);
-  // The evidence that its inputs are made of.
+  // This counts the evidence that its inputs are made of.
   if (options.exists())
     cost.working_bytes +=
         bytes_of_floats(static_cast<double>(DepthRefinement::kInputs * seen.width * seen.height));

@@ -35,9 +35,9 @@ struct DepthEvidence {
   }
 };
 
-// A U-Net that mends the depth of source views where photographs do not confirm it: between edges that a picture shows,
+// This U-Net mends the depth of source views where photographs do not confirm it: between edges that a picture shows,
 // at walls without texture, along outlines that a small geometry head blurs. It begins with the depth as it is.
-// Parameters: PixelUnet's, and "correction", weight and bias.
+// Parameters are PixelUnet's, and "correction", weight and bias.
 class DepthRefinement : public torch::nn::Module {
  public:
   DepthRefinement(const PixelUnetOptions& options, const ParameterPlacement& placement);
@@ -46,10 +46,11 @@ class DepthRefinement : public torch::nn::Module {
 
   static constexpr int64_t kInputs = 6 + 4 * static_cast<int64_t>(kDepthFactors.size());
 
-  // What the depth would be mended by where nothing confirms it, a natural logarithm: (views, 1, height, width).
+  // Returns what the depth would be mended by where nothing confirms it, a natural logarithm: (views, 1, height,
+  // width).
   torch::Tensor forward(const DepthEvidence& views) const;
 
-  // With random weights that change nothing.
+  // Draws random weights that change nothing.
   void initialise(const torch::Generator& generator);
 
  private:
@@ -64,7 +65,7 @@ inline torch::Tensor depth_correction(const torch::Tensor& confidence, const tor
   return (1 - confidence) * network.clamp(-kLargestCorrection, kLargestCorrection);
 }
 
-// Of one view with pictures of that size, in pixels.
+// Returns the cost of one view with pictures of that size, in pixels.
 Cost depth_refinement_cost(const PixelUnetOptions& options, int64_t height, int64_t width);
 
 }  // namespace gld

@@ -13,7 +13,7 @@
 namespace gld {
 namespace {
 
-// (1, height, width) brought to another size, each pixel the mean of those that it covers.
+// Brings (1, height, width) to another size, each pixel the mean of those that it covers.
 torch::Tensor resized(const torch::Tensor& map, int64_t height, int64_t width) {
   if (map.size(1) == height && map.size(2) == width) return map;
   return torch::adaptive_avg_pool2d(map.unsqueeze(0), {height, width})[0];
@@ -31,7 +31,7 @@ LogDepth log_depth_of(const PlanarDepth& depth, int64_t height, int64_t width) {
   return {torch::where(share > 0, logs / share, torch::zeros({})), share > 0};
 }
 
-// The view as the others show it by its own depth.
+// Returns the view as the others show it by its own depth.
 PlacedPhotographs others_placed_in(const std::vector<PicturedView>& even, size_t view) {
   const PlanarDepth& own = even[view].depth;
   PlacedPhotographs placed;
@@ -50,7 +50,7 @@ PlacedPhotographs others_placed_in(const std::vector<PicturedView>& even, size_t
   return nearest_photographs(placed);
 }
 
-// Of one view, without the dimension of views.
+// Returns the evidence of one view, without the dimension of views.
 DepthEvidence view_evidence(const ToldDepth& told, const std::vector<ColourGains>& gains, size_t view,
                             int64_t side) {
   const auto even = evened_photographs(told.photographs, gains, told.photographs[view].camera);

@@ -16,16 +16,16 @@ struct ToldDepth {
   // How far the photographs confirm it, one a view and of its depth's size; an empty map: not at all.
   std::vector<ConfidenceMap> confidence;
   std::vector<PlanarDepth> head;  // what the geometry head says, in the same unit, of any size; one a view
-  // From 0 to 1: how far photographs bear the head out here (belief_in_prior()). Where they do not, this place is none
-  // of those that head and network have learnt, and half of a correction is taken: the mean of both opinions.
+  // From 0 to 1 this is how far photographs bear the head out here (belief_in_prior()). Where they do not, this place
+  // is none of those that head and network have learnt, and half of a correction is taken: the mean of both opinions.
   double belief = 1;
 };
 
-// As the network sees it, in pictures of at most `side` pixels on the longer side.
+// Returns it as the network sees it, in pictures of at most `side` pixels on the longer side.
 DepthEvidence depth_evidence(const ToldDepth& told, int64_t side);
 
-// The depth of each view, mended by the network; as large as it was, and not known where it was not. Throws Error where
-// the network's output is not finite.
+// Returns the depth of each view, mended by the network; as large as it was, and not known where it was not. Throws
+// Error where the network's output is not finite.
 std::vector<PlanarDepth> refined_depths(const DepthRefinement& refinement, const ToldDepth& told);
 
 }  // namespace gld

@@ -10,7 +10,7 @@ namespace gld {
 // All off by default; `gld bench sample` measures the error of each.
 struct ApproximateSavings : OptionsGroup {
   // The cascade's condition encoder is a function of the flow time alone: evaluate it at this many times and
-  // interpolate (models/dit/node_field.h). 0: at every evaluation's own time.
+  // interpolate (models/dit/node_field.h). With 0 it is evaluated at every evaluation's own time.
   int64_t cascade_encoder_nodes = 0;
 
   void visit(FieldVisitor& visitor) override;

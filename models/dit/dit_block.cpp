@@ -17,7 +17,7 @@ constexpr int64_t kAttentionShift = 0;
 constexpr int64_t kAttentionGate = 2;
 constexpr int64_t kFeedForwardShift = 3;
 
-// Normalised and modulated by the first two of an AdaLN's vectors, shift and scale.
+// Returns x normalised and modulated by the first two of an AdaLN's vectors, shift and scale.
 torch::Tensor modulated(const RmsNorm& norm, const torch::Tensor& x,
                         const std::vector<torch::Tensor>& vectors) {
   RmsNormInputs inputs;

@@ -50,7 +50,7 @@ class DitBlock : public torch::nn::Module, public AttentionPrecisionLayer {
   std::vector<AttentionInputs> attention_inputs(const torch::Tensor& x, const DitBlockContext& context) const;
   torch::Tensor finish(const torch::Tensor& x, const torch::Tensor& attended,
                        const DitBlockContext& context) const;
-  // SiLU of one condition a row, (rows, channels) -> rows of a Modulation for this block.
+  // Makes of SiLU of one condition a row, (rows, channels), rows of a Modulation for this block.
   torch::Tensor modulation_rows(const torch::Tensor& activation) const;
 
  private:

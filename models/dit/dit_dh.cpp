@@ -20,7 +20,7 @@ namespace {
 // place of four, for one more feed-forward part in two blocks.
 constexpr size_t kBlocksAKeptInput = 2;
 
-// The tokens of every pass, one after the other, with what the pass's cameras add to them.
+// Returns the tokens of every pass, one after the other, with what the pass's cameras add to them.
 torch::Tensor pass_tokens(const torch::Tensor& tokens, const std::vector<DitBranchCameras>& cameras,
                           torch::Tensor DitBranchCameras::*embedding_of_part) {
   const auto passes = static_cast<int64_t>(cameras.size());
@@ -40,7 +40,8 @@ bool at_one_time(const DitPasses& passes) {
                      [&](const DitPass& pass) { return pass.time == passes.front().time; });
 }
 
-// Rows of the passes' times, each (1 or views, width) -> one row that all tokens share, or (passes * views, width).
+// Makes of the rows of the passes' times, each (1 or views, width), one row that all tokens share, or (passes * views,
+// width).
 torch::Tensor pass_rows(const DitPasses& passes,
                         const std::function<const torch::Tensor&(const DitTimeRow&)>& rows_of) {
   const auto& first = rows_of(*passes.front().time);

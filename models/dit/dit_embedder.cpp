@@ -7,7 +7,7 @@
 namespace gld {
 namespace {
 
-// Zeros for the target views behind the source views' rows.
+// Puts zeros for the target views behind the source views' rows.
 torch::Tensor with_target_zeros(const torch::Tensor& source, int64_t views) {
   auto shape = source.sizes().vec();
   shape[0] = views - source.size(0);

@@ -31,18 +31,18 @@ class DitEmbedder {
   DitEmbedder(torch::nn::Module& model, const std::string& part, const DitEmbedderSizes& sizes,
               const ParameterPlacement& placement);
 
-  // Of the patch tokens. source: (source views, tokens, channels) -> (views, tokens, width), bias included; the
+  // Embeds the patch tokens. source is (source views, tokens, channels) -> (views, tokens, width), bias included; the
   // source features of the target views are zero.
   torch::Tensor source_patches(const torch::Tensor& source, int64_t views) const;
-  // What features of target views that stand in the place of source features add to that, (target views, tokens,
-  // channels) -> (target views, tokens, width).
+  // Returns what features of target views that stand in the place of source features add to that, (target views,
+  // tokens, channels) -> (target views, tokens, width).
   torch::Tensor target_features(const torch::Tensor& features) const;
   // (views, tokens, channels) -> (views, tokens, width), without the bias.
   torch::Tensor latent_patches(const torch::Tensor& latent, int64_t num_sources) const;
-  // Both halves in one product, as published.
+  // Embeds both halves in one product, as published.
   torch::Tensor patches(const torch::Tensor& source, const torch::Tensor& latent) const;
 
-  // The same for the special tokens, learned positions included with the source half.
+  // Does the same for the special tokens, learned positions included with the source half.
   torch::Tensor source_special(const torch::Tensor& source, int64_t views) const;
   torch::Tensor latent_special(const torch::Tensor& latent) const;
   torch::Tensor special(const torch::Tensor& source, const torch::Tensor& latent) const;

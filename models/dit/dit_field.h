@@ -31,10 +31,10 @@ class DitField : public BranchedField {
   torch::Tensor conditional(const torch::Tensor& state, double t) override;
   torch::Tensor unconditional(const torch::Tensor& state, double t) override;
   BranchVelocities both(const torch::Tensor& state, double t) override;
-  // Combines the branches before the last linear layer: the same result up to rounding.
+  // Combines the branches before the last linear layer: the result is the same up to rounding.
   torch::Tensor guided(const torch::Tensor& state, double t, double scale) override;
 
-  // Evaluates both branches in one pass over the tokens of both where guidance asks for both. Off to begin with.
+  // Evaluates both branches in one pass over the tokens of both where guidance asks for both. It is off to begin with.
   void set_batched(bool batched) { batched_ = batched; }
 
   // Computes the rows of these flow times in one product; others are computed when they come.
@@ -44,13 +44,13 @@ class DitField : public BranchedField {
   const DitCounts& counts() const { return counts_; }
 
  protected:
-  // The condition encoder's output before flow time and SiLU. Override to approximate it. In a batched evaluation this
-  // implementation, asked for one branch at the evaluation's own time, computes the other with it where that one needs
-  // the encoder too, and has it ready.
+  // Returns the condition encoder's output before flow time and SiLU. Override it to approximate it. In a batched
+  // evaluation this implementation, asked for one branch at the evaluation's own time, computes the other with it where
+  // that one needs the encoder too, and has it ready.
   virtual torch::Tensor condition(const DitNoisyTokens& tokens, const DitTimeRow& time, DitBranch branch);
 
-  // Whether condition() asked for this branch in the present evaluation, at flow time t, would run the encoder at t.
-  // Goes with condition(): override both.
+  // Returns whether condition() asked for this branch in the present evaluation, at flow time t, would run the encoder
+  // at t. It goes with condition(): override both.
   virtual bool needs_encoder(double t, DitBranch branch) const;
 
   const DitDh& model() const { return model_; }

@@ -66,27 +66,27 @@ struct DitOptions : OptionsGroup {
     return camera_embedding_input == CameraEmbeddingInput::kConditionEncoder ? hidden_size[0]
                                                                              : hidden_size[1];
   }
-  // int(2/3 int(width mlp_ratio)), the rounding of the published code: 2048 for 768, 5461 for 2048.
+  // Returns int(2/3 int(width mlp_ratio)), the rounding of the published code: 2048 for 768, 5461 for 2048.
   int64_t swiglu_width(int64_t width) const;
-  // Pixels by which PRoPE normalises intrinsics; 0 for each view's own size.
+  // Returns the pixels by which PRoPE normalises intrinsics; 0 for each view's own size.
   int64_t prope_pixels() const;
   PixelOffset camera_pixel_offset() const { return {pixel_offset[0], pixel_offset[1]}; }
   PropeCameras unconditional_cameras() const {
     return unconditional_intrinsics == UnconditionalIntrinsics::kIdentity ? PropeCameras::kIdentity
                                                                           : PropeCameras::kIdentityPose;
   }
-  // Whether the condition encoder's input changes with the noisy latent. It does not in a cascade without special
-  // tokens; its output is then a function of the flow time alone.
+  // Returns whether the condition encoder's input changes with the noisy latent. It does not in a cascade without
+  // special tokens; its output is then a function of the flow time alone.
   bool encoder_sees_noisy() const { return conditioning == DitConditioning::kNone || num_special_tokens > 0; }
 };
 
-// What to tell whoever trains a velocity decoder that is narrower than the latent; empty where it is not. The velocity
-// holds the noise of every channel (Zheng et al. 2025, RAE, section 4), but the last linear layer only reaches
-// hidden_size[1] directions: whatever is learnt, the loss stays above 1 - hidden_size[1] / in_channels (the noise
-// has variance 1), and a sample keeps the noise that was not predicted.
+// Returns what to tell whoever trains a velocity decoder that is narrower than the latent; empty where it is not. The
+// velocity holds the noise of every channel (Zheng et al. 2025, RAE, section 4), but the last linear layer only reaches
+// hidden_size[1] directions: whatever is learnt, the loss stays above 1 - hidden_size[1] / in_channels (the noise has
+// variance 1), and a sample keeps the noise that was not predicted.
 std::string narrow_decoder_note(const DitOptions& options);
 
-// The conventions of the released checkpoints that their weights cannot tell: the published inverse in PRoPE, its
+// Sets the conventions of the released checkpoints that their weights cannot tell: the published inverse in PRoPE, its
 // frame, and pixel coordinates (column - 0.5, row + 0.5).
 void apply_published_conventions(DitOptions& options);
 

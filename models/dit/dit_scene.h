@@ -15,15 +15,15 @@
 
 namespace gld {
 
-// What a DiT^DH is asked about: the cameras, and normalised latents as tokens, special tokens (if the model has
-// them) in front of each view's patch tokens.
+// A DiT^DH is asked about these: the cameras, and normalised latents as tokens, special tokens (if the model has them)
+// in front of each view's patch tokens.
 struct DitSceneInputs {
   Views views;                    // checked with check_cameras; one size, in whole patches
   torch::Tensor source_features;  // (source views, tokens, channels)
   // Cascade only: (views, tokens, channels), with or without special tokens (they are not used).
   torch::Tensor deeper_level;
-  // For DitOptions::warped_sources, of the photographs that were carried into target views
-  // (models/scene_geometry/source_warp.h): how far each agrees with all of them, pixel by pixel, (target views,
+  // For DitOptions::warped_sources this says, of the photographs that were carried into target views
+  // (models/scene_geometry/source_warp.h), how far each agrees with all of them, pixel by pixel, (target views,
   // warped_sources, height, width) from 0, not seen, to 1.
   torch::Tensor warp_agreement;
   // And normalised features of all of them as one picture, encoded beside the source views; they stand where a source
@@ -31,7 +31,7 @@ struct DitSceneInputs {
   torch::Tensor warped_features;
 };
 
-// Nothing known of what is carried into target views: zeros; nothing at all for a model that takes none.
+// Sets that nothing is known of what is carried into target views: zeros; nothing at all for a model that takes none.
 void set_no_warp(DitSceneInputs& inputs, const DitOptions& options);
 
 enum class DitBranch { kConditional, kUnconditional };
@@ -58,8 +58,8 @@ struct DitScene {
   torch::Tensor deeper_patches;   // (views, patch tokens, channels); undefined for level models
   torch::Tensor warp_agreement;   // (target views, photographs, height, width); undefined for models without
   torch::Tensor warped_features;  // (target views, patch tokens, channels); likewise
-  // With carried_error: the same for all tokens of all views, zero where nothing is carried, and how far they are to be
-  // trusted, (views, tokens, 1) from 0 to 1.
+  // With carried_error these are the same for all tokens of all views, zero where nothing is carried, and how far they
+  // are to be trusted, (views, tokens, 1) from 0 to 1.
   torch::Tensor guess_features;
   torch::Tensor guess_trust;
   std::array<DitBranchCameras, 2> branches;  // by DitBranch
@@ -67,8 +67,8 @@ struct DitScene {
   // every evaluation.
   torch::Tensor encoder_source;  // with the deeper level in a cascade
   torch::Tensor decoder_source;
-  // Training with ActivationStorage::kKeep: what is wanted of blocks' attention, the condition encoder's blocks counted
-  // first; filled by every evaluation. Belongs to whoever prepared the scene.
+  // In training with ActivationStorage::kKeep this is what is wanted of blocks' attention, the condition encoder's
+  // blocks counted first; it is filled by every evaluation. It belongs to whoever prepared the scene.
   std::vector<AttentionTap>* taps = nullptr;
 
   int64_t num_sources() const { return cameras.views.num_sources; }
@@ -81,7 +81,7 @@ struct DitNoisyTokens {
   torch::Tensor decoder;  // (views, tokens, decoder width)
 };
 
-// What depends on the flow time alone.
+// This depends on the flow time alone.
 struct DitTimeRow {
   double time = 0;
   torch::Tensor embedding;  // (1 or views, encoder width)
@@ -97,7 +97,8 @@ struct DitPass {
   DitBranch branch = DitBranch::kConditional;
 };
 // Tensors of an evaluation hold the views of one pass after those of the other: (passes * views, tokens, channels).
-// Every pass has as many views, of as many tokens; sources, cameras, masks and times are its own. At least one.
+// Every pass has as many views, of as many tokens; sources, cameras, masks and times are its own. There is at least
+// one.
 using DitPasses = std::vector<DitPass>;
 
 }  // namespace gld

@@ -11,8 +11,8 @@ bool one_evaluation_a_step(SolverKind solver) {
   return !is_adaptive(solver) && steps_for_evaluations(solver, kMany) >= kMany - 1;
 }
 
-// Leja points: the ends, then each time the candidate with the largest product of distances to those chosen. Their
-// Lebesgue constant grows slowly whatever the candidates are, which equally spaced points would not give.
+// Returns Leja points: the ends, then each time the candidate with the largest product of distances to those chosen.
+// Their Lebesgue constant grows slowly whatever the candidates are, which equally spaced points would not give.
 std::vector<double> chosen_among(std::vector<double> candidates, int64_t count) {
   const auto most = static_cast<size_t>(count);
   if (candidates.size() <= most) return candidates;

@@ -23,7 +23,7 @@ struct ExactSavings : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// The names that --no-skip accepts, in the order above.
+// Returns the names that --no-skip accepts, in the order above.
 std::vector<std::string> exact_saving_names();
 
 // Switches one off. Throws Error naming the nearest valid name.

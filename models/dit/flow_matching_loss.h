@@ -31,9 +31,9 @@ struct FlowMatchingScene {
   FlowMatchingDraw draw;
 };
 
-// The flow-matching loss (docs/DESIGN.md section 4, "Flow"; Lipman et al. 2023): what every model of ours is trained
-// with, what reference cases replay and what benchmarks time. Scenes are evaluated together, so they have as many views
-// of one size each (sources, cameras, times and branches are their own); the errors are those of each.
+// Computes the flow-matching loss (docs/DESIGN.md section 4, "Flow"; Lipman et al. 2023): what every model of ours is
+// trained with, what reference cases replay and what benchmarks time. Scenes are evaluated together, so they have as
+// many views of one size each (sources, cameras, times and branches are their own); the errors are those of each.
 std::vector<FlowMatchingErrors> flow_matching_errors(const DitDh& model,
                                                      const std::vector<FlowMatchingScene>& scenes);
 FlowMatchingErrors flow_matching_errors(const DitDh& model, const DitSceneInputs& scene,

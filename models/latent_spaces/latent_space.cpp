@@ -8,7 +8,8 @@
 namespace gld {
 namespace {
 
-// Rows of Backbone::leading_for_propagation -> (views, leading tokens, C): the last row is that of all further views.
+// Makes of the rows of Backbone::leading_for_propagation (views, leading tokens, C): the last row is that of all
+// further views.
 torch::Tensor leading_of_views(const torch::Tensor& rows, int64_t views) {
   const int64_t own = std::min(rows.size(0) - 1, views);
   const auto others = rows.slice(0, -1).expand({views - own, rows.size(1), rows.size(2)});

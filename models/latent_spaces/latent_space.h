@@ -30,29 +30,29 @@ struct CompletedLevels {
 // "Propagation"); backbones that propagate none have the deepest level as their boundary.
 class LatentSpace {
  public:
-  // boundary: level that propagation starts from. Error where the backbone has none of that number.
+  // boundary is the level that propagation starts from. Throws Error where the backbone has none of that number.
   LatentSpace(std::shared_ptr<const Backbone> backbone, int64_t boundary);
 
   int64_t levels() const { return backbone_->architecture().levels(); }
   int64_t leading_tokens() const { return backbone_->architecture().leading_tokens(); }
-  // Of an image; Error unless both sides are whole patches.
+  // Returns the grid of an image; throws Error unless both sides are whole patches.
   LatentGrid grid_of(int64_t views, int64_t image_height, int64_t image_width) const;
 
-  // images: (views, 3, height, width), RGB in [0, 1], encoded together. Levels 0..deepest, raw, (views, leading + patch
-  // tokens, C).
+  // images are (views, 3, height, width), RGB in [0, 1], encoded together. Returns levels 0..deepest, raw, (views,
+  // leading + patch tokens, C).
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t deepest) const;
 
-  // What propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw
-  // (Backbone::leading_for_propagation). source_images as for encode; encoded: their levels where these are there
-  // already, which say it where a source view was encoded alone.
+  // Returns what propagation puts in front of the views' patch tokens, (rows, leading tokens, C) raw
+  // (Backbone::leading_for_propagation). source_images are as for encode; encoded holds their levels where these are
+  // there already, which say it where a source view was encoded alone.
   torch::Tensor leading_for_propagation(const torch::Tensor& source_images,
                                         const std::vector<torch::Tensor>& encoded = {}) const;
 
-  // Raw levels as decoders take them, (views, patch tokens, C).
+  // Returns raw levels as decoders take them, (views, patch tokens, C).
   torch::Tensor decodable(const torch::Tensor& raw_level) const;
-  // All levels as decoders take them. generated: raw levels by number, (views, patch tokens, C), or with leading tokens
-  // in front; those behind the boundary level are propagated from it, with `leading` in front where it has patch tokens
-  // only. A level that is neither is undefined.
+  // Returns all levels as decoders take them. generated holds raw levels by number, (views, patch tokens, C), or with
+  // leading tokens in front; those behind the boundary level are propagated from it, with `leading` in front where it
+  // has patch tokens only. A level that is neither is undefined.
   CompletedLevels complete(const std::map<int64_t, torch::Tensor>& generated, const torch::Tensor& leading,
                            const LatentGrid& grid) const;
 
@@ -61,7 +61,8 @@ class LatentSpace {
   int64_t boundary_;
 };
 
-// Of a raw level, what a generator with that many special tokens generates: none, or all leading tokens of the level.
+// Returns, of a raw level, what a generator with that many special tokens generates: none, or all leading tokens of the
+// level.
 torch::Tensor generated_tokens(const torch::Tensor& raw_level, int64_t leading_tokens,
                                int64_t special_tokens);
 

@@ -22,16 +22,16 @@ struct LevelGenerator {
 LevelGenerator level_model(int64_t level);
 LevelGenerator cascade(int64_t deeper, int64_t level);
 
-// As model.yaml lists it: "1", "1->0".
+// Returns it as model.yaml lists it: "1", "1->0".
 std::string generator_text(const LevelGenerator& generator);
-// Error naming where otherwise.
+// Reads it from such text; throws Error naming where otherwise.
 LevelGenerator generator_from_text(const std::string& text, const std::string& where);
-// Of its file, its options and the field of its time shift: "level1"; "cascade" for 1 -> 0, "cascade_2_to_1" for
-// others.
+// Returns the name of its file, its options and the field of its time shift: "level1"; "cascade" for 1 -> 0,
+// "cascade_2_to_1" for others.
 std::string generator_name(const LevelGenerator& generator);
-// For people and reports: "M1"; "cascade" for 1 -> 0, "cascade 2->1" for others.
+// Returns its name for people and reports: "M1"; "cascade" for 1 -> 0, "cascade 2->1" for others.
 std::string generator_stage(const LevelGenerator& generator);
-// The stream that the noise of a level is drawn from (gld/latents/noise.h).
+// Returns the stream that the noise of a level is drawn from (gld/latents/noise.h).
 std::string level_noise_stream(int64_t level);
 
 // Which levels a model generates, and how the others come about: shallower ones than the boundary level must be
@@ -46,11 +46,11 @@ struct LevelSet {
   int64_t warped_sources = 0;
 
   bool generates(int64_t level) const;
-  // Whether sampling knows that level at the end, generated or propagated.
+  // Returns whether sampling knows that level at the end, generated or propagated.
   bool knows(int64_t level) const { return level >= boundary || generates(level); }
-  // That decoders take, ascending.
+  // Returns the levels that decoders take, ascending.
   std::vector<int64_t> decoded_levels() const;
-  // Deepest level that source views have to be encoded to.
+  // Returns the deepest level that source views have to be encoded to.
   int64_t deepest_generated() const;
 };
 

@@ -34,14 +34,14 @@ torch::Tensor gradient_of(const torch::Tensor& leaf) {
   return leaf.defined() ? leaf.grad() : torch::Tensor();
 }
 
-// A leaf of the rows of a group of views, of a tensor with a row a view or one for all of them.
+// Returns a leaf of the rows of a group of views, of a tensor with a row a view or one for all of them.
 torch::Tensor leaf_of_group(const torch::Tensor& tensor, const ViewGroup& group, int64_t views) {
   if (!tensor.defined() || tensor.size(0) != views) return leaf_of(tensor);
   // Where no gradients are recorded, a part of a tensor does not ask for them even if the tensor does.
   return tensor.detach().narrow(0, group.first, group.count).requires_grad_(tensor.requires_grad());
 }
 
-// The gradient of a whole tensor, collected group by group.
+// Collects the gradient of a whole tensor group by group.
 class GradientOfGroups {
  public:
   explicit GradientOfGroups(const torch::Tensor& whole) : whole_(whole) {}
@@ -65,8 +65,8 @@ class GradientOfGroups {
 
 using GroupFunction = std::function<torch::Tensor(const std::vector<torch::Tensor>&)>;
 
-// The gradients of function(tensors) with respect to its tensors, where the result's is known; computed for few views
-// at a time where they do not depend on each other. tensors: views first; undefined ones are handed on.
+// Returns the gradients of function(tensors) with respect to its tensors, where the result's is known; computed for few
+// views at a time where they do not depend on each other. tensors have views first; undefined ones are handed on.
 std::vector<torch::Tensor> gradients_of(const GroupFunction& function,
                                         const std::vector<torch::Tensor>& tensors, const torch::Tensor& known,
                                         ViewDependence dependence) {
@@ -137,7 +137,7 @@ struct HeldBlocks : torch::CustomClassHolder {
   size_t parts = 1;                    // that attend each within itself, the same number in every block
 };
 
-// The parts' outputs one after the other.
+// Returns the parts' outputs one after the other.
 torch::Tensor joined(const std::vector<torch::Tensor>& parts) {
   return parts.size() == 1 ? parts.front() : torch::cat(parts);
 }

@@ -21,9 +21,9 @@ torch::Tensor checkpointed(const PartFunction& part, const torch::Tensor& x,
 
 constexpr int64_t kTokensRecomputedAtOnce = 1024;
 
-// The same for a part that treats the views (dimension 0 of x) alone: gradients are computed for about
+// Does the same for a part that treats the views (dimension 0 of x) alone: gradients are computed for about
 // kTokensRecomputedAtOnce tokens at a time, so that what the part makes on the way is never there for all of them.
-// conditioning: of each view, or, where its first dimension is 1, of all.
+// conditioning is of each view, or, where its first dimension is 1, of all.
 torch::Tensor checkpointed_by_views(const PartFunction& part, const torch::Tensor& x,
                                     const torch::Tensor& conditioning = {});
 
@@ -39,10 +39,10 @@ struct AttentionBlock {
       finish;
   torch::Tensor conditioning;  // may be undefined
 };
-// Blocks one after the other, each x = finish(x, attention(inputs(x, conditioning)), conditioning). Kept are the input
-// of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small. Where
-// the CPU kernels cannot take the inputs, every block's input is kept and all else is computed again. blocks: at least
-// one.
+// Runs blocks one after the other, each x = finish(x, attention(inputs(x, conditioning)), conditioning). Kept are the
+// input of the first, and the output and the log-sum-exp of every attention, as they are dear to compute and small.
+// Where the CPU kernels cannot take the inputs, every block's input is kept and all else is computed again. There is at
+// least one block.
 torch::Tensor checkpointed(const std::vector<AttentionBlock>& blocks, const torch::Tensor& x);
 
 }  // namespace gld

@@ -29,7 +29,7 @@ class ChosenArchitecture : public OptionsGroup {
  public:
   using Kinds = std::vector<ArchitectureKind<Architecture>>;
 
-  // The first of the kinds, which must outlive this.
+  // It starts as the first of the kinds, which must outlive this.
   ChosenArchitecture(const Kinds& kinds, std::string help)
       : kinds_(&kinds), help_(std::move(help)), architecture_(kinds.front().architecture()) {}
   ChosenArchitecture(const ChosenArchitecture& other)

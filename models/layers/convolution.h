@@ -18,7 +18,7 @@ struct ConvolutionSizes {
   bool bias = true;
 };
 
-// Of a convolution with an odd kernel and bias that keeps the size of its input.
+// Returns the sizes of a convolution with an odd kernel and bias that keeps the size of its input.
 ConvolutionSizes same_size_convolution(int64_t in_channels, int64_t out_channels, int64_t kernel);
 
 // 2-D convolution; parameters "weight" (out, in, kernel, kernel) and "bias" (out).

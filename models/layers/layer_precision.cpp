@@ -40,8 +40,8 @@ void for_each_layer(torch::nn::Module& model, const Function& function) {
 void use_precision(torch::nn::Module& model, const LayerPrecision& precision) {
   for_each_layer(model, [&](PrecisionLayer& layer) {
     layer.use_precision(precision);
-    // Layer by layer: packed weights do not lie in the blocks that the originals leave, and both of all layers would be
-    // twice the model.
+    // This goes layer by layer: packed weights do not lie in the blocks that the originals leave, and both of all
+    // layers would be twice the model.
     if (precision.originals == PackedOriginals::kRelease) release_kept_blocks();
   });
 }

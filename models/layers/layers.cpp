@@ -92,7 +92,7 @@ void Linear::use_precision(const LayerPrecision& precision) {
   }
   if (precision.originals == PackedOriginals::kKeep) return;
   if (weight.is_cpu()) page_out(weight);
-  // The shape without the numbers; who reads them all the same finds NaN.
+  // The shape stays without the numbers; who reads them all the same finds NaN.
   weight.set_data(
       torch::full({1}, std::numeric_limits<float>::quiet_NaN(), weight.options()).expand(weight.sizes()));
 }

@@ -32,12 +32,12 @@ struct LinearSizes {
   LinearPacking packing = LinearPacking::kOnce;
 };
 
-// y = x W^T + b; parameters "weight" (outputs, inputs) and "bias" (outputs).
+// Computes y = x W^T + b; its parameters are "weight" (outputs, inputs) and "bias" (outputs).
 class Linear : public torch::nn::Module, public PrecisionLayer {
  public:
   Linear(const LinearSizes& sizes, const ParameterPlacement& placement);
   torch::Tensor forward(const torch::Tensor& x) const;  // (..., inputs) -> (..., outputs)
-  // Parts first .. first + count - 1 of the outputs.
+  // Returns parts first .. first + count - 1 of the outputs.
   torch::Tensor forward_parts(const torch::Tensor& x, int64_t first, int64_t count) const;
   void use_precision(const LayerPrecision& precision) override;
   bool learn_in(ComputePrecision precision) override;

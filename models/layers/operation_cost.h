@@ -4,9 +4,9 @@
 
 namespace gld {
 
-// Floating point operations (a multiplication and an addition are two) and memory of one forward pass of a part
-// (docs/NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work is
-// not.
+// Counts the floating point operations (a multiplication and an addition are two) and memory of one forward pass of a
+// part (docs/NUMBERS.md, "Cost of the published model"). Matrix products and attention are counted, element-wise work
+// is not.
 struct Cost {
   double linear_flop = 0;       // matrix products with weights
   double convolution_flop = 0;  // those that LibTorch runs as such
@@ -28,10 +28,10 @@ constexpr int64_t kFloatBytes = 4;
 
 inline int64_t bytes_of_floats(double count) { return static_cast<int64_t>(count) * kFloatBytes; }
 
-// Of (rows, inputs) times (inputs, outputs).
+// Returns the operations of (rows, inputs) times (inputs, outputs).
 inline double product_flop(double rows, double inputs, double outputs) { return 2 * rows * inputs * outputs; }
 
-// softmax(q k^T) v: two products of queries x keys x width.
+// Returns the operations of softmax(q k^T) v: two products of queries x keys x width.
 inline double attention_flop(double queries, double keys, double width) { return 4 * queries * keys * width; }
 
 inline void add_linear(Cost& cost, double rows, double inputs, double outputs) {
@@ -39,7 +39,7 @@ inline void add_linear(Cost& cost, double rows, double inputs, double outputs) {
   cost.weight_bytes += static_cast<int64_t>(inputs * outputs) * kFloatBytes;
 }
 
-// A k x k convolution on a map of that many pixels.
+// Adds a k x k convolution on a map of that many pixels.
 inline void add_convolution(Cost& cost, double pixels, double inputs, double outputs, double kernel) {
   cost.convolution_flop += product_flop(pixels, inputs * kernel * kernel, outputs);
   cost.weight_bytes += static_cast<int64_t>(inputs * kernel * kernel * outputs) * kFloatBytes;

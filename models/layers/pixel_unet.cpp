@@ -86,8 +86,8 @@ Cost pixel_unet_cost(const PixelUnetOptions& options, const PixelUnetEnds& ends,
   for (size_t i = 0; i + 1 < channels.size(); ++i)
     add_pair(i, static_cast<double>(channels[i] + channels[i + 1]));
   add_convolution(cost, whole, static_cast<double>(channels.front()), static_cast<double>(ends.outputs), 3);
-  // What it sees, and its widest maps, of the last pair: both that are seen beside each other, put together, the same
-  // as LibTorch lays it out for its convolution, and what comes out before and after GELU.
+  // This counts what it sees, and its widest maps, of the last pair: both that are seen beside each other, put
+  // together, the same as LibTorch lays it out for its convolution, and what comes out before and after GELU.
   cost.working_bytes =
       bytes_of_floats(whole * static_cast<double>(ends.inputs + 5 * channels[0] + 3 * channels[1]));
   return cost;

@@ -20,7 +20,7 @@ namespace gld {
 // "decoder.I.second", weight and bias each, of the module that it is made a part of.
 class PixelUnet {
  public:
-  // inputs: channels of what it is shown.
+  // inputs is the number of channels of what it is shown.
   PixelUnet(torch::nn::Module& owner, const PixelUnetOptions& options, int64_t inputs,
             const ParameterPlacement& placement);
 
@@ -47,7 +47,7 @@ struct PixelUnetEnds {
   int64_t outputs = 0;
 };
 
-// Of one picture; nothing without the network.
+// Returns the cost of one picture; nothing without the network.
 Cost pixel_unet_cost(const PixelUnetOptions& options, const PixelUnetEnds& ends, int64_t height,
                      int64_t width);
 

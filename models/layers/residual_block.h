@@ -43,7 +43,7 @@ struct ResidualBlockSizes {
 class ResidualBlock : public torch::nn::Module {
  public:
   ResidualBlock(const ResidualBlockSizes& sizes, const ParameterPlacement& placement);
-  // x: (batch, inputs, height, width); time: (1 or batch, time_channels), undefined where the block has none.
+  // x is (batch, inputs, height, width); time is (1 or batch, time_channels), undefined where the block has none.
   torch::Tensor forward(const torch::Tensor& x, const torch::Tensor& time = {}) const;
 
  private:

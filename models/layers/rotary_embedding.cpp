@@ -7,7 +7,7 @@
 namespace gld {
 namespace {
 
-// positions: (tokens, 2) of row and column, float32.
+// positions are (tokens, 2) of row and column, float32.
 RotaryTables tables_of(const torch::Tensor& positions, const RotaryGrid& grid,
                        const torch::TensorOptions& options) {
   if (grid.head_dim <= 0 || grid.head_dim % 4 != 0) {
@@ -47,7 +47,7 @@ torch::Tensor apply_rotary(const torch::Tensor& x, const RotaryTables& tables) {
               " channels",
           c10::str(x.sizes()), "give the token grid that the features were computed on"});
   }
-  // Axes: view, token, head, {row, column}, {first, second half}, channel.
+  // The axes are view, token, head, {row, column}, {first, second half}, channel.
   const auto parts = x.reshape({views, tokens, heads, 2, 2, head_dim / 4});
   const auto first = parts.select(4, 0), second = parts.select(4, 1);
   return torch::stack(

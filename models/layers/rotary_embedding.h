@@ -24,10 +24,10 @@ struct RotaryGrid {
       1;  // class, camera and register tokens in front of the patches, at position (0, 0)
 };
 
-// For one view's tokens, leading tokens (position 0, 0) first: patch (row, column) has position
-// (row + 1, column + 1).
+// Returns those for one view's tokens, leading tokens (position 0, 0) first: patch (row, column) has position (row + 1,
+// column + 1).
 RotaryTables local_rotary_tables(const RotaryGrid& grid, const torch::TensorOptions& options);
-// The same with position (1, 1) for every patch: attention over all views.
+// Returns the same with position (1, 1) for every patch: attention over all views.
 RotaryTables global_rotary_tables(const RotaryGrid& grid, const torch::TensorOptions& options);
 
 // x: (views, tokens, heads, head_dim), tokens those of the tables -> the same shape, contiguous.

@@ -15,7 +15,7 @@ struct SwigluSizes {
   int64_t width = 0;  // between the two products
 };
 
-// w3(SiLU(a) * b) with [a | b] = w12 x (Shazeer 2020).
+// Computes w3(SiLU(a) * b) with [a | b] = w12 x (Shazeer 2020).
 class Swiglu : public torch::nn::Module {
  public:
   Swiglu(const SwigluSizes& sizes, const ParameterPlacement& placement);

@@ -17,7 +17,7 @@ class TimeEmbedding : public torch::nn::Module {
  public:
   TimeEmbedding(int64_t width, const ParameterPlacement& placement);
 
-  // One row a time, (times, width). Angles are computed in double.
+  // Returns one row a time, (times, width). Angles are computed in double.
   torch::Tensor forward(const std::vector<double>& times) const;
 
   static constexpr int64_t kFrequencies = 256;

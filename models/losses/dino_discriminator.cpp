@@ -131,7 +131,7 @@ class FrozenDino : public torch::nn::Module {
     for (auto& parameter : parameters()) parameter.set_requires_grad(false);
   }
 
-  // images (batch, 3, h, w) in [-1, 1] -> token maps (batch, embed_dim, tokens): after the last block, then after
+  // Makes of images (batch, 3, h, w) in [-1, 1] token maps (batch, embed_dim, tokens): after the last block, then after
   // each key depth.
   std::vector<torch::Tensor> features(const torch::Tensor& images) const {
     torch::Tensor resized = images;
@@ -162,7 +162,7 @@ class FrozenDino : public torch::nn::Module {
   torch::Tensor class_token_, positions_;
 };
 
-// Children "0" (1x1 block), "1.fn" (residual block) and "2" (one logit a token), as published.
+// Its children are "0" (1x1 block), "1.fn" (residual block) and "2" (one logit a token), as published.
 class DinoDiscriminatorHead : public torch::nn::Module {
  public:
   DinoDiscriminatorHead(const DinoDiscriminatorOptions& options, const ParameterPlacement& placement) {

@@ -29,14 +29,14 @@ struct DinoDiscriminatorOptions : OptionsGroup {
 class FrozenDino;
 class DinoDiscriminatorHead;
 
-// Frozen DINO features judged by one small trained head per depth (Sauer et al. 2023, StyleGAN-T, section 3.2).
-// Parameters: "heads.N.*" only; DINO is not part of the module's parameters, so it is neither trained nor saved.
+// Frozen DINO features are judged by one small trained head per depth (Sauer et al. 2023, StyleGAN-T, section 3.2). Its
+// parameters are "heads.N.*" only; DINO is not part of the module's parameters, so it is neither trained nor saved.
 class DinoDiscriminator : public Discriminator {
  public:
   DinoDiscriminator(const DinoDiscriminatorOptions& options, const ParameterPlacement& placement);
   ~DinoDiscriminator() override;
 
-  // DINO's weights under their published names, strictly; key biases are zeroed as the published training does.
+  // Loads DINO's weights under their published names, strictly; key biases are zeroed as the published training does.
   void load_dino(const WeightFile& file);
   torch::Tensor logits(const torch::Tensor& images) override;
   void initialise(const torch::Generator& generator) override;

@@ -17,7 +17,7 @@ class Discriminator : public torch::nn::Module {
  public:
   // images: (batch, 3, height, width), RGB in [-1, 1] -> logits (batch, n), large for "real".
   virtual torch::Tensor logits(const torch::Tensor& images) = 0;
-  // Random weights to train from; what is frozen stays.
+  // Draws random weights to train from; what is frozen stays.
   virtual void initialise(const torch::Generator& generator) = 0;
 };
 

@@ -10,8 +10,8 @@
 namespace gld {
 namespace {
 
-// Channels scaled to unit length. The clamp, far below the published epsilon of 1e-10, changes no value but
-// keeps the gradient of the root finite where all channels are zero.
+// Scales channels to unit length. The clamp, far below the published epsilon of 1e-10, changes no value but keeps the
+// gradient of the root finite where all channels are zero.
 torch::Tensor unit_length(const torch::Tensor& maps) {
   const auto length = maps.square().sum(1, /*keepdim=*/true).clamp_min(1e-30).sqrt();
   return maps / (length + 1e-10);

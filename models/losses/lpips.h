@@ -34,14 +34,14 @@ class Lpips : public torch::nn::Module {
  public:
   Lpips(const LpipsOptions& options, const ParameterPlacement& placement);
 
-  // image, prediction: (batch, 3, height, width), RGB in [0, 1] -> (batch). Differentiable, also where a
+  // image, prediction: (batch, 3, height, width), RGB in [0, 1] -> (batch). It is differentiable, also where a
   // feature vector is zero.
   torch::Tensor forward(const torch::Tensor& image, const torch::Tensor& prediction) const;
 
-  // The normalised features of each layer: (batch, channels_k, height_k, width_k). Those of a fixed image can
+  // Returns the normalised features of each layer: (batch, channels_k, height_k, width_k). Those of a fixed image can
   // be computed once.
   std::vector<torch::Tensor> features(const torch::Tensor& image) const;
-  // The distance of two such lists: (batch).
+  // Returns the distance of two such lists: (batch).
   torch::Tensor distance(const std::vector<torch::Tensor>& a, const std::vector<torch::Tensor>& b) const;
 
   // Smaller images leave nothing of the last layer.

@@ -18,7 +18,7 @@ struct LpipsFiles : OptionsGroup {
   void check() const override;  // both files or neither
 };
 
-// Null without weights.
+// Returns null without weights.
 std::shared_ptr<Lpips> load_lpips(const LpipsFiles& files);
 
 }  // namespace gld

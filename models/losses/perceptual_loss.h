@@ -23,14 +23,14 @@ struct PerceptualOptions : OptionsGroup {
   void check() const override;
 };
 
-// What to tell whoever trains with the stand-in, without its full stop.
+// Returns what to tell whoever trains with the stand-in, without its full stop.
 std::string standin_note();
 
 // LPIPS where its two files are given, else the stand-in.
 class PerceptualLoss {
  public:
   PerceptualLoss(const PerceptualOptions& options, const ParameterPlacement& placement);
-  // image, prediction: (batch, 3, height, width), RGB in [0, 1] -> their mean, a scalar. Differentiable.
+  // image, prediction: (batch, 3, height, width), RGB in [0, 1] -> their mean, a scalar. It is differentiable.
   torch::Tensor operator()(const torch::Tensor& image, const torch::Tensor& prediction) const;
 
  private:

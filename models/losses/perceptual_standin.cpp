@@ -11,7 +11,7 @@ constexpr int64_t kWindow = 7;
 
 torch::Tensor box_mean(const torch::Tensor& x) { return torch::avg_pool2d(x, kWindow, 1); }
 
-// (batch): mean of the SSIM map over channels and pixels.
+// Returns (batch): the mean of the SSIM map over channels and pixels.
 torch::Tensor similarity(const torch::Tensor& a, const torch::Tensor& b) {
   constexpr double c1 = 0.01 * 0.01, c2 = 0.03 * 0.03;
   const auto mean_a = box_mean(a), mean_b = box_mean(b);
@@ -31,8 +31,8 @@ torch::Tensor gradient_difference(const torch::Tensor& a, const torch::Tensor& b
   return along_rows.abs().mean({1, 2, 3}) + along_columns.abs().mean({1, 2, 3});
 }
 
-// (batch, channels, height - 7, width - 7): root mean square of the differences in a window. Where there are none the
-// root has no slope; what is added is the square of a third of a step of 8 bits.
+// Returns (batch, channels, height - 7, width - 7): the root mean square of the differences in a window. Where there
+// are none the root has no slope; what is added is the square of a third of a step of 8 bits.
 torch::Tensor edge_strength(const torch::Tensor& image) {
   constexpr double kNothing = 1.7e-6;
   const auto squares = image.diff(1, 3).slice(2, 0, -1).square() + image.diff(1, 2).slice(3, 0, -1).square();

@@ -28,7 +28,7 @@ class SpectralConvolution : public torch::nn::Module {
   SpectralConvolution(const SpectralConvolutionSizes& sizes, const ParameterPlacement& placement);
   // (batch, in_channels, length...) -> (batch, out_channels, length'...)
   torch::Tensor forward(const torch::Tensor& x);
-  // Uniform in +-1 / sqrt(fan in); the singular vectors start at random and are iterated to convergence.
+  // Draws uniformly in +-1 / sqrt(fan in); the singular vectors start at random and are iterated to convergence.
   void initialise(const torch::Generator& generator);
 
  private:

@@ -18,7 +18,7 @@ namespace gld {
 namespace {
 
 constexpr double kBlockNormEpsilon = 1e-5;
-// Of the timestep's sines: wave lengths from 2 pi to about this times that.
+// The timestep's sines have wave lengths from 2 pi to about this times that.
 constexpr double kLongestWave = 10000;
 // The timestep's embedding has so many times the channels of the first stage.
 constexpr int64_t kTimeWidening = 4;
@@ -149,7 +149,7 @@ torch::Tensor DenoisingUnet::of_maps(const torch::Tensor& maps, int64_t timestep
       skipped.pop_back();
       if (!stage.attentions.empty()) x = stage.attentions[layer]->forward(x, prompt_, joined);
     }
-    // To the size of what comes next, which is twice this one or one less.
+    // The map is brought to the size of what comes next, which is twice this one or one less.
     if (stage.resize) {
       x = stage.resize->forward(
           torch::upsample_nearest2d(x, {skipped.back().size(2), skipped.back().size(3)}));
@@ -235,7 +235,7 @@ Cost refiner_cost(const RefinerOptions& options, int64_t views, int64_t height, 
     add_convolution(cost, count * pixels, now, now, 3);
   }
   add_convolution(cost, count * pixels, now, latent, 3);
-  // What the way up takes, the widest maps of a block, and a feed-forward layer's.
+  // This counts what the way up takes, the widest maps of a block, and a feed-forward layer's.
   cost.working_bytes = bytes_of_floats(count * pixels * static_cast<double>(channels.front()) *
                                        (static_cast<double>(options.layers_per_block + 1) * 2 + 16));
   return cost;

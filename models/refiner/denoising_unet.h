@@ -26,11 +26,11 @@ class DenoisingUnet : public torch::nn::Module {
 
   const RefinerOptions& options() const { return options_; }
 
-  // views: (scenes, views, latent channels, height, width), normalised, the degraded one first. Returns what the
+  // views are (scenes, views, latent channels, height, width), normalised, the degraded one first. Returns what the
   // network predicts of all of them, of the same shape.
   torch::Tensor forward(const torch::Tensor& views, int64_t timestep) const;
 
-  // With random weights that predict 0.
+  // Draws random weights that predict 0.
   void initialise(const torch::Generator& generator);
 
  private:
@@ -57,11 +57,11 @@ class DenoisingUnet : public torch::nn::Module {
   torch::Tensor prompt_;
 };
 
-// One call, of a degraded view and its references: views (scenes, 1 + references, channels, height, width), normalised.
-// Returns the degraded ones repaired, (scenes, channels, height, width).
+// Makes one call, of a degraded view and its references: views are (scenes, 1 + references, channels, height, width),
+// normalised. Returns the degraded ones repaired, (scenes, channels, height, width).
 torch::Tensor refined_latents(const DenoisingUnet& unet, const torch::Tensor& views);
 
-// Of one call for so many views of latents of that size.
+// Returns the cost of one call for so many views of latents of that size.
 Cost refiner_cost(const RefinerOptions& options, int64_t views, int64_t height, int64_t width);
 
 }  // namespace gld

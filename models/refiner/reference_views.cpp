@@ -7,7 +7,7 @@
 namespace gld {
 namespace {
 
-// The mean distance of a camera from the one nearest to it; 1 where all stand in one place.
+// Returns the mean distance of a camera from the one nearest to it; 1 where all stand in one place.
 double mean_spacing(const std::vector<Camera>& cameras) {
   double sum = 0;
   for (size_t i = 0; i < cameras.size(); ++i) {

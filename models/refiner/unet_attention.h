@@ -19,8 +19,8 @@ struct JoinedViews {
   ViewAttention attention = ViewAttention::kSelf;
 };
 
-// Pairs of a query and a key that attention over pixels scores for a scene of so many views of so many pixels each:
-// (views pixels)^2 of kGrid and kSelf, 2 (views - 1) pixels^2 of kCross.
+// Returns the pairs of a query and a key that attention over pixels scores for a scene of so many views of so many
+// pixels each: (views pixels)^2 of kGrid and kSelf, 2 (views - 1) pixels^2 of kCross.
 double scored_pairs(int64_t views, double pixels, ViewAttention attention);
 
 struct UnetAttentionSizes {
@@ -36,7 +36,7 @@ struct UnetAttentionSizes {
 class UnetAttention : public torch::nn::Module, public AttentionPrecisionLayer {
  public:
   UnetAttention(const UnetAttentionSizes& sizes, const ParameterPlacement& placement);
-  // maps: (scenes views, channels, height, width); prompt: (tokens, prompt_channels).
+  // maps are (scenes views, channels, height, width); prompt is (tokens, prompt_channels).
   torch::Tensor forward(const torch::Tensor& maps, const torch::Tensor& prompt,
                         const JoinedViews& joined) const;
 
@@ -46,7 +46,7 @@ class UnetAttention : public torch::nn::Module, public AttentionPrecisionLayer {
   };
   Projections projections(torch::nn::Module& parent, const char* name, int64_t key_channels,
                           const ParameterPlacement& placement) const;
-  // Tokens: (batch, tokens, channels) each.
+  // Tokens are (batch, tokens, channels) each.
   torch::Tensor attended(const Projections& by, const torch::Tensor& queries,
                          const torch::Tensor& keys) const;
   torch::Tensor over_pixels(const torch::Tensor& tokens, const JoinedViews& joined) const;

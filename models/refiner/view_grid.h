@@ -11,14 +11,15 @@ struct ViewGrid {
   int64_t rows = 1;
   int64_t columns = 1;
 };
-// ceil(views / 2) columns (Splatent's code). Error for numbers of views that leave a cell empty: 3, 5, 7 and so on.
+// Returns ceil(views / 2) columns (Splatent's code). Throws Error for numbers of views that leave a cell empty: 3, 5, 7
+// and so on.
 ViewGrid view_grid(int64_t views);
-// The most views, at most so many, that leave no cell empty.
+// Returns the most views, at most so many, that leave no cell empty.
 int64_t views_in_whole_grid(int64_t at_most);
 
 // (scenes, views, channels, height, width) -> (scenes, channels, rows height, columns width)
 torch::Tensor as_grid(const torch::Tensor& views);
-// The inverse, of a picture of that grid.
+// Does the inverse, of a picture of that grid.
 torch::Tensor views_of_grid(const torch::Tensor& picture, const ViewGrid& grid);
 
 }  // namespace gld

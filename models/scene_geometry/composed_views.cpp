@@ -15,7 +15,7 @@
 namespace gld {
 namespace {
 
-// How many times larger than the views the photographs are, a whole number.
+// Returns how many times larger than the views the photographs are, a whole number.
 int64_t magnification(const Views& views, const SourcePhotographs& photographs) {
   const Camera& camera = views.cameras.front();
   int64_t times = camera.width;
@@ -25,7 +25,7 @@ int64_t magnification(const Views& views, const SourcePhotographs& photographs) 
   return std::max<int64_t>(times, 1);
 }
 
-// The target views as photographs show them, each `times` as large as its camera says.
+// Returns the target views as photographs show them, each `times` as large as its camera says.
 std::vector<PhotographView> photograph_views(const Views& views, const SourcePhotographs& photographs,
                                              const SourceDepth& depth, int64_t times,
                                              const PhotographBlending* blending) {

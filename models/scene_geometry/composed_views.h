@@ -18,7 +18,7 @@ struct CarriableSources {
   PhotographViewOptions options;
 
   CarriableSources(const SourcePhotographs& sources, const SourceDepth& depth);
-  // `times` as large as the camera says.
+  // Places them `times` as large as the camera says.
   PlacedPhotographs placed_in(const Camera& target, int64_t times) const;
 };
 
@@ -35,27 +35,27 @@ struct ComposedViews {
   torch::Tensor large_shown;
 };
 
-// dB, of target view number `target`.
+// Returns dB of target view number `target`.
 double expected_psnr(const ComposedViews& views, int64_t target);
 
-// How photographs are laid together where several depths and several of them are possible: by rule
+// Lays photographs together where several depths and several of them are possible: by rule
 // (gld/photogrammetry/photograph_composition.h), and where `blending` is not null as that network chooses from there.
-// generated: (target views, 3, height, width). Photographs that are `n` times as large as the generated pictures,
+// generated is (target views, 3, height, width). Photographs that are `n` times as large as the generated pictures,
 // rounded down, make the composition n times as large; its images of the generated size are means over n x n pixels.
 ComposedViews compose_views(const Views& views, const SourcePhotographs& photographs,
                             const SourceDepth& depth, const torch::Tensor& generated,
                             const PhotographBlending* blending = nullptr);
 
-// (pictures, 3, height, width) each side so many times as large, bicubically.
+// Returns (pictures, 3, height, width) with each side so many times as large, bicubically.
 torch::Tensor enlarged(const torch::Tensor& pictures, int64_t times);
 
-// Target views that photographs show whole and agree on (PhotographView::complete()), by number from 0: nothing of them
-// needs to be generated. Looked at in the views' own size.
+// Returns the target views that photographs show whole and agree on (PhotographView::complete()), by number from 0:
+// nothing of them needs to be generated. They are looked at in the views' own size.
 std::vector<int64_t> complete_targets(const Views& views, const SourcePhotographs& photographs,
                                       const SourceDepth& depth);
 
-// Target views from photographs alone: as compose_views() with what is shown around it in the place of the few pixels
-// that are not.
+// Returns target views from photographs alone: as compose_views() with what is shown around it in the place of the few
+// pixels that are not.
 ComposedViews carried_views(const Views& views, const SourcePhotographs& photographs,
                             const SourceDepth& depth, const PhotographBlending* blending = nullptr);
 

@@ -39,7 +39,8 @@ struct ScaleEvidence {
   double usual_unit_log_deviation = 0;
 };
 
-// matched_depth of what photographs were matched for: nothing where they are too seldom confident to tell a scale.
+// Returns matched_depth of what photographs were matched for: nothing where they are too seldom confident to tell a
+// scale.
 std::vector<PlanarDepth> confident_depth(const StereoScene& stereo);
 
 // Where the geometry model's predictions lie in the scene. The model has a frame and a scale of its own; its predicted
@@ -52,22 +53,22 @@ struct GeometryPlacement {
   std::optional<DepthScale> scale;    // what those without doubt say together; nothing where all are in doubt
   std::string problem;                // why there are no predicted cameras; empty where there are
 
-  // From the model's frame to the scene's. Without a scale the model's unit stays, only turned and moved; without
+  // Leads from the model's frame to the scene's. Without a scale the model's unit stays, only turned and moved; without
   // predicted cameras the model's frame does.
   Similarity scene_from_model() const;
 };
 
-// given: the scene's camera of each view of the geometry. Without depth only the predicted cameras tell the scale.
+// given is the scene's camera of each view of the geometry. Without depth only the predicted cameras tell the scale.
 GeometryPlacement place_geometry(const GeometryOutput& geometry, const std::vector<Camera>& given,
                                  const ScaleEvidence& evidence = {});
 
-// What every kind of evidence said, in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of what it
-// is fitted to; ...".
+// Returns what every kind of evidence said, in a sentence's middle: "camera_poses says 586 but its fit leaves 93 % of
+// what it is fitted to; ...".
 std::string estimates_text(const std::vector<DepthScale>& estimates);
 
-// The cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the views line
-// up: the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the given ones
-// are. Nothing where there are none.
+// Returns the cameras that depth in the scene's unit (or, without a scale, in the model's) belongs to, so that the
+// views line up: the given ones where the scale is known, otherwise the predicted ones, turned and moved to where the
+// given ones are. Returns nothing where there are none.
 std::vector<Camera> cameras_of_depth(const GeometryPlacement& placement, const std::vector<Camera>& given);
 
 }  // namespace gld

@@ -16,7 +16,8 @@
 namespace gld {
 namespace {
 
-// How far photographs confirm that depth of a view; empty where it is of another size, which is not what was matched.
+// Returns how far photographs confirm that depth of a view; empty where it is of another size, which is not what was
+// matched.
 ConfidenceMap confirmation(const StereoDepth& matched, const PlanarDepth& depth) {
   return matched.confidence.values.size() == depth.values.size() ? matched.confidence : ConfidenceMap();
 }
@@ -30,7 +31,7 @@ PhotographDepth depth_of_head(const Views& views, const torch::Tensor& source_im
   return result;
 }
 
-// Of two photographs or more.
+// Returns the depth of two photographs or more.
 PhotographDepth matched_depth(const Views& views, const torch::Tensor& source_images,
                               const SourcePhotographs& photographs, const GeometryOutput* head,
                               const StereoOptions& options) {

@@ -23,7 +23,8 @@ struct SourcePhotographs {
       points_in_world;  // sparse points of a reconstruction, where the scene has them
 };
 
-// What the model is shown, (sources, 3, height, width) in [0, 1], as photographs: where no larger ones are at hand.
+// Returns what the model is shown, (sources, 3, height, width) in [0, 1], as photographs: it is for where no larger
+// ones are at hand.
 SourcePhotographs photographs_of_images(const Views& views, const torch::Tensor& source_images);
 
 struct PhotographDepth {
@@ -40,28 +41,29 @@ struct PhotographDepthOptions {
   bool follows_edges = true;  // at last, its edges are those of the photographs (edge_following_depth.h)
 };
 
-// The depth of the source views that sampling, training and evaluation carry them by: what their photographs agree on.
-// head: what a geometry head says of the source views alone, depth and rays in its own unit, as the prior of the match;
-// null for none. Nothing of one photograph can be matched: there, where photographs are not to be matched, and where
-// hardly any pixel tells the unit, the head's depth counts as source_depth_of_head() brings it to the cameras' unit, or
-// nothing is known. Of several photographs that are not to be matched a head has to say something.
+// Returns the depth of the source views that sampling, training and evaluation carry them by: what their photographs
+// agree on. head is what a geometry head says of the source views alone, depth and rays in its own unit, as the prior
+// of the match; it is null for none. Nothing of one photograph can be matched: there, where photographs are not to be
+// matched, and where hardly any pixel tells the unit, the head's depth counts as source_depth_of_head() brings it to
+// the cameras' unit, or nothing is known. Of several photographs that are not to be matched a head has to say
+// something.
 PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source_images,
                                  const SourcePhotographs& photographs, const GeometryOutput* head,
                                  const PhotographDepthOptions& options);
 
-// What a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is not
-// known, no head was asked or nothing was matched.
+// Returns what a network that mends this depth and looks at pictures of that side is shown; nothing where the depth is
+// not known, no head was asked or nothing was matched.
 std::optional<ToldDepth> told_depth(const SourcePhotographs& photographs, const PhotographDepth& found,
                                     int64_t side);
 
 // Has the network mend found.depth, where told_depth() has something to show it.
 void refine(const DepthRefinement& refinement, const SourcePhotographs& photographs, PhotographDepth& found);
 
-// The depth of views in the unit of their cameras: what photographs agree on, as far as they show a view, and what a
-// geometry head sees in the pictures of all views for the rest (gld/photogrammetry/fused_view_depth.h). predicted:
-// (views, height, width) of the head, in its own unit, of the last so many of `views`. A view that no photograph shows
-// keeps the head's depth in the unit that the other views tell. Nothing where none tells it, or where photographs
-// confirm less than a tenth of the source views: so few pixels may match by chance.
+// Returns the depth of views in the unit of their cameras: what photographs agree on, as far as they show a view, and
+// what a geometry head sees in the pictures of all views for the rest (gld/photogrammetry/fused_view_depth.h).
+// predicted is (views, height, width) of the head, in its own unit, of the last so many of `views`. A view that no
+// photograph shows keeps the head's depth in the unit that the other views tell. Returns nothing where none tells it,
+// or where photographs confirm less than a tenth of the source views: so few pixels may match by chance.
 std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tensor& source_images,
                                            const SourceDepth& depth, const StereoScene& stereo,
                                            const torch::Tensor& predicted);

@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// (height, width) or (height, width, numbers a pixel).
+// map is (height, width) or (height, width, numbers a pixel).
 template <class Map>
 Map to_map(const torch::Tensor& tensor) {
   const auto values = tensor.to(torch::kCPU, torch::kFloat32).contiguous();

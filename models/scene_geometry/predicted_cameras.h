@@ -11,17 +11,17 @@
 
 namespace gld {
 
-// (height, width) of any type and device.
+// confidence is (height, width) of any type and device.
 ConfidenceMap to_confidence_map(const torch::Tensor& confidence);
-// (height, width, 6) of any type and device.
+// rays are (height, width, 6) of any type and device.
 RayMap to_ray_map(const torch::Tensor& rays);
-// (height, width, 3) of any type and device.
+// points are (height, width, 3) of any type and device.
 PointMap to_point_map(const torch::Tensor& points);
 
-// The cameras that fit the geometry head's rays best, one a view of geometry.rays: where the model thinks the views
-// stand, in its own frame and unit. given are the views' cameras in the scene; their sizes and principal points are
-// kept, since cropping may leave a principal point anywhere. Throws Error when no camera fits one of them, or there is
-// not one given camera a view.
+// Returns the cameras that fit the geometry head's rays best, one a view of geometry.rays: where the model thinks the
+// views stand, in its own frame and unit. given are the views' cameras in the scene; their sizes and principal points
+// are kept, since cropping may leave a principal point anywhere. Throws Error when no camera fits one of them, or there
+// is not one given camera a view.
 std::vector<Camera> predicted_cameras(const GeometryOutput& geometry, const std::vector<Camera>& given);
 
 }  // namespace gld

@@ -18,7 +18,7 @@
 namespace gld {
 namespace {
 
-// Of the depths that are known: at least one.
+// Returns the median of the depths that are known: at least one.
 double median_depth(const PlanarDepth& depth) {
   std::vector<float> values;
   std::copy_if(depth.values.begin(), depth.values.end(), std::back_inserter(values), PlanarDepth::known);
@@ -45,7 +45,7 @@ struct RankedPicture {
   double rank = 0;
 };
 
-// Those of which something is seen, the most trusted first.
+// Returns those of which something is seen, the most trusted first.
 std::vector<RankedPicture> ranked_pictures(std::vector<CarriedPicture> pictures, const Camera& target,
                                            const std::vector<PicturedView>& sources) {
   std::vector<RankedPicture> ranked;
@@ -70,8 +70,8 @@ torch::Tensor colours_of(const CarriedPicture& carried) {
   return picture_of(carried.rgb, carried.width, carried.height);
 }
 
-// How far a picture agrees with the mean of all at each pixel, (height, width): exp(-mean distance of the colours /
-// 0.1) where it is seen, 0 where it is not.
+// Returns how far a picture agrees with the mean of all at each pixel, (height, width): exp(-mean distance of the
+// colours / 0.1) where it is seen, 0 where it is not.
 torch::Tensor agreement_of(const CarriedPicture& carried, const torch::Tensor& mean) {
   constexpr double kFarOff = 0.1;
   const auto seen = torch::tensor(at::ArrayRef<uint8_t>(carried.seen), torch::kUInt8)
@@ -84,7 +84,7 @@ std::vector<Camera> source_cameras(const Views& views) {
   return {views.cameras.begin(), views.cameras.begin() + static_cast<std::ptrdiff_t>(views.num_sources)};
 }
 
-// Of the sources' depth, in their unit.
+// Places the sources' depth, in their unit.
 GeometryPlacement place_sources(const Views& views, const torch::Tensor& source_images,
                                 const GeometryOutput& source_geometry) {
   const auto given = source_cameras(views);
@@ -101,7 +101,7 @@ std::string unknown_unit(const GeometryPlacement& placement) {
          (placement.problem.empty() ? estimates_text(placement.estimates) : placement.problem) + ")";
 }
 
-// Source views with their depth. Without photographs they have no colours.
+// Returns source views with their depth. Without photographs they have no colours.
 std::vector<PicturedView> pictured_sources(const Views& views, const SourceDepth& depth,
                                            const torch::Tensor& photographs = {}) {
   const auto given = source_cameras(views);
@@ -124,7 +124,7 @@ std::vector<PicturedView> pictured_sources(const Views& views, const SourceDepth
   return sources;
 }
 
-// Nothing carried.
+// Returns a warp with nothing carried.
 SourceWarp no_source_warp(const Views& views, int64_t count, const std::string& doubt) {
   const Camera& camera = views.cameras.front();
   return {torch::zeros({views.num_targets(), count, camera.height, camera.width}), {}, doubt};

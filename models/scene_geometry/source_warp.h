@@ -28,20 +28,20 @@ struct SourceWarp {
 // Why nothing is known of a single source view's depth where nobody guesses its unit.
 inline constexpr const char* kNoScaleOfOneSource = "the depth of a single source view has no scale";
 
-// A geometry head's depth, one map a view, times the length of its unit in that of the cameras.
+// Returns a geometry head's depth, one map a view, times the length of its unit in that of the cameras.
 std::vector<PlanarDepth> depth_in_unit(const GeometryOutput& geometry, int64_t views, double unit);
 
-// What a geometry head says of the source views alone, brought to the unit of the cameras by its rays, or where they
-// leave it open by the photographs (geometry_placement.h). Not known where these do not tell it either: a guess
-// carries photographs to wrong places, and as depth moves to where they agree, agreement does not show it.
-// source_geometry: depth and rays, (sources, height, width ...); source_images: (sources, 3, height, width) in [0,
+// Returns what a geometry head says of the source views alone, brought to the unit of the cameras by its rays, or where
+// they leave it open by the photographs (geometry_placement.h). It is not known where these do not tell it either: a
+// guess carries photographs to wrong places, and as depth moves to where they agree, agreement does not show it.
+// source_geometry is depth and rays, (sources, height, width ...); source_images are (sources, 3, height, width) in [0,
 // 1]. Nothing tells the unit of a single source. single_source_unit is a guess of it, in the cameras' unit (0: none),
 // of what is usual where a model was trained (BundleOptions::unit_of_single_source): of 60 drawn rooms that it is not
 // of, the nearest photograph as it is has 15.8 dB, carried so and filled 20.0, in the true unit 21.1.
 SourceDepth source_depth_of_head(const Views& views, const torch::Tensor& source_images,
                                  const GeometryOutput& source_geometry, double single_source_unit);
 
-// source_images as above. Nothing is carried where the depth is not known.
+// source_images are as above. Nothing is carried where the depth is not known.
 SourceWarp warp_sources(const Views& views, const torch::Tensor& source_images, const SourceDepth& depth,
                         int64_t count);
 

@@ -22,13 +22,13 @@ namespace {
   fail({file.string(), expected, found, "make it again with gld splat fit --features"});
 }
 
-// Empty where the file says nothing.
+// Returns empty text where the file says nothing.
 std::string note_of(const WeightFile& file, const std::string& key) {
   const auto found = file.metadata().find(key);
   return found == file.metadata().end() ? std::string() : found->second;
 }
 
-// A tensor of these sizes (0: any) and type, finite.
+// Returns a tensor of these sizes (0: any) and type, finite.
 torch::Tensor checked_tensor(const WeightFile& file, const std::string& name,
                              const std::vector<int64_t>& sizes, torch::Dtype type) {
   auto values = read_tensor(file, name);

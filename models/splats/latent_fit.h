@@ -38,37 +38,37 @@ struct LatentFit {
 LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& latents,
                       const FeatureSolveOptions& options, const KernelSettings& settings);
 
-// What a camera sees of features, (gaussians, channels), over latent pixels; where nothing is seen it is 0, the mean of
-// normalised latents.
+// Returns what a camera sees of features, (gaussians, channels), over latent pixels; where nothing is seen it is 0, the
+// mean of normalised latents.
 SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tensor& features,
                              const Camera& over_latents, const KernelSettings& settings);
 
-// The same of views `first` to `end`, over the pixels of these latents: (views, channels, height, width).
+// Returns the same of views `first` to `end`, over the pixels of these latents: (views, channels, height, width).
 torch::Tensor rendered_views(const StillGaussians& gaussians, const torch::Tensor& features,
                              const LatentPictures& latents, int64_t first, int64_t end,
                              const KernelSettings& settings);
 
-// |latents - encoded| over |encoded - its mean|, (views, channels, height, width) each: 0 where they are what the
-// backbone sees, 1 where they are no more than each channel's mean.
+// Returns |latents - encoded| over |encoded - its mean|, (views, channels, height, width) each: 0 where they are what
+// the backbone sees, 1 where they are no more than each channel's mean.
 double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& encoded);
-// Of what features show of views `first` to `end`.
+// Returns the error of what features show of views `first` to `end`.
 double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
                     int64_t first, int64_t end, const KernelSettings& settings);
 
-// Beside a PLY file, for its Gaussians in its order: tensors levelN.features (gaussians, channels), normalised,
+// Writes beside a PLY file, for its Gaussians in its order: tensors levelN.features (gaussians, channels), normalised,
 // levelN.mean and levelN.deviation (channels), raw = features deviation + mean, and where a fit has them levelN.encoded
 // (views, channels, height, width), float16; metadata "gld:latent_space" (tags as JSON), "gld:splats" (SHA-256 of the
-// PLY file) and those of `notes`. Whole or not at all.
+// PLY file) and those of `notes`. The file is written whole or not at all.
 void save_latent_fits(const std::filesystem::path& file, const std::vector<LatentFit>& fits,
                       const std::filesystem::path& splats,
                       const std::vector<std::pair<std::string, std::string>>& notes);
 
-// What that wrote, by level; `splats` is the PLY file that it must belong to. Without iterations, residual and seconds.
-// Throws Error naming the file and what is wrong with it.
+// Returns what that wrote, by level; `splats` is the PLY file that it must belong to. It is without iterations,
+// residual and seconds. Throws Error naming the file and what is wrong with it.
 std::vector<LatentFit> read_latent_fits(const std::filesystem::path& file,
                                         const std::filesystem::path& splats);
 
-// A table of numbers as a tensor: (rows, channels).
+// Returns a table of numbers as a tensor: (rows, channels).
 torch::Tensor feature_tensor(const std::vector<float>& values, int64_t channels);
 
 }  // namespace gld

@@ -24,7 +24,8 @@ bool is_number(const std::string& text) {
          std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
 }
 
-// Of a latent's channels where a token holds a block of its pixels: those of the block's places together.
+// Returns the statistics of a latent's channels where a token holds a block of its pixels: those of the block's places
+// together.
 LatentStatistics of_pixels(const LatentStatistics& of_tokens, int64_t token_pixels) {
   if (token_pixels == 1) return of_tokens;
   LatentStatistics result = of_tokens;
@@ -35,7 +36,7 @@ LatentStatistics of_pixels(const LatentStatistics& of_tokens, int64_t token_pixe
   return result;
 }
 
-// latents: (views, channels, height, width).
+// latents are (views, channels, height, width).
 LatentStatistics of_views(const torch::Tensor& latents) {
   LatentStatistics result;
   const auto wide = latents.to(torch::kFloat64);

@@ -29,7 +29,7 @@ struct LatentTag {
   std::string statistics_hash;    // SHA-256 of the model's, else empty
 };
 nlohmann::ordered_json tag_json(const LatentTag& tag);
-// What tag_json wrote; none for anything else.
+// Returns what tag_json wrote; none for anything else.
 std::optional<LatentTag> tag_of_json(const nlohmann::json& json);
 
 // A level of a latent space as pictures that Gaussians can be fitted to: an autoencoder's on the grid of its pixels,
@@ -39,47 +39,51 @@ struct LatentPictures {
   LatentStatistics statistics;       // of a channel of the pictures
   std::vector<SplatImage> pictures;  // a view, normalised
 
-  // The camera of an image over the latent's pixels.
+  // Returns the camera of an image over the latent's pixels.
   Camera camera_of(const Camera& of_image) const;
-  // Pictures `first` to `end` together, normalised: (views, channels, height, width).
+  // Returns pictures `first` to `end` together, normalised: (views, channels, height, width).
   torch::Tensor views(int64_t first, int64_t end) const;
-  // (channels, height, width), raw: before normalisation.
+  // Returns (channels, height, width), raw: before normalisation.
   torch::Tensor raw(const SplatImage& picture) const;
 };
-// Normalised latents (views, channels, height, width) as they were before.
+// Returns normalised latents (views, channels, height, width) as they were before.
 torch::Tensor raw_latents(const torch::Tensor& normalised, const LatentStatistics& statistics);
 
-// The bundle's statistics of a level, of a channel of its pictures. Throws Error where it has none.
+// Returns the bundle's statistics of a level, of a channel of its pictures. Throws Error where it has none.
 LatentStatistics statistics_of_pictures(const ModelBundle& bundle, int64_t level);
 
-// The levels that `names` says: numbers from 0, or "all". Error for other words and for levels that the backbone does
-// not have; option names what was asked ("--features").
+// Returns the levels that `names` says: numbers from 0, or "all". Throws Error for other words and for levels that the
+// backbone does not have; option names what was asked ("--features").
 std::vector<int64_t> latent_levels(const std::vector<std::string>& names, const BundleOptions& bundle,
                                    const std::string& option);
 
-// Pictures of about this size as the bundle's backbone takes them: sides whole patches of it.
+// Returns the size of pictures of about this size as the bundle's backbone takes them: sides are whole patches of it.
 ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about);
-// Of a view whose latent has so many pixels a side. Error where an autoencoder's tokens do not divide them.
+// Returns the image size of a view whose latent has so many pixels a side. Throws Error where an autoencoder's tokens
+// do not divide them.
 ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side);
 
-// Latents of whatever kind, (views, channels, height, width), raw, normalised by their own mean and variance; of tag
-// the model is taken.
+// Returns latents of whatever kind, (views, channels, height, width), raw, normalised by their own mean and variance;
+// of tag the model is taken.
 LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag);
 
-// images: (views, 3, height, width), RGB in [0, 1], sides whole patches, on the CPU; encoded together, the first one as
-// the reference view of backbones that have one. Levels with statistics in the bundle are normalised by those, others
-// by the mean and variance of what is encoded here. Bundle: only the backbone and the statistics are read.
+// images are (views, 3, height, width), RGB in [0, 1], sides whole patches, on the CPU; they are encoded together, the
+// first one as the reference view of backbones that have one. Levels with statistics in the bundle are normalised by
+// those, others by the mean and variance of what is encoded here. Of the bundle only the backbone and the statistics
+// are read.
 std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
                                                    const std::vector<int64_t>& levels);
 
-// Of images with these cameras, the channels of all levels behind each other. Levels of one grid, at least one.
+// Returns the latent views of images with these cameras, the channels of all levels behind each other. Levels are of
+// one grid, at least one.
 std::vector<LatentView> latent_views(const std::vector<LatentPictures>& levels,
                                      const std::vector<Camera>& cameras);
 
-// Levels that the bundle's image decoder takes, rising.
+// Returns the levels that the bundle's image decoder takes, rising.
 std::vector<int64_t> decoded_levels(const BundleOptions& bundle);
-// Images of maps of those levels, in their order, raw, (views, channels, height, width), as LatentPictures::raw gives
-// them: (views, 3, height, width), RGB in about [0, 1]. Bundle: only the backbone and the image decoder are read.
+// Makes images of maps of those levels, in their order, raw, (views, channels, height, width), as LatentPictures::raw
+// gives them: (views, 3, height, width), RGB in about [0, 1]. Of the bundle only the backbone and the image decoder are
+// read.
 class LatentDecoding {
  public:
   explicit LatentDecoding(const ModelBundle& bundle);
@@ -90,7 +94,7 @@ class LatentDecoding {
   std::shared_ptr<const ImageDecoder> decoder_;
 };
 
-// (channels, height, width) and back.
+// These turn (channels, height, width) into a picture and back.
 SplatImage splat_image_of(const torch::Tensor& picture);
 torch::Tensor tensor_of(const SplatImage& picture);
 

@@ -12,18 +12,19 @@
 
 namespace gld {
 
-// Whether latents of this bundle can be repaired: it has a refiner's weights and the statistics that it learnt under.
+// Returns whether latents of this bundle can be repaired: it has a refiner's weights and the statistics that it learnt
+// under.
 bool has_refiner(const ModelBundle& bundle);
 
 // Repairs latents of one scene beside the views nearest to them, a call a view.
 class LatentRefining {
  public:
-  // encoded: (views, channels, height, width) of the views with these cameras, normalised by the bundle's statistics.
+  // encoded is (views, channels, height, width) of the views with these cameras, normalised by the bundle's statistics.
   // They may be fewer than the refiner's references; of attention grid as many are taken as leave no cell empty. unet
   // outlives this.
   LatentRefining(const DenoisingUnet& unet, std::vector<Camera> cameras, torch::Tensor encoded);
 
-  // degraded: (channels, height, width), normalised. Without gradients.
+  // degraded is (channels, height, width), normalised. No gradients are recorded.
   torch::Tensor operator()(const Camera& camera, const torch::Tensor& degraded) const;
 
  private:
@@ -32,7 +33,7 @@ class LatentRefining {
   torch::Tensor encoded_;
 };
 
-// How many references a refiner takes of so many views.
+// Returns how many references a refiner takes of so many views.
 int64_t references_taken(const RefinerOptions& options, int64_t available);
 
 }  // namespace gld

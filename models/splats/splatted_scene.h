@@ -29,19 +29,19 @@ struct SplattedScene {
   std::vector<Camera> fitted_cameras() const { return {cameras.begin(), cameras.begin() + fitted}; }
 };
 
-// One safetensors file: "pictures", "encoded" and "splatted" in float16, "intrinsics" (views, 3, 3) and
-// "world_from_camera" (views, 4, 4) in float64; metadata "gld:scene", "gld:fitted" and "gld:latent_space". Whole or not
-// at all.
+// Writes one safetensors file: "pictures", "encoded" and "splatted" in float16, "intrinsics" (views, 3, 3) and
+// "world_from_camera" (views, 4, 4) in float64; metadata "gld:scene", "gld:fitted" and "gld:latent_space". It is
+// written whole or not at all.
 void save_splatted_scene(const std::filesystem::path& file, const SplattedScene& scene);
-// Shares the file's memory as far as types allow. Throws Error naming the file and what is wrong with it.
+// The result shares the file's memory as far as types allow. Throws Error naming the file and what is wrong with it.
 SplattedScene read_splatted_scene(const std::filesystem::path& file);
 
-// Those of a folder, by name. Error where it has none.
+// Returns those of a folder, by name. Throws Error where it has none.
 std::vector<std::filesystem::path> splatted_scene_files(const std::filesystem::path& folder);
 
-// Throws Error where latents are not those of this bundle's backbone; where: whose they are.
+// Throws Error where latents are not those of this bundle's backbone; where says whose they are.
 void require_same_latent_space(const LatentTag& tag, const ModelBundle& bundle, const std::string& where);
-// The same, and where they are not normalised by this bundle's statistics, under which a refiner learns.
+// Throws the same, and where they are not normalised by this bundle's statistics, under which a refiner learns.
 void require_same_normalisation(const LatentTag& tag, const ModelBundle& bundle, const std::string& where);
 
 }  // namespace gld

@@ -28,7 +28,7 @@ bool starts_with(const std::string& name, const std::string& beginning) {
   return name.compare(0, beginning.size(), beginning) == 0;
 }
 
-// What the module calls a tensor of the file; nothing where the selection leaves it out.
+// Returns what the module calls a tensor of the file; nothing where the selection leaves it out.
 std::optional<std::string> module_name(const std::string& name, const WeightSelection& selection) {
   for (const auto& [there, here] : selection.elsewhere) {
     if (starts_with(name, there)) return here + name.substr(there.size());
@@ -37,7 +37,7 @@ std::optional<std::string> module_name(const std::string& name, const WeightSele
   return name.substr(selection.prefix.size());
 }
 
-// And back.
+// Returns the name that it has in the file: the way back.
 std::string file_name(const std::string& name, const WeightSelection& selection) {
   for (const auto& [there, here] : selection.elsewhere) {
     if (starts_with(name, here)) return there + name.substr(here.size());
@@ -56,7 +56,7 @@ void check_offer(const torch::Tensor& target, const Offered& offered, const std:
   }
 }
 
-// Names, shapes and dtypes, before anything is loaded: a wrong file leaves the module as it was.
+// Checks names, shapes and dtypes, before anything is loaded: a wrong file leaves the module as it was.
 void check_offers(const std::map<std::string, torch::Tensor>& targets, const Offers& offers,
                   const std::string& where, const WeightSelection& selection, LoadReport& report) {
   if (offers.empty() && !targets.empty()) {
@@ -87,7 +87,7 @@ void check_offers(const std::map<std::string, torch::Tensor>& targets, const Off
   }
 }
 
-// full: its name in the file. Two names of a file may stand for one of the module (WeightSelection::elsewhere).
+// full is its name in the file. Two names of a file may stand for one of the module (WeightSelection::elsewhere).
 void add_offer(const std::string& name, const Offered& offered, const std::string& full,
                const std::string& where, Offers& offers) {
   if (offers.emplace(name, offered).second) return;

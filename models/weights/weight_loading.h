@@ -18,7 +18,7 @@ struct IgnoredName {
   std::string reason;
 };
 
-// The entry that covers the name, or null.
+// Returns the entry that covers the name, or null.
 const IgnoredName* ignored_name(const std::vector<IgnoredName>& ignored, const std::string& name);
 
 struct WeightSelection {
@@ -26,8 +26,8 @@ struct WeightSelection {
   // "model.backbone.pretrained.".
   std::string prefix;
   std::vector<IgnoredName> ignored;
-  // Parts of the module that stand elsewhere in the file, {beginning there, beginning in the module}: names with such a
-  // beginning are considered as well.
+  // These parts of the module stand elsewhere in the file, {beginning there, beginning in the module}: names with such
+  // a beginning are considered as well.
   std::vector<std::pair<std::string, std::string>> elsewhere = {};
 };
 
@@ -47,7 +47,7 @@ struct LoadReport {
 // are.
 LoadReport load_strict(torch::nn::Module& module, const WeightFile& file,
                        const WeightSelection& selection = {});
-// The same from tensors in memory; `where` names them in errors. Parameters share them where no conversion is
+// Does the same with tensors in memory; `where` names them in errors. Parameters share them where no conversion is
 // needed.
 LoadReport load_strict(torch::nn::Module& module, const std::map<std::string, torch::Tensor>& tensors,
                        const std::string& where, const WeightSelection& selection = {});
@@ -59,12 +59,12 @@ struct MatchedTensor {
   const TensorEntry* source = nullptr;
 };
 
-// The checks of load_strict without loading: every tensor of the module with its counterpart. The module may be on the
-// meta device.
+// Does the checks of load_strict without loading: returns every tensor of the module with its counterpart. The module
+// may be on the meta device.
 std::vector<MatchedTensor> match_strict(const torch::nn::Module& module, const WeightFile& file,
                                         const WeightSelection& selection, LoadReport& report);
 
-// Parameters and buffers by full name; they share the module's memory. What save_safetensors takes.
+// Returns parameters and buffers by full name; they share the module's memory. It is what save_safetensors takes.
 std::map<std::string, torch::Tensor> named_tensors(const torch::nn::Module& module);
 
 }  // namespace gld

@@ -1,4 +1,4 @@
-// gld ablate from end to end, with the program itself: GLD_PROGRAM.
+// This runs gld ablate from end to end, with the program itself: GLD_PROGRAM.
 #include "gld/base/atomic_file.h"
 #include "gld/base/child_process.h"
 #include "gld/base/json_text.h"
@@ -74,7 +74,7 @@ class AblateCommand : public testing::Test {
   }
   fs::path run() const { return folder_.path() / "run"; }
 
-  // The exit status; what is printed stands in text_.
+  // Returns the exit status; what is printed stands in text_.
   int finish(ChildProcess& process) {
     while (!process.poll()) std::this_thread::sleep_for(milliseconds(10));
     text_ = read_file(log());
@@ -87,7 +87,7 @@ class AblateCommand : public testing::Test {
   }
   fs::path log() const { return folder_.path() / "log.txt"; }
 
-  // The folders of the stages of that name in the cache.
+  // Returns the folders of the stages of that name in the cache.
   std::vector<fs::path> stages(const std::string& name) const {
     std::vector<fs::path> found;
     if (!fs::is_directory(run() / "cache")) return found;

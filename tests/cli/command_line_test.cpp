@@ -188,7 +188,7 @@ TEST_F(CommandLine, FailuresKeepTheirSentenceAndStatus) {
   EXPECT_EQ(error_text_, "error: first line\n");
 }
 
-// What /dev/full and a closed pipe do.
+// This does what /dev/full and a closed pipe do.
 struct RefusingBuffer : std::streambuf {
   int overflow(int) override { return traits_type::eof(); }
   int sync() override { return -1; }

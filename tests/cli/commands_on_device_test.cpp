@@ -1,6 +1,6 @@
-// What trains, samples and evaluates, whole, on LibTorch's meta device (tests/support/meta_device.h): every tensor is
-// where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere. The same
-// on a GPU (ctest -L gpu).
+// This runs what trains, samples and evaluates, whole, on LibTorch's meta device (tests/support/meta_device.h): every
+// tensor is where the device's operations can take it, and all shapes fit. What the numbers are is compared elsewhere.
+// The same runs on a GPU (ctest -L gpu).
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
@@ -93,7 +93,7 @@ class CommandsOnDevice : public testing::TestWithParam<std::string> {
 };
 std::map<std::string, std::unique_ptr<test::TemporaryFolder>> CommandsOnDevice::folders_;
 
-// What all the others rest on.
+// All the others rest on this.
 TEST(MetaDevice, ATensorThatWasLeftOnTheCpuIsAnError) {
   const auto on_device = torch::ones({4, 4}, torch::kMeta), left = torch::ones({4, 4});
   EXPECT_ANY_THROW(on_device + left);

@@ -30,7 +30,7 @@ struct Shell {
   std::string output;
 };
 
-// Both standard output and error.
+// The output is both standard output and error.
 Shell run_shell(const std::string& words) {
   Shell shell;
   FILE* pipe = ::popen((words + " 2>&1").c_str(), "r");
@@ -49,7 +49,8 @@ class Completion : public testing::Test {
     write_file_atomically(folder_.path() / "gld.bash", bash_completion(commands_, outermost_));
   }
 
-  // What bash offers for the last of the words, as it divides a line; the function is that which "complete" names.
+  // Returns what bash offers for the last of the words, as it divides a line; the function is that which "complete"
+  // names.
   std::vector<std::string> offered(const std::vector<std::string>& words) {
     std::string script = "source ./gld.bash\ncomplete -p gld >/dev/null || exit 3\nCOMP_WORDS=(";
     for (const auto& word : words) script += " '" + word + "'";
@@ -80,7 +81,7 @@ TEST_F(Completion, OfCommands) {
   EXPECT_THAT(offered({"gld", "completion", ""}), ElementsAre("bash", "zsh", "fish"));
 }
 
-// Every flag of every command, in its one spelling.
+// This goes over every flag of every command, in its one spelling.
 TEST_F(Completion, OfFlags) {
   for (const Command* command : all_levels(commands_)) {
     if (!command->options) continue;

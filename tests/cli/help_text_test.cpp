@@ -28,7 +28,7 @@ std::vector<std::string> lines_of(const std::string& text) {
   return lines;
 }
 
-// The name that an option's line begins with, "--[no-]ema" as "--ema"; empty for other lines.
+// Returns the name that an option's line begins with, "--[no-]ema" as "--ema"; empty for other lines.
 std::string option_of(const std::string& line) {
   if (line.rfind("  --", 0) != 0) return "";
   const std::string name = line.substr(2, line.find(' ', 2) - 2);
@@ -60,7 +60,7 @@ TEST(HelpText, OfEveryCommandIsOnePageAndSaysWhereTheRestIs) {
     EXPECT_LE(lines_of(help).size(), kMostLinesOfHelp) << help;
     if (!command->options) continue;
     EXPECT_EQ(help, short_help(*command, outermost));
-    // Each option once, and so many more as the last line says.
+    // Each option is there once, and so many more as the last line says.
     const auto shown = options_of(help);
     for (const auto& [option, times] : shown) EXPECT_EQ(times, 1) << command->name << " " << option;
     const size_t all = list_flags(*command, outermost).size() + common_flags().size();

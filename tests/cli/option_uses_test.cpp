@@ -19,7 +19,7 @@ namespace {
 
 using test::runnable_commands;
 
-// The key of the option that a rule needs, as refuse_without_effect() finds it.
+// Returns the key of the option that a rule needs, as refuse_without_effect() finds it.
 std::string needed_key(const OptionUse& use, const Command& command, const std::string& key) {
   const std::string group = key.substr(0, key.rfind('.') + 1);
   std::string any;
@@ -34,7 +34,7 @@ std::string needed_key(const OptionUse& use, const Command& command, const std::
   return any;
 }
 
-// A value with which nothing looks at the option; none where the default is one.
+// Returns a value with which nothing looks at the option; none where the default is one.
 std::string value_without_use(const OptionUse& use, const Command& command, const std::string& needed) {
   if (use.condition == OptionUse::Condition::kNoneOf) return use.values.front();
   for (const auto& option : describe_options(*command.options)) {
@@ -82,7 +82,7 @@ TEST(OptionUses, EveryRuleRefusesWhatHasNoEffect) {
   }
 }
 
-// Of each option of each command: a value that it cannot have is refused under the name of its flag, before anything
+// For each option of each command a value that it cannot have is refused under the name of its flag, before anything
 // else is looked at.
 TEST(OptionUses, EveryOptionRefusesAValueThatItCannotHave) {
   int refused = 0;

@@ -3,7 +3,7 @@
 // --out.
 //
 // Each case is drawn from the registry of commands and options, and runs as a process of its own on a small scene with
-// the small model. The default run is for CI; any number by hand, each repeat with the next seed:
+// the small model. The default run is for CI; any number can be run by hand, each repeat with the next seed:
 //
 //   build/release/tests/cli_random_torch_tests --gtest_shuffle --gtest_random_seed=1 --gtest_repeat=100
 #include "cli/commands.h"
@@ -104,7 +104,7 @@ class Sandbox {
   std::filesystem::path said() const { return folder_ / "said.txt"; }
   std::filesystem::path cache() const { return folder_ / "cache"; }
 
-  // Names, sizes and times of all that a command must leave as it is.
+  // Returns names, sizes and times of all that a command must leave as it is.
   std::vector<std::string> state() const {
     std::vector<std::string> lines;
     for (auto item = std::filesystem::recursive_directory_iterator(folder_);
@@ -132,7 +132,7 @@ class Sandbox {
   std::filesystem::path folder_;
 };
 
-// One command line, always the same for its seed.
+// This draws one command line, always the same for its seed.
 class Draw {
  public:
   Draw(uint64_t seed, const Sandbox& sandbox, const std::vector<Command>& commands)
@@ -165,8 +165,8 @@ class Draw {
     return words;
   }
 
-  // What ends a case that goes on for too long: most are killed, as where memory runs out, which costs no time; the
-  // others are asked to stop, and must.
+  // Returns what ends a case that goes on for too long: most are killed, as where memory runs out, which costs no time;
+  // the others are asked to stop, and must.
   int ending() { return chance(0.125) ? SIGINT : SIGKILL; }
 
   // So long a case may go on: some end soon, at any moment, some when small commands have ended by themselves.
@@ -302,7 +302,7 @@ Ended run(const Words& words, std::chrono::milliseconds patience, int ending, co
   return ended;
 }
 
-// What is wrong with how a case ended; empty for nothing.
+// Returns what is wrong with how a case ended; empty for nothing.
 std::string problem_of(const Ended& ended) {
   const bool usual = ended.status >= 0 && ended.status <= 2;
   // Before the handler is there, a stop ends the process by the signal.

@@ -13,7 +13,7 @@ inline void add_runnable(const std::vector<Command>& commands, std::vector<Comma
   }
 }
 
-// All commands of the program that have no subcommands.
+// Returns all commands of the program that have no subcommands.
 inline std::vector<Command> runnable_commands() {
   std::vector<Command> runnable;
   add_runnable(all_commands(), runnable);

@@ -77,7 +77,7 @@ TEST_F(ShippedAblations, ArePlannedWhereWeightsAndScenesAreGiven) {
   }
 }
 
-// Tables 2 and 8 are of the same M0 and M1: hours, trained once where both have one --cache.
+// Tables 2 and 8 are of the same M0 and M1: these take hours, and are trained once where both have one --cache.
 TEST_F(ShippedAblations, BoundaryAndCascadeShareTheirTrainings) {
   const auto keys_of = [](const AblationPlan& plan, const std::string& stage) {
     std::set<std::string> keys;

@@ -236,7 +236,7 @@ void read_as_ffprobe(const uint8_t* data, size_t size) {
   try {
     const VideoStream stream =
         parse_video_stream(std::string(reinterpret_cast<const char*>(data), size), kWhere);
-    // What the times of pictures are computed with.
+    // The times of pictures are computed with these.
     if (!(stream.seconds > 0) || !(stream.pictures_a_second > 0)) std::abort();
     if (!std::isfinite(stream.seconds / stream.pictures_a_second * 1000)) std::abort();
   } catch (const Error&) {

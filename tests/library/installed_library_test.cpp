@@ -1,4 +1,4 @@
-// The example of examples/ against an installed prefix, as somebody else's program.
+// This runs the example of examples/ against an installed prefix, as somebody else's program.
 
 #include "datasets/images/image_file.h"
 #include "datasets/synthetic/synthetic_scene.h"

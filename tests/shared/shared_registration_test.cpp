@@ -29,7 +29,7 @@ enum class KnownLens {
   kAsIfByExif,  // the true focal length, of files without EXIF
 };
 
-// The photographs of a scene by number, without what is known of their cameras.
+// Returns the photographs of a scene by number, without what is known of their cameras.
 std::vector<UnregisteredPhotograph> without_cameras(const Scene& scene, const std::vector<size_t>& numbers,
                                                     KnownLens lens) {
   std::vector<UnregisteredPhotograph> photographs;

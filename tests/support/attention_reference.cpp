@@ -11,7 +11,7 @@ using Row = std::vector<double>;
 
 enum class Part { query, key_value, output };
 
-// The encoding of one token as a dense head_dim x head_dim matrix.
+// Returns the encoding of one token as a dense head_dim x head_dim matrix.
 std::vector<Row> encoding_matrix(const PropePointers* prope, Part part, int64_t token, int64_t head_dim) {
   const auto size = static_cast<std::size_t>(head_dim);
   std::vector<Row> matrix(size, Row(size, 0.0));
@@ -90,7 +90,7 @@ class Head {
   void store(const Row& row, int64_t token, int64_t tokens, std::vector<double>& array) const {
     std::copy(row.begin(), row.end(), array.begin() + static_cast<std::ptrdiff_t>(offset(token, tokens)));
   }
-  // Encoded for attending, or the transpose (which gradients go through).
+  // The token is encoded for attending, or by the transpose (which gradients go through).
   Row encode(Part part, int64_t token, const Row& x) const {
     return prope_ == nullptr ? x : product(encoding_matrix(prope_, part, token, shape_.head_dim), x);
   }
@@ -105,7 +105,7 @@ class Head {
     }
     return rows;
   }
-  // Probabilities of one query and the log of their sum.
+  // Returns the probabilities of one query and the log of their sum.
   Row probabilities(const Row& query, const std::vector<Row>& keys, double& log_sum_exp) const {
     const double scale = 1 / std::sqrt(static_cast<double>(shape_.head_dim));
     Row p(keys.size(), -std::numeric_limits<double>::infinity());

@@ -19,7 +19,7 @@ struct ReferenceGradients {
   std::vector<double> query, key, value;
 };
 
-// Fills output and log_sum_exp. prope as in AttentionForward; null for none.
+// Fills output and log_sum_exp. prope is as in AttentionForward; it is null for none.
 void run_reference(const AttentionShape& shape, const PropePointers* prope, ReferenceAttention& arrays);
 ReferenceGradients reference_gradients(const AttentionShape& shape, const PropePointers* prope,
                                        const ReferenceAttention& arrays,

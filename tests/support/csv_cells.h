@@ -6,7 +6,7 @@
 
 namespace gld::test {
 
-// The cells of a line of CSV without quotes.
+// Returns the cells of a line of CSV without quotes.
 inline std::vector<std::string> csv_cells(const std::string& line) {
   std::vector<std::string> cells;
   std::istringstream text(line + ",");

@@ -10,7 +10,7 @@
 
 namespace gld::test {
 
-// A 16-bit PNG of round(metres / metres_per_unit), saturating.
+// Writes a 16-bit PNG of round(metres / metres_per_unit), saturating.
 inline void write_depth_png(const std::filesystem::path& file, const DepthMap& depth,
                             double metres_per_unit) {
   Grey16 pixels{depth.width, depth.height, {}};

@@ -21,7 +21,7 @@ struct DrawnRun {
   std::string first_name;  // of the first frame; empty: as the room has it
 };
 
-// Into an empty folder, without a page.
+// Writes into an empty folder, without a page.
 void write_drawn_run(const std::filesystem::path& folder, const DrawnRun& drawn);
 
 }  // namespace gld::test

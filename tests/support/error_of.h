@@ -5,7 +5,7 @@
 
 namespace gld::test {
 
-// what() of the gld::Error that action throws; fails the test when it throws nothing.
+// Returns what() of the gld::Error that action throws; fails the test when it throws nothing.
 std::string error_of(const std::function<void()>& action);
 
 }  // namespace gld::test

@@ -27,13 +27,13 @@ class ExifDirectory {
   void add_long(uint16_t tag, uint32_t value) {
     if (value != 0) add(tag, 4, value);
   }
-  // Over 1; its eight bytes stand behind the directory.
+  // The value is written over 1; its eight bytes stand behind the directory.
   void add_rational(uint16_t tag, uint32_t value) {
     if (value == 0) return;
     rationals_.push_back({entries_.size(), value});
     add(tag, 5, 0);
   }
-  // offset: where the directory begins.
+  // offset is where the directory begins.
   std::string bytes(uint32_t offset) {
     const auto end = static_cast<uint32_t>(offset + 2 + 12 * entries_.size() + 4);
     std::string values;

@@ -17,7 +17,7 @@
 // Readers of what the program exports, for files that are whole.
 namespace gld::test {
 
-// The value of a name; empty when there is none.
+// Returns the value of a name; empty when there is none.
 inline std::string find_text(const TextItems& items, const std::string& name) {
   for (const auto& [key, text] : items) {
     if (key == name) return text;
@@ -25,7 +25,8 @@ inline std::string find_text(const TextItems& items, const std::string& name) {
   return {};
 }
 
-// The texts of a PNG file's tEXt and uncompressed iTXt chunks, in its order. Its checksums are left to read_image.
+// Returns the texts of a PNG file's tEXt and uncompressed iTXt chunks, in its order. Its checksums are left to
+// read_image.
 inline TextItems read_png_texts(const std::filesystem::path& file) {
   const std::string bytes = read_file(file);
   const std::string_view view = bytes;
@@ -37,7 +38,7 @@ inline TextItems read_png_texts(const std::filesystem::path& file) {
     const std::string_view type = view.substr(at + 4, 4), data = view.substr(at + 8, length);
     if (type == "tEXt" || type == "iTXt") {
       const size_t name = data.find('\0');
-      // Behind the name of iTXt: two bytes about compression, and a language in two words that are left empty.
+      // Behind the name of iTXt stand two bytes about compression, and a language in two words that are left empty.
       texts.emplace_back(data.substr(0, name), data.substr(name + (type == "tEXt" ? 1 : 5)));
     }
     at += kFrame + length;
@@ -45,7 +46,7 @@ inline TextItems read_png_texts(const std::filesystem::path& file) {
   return texts;
 }
 
-// A one-channel little-endian PFM file, whose rows go from bottom to top.
+// Reads a one-channel little-endian PFM file, whose rows go from bottom to top.
 inline DepthMap read_pfm(const std::filesystem::path& file) {
   const std::string bytes = read_file(file);
   std::istringstream stream(bytes);

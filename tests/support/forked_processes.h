@@ -21,15 +21,15 @@ struct Child {
   std::filesystem::path said;  // its standard error
 };
 
-// A child of one thread that does the work and ends; status 1 with "error: ..." said where that throws.
+// Starts a child of one thread that does the work and ends; its status is 1 with "error: ..." said where that throws.
 Child start(const std::filesystem::path& folder, const std::string& name, const std::function<void()>& work);
 
-// The exit status; -signal where one ended it, 1000 where it goes on for longer than that.
+// Returns the exit status; it is -signal where one ended it, 1000 where it goes on for longer than that.
 int status_of(const Child& child, double most_seconds = 120);
 
-// On this machine, waiting 30 s for the others.
+// The processes are on this machine, each waiting 30 s for the others.
 ProcessPlacement placement(int64_t rank, int64_t count, int64_t port);
-// The same as options; those of one process alone for a count of 1.
+// Returns the same as options; they are those of one process alone for a count of 1.
 ProcessesOptions processes(int64_t rank, int64_t count, int64_t port);
 
 // Does the work once, in so many processes that work together, each of which must succeed.

@@ -23,7 +23,7 @@ std::vector<float> linear_light(const Image& image) {
   return values;
 }
 
-// Planar depth to distance along the ray.
+// Turns planar depth to distance along the ray.
 Hdf5Array ray_distances(const Frame& frame) {
   const DepthMap depth = frame.depth();
   const Eigen::Matrix3d ray_from_pixel = frame.camera.intrinsics.inverse();

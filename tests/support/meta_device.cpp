@@ -31,7 +31,7 @@ class OnHost {
     return list;
   }
 
-  // What the device has instead of a result: the argument that was written to, or a new shape.
+  // Returns what the device has instead of a result: the argument that was written to, or a new shape.
   c10::IValue on_device(const c10::IValue& result) const {
     if (result.isTensorList()) {
       auto list = result.toTensorList().copy();
@@ -64,14 +64,14 @@ class OnHost {
   std::vector<std::pair<torch::Tensor, torch::Tensor>> stand_for_;
 };
 
-// Whether the host has to wait for what the operator finds: a shape that depends on numbers, or a number.
+// Returns whether the host has to wait for what the operator finds: a shape that depends on numbers, or a number.
 bool waits(const c10::OperatorHandle& operation) {
   static const std::set<std::string> kNames = {"aten::nonzero", "aten::masked_select", "aten::_unique2",
                                                "aten::equal"};
   return kNames.count(operation.schema().name()) > 0;
 }
 
-// The shapes that the CPU's operator of that name makes of ones.
+// Makes the shapes that the CPU's operator of that name makes of ones.
 void shapes_of_cpu(const c10::OperatorHandle& like, torch::jit::Stack* stack) {
   OnHost host;
   if (waits(like)) ++reads;

@@ -8,7 +8,7 @@ namespace gld::test {
 // would be on a GPU. A test that is linked with this file has kernels for what the device lacks outside Python, and may
 // read numbers from it: every one is 1 (true). With that whole commands run there (device_from_text takes "meta").
 
-// How often the host has waited for the device so far: numbers and tensors that were read from it.
+// Returns how often the host has waited for the device so far: for numbers and tensors that were read from it.
 int64_t meta_reads();
 
 }  // namespace gld::test

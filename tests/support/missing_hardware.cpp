@@ -1,4 +1,4 @@
-// The labels of tests that this machine cannot run, one a line (scripts/hardware_labels.sh).
+// This prints the labels of tests that this machine cannot run, one a line (scripts/hardware_labels.sh).
 #include "gld/machine/instruction_set.h"
 #include "gld/machine/matrix_unit.h"
 

@@ -8,7 +8,7 @@
 
 namespace gld::test {
 
-// Mean absolute difference of colours from truth, (height, width, 3), where the view shows something.
+// Returns the mean absolute difference of colours from truth, (height, width, 3), where the view shows something.
 inline double mean_error(const PhotographView& view, const std::vector<float>& truth) {
   double sum = 0, count = 0;
   for (size_t pixel = 0; pixel < view.variance.size(); ++pixel) {

@@ -21,10 +21,10 @@ class PickleText {
   PickleText& real(double value);
   PickleText& global(const std::string& module, const std::string& name);
   PickleText& integers(const std::vector<int64_t>& values);  // a tuple
-  // A reference to a storage: ("storage", torch.<type>, key, location, elements).
+  // Writes a reference to a storage: ("storage", torch.<type>, key, location, elements).
   PickleText& storage(const std::string& type, const std::string& key, int64_t elements,
                       const std::string& location = "cpu");
-  // Call of _rebuild_tensor_v2 on float32 data of storage `key`.
+  // Writes a call of _rebuild_tensor_v2 on float32 data of storage `key`.
   PickleText& tensor(const std::string& key, int64_t elements, int64_t offset,
                      const std::vector<int64_t>& shape, const std::vector<int64_t>& strides);
   PickleText& empty_ordered_dictionary();
@@ -43,7 +43,7 @@ std::string torch_legacy(const std::string& pickle, const std::map<std::string, 
 
 std::string float_bytes(const std::vector<float>& values);
 
-// A safetensors file with that header text and data, right or wrong.
+// Returns a safetensors file with that header text and data, right or wrong.
 std::string safetensors_text(const std::string& header, const std::string& data);
 
 }  // namespace gld::test

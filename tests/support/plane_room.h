@@ -39,14 +39,14 @@ struct PlaneRoom {
   Eigen::Vector3d ray(const Camera& camera, double u, double v) const {
     return camera.world_from_camera.linear() * (camera.intrinsics.inverse() * Eigen::Vector3d(u, v, 1));
   }
-  // Where the middle of that pixel meets the wall.
+  // Returns where the middle of that pixel meets the wall.
   Eigen::Vector3d point(const Camera& camera, double u, double v) const {
     return camera.world_from_camera.translation() + depth(camera, u, v) * ray(camera, u, v);
   }
   double depth(const Camera& camera, double u, double v) const {
     return (distance - normal.dot(camera.world_from_camera.translation())) / normal.dot(ray(camera, u, v));
   }
-  // (views, height, width), float64.
+  // The maps are (views, height, width), float64.
   torch::Tensor depth_maps() const {
     std::vector<torch::Tensor> maps;
     for (const Camera& camera : cameras) {
@@ -61,7 +61,7 @@ struct PlaneRoom {
     }
     return torch::stack(maps);
   }
-  // A smooth texture of the wall, one vector of `channels` a pixel: (views, channels, height, width) in [0, 1].
+  // Returns a smooth texture of the wall, one vector of `channels` a pixel: (views, channels, height, width) in [0, 1].
   torch::Tensor textures(int64_t channels) const {
     std::vector<torch::Tensor> maps;
     for (const Camera& camera : cameras) {

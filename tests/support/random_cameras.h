@@ -17,7 +17,7 @@ class RandomCameras {
   double uniform(double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(engine_);
   }
-  // 10^uniform.
+  // Returns 10^uniform.
   double power(double low, double high) { return std::pow(10.0, uniform(low, high)); }
   int64_t integer(int64_t low, int64_t high) {
     return std::uniform_int_distribution<int64_t>(low, high)(engine_);
@@ -29,7 +29,7 @@ class RandomCameras {
     return Eigen::AngleAxisd(uniform(0, largest_angle), vector(1).normalized()).toRotationMatrix();
   }
 
-  // A camera near the origin that looks roughly forward.
+  // Returns a camera near the origin that looks roughly forward.
   Camera ordinary(int64_t width, int64_t height) {
     Camera camera;
     camera.width = width;
@@ -55,8 +55,8 @@ class RandomCameras {
     return views;
   }
 
-  // fx/W from 0.05 to 50, scale from 1e-8 to 1e8, world offset up to 1e6, centres that coincide in one scene of four,
-  // principal points outside the image, fx unlike fy.
+  // The scene has fx/W from 0.05 to 50, a scale from 1e-8 to 1e8, a world offset of up to 1e6, centres that coincide in
+  // one scene of four, principal points outside the image, fx unlike fy.
   Views extreme_scene() {
     Views views;
     const int64_t count = integer(2, 8);

@@ -22,7 +22,7 @@ void expect_re10k_text_equals_npz(const std::filesystem::path& scenes) {
   ASSERT_GE(rows.size(), 8U);  // the clip's 153 rows, or those of its 8 frames
   const Scene clip = open_scene(scenes / "gld_layout_5e040cd0758dcc96");
 
-  // The reader proper, with the clip's images under the names that the text file gives them.
+  // The reader proper reads the clip's images under the names that the text file gives them.
   const TemporaryFolder folder;
   std::filesystem::create_directories(folder.path() / "5e040cd0758dcc96");
   std::filesystem::copy_file(scenes / "re10k" / "5e040cd0758dcc96.txt",
@@ -59,7 +59,7 @@ void expect_tartanair_depth_agrees(const std::filesystem::path& path, size_t fra
     EXPECT_GT(warp.share_in_view, 0.6) << i;
     EXPECT_GT(warp.share_agreeing, 0.9) << i;
     EXPECT_LT(warp.median_error, 0.002) << i;
-    // A wrong convention must not pass: the same test with the camera's y and z turned around.
+    // A wrong convention must not pass: this is the same test with the camera's y and z turned around.
     Camera wrong_a = a.camera;
     Camera wrong_b = b.camera;
     for (Camera* camera : {&wrong_a, &wrong_b}) camera->world_from_camera.linear().rightCols<2>() *= -1;

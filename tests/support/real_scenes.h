@@ -11,7 +11,7 @@ namespace gld::test {
 // What the readers must find in the real scenes, cut down (tests/data/scenes) or whole (the shared data's scenes):
 // each fails the test that calls it where they find something else.
 
-// scenes: the folder that holds the clip both as RealEstate10K text and as npz cameras.
+// scenes is the folder that holds the clip both as RealEstate10K text and as npz cameras.
 void expect_re10k_text_equals_npz(const std::filesystem::path& scenes);
 
 // Depth maps of neighbouring views warp onto each other, and do not where the cameras' axes are turned.
@@ -22,7 +22,7 @@ struct ColmapCounts {
   size_t points = 0;
 };
 
-// scenes: the folder that holds colmap_lund_door and colmap_lund_door_binary.
+// scenes is the folder that holds colmap_lund_door and colmap_lund_door_binary.
 void expect_colmap_text_equals_binary(const std::filesystem::path& scenes, const ColmapCounts& counts);
 
 // Every image has at least fewest_inside of the points in front of it and inside its borders.

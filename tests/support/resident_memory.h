@@ -10,7 +10,7 @@
 
 namespace gld::test {
 
-// Resident memory of this process now, in bytes: the second number of proc(5)'s statm counts pages.
+// Returns the resident memory of this process now, in bytes: the second number of proc(5)'s statm counts pages.
 inline int64_t resident_bytes() {
   std::ifstream stream("/proc/self/statm");
   int64_t mapped = 0, resident = 0;

@@ -1,6 +1,6 @@
 // Every test begins with the same random numbers of LibTorch, which seeds its generator from the clock otherwise: what
 // fails fails again. --gtest_random_seed=N draws others, as a bound that was fitted to one draw is found by hand alone.
-// An object, because nobody has to call it.
+// It is an object, because nobody has to call it.
 #include <torch/utils.h>
 
 #include <gtest/gtest.h>

@@ -25,7 +25,7 @@ inline DitOptions small_dit_options() {
   return options;
 }
 
-// The same as a cascade.
+// Returns the same as a cascade.
 inline DitOptions small_cascade_options() {
   auto options = small_dit_options();
   options.conditioning = DitConditioning::kDeeperLevel;
@@ -52,7 +52,7 @@ inline std::shared_ptr<DitDh> random_dit(const DitOptions& options, uint64_t see
   return model;
 }
 
-// The same weights in double.
+// Returns the same weights in double.
 inline std::shared_ptr<DitDh> in_double(const DitDh& model) {
   ParameterPlacement placement;
   placement.dtype = torch::kFloat64;
@@ -100,8 +100,8 @@ inline DitTestScene in_double(DitTestScene scene) {
   return scene;
 }
 
-// What float32 may make of a computation with a small DiT^DH, from the condition of the computation itself, so that a
-// bound holds for whatever order the kernels of a processor sum in.
+// The following is what float32 may make of a computation with a small DiT^DH, from the condition of the computation
+// itself, so that a bound holds for whatever order the kernels of a processor sum in.
 //
 // A sum of K products that rounds each of its K partial sums is the exact sum of products that moved by sqrt(K) unit
 // roundoffs u = 2^-24 each, as far as roundings are independent (Higham and Mary 2019). So a result errs by about
@@ -113,7 +113,7 @@ inline double rounding_bound(double moved_by_units) {
   return 2 * std::sqrt(static_cast<double>(kLongestSum)) * moved_by_units;
 }
 
-// Every number of a double tensor moved by up to u of itself; undefined stays undefined.
+// Returns a double tensor with every number moved by up to u of itself; undefined stays undefined.
 inline torch::Tensor moved_by_a_unit(const torch::Tensor& x) {
   return x.defined() ? x * (1 + 0x1p-24 * (2 * torch::rand_like(x) - 1)) : x;
 }
@@ -129,12 +129,13 @@ inline DitSceneInputs moved_by_a_unit(DitSceneInputs inputs) {
 inline std::shared_ptr<DitDh> moved_by_a_unit(const DitDh& model) {
   auto moved = in_double(model);
   const torch::NoGradGuard no_grad;
-  // Numbers of its own: loading from a model that is in double already shares them.
+  // They get numbers of their own: loading from a model that is in double already shares them.
   for (auto& parameter : moved->parameters()) parameter.set_data(moved_by_a_unit(parameter));
   return moved;
 }
 
-// The largest change of any number of each tensor that result() makes of moved weights and inputs, over some draws.
+// Returns the largest change of any number of each tensor that result() makes of moved weights and inputs, over some
+// draws.
 inline std::vector<double> moved_by_units(const std::vector<torch::Tensor>& exact,
                                           const std::function<std::vector<torch::Tensor>()>& result) {
   std::vector<double> largest(exact.size());
@@ -150,12 +151,12 @@ inline std::vector<double> moved_by_units(const std::vector<torch::Tensor>& exac
   return largest;
 }
 
-// max |a - b|, b in double.
+// Returns max |a - b|, with b in double.
 inline double largest_difference(const torch::Tensor& a, const torch::Tensor& b) {
   return (a.to(torch::kFloat64) - b).abs().max().item<double>();
 }
 
-// max |a - b| / max(1, max |b|).
+// Returns max |a - b| / max(1, max |b|).
 inline double relative_difference(const torch::Tensor& a, const torch::Tensor& b) {
   const auto exact = b.to(torch::kFloat64);
   return (a.to(torch::kFloat64) - exact).abs().max().item<double>() /

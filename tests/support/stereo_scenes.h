@@ -14,7 +14,7 @@
 
 namespace gld::test {
 
-// A frame at side x side pixels as stereo takes it, with its measured depth where asked for.
+// Returns a frame at side x side pixels as stereo takes it, with its measured depth where asked for.
 inline PicturedView pictured(const Frame& frame, int64_t side, FrameParts parts) {
   const SizedFrame sized = load_sized(frame, {side, side}, parts);
   PicturedView view;
@@ -75,7 +75,7 @@ struct StereoFigures {
   }
 };
 
-// views with their known depth, of any size.
+// views have their known depth, of any size.
 inline StereoFigures beside_depth(const StereoScene& scene, const std::vector<PicturedView>& views) {
   StereoFigures figures;
   for (size_t i = 0; i < views.size(); ++i) {
@@ -94,7 +94,8 @@ inline StereoFigures beside_depth(const StereoScene& scene, const std::vector<Pi
   return figures;
 }
 
-// CPU seconds of this process since it was made: what others on the machine do matters less than to the wall clock.
+// This counts CPU seconds of this process since it was made: what others on the machine do matters less than to the
+// wall clock.
 class CpuSeconds {
  public:
   double operator()() const { return static_cast<double>(std::clock() - start_) / CLOCKS_PER_SEC; }

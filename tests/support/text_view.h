@@ -7,7 +7,7 @@
 
 namespace gld::test {
 
-// The bytes of text, which must outlive them.
+// Returns the bytes of text, which must outlive them.
 inline ByteView view_of_text(const std::string& text) {
   return {reinterpret_cast<const uint8_t*>(text.data()), text.size()};
 }

@@ -22,7 +22,7 @@ struct TexturedPlane {
                               0.16 * std::sin(11.3 * x.x() - 9.1 * x.y() + 3 * shift));
   }
 
-  // Depth in units that are `unit` long in the world. Without a picture where not photographed.
+  // Depth is in units that are `unit` long in the world. The view is without a picture where not photographed.
   PicturedView seen_by(const Camera& camera, double unit, bool photographed = true) const {
     PicturedView view;
     view.camera = camera;
@@ -45,7 +45,7 @@ struct TexturedPlane {
   }
 };
 
-// Looks along z, turned by an angle about y.
+// The camera looks along z, turned by an angle about y.
 inline Camera camera_before_plane(const Eigen::Vector3d& centre, double turn, int64_t width = 96,
                                   int64_t height = 72) {
   Camera camera;
@@ -63,7 +63,7 @@ inline std::vector<PicturedView> two_views_of_plane(const TexturedPlane& plane =
           plane.seen_by(camera_before_plane({1.2, 0.2, 0}, -0.25), 1)};
 }
 
-// A camera that sees what these two see.
+// Returns a camera that sees what these two see.
 inline Camera camera_between() { return camera_before_plane({0.7, 0.1, 0.3}, -0.15); }
 
 }  // namespace gld::test

@@ -59,7 +59,7 @@ inline double psnr_of(const Image& a, const Image& b) {
   return 10 * std::log10(255.0 * 255 * static_cast<double>(a.rgb.size()) / sum);
 }
 
-// A pixel's brightness (BT.601), which films keep at full resolution; colour they keep at half of it.
+// Returns a pixel's brightness (BT.601), which films keep at full resolution; colour they keep at half of it.
 inline double brightness_of(const uint8_t* rgb) { return 0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]; }
 
 // Of brightness, in dB.

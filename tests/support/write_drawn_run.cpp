@@ -1,5 +1,5 @@
-// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd|splats SCENE_NAME FRAME_NAME]: a run folder of a drawn
-// room with its page, for the test in a browser.
+// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd|splats SCENE_NAME FRAME_NAME] writes a run folder of a
+// drawn room with its page, for the test in a browser.
 #include "gld/base/error.h"
 #include "infer/page/report_command.h"
 #include "tests/support/drawn_run.h"

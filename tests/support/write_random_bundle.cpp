@@ -1,6 +1,6 @@
-// gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED]: a model bundle with random weights,
-// for measurements and tests. "released" has the published sizes, 7.5 GB written tensor by tensor, "released-vggt"
-// those with VGGT (10 GB).
+// gld_write_random_bundle FOLDER small|released|released-vggt|MODEL.yaml [SEED] writes a model bundle with random
+// weights, for measurements and tests. "released" has the published sizes, 7.5 GB written tensor by tensor,
+// "released-vggt" has those with VGGT (10 GB).
 
 #include "gld/base/configuration.h"
 #include "models/bundle/published_backbones.h"

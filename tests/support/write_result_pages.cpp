@@ -1,5 +1,5 @@
-// write_result_pages ROOT FOLDER: the pages of a training, an evaluation and an ablation that are in the tree below
-// ROOT, as train.html, eval.html and ablate.html, for the test in a browser.
+// write_result_pages ROOT FOLDER writes the pages of a training, an evaluation and an ablation that are in the tree
+// below ROOT, as train.html, eval.html and ablate.html, for the test in a browser.
 #include "ablate/page/ablation_page.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/error.h"

@@ -9,7 +9,7 @@
 
 namespace gld::test {
 
-// A model of the same structure as the published one, small enough for a step in milliseconds.
+// Returns a model of the same structure as the published one, small enough for a step in milliseconds.
 inline BundleOptions small_model() {
   BundleOptions model;
   model.name = "small";

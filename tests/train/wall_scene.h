@@ -11,7 +11,8 @@
 
 namespace gld::test {
 
-// A scene of three cameras in a row before the wall z = 2, turned a little, whose true rays and targets are exact.
+// Returns a scene of three cameras in a row before the wall z = 2, turned a little, whose true rays and targets are
+// exact.
 inline TrainingScene wall_scene() {
   TrainingScene scene;
   scene.name = "wall";

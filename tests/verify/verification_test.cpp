@@ -40,7 +40,7 @@ class Verification : public testing::Test {
     return directory;
   }
   CaseVerification verify(const std::filesystem::path& directory) { return verify_case(directory, runners_); }
-  // The error of verifying the folder, with the folder's path written as DIR.
+  // Returns the error of verifying the folder, with the folder's path written as DIR.
   std::string error(const std::filesystem::path& directory) {
     auto text = verify(directory).error;
     for (auto at = text.find(directory.string()); at != std::string::npos;

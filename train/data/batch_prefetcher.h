@@ -13,7 +13,7 @@
 
 namespace gld {
 
-// Where the batches of a training run come from (of datasets: DatasetBatches). Batch number `index` is always the same
+// The batches of a training run come from this (of datasets: DatasetBatches). Batch number `index` is always the same
 // batch, so a run that resumes only needs the number.
 class TrainingBatchSource {
  public:
@@ -36,9 +36,9 @@ class BatchPrefetcher {
   BatchPrefetcher(const BatchPrefetcher&) = delete;
   BatchPrefetcher& operator=(const BatchPrefetcher&) = delete;
 
-  // The next batch. Throws what making it threw.
+  // Returns the next batch. Throws what making it threw.
   TrainingBatch next();
-  // Seconds that next() has waited since the last call of this function.
+  // Returns the seconds that next() has waited since the last call of this function.
   double take_waited_seconds();
 
  private:

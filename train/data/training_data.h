@@ -50,12 +50,12 @@ class DatasetBatches : public TrainingBatchSource {
   mutable std::map<int64_t, std::shared_ptr<const SceneImageBatch>> kept_;  // by number, below distinct_
 };
 
-// The validation scenes: views spread by views.longest_interval, the first and the last ones are sources
-// (with more than two sources, those evenly between them too). Cut as the training's are.
+// Returns the validation scenes: views are spread by views.longest_interval, the first and the last ones are sources
+// (with more than two sources, those evenly between them too). They are cut as the training's are.
 std::vector<TrainingScene> validation_scenes(const TrainingDataOptions& options, const ImageSize& size,
                                              FrameParts parts);
 
-// Views of one scene as tensors, cut about that point: frames[0 .. num_sources) are the sources.
+// Returns views of one scene as tensors, cut about that point: frames[0 .. num_sources) are the sources.
 TrainingScene training_scene(const Scene& scene, const SampledViews& views, const ImageSize& size,
                              FrameParts parts, CropCentre centre);
 

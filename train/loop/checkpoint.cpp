@@ -38,7 +38,7 @@ class Checksum {
     hash_ = (hash_ ^ word) * 0x9E3779B97F4A7C15ULL;
     hash_ ^= hash_ >> 29U;
   }
-  // With its length, so that a character cannot move from one text to the next.
+  // A text is added with its length, so that a character cannot move from one text to the next.
   void add(const std::string& text) {
     add(static_cast<uint64_t>(text.size()));
     add(text.data(), text.size());

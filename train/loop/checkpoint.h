@@ -17,7 +17,7 @@ namespace gld {
 // The whole state of a training run at the end of a step: parameters, moving average, optimiser, random
 // numbers, data position and whatever the objective keeps.
 struct Checkpoint {  // NOLINT(bugprone-exception-escape): moving JSON throws nothing, whatever clang thinks
-  // Names, dtypes, shapes and metadata are under the checksum too; false in files written before they were.
+  // Names, dtypes, shapes and metadata are under the checksum too; this is false in files written before they were.
   bool header_is_checked = true;
   int64_t step = 0;                              // optimiser steps done
   nlohmann::json metadata;                       // numbers and names
@@ -54,12 +54,13 @@ class CheckpointFolder {
   // Throws Error where a run cannot be continued with the checkpoint; where names its file.
   using Check = std::function<void(const Checkpoint& checkpoint, const std::string& where)>;
 
-  // The newest complete checkpoint that passes check; none when there is no checkpoint file at all. A file whose header
-  // is under its checksum and that does not pass belongs to other options: the Error of check. Where the header may be
-  // damaged, it is passed over like any damaged file. Throws Error when there are files and every one is damaged.
+  // Returns the newest complete checkpoint that passes check; none when there is no checkpoint file at all. A file
+  // whose header is under its checksum and that does not pass belongs to other options: this throws the Error of check.
+  // Where the header may be damaged, it is passed over like any damaged file. Throws Error when there are files and
+  // every one is damaged.
   std::optional<Resumable> newest(const Check& check = {}) const;
 
-  // Steps that have a file, ascending.
+  // Returns the steps that have a file, ascending.
   std::vector<int64_t> steps() const;
 
  private:

@@ -19,7 +19,7 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 constexpr auto kBetweenLooks = std::chrono::milliseconds(50);
-// To the loop's own safe point, which loses nothing.
+// This much time is left to the loop's own safe point, which loses nothing.
 constexpr auto kGrace = std::chrono::milliseconds(500);
 
 }  // namespace

@@ -13,7 +13,7 @@
 
 namespace gld {
 
-// What a run that was asked to stop says at last: its step, the checkpoint of it, and the command that goes on.
+// Returns what a run that was asked to stop says at last: its step, the checkpoint of it, and the command that goes on.
 std::string stopped_text(const std::filesystem::path& run, int64_t step,
                          const std::filesystem::path& checkpoint);
 
@@ -24,7 +24,7 @@ std::string stopped_text(const std::filesystem::path& run, int64_t step,
 // again, to the same bits.
 class CheckpointOnStop {
  public:
-  // stopped: called by the thread when the checkpoint is written or could not be, before the process ends; may be
+  // stopped is called by the thread when the checkpoint is written or could not be, before the process ends; it may be
   // empty, and must not throw.
   CheckpointOnStop(const CheckpointFolder& folder, std::function<void()> stopped);
   ~CheckpointOnStop();
@@ -32,7 +32,7 @@ class CheckpointOnStop {
   CheckpointOnStop& operator=(const CheckpointOnStop&) = delete;
 
   // For as long as it lives, no tensor of the state may change: they are not copied. Its end waits for a checkpoint
-  // that is being written, and so does not return then. One at a time.
+  // that is being written, and so does not return then. There is one at a time.
   class Steady {
    public:
     Steady(CheckpointOnStop& owner, Checkpoint state);

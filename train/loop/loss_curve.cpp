@@ -8,7 +8,7 @@
 namespace gld {
 namespace {
 
-// Long runs have more lines than a picture has columns: means over groups of neighbours.
+// Long runs have more lines than a picture has columns: this takes means over groups of neighbours.
 std::vector<std::pair<double, double>> thinned(const std::vector<std::pair<double, double>>& points) {
   constexpr size_t kMostPoints = 200;
   const size_t group = (points.size() + kMostPoints - 1) / kMostPoints;

@@ -12,15 +12,15 @@
 namespace gld {
 namespace {
 
-// A line with its step; nothing for half a line at the end, as a killed run leaves it, and for any damaged one: what is
-// drawn from the log is not worth a training run.
+// Returns a line with its step; nothing for half a line at the end, as a killed run leaves it, and for any damaged one:
+// what is drawn from the log is not worth a training run.
 std::optional<nlohmann::ordered_json> read_line(const std::string& line) {
   try {
     auto object = parse_ordered_json(line, "metrics");
     const bool has_step = object.is_object() && object.contains("step") && object["step"].is_number_integer();
     if (has_step && object["step"].get<int64_t>() >= 0) return object;
   } catch (const Error&) {
-    // No JSON.
+    // The line is no JSON.
   }
   return std::nullopt;
 }
@@ -50,7 +50,8 @@ void MetricsLog::append(const nlohmann::ordered_json& line) {
   if (!stream) {
     fail({file_.string(), "to append a line", "a write that failed", "check the disk and its free space"});
   }
-  // As a resumed run reads it: numbers that are not finite (the PSNR of equal images) are null and not drawn.
+  // Lines are kept as a resumed run reads them: numbers that are not finite (the PSNR of equal images) are null and not
+  // drawn.
   lines_.push_back(nlohmann::ordered_json::parse(text));
 }
 

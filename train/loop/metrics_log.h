@@ -19,9 +19,9 @@ class MetricsLog {
 
   void append(const nlohmann::ordered_json& line);
 
-  // (step, value) of every line that has the key, in order.
+  // Returns (step, value) of every line that has the key, in order.
   std::vector<std::pair<double, double>> series(const std::string& key) const;
-  // Keys with numbers, sorted, beside "step".
+  // Returns the keys with numbers, sorted, beside "step".
   std::vector<std::string> keys() const;
 
  private:

@@ -70,7 +70,7 @@ std::vector<torch::Tensor> tensors_of(const FlatParameters& parameters) {
   return tensors;
 }
 
-// In as many threads as there are workers.
+// Computes them in as many threads as there are workers.
 std::vector<WorkerResult> compute_all(Objective& objective, const FlatParameters& parameters,
                                       const std::vector<MicroBatch>& batches, const MicroBatchWork& work) {
   const auto workers = std::min<int64_t>(work.workers, static_cast<int64_t>(batches.size()));
@@ -95,7 +95,7 @@ void add_to(FlatParameters& parameters, const std::vector<torch::Tensor>& gradie
   }
 }
 
-// Numbers as hexadecimal text: JSON has no infinities, and every bit counts.
+// Writes numbers as hexadecimal text: JSON has no infinities, and every bit counts.
 std::string number_text(double value) {
   char text[40];
   std::snprintf(text, sizeof(text), "%a", value);
@@ -123,7 +123,8 @@ MicroBatchOutcome outcome_from(const std::string& text) {
   return outcome;
 }
 
-// From what every process gave: a list of its outcomes, in the order in which it computed them.
+// Puts the outcomes in order from what every process gave: a list of its outcomes, in the order in which it computed
+// them.
 std::vector<MicroBatchOutcome> outcomes_in_order(const std::vector<std::string>& of_processes,
                                                  int64_t micro_batches) {
   std::vector<nlohmann::json> lists;

@@ -40,12 +40,12 @@ std::vector<MicroBatchOutcome> add_gradients(Objective& objective, FlatParameter
                                              const std::vector<MicroBatch>& batches,
                                              const MicroBatchWork& work);
 
-// The process that computes a micro-batch: they take turns.
+// Returns the process that computes a micro-batch: they take turns.
 inline int64_t process_of_micro_batch(int64_t micro, int64_t processes) { return micro % processes; }
 
-// The same with the micro-batches of a step spread over processes: `own` are those of this process, in order. Every
-// process has the gradients of all and the losses of all in order; the owner of a piece of the gradients adds it up in
-// the order of micro-batches, so that the bits are those of one process that computes all.
+// Does the same with the micro-batches of a step spread over processes: `own` are those of this process, in order.
+// Every process has the gradients of all and the losses of all in order; the owner of a piece of the gradients adds it
+// up in the order of micro-batches, so that the bits are those of one process that computes all.
 std::vector<MicroBatchOutcome> add_gradients_of_all(ProcessTeam& team, Objective& objective,
                                                     FlatParameters& parameters,
                                                     const std::vector<MicroBatch>& own, int64_t micro_batches,

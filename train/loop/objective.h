@@ -46,29 +46,30 @@ struct Validation {
   std::vector<PictureRow> rows;
 };
 
-// What a training run optimises. The loop (train/loop/training_loop.h) owns the order of things; an objective owns
-// its models.
+// A training run optimises this. The loop (train/loop/training_loop.h) owns the order of things; an objective owns its
+// models.
 class Objective {
  public:
   virtual ~Objective() = default;
   virtual std::string kind() const = 0;
   virtual torch::Device device() const = 0;
-  // The parameters that the loop's optimiser moves, in a fixed order.
+  // Returns the parameters that the loop's optimiser moves, in a fixed order.
   virtual std::vector<NamedParameter> parameters() const = 0;
-  // Whether losses() may be called from several threads at the same time.
+  // Returns whether losses() may be called from several threads at the same time.
   virtual bool concurrent() const { return false; }
-  // Whether micro-batches may be computed in different processes: losses() leaves nothing that after_step() takes.
+  // Returns whether micro-batches may be computed in different processes: losses() leaves nothing that after_step()
+  // takes.
   virtual bool spreads_over_processes() const { return true; }
-  // What the trained model multiplies in while it learns (models/layers/layer_precision.h); called once, before the
-  // first step. Returns how many of its layers follow. On a GPU autocast sees to it.
+  // Sets what the trained model multiplies in while it learns (models/layers/layer_precision.h); it is called once,
+  // before the first step. Returns how many of its layers follow. On a GPU autocast sees to it.
   virtual int64_t learn_in(ComputePrecision precision) = 0;
-  // Losses averaged over the scenes of a micro-batch, with gradients.
+  // Returns losses averaged over the scenes of a micro-batch, with gradients.
   virtual Losses losses(const TrainingBatch& batch, const StepContext& context) = 0;
   // Called after the optimiser's step (the discriminator of a GAN moves here). Returns more for the log.
   virtual std::vector<std::pair<std::string, double>> after_step(const StepContext& context);
-  // Without gradients, with the moving average in place.
+  // Validates without gradients, with the moving average in place.
   virtual Validation validate(const std::vector<TrainingScene>& scenes) = 0;
-  // State beside the parameters: discriminator, its optimiser.
+  // Returns the state beside the parameters: discriminator, its optimiser.
   virtual std::map<std::string, torch::Tensor> state() const;
   virtual void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
   // Writes the trained model as a bundle into folder, with the moving average in place, in that precision.

@@ -14,8 +14,8 @@ namespace gld {
 void check_resumable(const Checkpoint& checkpoint, const Checkpoint& like, const std::string& kind_of_run,
                      const std::string& where);
 
-// The model that a run describes beside its options, as the checkpoint keeps it. Throws Error naming the first key that
-// has another value, but for its name and what may_change lists ("model.level1_time_shift.training").
+// Checks the model that a run describes beside its options, as the checkpoint keeps it. Throws Error naming the first
+// key that has another value, but for its name and what may_change lists ("model.level1_time_shift.training").
 void check_same_model(const Checkpoint& checkpoint, const OptionsGroup& model,
                       const std::vector<std::string>& may_change, const std::string& where);
 

@@ -26,15 +26,15 @@ class SharedOptimiser {
 
   double gradient_norm() const { return own_.gradient_norm(); }
   bool has_average() const { return own_.has_average(); }
-  // Whether this process lacks some of the state.
+  // Returns whether this process lacks some of the state.
   bool in_pieces() const { return in_pieces_; }
 
-  // All together: Optimiser::step(), and the new values of all pieces.
+  // All together call this: it does Optimiser::step(), and sends the new values of all pieces.
   void step(double learning_rate, double gradient_norm);
-  // All together: the state of all parameters, as Optimiser::state() names it. In pieces only rank 0 gets it; the
-  // others get nothing.
+  // All together call this: it returns the state of all parameters, as Optimiser::state() names it. In pieces only rank
+  // 0 gets it; the others get nothing.
   std::map<std::string, torch::Tensor> whole_state();
-  // Tensors of the shapes and types of whole_state(), of any contents.
+  // Returns tensors of the shapes and types of whole_state(), of any contents.
   std::map<std::string, torch::Tensor> like_whole_state() const { return own_.whole_initial_state(); }
   // Takes what belongs to this process of a state of all parameters. Throws Optimiser::load_state()'s Error.
   void load_state(const std::map<std::string, torch::Tensor>& whole, const std::string& where) {
@@ -42,7 +42,7 @@ class SharedOptimiser {
   }
 
  private:
-  // A piece as long as every other; the last one's end is zero.
+  // Returns a piece as long as every other; the last one's end is zero.
   torch::Tensor padded(const torch::Tensor& piece) const;
 
   FlatParameters* parameters_;

@@ -85,7 +85,7 @@ class DividedThreads {
   int before_;
 };
 
-// Undefined without a moving average.
+// Returns an undefined tensor without a moving average.
 torch::Tensor average_of(const std::map<std::string, torch::Tensor>& optimiser_state) {
   const auto found = optimiser_state.find("average");
   return found == optimiser_state.end() ? torch::Tensor() : found->second;
@@ -123,12 +123,12 @@ class Session {
   // What the optimiser keeps of all parameters (SharedOptimiser::whole_state()).
   using OptimiserState = std::map<std::string, torch::Tensor>;
   void validate(const OptimiserState& state);
-  // values: the parameters', flat; of their own, where the moving average is in their place.
+  // values are the parameters', flat; they are of their own, where the moving average is in their place.
   Checkpoint snapshot(const torch::Tensor& values, const OptimiserState& state) const;
   Checkpoint snapshot(const OptimiserState& state) const { return snapshot(parameters_.values(), state); }
-  // The parameters' values, flat: a copy, as the moving average may take their place.
+  // Returns the parameters' values, flat: a copy, as the moving average may take their place.
   torch::Tensor trained_values() const { return parameters_.values().detach().clone(); }
-  // The same where the objective may change tensors of its state before its next step is complete.
+  // Does the same where the objective may change tensors of its state before its next step is complete.
   Checkpoint kept_snapshot(const torch::Tensor& values, const OptimiserState& state) const;
   double elapsed() const {
     return earlier_seconds_ +
@@ -308,7 +308,7 @@ StepOutcome Session::forward_backward() {
   parameters_.zero_gradients();
   std::vector<MicroBatch> batches;
   for (int64_t micro = 0; micro < options_.micro_batches; ++micro) {
-    // Random numbers of its own for every micro-batch, so that their order in time does not matter.
+    // Every micro-batch has random numbers of its own, so that their order in time does not matter.
     const auto seed = torch::randint(0, std::numeric_limits<int64_t>::max(), {1}, generator_, torch::kInt64);
     StepContext own = context();
     own.generator = at::detail::createCPUGenerator(static_cast<uint64_t>(seed.item<int64_t>()));

@@ -57,11 +57,12 @@ struct TrainingRun {
   // Called where a stop ends the process in the middle of a step, by another thread, after the checkpoint; may be
   // empty, and must not throw. A stop between two steps throws Interrupted.
   std::function<void()> on_stop;
-  // Processes that train together, each with the same model, options and data; null: this one alone. Micro-batches are
-  // spread over them, and nothing else changes: the bits are those of one process on the CPU with as many threads.
+  // These processes train together, each with the same model, options and data; null stands for this one alone.
+  // Micro-batches are spread over them, and nothing else changes: the bits are those of one process on the CPU with as
+  // many threads.
   ProcessTeam* team = nullptr;
-  // What describes the model beside the options of the run, model.yaml. Checkpoints keep it, and going on with another
-  // one is an Error, but for the keys ("model.level1_time_shift.training") of may_change. Null: nothing.
+  // This describes the model beside the options of the run, model.yaml. Checkpoints keep it, and going on with another
+  // one is an Error, but for the keys ("model.level1_time_shift.training") of may_change. Null stands for nothing.
   const OptionsGroup* model = nullptr;
   std::vector<std::string> may_change;
 };

@@ -17,7 +17,7 @@
 namespace gld {
 namespace {
 
-// A square of that side of each image, wherever the generator puts it; all of images that are no larger.
+// Returns a square of that side of each image, wherever the generator puts it; all of images that are no larger.
 torch::Tensor cropped(const torch::Tensor& images, int64_t side, torch::Generator generator) {
   const int64_t height = images.size(2), width = images.size(3);
   if (side == 0 || (height <= side && width <= side)) return images;

@@ -16,11 +16,11 @@ struct AutoencoderObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// Trains a backbone that is an autoencoder: mean absolute error of the images that its two halves give back, and how
-// far its latents are from standard normal ones (Kingma and Welling 2013; the small weight of Rombach et al. 2022).
+// Trains a backbone that is an autoencoder by the mean absolute error of the images that its two halves give back, and
+// how far its latents are from standard normal ones (Kingma and Welling 2013; the small weight of Rombach et al. 2022).
 class AutoencoderObjective : public Objective {
  public:
-  // trained: weights to go on from; null for random ones.
+  // trained holds weights to go on from; it is null for random ones.
   AutoencoderObjective(const BundleOptions& model, const AutoencoderObjectiveOptions& options,
                        const ParameterPlacement& placement, int64_t seed,
                        std::shared_ptr<Backbone> trained = nullptr);

@@ -28,7 +28,8 @@ struct BackboneObjectiveOptions : OptionsGroup {
   double all_views_probability = 0.5;
   double correspondence_weight = 0;
   std::vector<int64_t> correspondence_blocks;  // counted from 0; blocks that attend over all views
-  // kHeadOnly: of the noise on what the head reads, in deviations of a channel (feature_noise.h).
+  // With kHeadOnly this is the strength of the noise on what the head reads, in deviations of a channel
+  // (feature_noise.h).
   double feature_noise = 0;
 
   void visit(FieldVisitor& visitor) override;
@@ -41,11 +42,11 @@ struct TrainedGeometry {
 
 // Trains a geometric backbone and its geometry head from scratch on scenes with depth (geometry_loss.h).
 //
-// Depth alone would let a backbone forget colour, and the RGB decoder could then not give images back: the
-// published backbone keeps colour in its shallow levels because it starts from DINOv2, ours has to be told. So one
-// linear layer a level (0 and 1 by default) predicts the patch's pixels from the level as decoders take it, with
-// an absolute error. A linear layer, because it leaves the work to the backbone: what it can read off, the
-// decoder and the latent models find there as well. The pixel layers are not part of the exported model.
+// Depth alone would let a backbone forget colour, and the RGB decoder could then not give images back: the published
+// backbone keeps colour in its shallow levels because it starts from DINOv2, ours has to be told. So one linear layer a
+// level (0 and 1 by default) predicts the patch's pixels from the level as decoders take it, with an absolute error. It
+// is a linear layer, because it leaves the work to the backbone: what it can read off, the decoder and the latent
+// models find there as well. The pixel layers are not part of the exported model.
 //
 // In the same way geometry_weights have linear layers read depth and rays off each level's tokens: what makes a shallow
 // level one of geometry. They cost next to nothing, whereas the geometry head is most of a step: with head_probability
@@ -55,11 +56,11 @@ struct TrainedGeometry {
 // views (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be
 // learnt.
 //
-// A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views
-// alone and single views too.
+// A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views alone
+// and single views too.
 class BackboneObjective : public Objective {
  public:
-  // model: the architecture; trained: the parts that are gone on with, null for kFromScratch.
+  // model is the architecture; trained holds the parts that are gone on with, null for kFromScratch.
   BackboneObjective(const BundleOptions& model, const BackboneObjectiveOptions& options,
                     const ParameterPlacement& placement, int64_t seed, const TrainedGeometry& trained = {});
 

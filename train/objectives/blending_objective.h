@@ -59,7 +59,7 @@ class BlendingObjective : public Objective {
 
  private:
   enum class DepthOf { kModel, kTruth };
-  // What the target views of a scene are chosen from, float16; colours are undefined where depth is not known.
+  // Returns what the target views of a scene are chosen from, float16; colours are undefined where depth is not known.
   BlendingCandidates candidates_of(const TrainingScene& scene, DepthOf depth) const;
   BlendingCandidates kept_candidates_of(const TrainingScene& scene, DepthOf depth);
 

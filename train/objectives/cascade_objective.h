@@ -11,7 +11,7 @@ struct CascadeObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// M_L->l: generates level l of all views, given the deeper level L of all views, the source views' level l and the
+// M_L->l generates level l of all views, given the deeper level L of all views, the source views' level l and the
 // cameras; the published one is 1 -> 0. In training level L comes from the encoder, made noisy as sampling will make it
 // imperfect: (F + sigma e) / sqrt(1 + sigma^2) with sigma ~ |N(0, tau^2)| (DESIGN.md section 4, "Cascade training").
 class CascadeObjective : public FlowObjective {
@@ -24,7 +24,7 @@ class CascadeObjective : public FlowObjective {
 
  protected:
   SceneLatents latents(const TrainingScene& scene) const override;
-  // With noise on the deeper level.
+  // Returns them with noise on the deeper level.
   SceneLatents drawn(const SceneLatents& latents, torch::Generator& generator) const override;
   // The other levels are those of the true images.
   std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const override;

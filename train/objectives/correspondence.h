@@ -27,10 +27,10 @@ struct CorrespondenceKeys {
   int64_t views = 0;          // keys are those of the first views only: the sources, or all
 };
 
-// How far a block's attention is from true correspondence (CAMEO): cross-entropy between a token's shares among the
-// keys' views other than its own and the attention's mean over heads among the same keys. The mean leaves it to the
-// heads which of them finds the place. Mean over the tokens that are seen in another view; undefined when there are
-// none.
+// Returns how far a block's attention is from true correspondence (CAMEO): cross-entropy between a token's shares among
+// the keys' views other than its own and the attention's mean over heads among the same keys. The mean leaves it to the
+// heads which of them finds the place. It is the mean over the tokens that are seen in another view; undefined when
+// there are none.
 torch::Tensor correspondence_loss(const AttentionTap& tap, const TokenCorrespondence& truth,
                                   const CorrespondenceKeys& keys);
 

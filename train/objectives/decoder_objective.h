@@ -50,16 +50,17 @@ struct DecoderObjectiveOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
 };
 
-// What to tell whoever trains without the networks of the published recipe, a line each: which losses are stand-ins.
+// Returns what to tell whoever trains without the networks of the published recipe, a line each: which losses are
+// stand-ins.
 std::vector<std::string> stand_in_notes(const DecoderObjectiveOptions& options);
 
-// Trains the RGB decoder on the features of a frozen backbone (paper, stage 1): absolute error + perceptual loss
-// + adversarial loss whose weight follows the ratio of gradient norms on the decoder's last layer (Esser et al.
-// 2021, eq. 7). Each level of a scene is left out (zeros) with probability level_dropout, never all of them.
-// latent_noise adds noise of random strength |N(0, latent_noise^2)| in units of each channel's deviation.
+// Trains the RGB decoder on the features of a frozen backbone (paper, stage 1) by absolute error + perceptual loss +
+// adversarial loss whose weight follows the ratio of gradient norms on the decoder's last layer (Esser et al. 2021, eq.
+// 7). Each level of a scene is left out (zeros) with probability level_dropout, never all of them. latent_noise adds
+// noise of random strength |N(0, latent_noise^2)| in units of each channel's deviation.
 class DecoderObjective : public Objective {
  public:
-  // model: the architecture; its RGB decoder is trained. backbone is not changed.
+  // model is the architecture; its RGB decoder is trained. backbone is not changed.
   DecoderObjective(const BundleOptions& model, const DecoderObjectiveOptions& options,
                    std::shared_ptr<const Backbone> backbone, const ParameterPlacement& placement,
                    int64_t seed);
@@ -80,7 +81,7 @@ class DecoderObjective : public Objective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
-  // The four decodable levels, (views, tokens, channels) each.
+  // Returns the four decodable levels, (views, tokens, channels) each.
   std::vector<torch::Tensor> levels_of(const torch::Tensor& images) const;
   torch::Tensor crop(const torch::Tensor& images, const std::vector<int64_t>& corner) const;
   std::vector<int64_t> draw_corner(const torch::Tensor& images, torch::Generator& generator) const;
@@ -94,7 +95,7 @@ class DecoderObjective : public Objective {
   std::shared_ptr<Discriminator> discriminator_;
   std::unique_ptr<FlatParameters> discriminator_parameters_;
   std::unique_ptr<Optimiser> discriminator_optimiser_;
-  // What the discriminator learns from after the step: images of every micro-batch of that step by its number, because
+  // The discriminator learns from this after the step: images of every micro-batch of that step by its number, because
   // micro-batches are computed at the same time and end in any order.
   struct JudgedImages {
     torch::Tensor truth;

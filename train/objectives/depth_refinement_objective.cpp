@@ -24,7 +24,7 @@ torch::Tensor known_depth(const torch::Tensor& depth) {
   return torch::isfinite(depth).logical_and(depth > 0);
 }
 
-// (sources, 1, height, width), of the photographs' size.
+// Returns (sources, 1, height, width), of the photographs' size.
 torch::Tensor stacked(const std::vector<PlanarDepth>& maps) {
   std::vector<torch::Tensor> planes;
   planes.reserve(maps.size());
@@ -32,14 +32,14 @@ torch::Tensor stacked(const std::vector<PlanarDepth>& maps) {
   return torch::stack(planes);
 }
 
-// (views, 1, height, width) at another size: the pixels under the middles of its own. A mean would lie between
+// Returns (views, 1, height, width) at another size: the pixels under the middles of its own. A mean would lie between
 // surfaces.
 torch::Tensor picked(const torch::Tensor& maps, int64_t height, int64_t width) {
   return maps.index_select(2, pixel_under_cell(height, maps.size(2)))
       .index_select(3, pixel_under_cell(width, maps.size(3)));
 }
 
-// True depth of source views at that size: (sources, 1, height, width).
+// Returns the true depth of source views at that size: (sources, 1, height, width).
 torch::Tensor true_source_depth(const TrainingScene& scene, int64_t height, int64_t width) {
   if (!scene.depth.defined()) {
     fail({"scene " + scene.name, "depth to train its mending with", "none",
@@ -48,8 +48,8 @@ torch::Tensor true_source_depth(const TrainingScene& scene, int64_t height, int6
   return picked(scene.depth.slice(0, 0, scene.views.num_sources).unsqueeze(1), height, width);
 }
 
-// Which pixels of the source views another of them shows, by their true depth: (sources, 1, height, width), bool, of
-// that depth's size.
+// Returns which pixels of the source views another of them shows, by their true depth: (sources, 1, height, width),
+// bool, of that depth's size.
 torch::Tensor in_sight_of_other_sources(const TrainingScene& scene, const torch::Tensor& true_depth) {
   std::vector<PicturedView> views;
   for (int64_t view = 0; view < true_depth.size(0); ++view) {

@@ -47,7 +47,7 @@ class DepthRefinementObjective : public Objective {
   int64_t learn_in(ComputePrecision precision) override;
   std::vector<NamedParameter> parameters() const override;
   Losses losses(const TrainingBatch& batch, const StepContext& context) override;
-  // Of depth that is not mended and of mended depth: abs_rel of source views, not scaled to the truth, the mean of
+  // Measures depth that is not mended and mended depth: abs_rel of source views, not scaled to the truth, the mean of
   // scenes; the same over all pixels that another source view shows as well (shared) and that none does (alone); and
   // the PSNR of target views that photographs are carried into by it, by rule and with gaps filled.
   Validation validate(const std::vector<TrainingScene>& scenes) override;
@@ -59,7 +59,7 @@ class DepthRefinementObjective : public Objective {
     torch::Tensor off;    // (sources, 1, height, width): log(depth / true depth); 0 where either is not known
     torch::Tensor known;  // (sources, 1, height, width), bool
   };
-  // Nothing where the depth is not known.
+  // Returns nothing where the depth is not known.
   std::optional<Lesson> lesson_of(const TrainingScene& scene) const;
   std::optional<Lesson> kept_lesson_of(const TrainingScene& scene);
 

@@ -12,11 +12,11 @@ class Draws {
   bool happens(double probability) {
     return torch::rand({1}, generator_, torch::kFloat64).item<double>() <= probability;
   }
-  // (batch, 1, 1, 1), uniform in [0, 1)
+  // Returns (batch, 1, 1, 1), uniform in [0, 1).
   torch::Tensor uniform() {
     return torch::rand({images_.size(0), 1, 1, 1}, generator_, torch::kFloat32).to(images_.device());
   }
-  // A whole number a sample, uniform in [lowest, highest]; (batch)
+  // Returns a whole number a sample, uniform in [lowest, highest]: (batch).
   torch::Tensor whole(int64_t lowest, int64_t highest) {
     return torch::randint(lowest, highest + 1, {images_.size(0)}, generator_, torch::kInt64)
         .to(images_.device());
@@ -44,7 +44,7 @@ torch::Tensor colour_changed(const torch::Tensor& images, Draws& draws) {
   return (x - mean) * (draws.uniform() + 0.5) + mean;
 }
 
-// 1 outside a square band around each image's own position along dim.
+// Returns 1 outside a square band around each image's own position along dim.
 torch::Tensor band(const torch::Tensor& images, int64_t size, Draws& draws, int64_t dim) {
   const int64_t length = images.size(dim);
   const auto start = draws.whole(0, length - size % 2).view({-1, 1, 1, 1}) - size / 2;

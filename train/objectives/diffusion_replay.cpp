@@ -19,7 +19,7 @@ OptimiserOptions optimiser_options(const DiffusionReplayOptions& options) {
   return result;
 }
 
-// One row of the losses, with the gradients of the first one accumulated.
+// Returns one row of the losses, with the gradients of the first one accumulated.
 torch::Tensor losses_of_step(const DitDh& model, const DiffusionReplayScene& scene, double time) {
   FlowMatchingDraw draw;
   draw.clean = scene.clean;

@@ -69,24 +69,24 @@ class FlowObjective : public Objective {
   Validation validate(const std::vector<TrainingScene>& scenes) override;
 
  protected:
-  // What the model is shown of a scene, and what it has to generate: as the frozen backbone makes it.
+  // Returns what the model is shown of a scene, and what it has to generate: as the frozen backbone makes it.
   virtual SceneLatents latents(const TrainingScene& scene) const = 0;
 
-  // Of the part of the model that this generator is.
+  // Makes the objective of the part of the model that this generator is.
   FlowObjective(const BundleOptions& model, const LevelGenerator& generator,
                 const FlowObjectiveOptions& options, FrozenParts frozen, const ParameterPlacement& placement,
                 int64_t seed);
 
-  // The same with what is drawn anew each time that a scene is shown. generator: random numbers that belong to the
-  // training of this scene.
+  // Returns the same with what is drawn anew each time that a scene is shown. generator gives random numbers that
+  // belong to the training of this scene.
   virtual SceneLatents drawn(const SceneLatents& latents, torch::Generator& generator) const;
-  // Levels, raw, that a validation picture takes beside the generated one: of all views, or none to see what the
-  // generated level is worth alone.
+  // Returns the levels, raw, that a validation picture takes beside the generated one: of all views, or none to see
+  // what the generated level is worth alone.
   virtual std::map<int64_t, torch::Tensor> known_levels(const TrainingScene& scene) const = 0;
 
-  // That level of all views encoded together, normalised: what is generated of it.
+  // Returns that level of all views encoded together, normalised: what is generated of it.
   torch::Tensor latent_of(const TrainingScene& scene, int64_t level, const LevelStatistics& statistics) const;
-  // What is made of the source views alone: all but a cascade's deeper level.
+  // Returns what is made of the source views alone: all but a cascade's deeper level.
   DitSceneInputs conditioned_on_sources(const TrainingScene& scene) const;
   torch::Tensor images_of(const TrainingScene& scene, int64_t views) const {
     return scene.images.narrow(0, 0, views);
@@ -114,13 +114,14 @@ class FlowObjective : public Objective {
     TokenCorrespondence truth;
   };
   Drawn draw(const TrainingScene& on_host, torch::Generator& generator);
-  // Of each scene; scenes of one size are evaluated together.
+  // Returns the errors of each scene; scenes of one size are evaluated together.
   std::vector<Errors> velocity_errors(const std::vector<Drawn>& scenes) const;
   double training_shift(const TrainingScene& scene) const;
-  // Euler steps on the grid with that shift; not a number throughout where they meet values that are not finite.
+  // Takes Euler steps on the grid with that shift; the result is not a number throughout where they meet values that
+  // are not finite.
   torch::Tensor generate(const DitSceneInputs& shown, const torch::Tensor& noise, double shift) const;
 
-  // A generated latent as images (views, 3, height, width), for validation. Levels that nothing gives are zero.
+  // Decodes a generated latent to images (views, 3, height, width), for validation. Levels that nothing gives are zero.
   torch::Tensor decode(const TrainingScene& scene, const torch::Tensor& latent) const;
 
   BundleOptions model_;

@@ -16,7 +16,7 @@ namespace {
 constexpr double kExactOrigin = 0.02;    // of the baseline
 constexpr double kLeastBaseline = 1e-4;  // in units of the scene's size; less is a camera that only turns
 
-// Mean distance of the later views' centres from the first view's, which is the origin.
+// Returns the mean distance of the later views' centres from the first view's, which is the origin.
 double baseline_of(const torch::Tensor& true_rays) {
   const int64_t views = true_rays.size(0);
   if (views < 2) return 0;
@@ -39,7 +39,7 @@ torch::Tensor confident_mean(const torch::Tensor& error, const torch::Tensor& co
   return masked_mean(confidence * error - reward * confidence.log(), mask);
 }
 
-// Differences between neighbours along dimension dim, where both are known.
+// Returns differences between neighbours along dimension dim, where both are known.
 torch::Tensor gradient_error(const torch::Tensor& error, const torch::Tensor& mask, int64_t dim) {
   const int64_t length = error.size(dim) - 1;
   const auto both = mask.narrow(dim, 0, length).logical_and(mask.narrow(dim, 1, length));
@@ -134,7 +134,7 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
   };
   const auto from = unit(truth), to = unit(predicted);
   RayErrors errors;
-  // By the chord: the arc cosine has no digits left at small angles.
+  // The angle is found by the chord: the arc cosine has no digits left at small angles.
   errors.direction_degrees =
       kDegreesPerRadian * (2 * ((from - to).norm(2, 3) / 2).clamp_max(1.0).asin()).mean().item<double>();
   errors.rotation_degrees = errors.translation_degrees = errors.origin =

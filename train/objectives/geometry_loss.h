@@ -50,7 +50,7 @@ struct RayErrors {
 
 RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets& targets);
 
-// What a linear layer reads off a level for each patch token: kTokenDepths log depths on a 4x4 grid of the patch, then
+// A linear layer reads this off a level for each patch token: kTokenDepths log depths on a 4x4 grid of the patch, then
 // the ray through its middle (direction and origin).
 constexpr int64_t kTokenDepthsASide = 4;
 constexpr int64_t kTokenDepths = kTokenDepthsASide * kTokenDepthsASide;
@@ -63,8 +63,8 @@ struct TokenGeometryLosses {
   double depth_abs_rel = 0;  // the same
 };
 
-// Of options the origin's weight counts. read: (views, rows * columns, kTokenGeometry); targets: on a ray grid of 4
-// rows x 4 columns a token.
+// Of options the origin's weight counts. read is (views, rows * columns, kTokenGeometry); targets are on a ray grid of
+// 4 rows x 4 columns a token.
 TokenGeometryLosses token_geometry_losses(const torch::Tensor& read, const GeometryTargets& targets,
                                           const RayGrid& tokens, const GeometryLossOptions& options);
 

@@ -10,7 +10,7 @@
 namespace gld {
 namespace {
 
-// (rows, columns, 3): R K^-1 (u, v, 1) at the cells' middles, with R into the first view's camera.
+// Returns (rows, columns, 3): R K^-1 (u, v, 1) at the cells' middles, with R into the first view's camera.
 torch::Tensor ray_directions(const Camera& camera, const Eigen::Matrix3d& first_from_camera, int64_t rows,
                              int64_t columns) {
   const Eigen::Matrix3d back = first_from_camera * camera.intrinsics.inverse();

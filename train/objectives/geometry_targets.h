@@ -8,7 +8,7 @@
 
 namespace gld {
 
-// What the geometry head is trained towards (Depth Anything 3, section 3): everything in the first view's camera,
+// The geometry head is trained towards this (Depth Anything 3, section 3): everything is in the first view's camera,
 // divided by the mean distance of the visible points from its centre, so that a scene's unit does not matter.
 struct GeometryTargets {
   double scale = 1.0;   // scene units per target unit
@@ -26,7 +26,7 @@ struct RayGrid {
   int64_t columns = 0;
 };
 
-// Of each of `cells` that cover so many pixels evenly, the pixel under its middle.
+// Returns, of each of `cells` that cover so many pixels evenly, the pixel under its middle.
 torch::Tensor pixel_under_cell(int64_t cells, int64_t pixels);
 
 // Throws Error when the scene has no depth or no pixel with a known one.

@@ -19,12 +19,12 @@ class KeptScenes {
     int64_t bytes = 0;
   };
 
-  // gib: bound of their memory; past it they are made every time. 0 keeps none.
+  // gib bounds their memory; past it they are made every time. 0 keeps none.
   explicit KeptScenes(double gib);
 
   bool enabled() const { return most_bytes_ > 0; }
-  // What make() gave for that scene (its name and cameras tell) and that variant of it. May be called from several
-  // threads, which may both make it.
+  // Returns what make() gave for that scene (its name and cameras tell) and that variant of it. It may be called from
+  // several threads, which may both make it.
   std::shared_ptr<const void> get(const TrainingScene& scene, const std::string& variant,
                                   const std::function<Made()>& make);
 

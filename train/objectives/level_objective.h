@@ -4,9 +4,9 @@
 
 namespace gld {
 
-// M_L: generates level L of all views from noise, given the source views' features and the cameras. What it is
-// trained towards are the features of all views encoded together; the source features are those of the source views
-// encoded alone, as sampling has them.
+// M_L generates level L of all views from noise, given the source views' features and the cameras. What it is trained
+// towards are the features of all views encoded together; the source features are those of the source views encoded
+// alone, as sampling has them.
 class LevelObjective : public FlowObjective {
  public:
   // frozen.statistics are those of that level.

@@ -35,7 +35,7 @@ RefinerBatch batch_of(const std::vector<TrainingScene>& scenes, torch::Device de
 
 torch::Tensor squared(const torch::Tensor& a, const torch::Tensor& b) { return (a - b).square().mean(); }
 
-// From [0, 1], as far as pictures can be shown.
+// Pictures are brought from [0, 1], as far as they can be shown.
 torch::Tensor signed_pictures(const torch::Tensor& pictures) { return (pictures * 2 - 1).clamp(-1, 1); }
 
 }  // namespace
@@ -87,7 +87,7 @@ torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
 Losses RefinerObjective::denoising_losses(const torch::Tensor& views, const StepContext& context) const {
   torch::Generator generator = context.generator;
   const RefinerOptions& refiner = model_.refiner;
-  // Not of the first timesteps, at which nothing can be seen of the noise.
+  // The first timesteps are left out, at which nothing can be seen of the noise.
   constexpr int64_t kFirstTimestep = 20;
   const auto timestep =
       torch::randint(kFirstTimestep, kDiffusionSteps, {1}, generator, torch::kInt64).item<int64_t>();

@@ -16,7 +16,7 @@
 
 namespace gld {
 
-// What decoded pictures are compared with.
+// Decoded pictures are compared with this.
 enum class RefinerTruth {
   kDecoded,     // what the autoencoder makes of the true view's latents (Splatent's paper)
   kPhotograph,  // the true view (its code)
@@ -37,11 +37,11 @@ struct RefinerObjectiveOptions : OptionsGroup {
 };
 
 // Trains the one-step refiner (models/refiner) on splatted latents of views whose encoded latents are known, beside
-// their nearest views (Splatent, arXiv 2512.09923, section 4.3): latent_weight MSE(z) + picture_weight MSE(D(z)) +
+// their nearest views (Splatent, arXiv 2512.09923, section 4.3), by latent_weight MSE(z) + picture_weight MSE(D(z)) +
 // perceptual.weight perceptual(D(z)). Scenes have their references first and one target.
 class RefinerObjective : public Objective {
  public:
-  // latents: how the autoencoder's are normalised.
+  // latents says how the autoencoder's are normalised.
   RefinerObjective(const BundleOptions& model, const RefinerObjectiveOptions& options,
                    std::shared_ptr<Backbone> autoencoder, const LatentStatistics& latents,
                    const ParameterPlacement& placement, int64_t seed);
@@ -59,7 +59,7 @@ class RefinerObjective : public Objective {
 
  private:
   Losses denoising_losses(const torch::Tensor& views, const StepContext& context) const;
-  // Normalised latents (views, channels, height, width) -> images, RGB in about [0, 1].
+  // Decodes normalised latents (views, channels, height, width) to images, RGB in about [0, 1].
   torch::Tensor decoded(const torch::Tensor& latents) const;
 
   BundleOptions model_;

@@ -24,12 +24,12 @@ struct SceneLatents {
 // depend on what an earlier process has kept.
 class KeptLatents {
  public:
-  // gib: bound of their memory; past it scenes are encoded every time. 0 keeps none.
+  // gib bounds their memory; past it scenes are encoded every time. 0 keeps none.
   explicit KeptLatents(double gib);
 
   bool enabled() const { return kept_.enabled(); }
-  // The latents of that scene (its name and cameras tell), on the CPU and in float32; encode makes them where they
-  // are not kept. May be called from several threads.
+  // Returns the latents of that scene (its name and cameras tell), on the CPU and in float32; encode makes them where
+  // they are not kept. It may be called from several threads.
   SceneLatents get(const TrainingScene& scene, const std::function<SceneLatents()>& encode);
 
  private:

@@ -14,10 +14,10 @@ namespace gld {
 // (views, 3, height, width) -> (views, tokens, 3 * patch^2): each patch's pixels, row by row, channels last, as
 // the RGB decoder orders them.
 torch::Tensor image_patches(const torch::Tensor& images, int64_t patch);
-// The inverse.
+// Does the inverse.
 torch::Tensor image_of_patches(const torch::Tensor& patches, const LatentGrid& grid, int64_t patch);
 
-// A depth map in shades of grey, near is bright: (height, width) -> (3, height, width). The range is that of all
+// Draws a depth map in shades of grey, near is bright: (height, width) -> (3, height, width). The range is that of all
 // known depths in `range`.
 torch::Tensor depth_picture(const torch::Tensor& depth, const torch::Tensor& range);
 

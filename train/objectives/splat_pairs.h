@@ -30,11 +30,11 @@ struct SplatPairOptions : OptionsGroup {
 // Scenes of one target view that nothing was fitted to, and the views nearest to it as its sources.
 class SplatPairBatches : public TrainingBatchSource {
  public:
-  // Error where a scene has fewer fitted views than the refiner's references, or latents of another model.
+  // Throws Error where a scene has fewer fitted views than the refiner's references, or latents of another model.
   SplatPairBatches(const SplatPairOptions& options, const RefinerOptions& refiner, const ModelBundle& bundle);
-  // A scene and one of its held-out views each, drawn by the seed and the batch's number.
+  // Returns a scene and one of its held-out views each, drawn by the seed and the batch's number.
   TrainingBatch batch(int64_t index) const override;
-  // The first held-out view of every validation scene.
+  // Returns the first held-out view of every validation scene.
   std::vector<TrainingScene> validation() const;
 
  private:

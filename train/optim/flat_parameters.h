@@ -14,7 +14,7 @@ struct NamedParameter {
   torch::Tensor parameter;  // shares its storage with the module
 };
 
-// The parameters of a module that want a gradient, in registration order, named prefix + their name.
+// Returns the parameters of a module that want a gradient, in registration order, named prefix + their name.
 std::vector<NamedParameter> named_parameters(const torch::nn::Module& module, const std::string& prefix = "");
 
 // The parameters of a training run laid out in one float32 buffer, and their gradients in another, so that
@@ -29,11 +29,11 @@ class FlatParameters {
   const torch::Tensor& values() const { return values_; }        // (padded length)
   const torch::Tensor& gradients() const { return gradients_; }  // (padded length)
 
-  // Where parameter `index` starts in the flat tensors.
+  // Returns where parameter `index` starts in the flat tensors.
   int64_t offset(size_t index) const { return offsets_[index]; }
 
   void zero_gradients();
-  // The part of a flat tensor that belongs to parameter `index`, in its shape.
+  // Returns the part of a flat tensor that belongs to parameter `index`, in its shape.
   torch::Tensor part(const torch::Tensor& flat, size_t index) const;
 
  private:

@@ -160,7 +160,7 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale) {
   for (size_t i = 0; i < parameters.size(); ++i) {
     if (is_block_matrix(parameters[i])) matrices.push_back(i);
   }
-  // One matrix a thread; inside, products then run on that thread alone.
+  // Each thread takes one matrix; inside, products then run on that thread alone.
   at::parallel_for(0, static_cast<int64_t>(matrices.size()), 1, [&](int64_t first, int64_t last) {
     const torch::NoGradGuard no_grad;
     for (int64_t i = first; i < last; ++i) {

@@ -16,7 +16,7 @@ namespace gld {
 
 enum class OptimiserAlgorithm { kAdamW, kAdam, kMuon };
 
-// DESIGN.md section 4, "Training numbers".
+// See DESIGN.md section 4, "Training numbers".
 struct OptimiserOptions : OptionsGroup {
   OptimiserAlgorithm algorithm = OptimiserAlgorithm::kAdamW;
   std::vector<double> betas = {0.9, 0.95};
@@ -48,28 +48,28 @@ struct FlatRange {
 // Everything else (embeddings, modulation, norms, biases, output layers) is moved by AdamW.
 class Optimiser {
  public:
-  // The average starts at the present values. own: what step() moves, and has moments and an average of; everything
-  // where it is left out. Throws Error for a part of Muon's matrices, which move as a whole.
+  // The average starts at the present values. own is what step() moves, and has moments and an average of; it is
+  // everything where it is left out. Throws Error for a part of Muon's matrices, which move as a whole.
   Optimiser(FlatParameters& parameters, const OptimiserOptions& options, std::optional<FlatRange> own = {});
 
   const FlatRange& own() const { return own_; }
 
-  // L2 norm of all gradients, not of the own ones alone, accumulated in double; does not depend on the number of
-  // threads.
+  // Returns the L2 norm of all gradients, not of the own ones alone, accumulated in double; it does not depend on the
+  // number of threads.
   double gradient_norm() const;
-  // One update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
+  // Does one update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
   void step(double learning_rate, double gradient_norm);
 
   int64_t steps_taken() const { return steps_; }
   bool has_average() const { return average_.defined(); }
   const torch::Tensor& average() const { return average_; }  // flat, of own(); undefined without one
 
-  // Whether that parameter is one of Muon's matrices.
+  // Returns whether that parameter is one of Muon's matrices.
   static bool is_block_matrix(const NamedParameter& item);
 
-  // Everything step() depends on beside values and gradients: "steps", and flat tensors of own().
+  // Returns everything step() depends on beside values and gradients: "steps", and flat tensors of own().
   std::map<std::string, torch::Tensor> state() const;
-  // What it is at the start of a run with the present values, of all parameters.
+  // Returns what it is at the start of a run with the present values, of all parameters.
   std::map<std::string, torch::Tensor> whole_initial_state() const;
   // Takes its own part of such a state of all parameters. Throws Error naming the tensor that is missing or misshapen.
   void load_state(const std::map<std::string, torch::Tensor>& state, const std::string& where);
@@ -87,14 +87,14 @@ class Optimiser {
   torch::Tensor average_;
 };
 
-// The orthogonal factor U V^T of a matrix U S V^T, roughly: singular values come out between about 0.7 and 1.2,
-// whatever they were. Five steps of the quintic Newton-Schulz iteration of Muon.
+// Returns the orthogonal factor U V^T of a matrix U S V^T, roughly: singular values come out between about 0.7 and 1.2,
+// whatever they were. It takes five steps of the quintic Newton-Schulz iteration of Muon.
 torch::Tensor nearly_orthogonal(const torch::Tensor& matrix);
 
 // Puts the moving average in the place of the parameters for as long as it lives (validation, export).
 class AverageInPlace {
  public:
-  // average: flat, of all parameters; undefined leaves them as they are.
+  // average is flat, of all parameters; undefined leaves them as they are.
   AverageInPlace(FlatParameters& parameters, const torch::Tensor& average);
   ~AverageInPlace();
   AverageInPlace(const AverageInPlace&) = delete;

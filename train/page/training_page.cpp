@@ -26,7 +26,7 @@ constexpr const char* kHeldOut = "validation_";
 // A browser draws no more than this of one curve.
 constexpr size_t kMostPoints = 600;
 
-// Means of neighbours, so that there are at most so many.
+// Returns means of neighbours, so that there are at most so many.
 Points fewer(const Points& points) {
   if (points.size() <= kMostPoints) return points;
   Points result;
@@ -43,7 +43,7 @@ Points fewer(const Points& points) {
   return result;
 }
 
-// The course of every number of metrics.jsonl, in the order in which they first appear.
+// Returns the course of every number of metrics.jsonl, in the order in which they first appear.
 Courses read_courses(const std::filesystem::path& run, Page& page) {
   Courses courses;
   const auto file = run / "metrics.jsonl";
@@ -110,7 +110,7 @@ std::vector<PlotPanel> panels_of(const Courses& courses) {
   return panels;
 }
 
-// validation.png, or the first one and the last two of validation/.
+// Returns validation.png, or the first one and the last two of validation/.
 std::vector<std::pair<std::string, std::string>> validation_pictures(const std::filesystem::path& run) {
   std::error_code error;
   std::vector<std::string> names;
@@ -157,7 +157,7 @@ const Points* course_of(const Courses& courses, const std::string& key) {
   return found == courses.end() || found->second.empty() ? nullptr : &found->second;
 }
 
-// The losses at the first and the last lines of the log, of held-out scenes where it was measured there twice.
+// Returns the losses at the first and the last lines of the log, of held-out scenes where it was measured there twice.
 std::string course_of_loss(const Courses& courses) {
   std::string text;
   if (const Points* loss = course_of(courses, "loss")) {

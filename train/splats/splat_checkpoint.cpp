@@ -18,11 +18,11 @@
 namespace gld {
 namespace {
 
-// Under which its state and the digest of all it holds stand among the file's metadata.
+// Its state and the digest of all it holds stand under these among the file's metadata.
 constexpr const char* kState = "gld:state";
 constexpr const char* kDigest = "gld:sha256";
 
-// Doubles as their bits: a number in JSON need not come back as it was.
+// Returns doubles as their bits: a number in JSON need not come back as it was.
 uint64_t bits_of(double value) {
   uint64_t bits = 0;
   std::memcpy(&bits, &value, sizeof bits);

@@ -22,11 +22,11 @@ struct SplatCheckpoint {
 
 constexpr const char* kSplatCheckpointFile = "fit.checkpoint";
 
-// Of cameras and pixels of what is fitted and held out.
+// Returns the hash of cameras and pixels of what is fitted and held out.
 std::string fit_views_hash(const std::vector<const FittedView*>& views);
 
-// A safetensors file of the fit's arrays, whole or not at all; its metadata hold the rest as JSON and the SHA-256 of
-// both.
+// Writes a safetensors file of the fit's arrays, whole or not at all; its metadata hold the rest as JSON and the
+// SHA-256 of both.
 void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckpoint& checkpoint);
 // Throws Error that names the file where a byte of it is another than was written.
 SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file);

@@ -26,7 +26,7 @@
 namespace gld {
 namespace {
 
-// Of all threads of this process, in user mode.
+// Returns the seconds of all threads of this process, in user mode.
 double processor_seconds() {
   rusage usage{};
   getrusage(RUSAGE_SELF, &usage);
@@ -39,7 +39,7 @@ double mean_of(const std::vector<double>& values) {
              : std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(values.size());
 }
 
-// What is refused before anything is read, and whether there is a checkpoint to go on from.
+// Refuses what is refused before anything is read, and returns whether there is a checkpoint to go on from.
 bool goes_on(const SplatCommandOptions& options, EarlierRun earlier) {
   check_run_folder(options.out, "splat fit", earlier);
   if (!options.resume) return false;
@@ -69,7 +69,7 @@ class FitInSteps {
     const ImageSize size = fit_size(scene, options.side);
     work_ = scene_fit_work(scene, size, options.held_out, fit_options_);
     require_memory_for_fit(work_, fit_options_, available_memory_bytes(), options.where());
-    // Before the fit has memory of its own: this makes one beside it.
+    // This comes before the fit has memory of its own: it makes one beside it.
     whole_seconds_ = splat_fit_seconds(work_, fit_options_, settings_.threads);
     views_ = load_fit_views(scene, size, options.held_out, settings_);
     if (moved_by_latents(options.fit.geometry_from)) latents.before(scene, views_);
@@ -84,7 +84,7 @@ class FitInSteps {
     for (const auto& row : state_.rows) table_.add_row(row);
   }
 
-  // Seconds and memory, before the first step; of latents, nothing.
+  // Returns seconds and memory, before the first step; of latents, nothing.
   std::string forecast() const {
     constexpr double kMegabyte = 1e6;
     const double steps = static_cast<double>(fit_options_.steps - state_.fit.step),
@@ -94,7 +94,7 @@ class FitInSteps {
                        static_cast<double>(splat_fit_bytes(work_, fit_options_)) / kMegabyte);
   }
 
-  // Until all steps are done or Ctrl-C is pressed; then there is a checkpoint.
+  // Runs until all steps are done or Ctrl-C is pressed; then there is a checkpoint.
   void run() {
     Progress progress({"splats", fit_options_.steps, state_.fit.step, options_.out});
     while (!finished() && !interrupt_requested()) {

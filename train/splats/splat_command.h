@@ -14,7 +14,7 @@
 
 namespace gld {
 
-// gld splat fit: Gaussians of a scene, or of the sources and generated views of a run of gld sample.
+// gld splat fit makes Gaussians of a scene, or of the sources and generated views of a run of gld sample.
 struct SplatCommandOptions : SceneFitOptions {
   std::string scene;
   std::string run;

@@ -103,7 +103,7 @@ std::string train_decoder(const TrainDecoderOptions& options, const DrawValidati
 
 namespace {
 
-// What trains networks on the depth that photographs and geometry head tell.
+// What follows trains networks on the depth that photographs and geometry head tell.
 void require_photograph_part(const TrainOptions& options, const PixelUnetOptions& network,
                              const std::string& part) {
   if (!network.exists()) {

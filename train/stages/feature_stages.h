@@ -19,7 +19,7 @@ struct TrainBackboneOptions : TrainOptions {
 
 struct TrainDecoderOptions : TrainOptions {
   DecoderObjectiveOptions objective;
-  // Published decoder training: Adam 2e-4 to 2e-5 along a cosine, no clipping, EMA 0.9978.
+  // Published decoder training uses Adam 2e-4 to 2e-5 along a cosine, no clipping, EMA 0.9978.
   TrainDecoderOptions();
   void visit(FieldVisitor& visitor) override;
 };

@@ -50,7 +50,7 @@ std::vector<LevelMoments> moments_of(const BundleOptions& model) {
   return result;
 }
 
-// Of each level in turn, as text that keeps every bit.
+// Returns the moments of each level in turn, as text that keeps every bit.
 nlohmann::json moments_record(const std::vector<LevelMoments>& moments) {
   auto record = nlohmann::json::array();
   for (const auto& [level, special, values] : moments) {
@@ -67,7 +67,7 @@ void merge_record(const nlohmann::json& record, std::vector<LevelMoments>& momen
   }
 }
 
-// How far each scene is from all of them together, by its patch tokens.
+// Returns how far each scene is from all of them together, by its patch tokens.
 SeenScenes seen_scenes(const std::vector<LevelMoments>& all,
                        const std::vector<std::vector<LevelMoments>>& of_scenes, double epsilon) {
   SeenScenes seen;
@@ -88,8 +88,8 @@ SeenScenes seen_scenes(const std::vector<LevelMoments>& all,
 // has no more.
 double four_digits(double value) { return std::stod(fmt::format("{:.4g}", value)); }
 
-// log(metres / unit) of what the head says of a scene's first view when that is all that it sees: the median over its
-// pixels. Nothing where no pixel tells it.
+// Returns log(metres / unit) of what the head says of a scene's first view when that is all that it sees: the median
+// over its pixels. Returns nothing where no pixel tells it.
 std::optional<double> single_view_log_unit(const LatentSpace& space, const GeometryHead& head,
                                            const TrainingScene& scene) {
   ConditioningNeeds needs;

@@ -36,7 +36,7 @@ struct StatsOptions : OptionsGroup {
   void check() const override;
 };
 
-// What the training of that part needs of a bundle.
+// Returns what the training of that part needs of a bundle.
 FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
                          const ParameterPlacement& placement,
                          CarryingDepth carried_by = CarryingDepth::kHead);

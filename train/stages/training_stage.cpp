@@ -60,7 +60,7 @@ std::vector<std::string> warnings_of_short_runs(const TrainingLoopOptions& loop)
       1 / (1 - decay), decay, loop.steps)};
 }
 
-// "foo" would silently allow nothing.
+// This checks the keys, as "foo" would silently allow nothing.
 void check_may_change(const StageOptions& options, const OptionsGroup& all_options,
                       const BundleOptions& model) {
   std::vector<std::string> keys;
@@ -194,7 +194,7 @@ void refuse_changed_options(const std::filesystem::path& folder, const OptionsGr
                        : "leave them as they were, or allow it with --may-change " + keys});
 }
 
-// Parts of the bundle that the run did not make itself.
+// Copies the parts of the bundle that the run did not make itself.
 void copy_other_parts(const ModelBundle& from, const std::filesystem::path& to,
                       const std::vector<BundlePart>& made) {
   const auto target = ModelBundle::open(to);

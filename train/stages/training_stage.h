@@ -21,7 +21,7 @@
 
 namespace gld {
 
-// What every kind of gld train has. model is a bundle: its model.yaml is the architecture, and the parts trained
+// Every kind of gld train has these. model is a bundle: its model.yaml is the architecture, and the parts trained
 // before are taken from it. The run's own bundle, model/ in the run folder, is a copy with the trained part.
 struct StageOptions : OptionsGroup {
   std::string model;
@@ -70,7 +70,7 @@ struct TrainingStage {
   std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
 };
 
-// A stage that trains on scenes with these parts.
+// Returns a stage that trains on scenes with these parts.
 TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts);
 
 // Throws Error where `now` differs from the options that the run in the folder was begun with, naming each: the run

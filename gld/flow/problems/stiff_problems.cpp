@@ -47,7 +47,8 @@ StiffProblem prothero_robinson(double stiffness, const std::string& suffix) {
 
 double normal_cumulative(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
 
-// The point below which two Gaussians at -1 and 1 hold the fraction that the normal distribution holds below x < 0.
+// Returns the point below which two Gaussians at -1 and 1 hold the fraction that the normal distribution holds below
+// x < 0.
 double negative_quantile(double x, double width) {
   const double target = normal_cumulative(x);
   double low = -1 - 40 * width, high = 0;
@@ -84,7 +85,7 @@ std::vector<StiffProblem> stiff_problems() {
                                 return Values{-x[0], -1e3 * x[1], -1e6 * x[2]};
                               },
                               {1, 1, 1}, {std::exp(-1.0), 0, 0}, {1, 1, 1}));
-  // Solution: Test Set for Initial Value Problem Solvers, problem vdpol.
+  // The solution is that of Test Set for Initial Value Problem Solvers, problem vdpol.
   const Values van_der_pol{1.706167732170469, -0.8928097010248125};
   problems.push_back(equation(
       "van_der_pol", 2,
@@ -92,7 +93,8 @@ std::vector<StiffProblem> stiff_problems() {
         return Values{x[1], ((1 - x[0] * x[0]) * x[1] - x[0]) / 1e-6};
       },
       {2, 0}, van_der_pol, van_der_pol));
-  // Solution: our rodas3 at tolerance 1e-11, which agrees with the four digits that SUNDIALS prints at s = 40.
+  // The solution is that of our rodas3 at tolerance 1e-11, which agrees with the four digits that SUNDIALS prints at
+  // s = 40.
   const Values rober{0.7158270687193941, 9.185534764558135e-6, 0.2841637457458413};
   problems.push_back(equation(
       "rober", 40,

@@ -29,7 +29,7 @@ struct StiffProblem {
 //                                      flow keeps quantiles, which gives the solution
 std::vector<StiffProblem> stiff_problems();
 
-// RMS of (state - solution)/scale.
+// Returns the RMS of (state - solution)/scale.
 double stiff_error(const StiffProblem& problem, const torch::Tensor& state);
 
 }  // namespace gld

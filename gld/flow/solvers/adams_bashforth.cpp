@@ -6,8 +6,8 @@
 namespace gld {
 namespace {
 
-// Weights b_j of the velocities at nodes[0] (the step's start), nodes[1], ... so that x + sum_j b_j v_j is exact for
-// a velocity that is a polynomial in t. The integrals of Lagrange's polynomials on unequal nodes.
+// Returns the weights b_j of the velocities at nodes[0] (the step's start), nodes[1], ... so that x + sum_j b_j v_j is
+// exact for a velocity that is a polynomial in t. They are the integrals of Lagrange's polynomials on unequal nodes.
 std::vector<double> adams_bashforth_weights(const std::vector<double>& nodes, double next) {
   const double h = next - nodes[0];
   if (nodes.size() == 1) return {h};

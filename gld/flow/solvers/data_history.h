@@ -21,7 +21,7 @@ class DataHistory {
   std::vector<double> newest_times(size_t count) const {
     return {times_.begin(), times_.begin() + static_cast<std::ptrdiff_t>(std::min(count, times_.size()))};
   }
-  // (next/start) x + sum_j weights_j D_j
+  // Returns (next/start) x + sum_j weights_j D_j.
   torch::Tensor combine(const torch::Tensor& x, double ratio, const std::vector<double>& weights) const {
     auto result = x * ratio;
     for (size_t j = 0; j < weights.size(); ++j) {

@@ -39,12 +39,12 @@ const EmbeddedPair& dormand_prince() {
   return pair;
 }
 
-// RMS of values / (tolerance (1 + scale)), in double.
+// Returns the RMS of values / (tolerance (1 + scale)), in double.
 double weighted_norm(const torch::Tensor& values, const torch::Tensor& scale, double tolerance) {
   return (values / (scale + 1)).to(torch::kFloat64).square().mean().sqrt().item<double>() / tolerance;
 }
 
-// Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4. One evaluation.
+// Follows Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4. It takes one evaluation.
 double first_step_size(SolverRun& run, const torch::Tensor& slope, double length, int order) {
   const auto& x = run.report().state;
   const double time = run.report().times.front();

@@ -50,7 +50,7 @@ class FlatField {
   torch::Tensor like_;
 };
 
-// Forward differences, one evaluation a column.
+// Takes forward differences, with one evaluation a column.
 Eigen::MatrixXd jacobian(FlatField& field, const Vector& x, const Vector& slope, double time) {
   const double root = std::sqrt(std::numeric_limits<double>::epsilon());
   Eigen::MatrixXd result(x.size(), x.size());

@@ -3,7 +3,7 @@
 namespace gld {
 namespace {
 
-// One step from time to next; h is negative because time runs down.
+// Takes one step from time to next; h is negative because time runs down.
 torch::Tensor runge_kutta_step(SolverRun& run, const torch::Tensor& x, double time, double next) {
   const double h = next - time, middle = time + h / 2;
   const auto k1 = run.velocity(x, time);

@@ -21,7 +21,7 @@ struct SolverTraits {
   void (*run)(SolverRun&, const std::vector<double>&);
 };
 
-// In the order of SolverKind.
+// The rows are in the order of SolverKind.
 const std::vector<SolverTraits>& solver_table() {
   static const std::vector<SolverTraits> table{
       {"euler", SolverClass::kFixedStep, 1, 0, run_runge_kutta},

@@ -59,7 +59,8 @@ struct SolverOptions : OptionsGroup {
   // published sampler's 50 times are 49 evaluations.
   int64_t evaluations = 16;
   ScheduleOptions schedule;
-  // Adaptive solvers: local error per step relative to 1 + |x|, and where to give up.
+  // Adaptive solvers have a local error per step relative to 1 + |x|, and a number of evaluations at which they give
+  // up.
   double tolerance = 1e-4;
   int64_t max_evaluations = 10000;
   // Stochastic solvers.
@@ -67,7 +68,7 @@ struct SolverOptions : OptionsGroup {
   double diffusion_strength = 1;
   int64_t noise_seed = 0;
 
-  // Fields: solver, evaluations, those of schedule (not nested), tolerance, max_evaluations, diffusion,
+  // The fields are solver, evaluations, those of schedule (not nested), tolerance, max_evaluations, diffusion,
   // diffusion_strength, noise_seed.
   void visit(FieldVisitor& visitor) override;
   void check() const override;
@@ -76,10 +77,10 @@ struct SolverOptions : OptionsGroup {
 bool is_adaptive(SolverKind solver);
 bool is_stochastic(SolverKind solver);
 
-// Steps of the schedule that this many evaluations pay for; at least 1.
+// Returns how many steps of the schedule this many evaluations pay for, at least 1.
 int64_t steps_for_evaluations(SolverKind solver, int64_t evaluations);
 
-// The times that a solve with these options visits; for adaptive solvers only the first and the last.
+// Returns the times that a solve with these options visits; for adaptive solvers only the first and the last.
 std::vector<double> solver_times(const SolverOptions& options);
 
 struct SolveProgress {
@@ -121,17 +122,18 @@ struct SolveReport {
 };
 
 // Solves from the schedule's first time, where the state is noise, to its last, or until the observer stops it. Throws
-// Error, with stage, step and time, as soon as a value is not finite or an adaptive solver gives up. Deterministic for
-// a given field.
+// Error, with stage, step and time, as soon as a value is not finite or an adaptive solver gives up. It is
+// deterministic for a given field.
 SolveReport solve(VelocityField& field, const torch::Tensor& noise, const SolverOptions& options,
                   const SolveObserver& observer = {});
 
-// The same on given times (strictly decreasing within [0, 1]) instead of the schedule; for adaptive solvers
-// only the first and last count.
+// Does the same on given times (strictly decreasing within [0, 1]) instead of the schedule; for adaptive solvers only
+// the first and last count.
 SolveReport solve_on(VelocityField& field, const torch::Tensor& noise, const SolverOptions& options,
                      const std::vector<double>& times, const SolveObserver& observer = {});
 
-// As solve_on, but a solve that stops early is reported in failure, with the state of the last accepted step.
+// Solves as solve_on does, but a solve that stops early is reported in failure, with the state of the last accepted
+// step.
 SolveReport try_solve_on(VelocityField& field, const torch::Tensor& noise, const SolverOptions& options,
                          const std::vector<double>& times, const SolveObserver& observer = {});
 

@@ -21,9 +21,9 @@ class SolverRun {
  public:
   SolverRun(VelocityField& field, const SolverOptions& options, const SolveObserver& observer);
 
-  // The field's velocity, checked. Throws SolveStopped.
+  // Returns the field's velocity, checked. Throws SolveStopped.
   torch::Tensor velocity(const torch::Tensor& state, double time);
-  // The data that it predicts.
+  // Returns the data that it predicts.
   torch::Tensor data(const torch::Tensor& state, double time);
 
   void start(const torch::Tensor& state, double time, int64_t steps);

@@ -30,7 +30,7 @@ Diffusion diffusion_at(const SolverOptions& options, double t) {
   return {strength * sine * sine, strength * sine * sine / t};
 }
 
-// velocity - w/2 score, where the score is -E[noise | x]/t and the expectation is what the velocity predicts.
+// Returns velocity - w/2 score, where the score is -E[noise | x]/t and the expectation is what the velocity predicts.
 torch::Tensor drift(SolverRun& run, const torch::Tensor& x, double t) {
   const auto velocity = run.velocity(x, t);
   return velocity +

@@ -42,7 +42,8 @@ struct Described {
     check_options(options, "gld ablate");
     return read_ablation(file, options);
   }
-  // Of the same text with a line put in the place of another; without the folder, which has another name each time.
+  // The error is that of the same text with a line put in the place of another; it is without the folder, which has
+  // another name each time.
   std::string error(const std::string& before, const std::string& after) {
     std::string text = kSources;
     const size_t at = text.find(before);

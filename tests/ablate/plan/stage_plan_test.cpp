@@ -284,7 +284,7 @@ TEST_F(StagePlan, CostsAreMeasuredOrUnknown) {
   EXPECT_DOUBLE_EQ(cache.seconds_spent(plan.tasks[0]), 5);
   cache.finish(plan.tasks[0], {10, 1 << 20, 5});
   EXPECT_EQ(cache.state(plan.tasks[0]), StageState::kDone);
-  // The other seed's is expected to take as long; evaluations are not known.
+  // The other seed's stage is expected to take as long; evaluations are not known.
   const ExpectedCost like = expected_cost(plan, 2, cache);
   EXPECT_EQ(like.source, CostSource::kLikeStages);
   EXPECT_DOUBLE_EQ(like.cost.seconds, 10);

@@ -57,13 +57,14 @@ TEST(BootstrapInterval, OfEqualNumbersIsThatNumber) {
 }
 
 TEST(BootstrapInterval, OfTwoNumbersIsTheirRange) {
-  // Means of two draws of {0, 1}: 0, 1/2, 1 with probabilities 1/4, 1/2, 1/4, so that both tails are at the ends.
+  // The means of two draws of {0, 1} are 0, 1/2, 1 with probabilities 1/4, 1/2, 1/4, so that both tails are at the
+  // ends.
   const Interval interval = interval_of({{0, {{"a", 0}, {"b", 1}}}});
   EXPECT_DOUBLE_EQ(interval.low, 0);
   EXPECT_DOUBLE_EQ(interval.high, 1);
 }
 
-// Scene effects that all seeds share, a little noise of each measurement.
+// The numbers have scene effects that all seeds share, and a little noise of each measurement.
 NumbersBySeed crossed_numbers(uint64_t trial, int64_t seeds, int64_t scenes, double mean) {
   const PhiloxKey key = philox_key(trial, "crossed");
   std::vector<float> normal(static_cast<size_t>((seeds + 1) * scenes));
@@ -80,8 +81,8 @@ NumbersBySeed crossed_numbers(uint64_t trial, int64_t seeds, int64_t scenes, dou
 }
 
 TEST(BootstrapInterval, CoversTheMeanAsOftenAsItSaysWhereSeedsShareTheirScenes) {
-  // 400 trials of 95 %: 380 +- 4.4 covered. 40 scenes lose about one percent to the percentile method. Scenes drawn
-  // anew under each of three seeds would cover about 75 %.
+  // Of 400 trials of 95 %, 380 +- 4.4 are covered. 40 scenes lose about one percent to the percentile method. Scenes
+  // drawn anew under each of three seeds would cover about 75 %.
   BootstrapOptions options;
   options.replicates = 1000;
   int64_t covered = 0;
@@ -110,8 +111,8 @@ TEST(BootstrapInterval, IsTheSameInEveryOrderAndMirroredForTheOtherSign) {
   EXPECT_NEAR(interval.high, -interval_of(mirrored).low, 1e-12);
 }
 
-// Of two seeds of one scene a quarter of the draws is all the one, a quarter all the other: more than the tails leave
-// out.
+// Of two seeds of one scene a quarter of the draws is all the one, a quarter all the other: that is more than the tails
+// leave out.
 TEST(BootstrapInterval, DrawsSeedsAsItDrawsScenes) {
   const Interval interval = interval_of({{0, {{"a", 0}}}, {1, {{"a", 1}}}});
   EXPECT_EQ(interval.low, 0);
@@ -125,7 +126,7 @@ TEST(BootstrapInterval, LeavesOutScenesThatASeedDoesNotHave) {
 }
 
 TEST(BootstrapPValue, IsTheExactProbabilityOfTwoNumbersAndNeverZero) {
-  // Means of two draws of {-1, 3}: -1, 1, 3 with probabilities 1/4, 1/2, 1/4, so that p is 2 * 1/4.
+  // The means of two draws of {-1, 3} are -1, 1, 3 with probabilities 1/4, 1/2, 1/4, so that p is 2 * 1/4.
   BootstrapOptions options;
   options.replicates = 100'000;
   EXPECT_NEAR(test_of_seed_means({{0, {{"a", -1}, {"b", 3}}}}, options).p_value, 0.5, 0.01);
@@ -136,10 +137,10 @@ TEST(BootstrapPValue, IsTheExactProbabilityOfTwoNumbersAndNeverZero) {
 }
 
 TEST(SeedMeansPValue, IsStudentsOfTheSeedsMeans) {
-  // Means 1, 2, 3: t = 2 sqrt(3), two degrees of freedom, p = 1 - t / sqrt(t^2 + 2).
+  // Means 1, 2, 3 have t = 2 sqrt(3), two degrees of freedom, p = 1 - t / sqrt(t^2 + 2).
   const NumbersBySeed numbers{{0, {{"a", 0}, {"b", 2}}}, {1, {{"a", 2}}}, {2, {{"a", 3}}}, {3, {}}};
   EXPECT_NEAR(seed_means_p_value(numbers), 1 - std::sqrt(12.0 / 14), 1e-12);
-  // One degree of freedom: p = 1 - 2 / pi atan(t), of means 1 and 3 at t = 2.
+  // With one degree of freedom p = 1 - 2 / pi atan(t); means 1 and 3 have t = 2.
   EXPECT_NEAR(seed_means_p_value({{0, {{"a", 1}}}, {1, {{"a", 3}}}}),
               1 - 2 / 3.14159265358979 * std::atan(2.0), 1e-12);
   EXPECT_EQ(seed_means_p_value({{0, {{"a", 2}}}, {1, {{"a", 2}}}}), 0);

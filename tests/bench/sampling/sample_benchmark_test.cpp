@@ -63,7 +63,7 @@ Rows read_rows(const std::filesystem::path& file) {
   return rows;
 }
 
-// Of the first row with these cells and this count; NaN without one.
+// Returns the number of the first row with these cells and this count; NaN without one.
 double number(const Rows& rows, const std::map<std::string, std::string>& wanted, int count,
               const std::string& column) {
   for (const auto& row : rows) {
@@ -81,8 +81,8 @@ std::string printed_by(const SampleBenchmarkOptions& options) {
   return testing::internal::GetCapturedStdout();
 }
 
-// A small random model on a real scene with given views: every method has a row, errors refer to an adaptive solve of
-// the same noise, and they fall with the evaluations.
+// This runs a small random model on a real scene with given views: every method has a row, errors refer to an adaptive
+// solve of the same noise, and they fall with the evaluations.
 TEST(SampleBenchmark, MeasuresEveryMethodAgainstTheReference) {
   const test::TemporaryFolder folder;
   const auto bundle = folder.path() / "bundle";
@@ -127,7 +127,7 @@ TEST(SampleBenchmark, MeasuresEveryMethodAgainstTheReference) {
   EXPECT_GE(on_front, 1);
 }
 
-// Random weights in the two files that LPIPS comes in.
+// Writes random weights in the two files that LPIPS comes in.
 void write_random_lpips(const std::filesystem::path& folder) {
   LpipsOptions options;
   options.net = LpipsNet::kSqueeze;

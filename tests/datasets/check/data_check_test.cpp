@@ -263,7 +263,7 @@ TEST(DataCheck, AFolderWithASceneIsThatScene) {
   EXPECT_EQ(open_scene(folder.path() / "parent").frames.size(), 12U);
 }
 
-// What no image of which is decoded is checked too, as far as its files tell.
+// A scene of which no image is decoded is checked too, as far as its files tell.
 TEST(DataCheck, ACutImageIsFoundInEveryScene) {
   const TemporaryFolder folder;
   for (const char* name : {"a", "b", "c", "d"}) {
@@ -286,7 +286,7 @@ TEST(DataCheck, ACutImageIsFoundInEveryScene) {
                         "cameras and the headers and ends of their 36 image files\n"));
   EXPECT_THAT(::testing::internal::GetCapturedStderr(),
               HasSubstr("warning: 1 of 4 scenes has problems: d\n"));
-  // And where images are decoded, those that are not.
+  // And where images are decoded, it finds those that are not.
   const DataCheck check = check_scene(SceneLocation{folder.path() / "scenes" / "d", ""}, options);
   ASSERT_EQ(check.problems.size(), 1U);
   EXPECT_THAT(check.problems[0], StartsWith(cut.string()));

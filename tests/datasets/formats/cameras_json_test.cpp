@@ -60,7 +60,7 @@ TEST(CamerasJson, KeepsEveryBit) {
   EXPECT_EQ(read_file(folder.path() / "again.json"), read_file(file));
 }
 
-// What reading says after change has been made to a right file.
+// Returns what reading says after change has been made to a right file.
 std::string refusal(const std::function<void(nlohmann::json&)>& change, const std::filesystem::path& file) {
   nlohmann::json root = nlohmann::json::parse(cameras_json_text(two_cameras()));
   change(root);

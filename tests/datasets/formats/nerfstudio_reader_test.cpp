@@ -43,7 +43,7 @@ class Nerfstudio : public ::testing::Test {
     content_["w"] = 40;
     content_["h"] = 30;
   }
-  // OpenGL: at (i, 0, 0), looking along -z.
+  // In OpenGL's axes the camera is at (i, 0, 0), looking along -z.
   static json pose(double x) { return json::array({{1, 0, 0, x}, {0, 1, 0, 0}, {0, 0, 1, 0}, {0, 0, 0, 1}}); }
   Scene open(const SceneReading& reading = {}) const {
     write_file_atomically(file(), content_.dump());

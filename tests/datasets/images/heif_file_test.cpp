@@ -43,7 +43,7 @@ heif_error append(heif_context* /*context*/, const void* data, size_t size, void
   return {heif_error_Ok, heif_suberror_Unspecified, ""};
 }
 
-// A file as libheif's encoder makes it: the picture as stored, shown turned by `orientation`.
+// Returns a file as libheif's encoder makes it: the picture as stored, shown turned by `orientation`.
 std::string encoded(const Image& image, heif_orientation orientation, const std::string& exif = "") {
   const auto check = [](const heif_error& error) { EXPECT_EQ(error.code, heif_error_Ok) << error.message; };
   const std::unique_ptr<heif_context, void (*)(heif_context*)> context(heif_context_alloc(),

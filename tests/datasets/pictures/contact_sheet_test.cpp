@@ -242,7 +242,7 @@ TEST(Drawing, NamesInOtherScriptsAreLetters) {
   EXPECT_NE(drawn("Zürich"), drawn("Zurich"));
   EXPECT_NE(drawn("Комната"), drawn("???????"));
   EXPECT_NE(drawn("Комната"), drawn("Комнаты"));
-  // In a plane that is left to private use, where no usual font has anything.
+  // The letter is in a plane that is left to private use, where no usual font has anything.
   EXPECT_EQ(drawn("a\U0010FFFDb"), drawn("aU+10FFFDb"));
 }
 

@@ -17,7 +17,7 @@ namespace {
 using testing::HasSubstr;
 using testing::MatchesRegex;
 
-// A program that stands in for COLMAP; what COLMAP itself finds is tested with the label shared.
+// This uses a program that stands in for COLMAP; what COLMAP itself finds is tested with the label shared.
 class ColmapRegistration : public testing::Test {
  protected:
   ColmapRegistration() {

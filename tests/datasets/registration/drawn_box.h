@@ -39,7 +39,7 @@ struct DrawnBox {
   double noise(const Eigen::Vector3d& at) const {
     return 0.5 * smooth(at * 2.5, 1) + 0.3 * smooth(at * 6, 2) + 0.2 * smooth(at * 14, 3);
   }
-  // Values of a grid, blended.
+  // Returns values of a grid, blended.
   double smooth(const Eigen::Vector3d& at, uint32_t octave) const {
     const Eigen::Vector3d corner = at.array().floor(), inside = at - corner;
     double sum = 0;
@@ -64,7 +64,7 @@ struct DrawnBox {
   }
 };
 
-// Looks along z, turned by an angle about y; a wide lens, focal_length over the longer side.
+// The camera looks along z, turned by an angle about y; it has a wide lens, focal_length being over the longer side.
 inline Camera camera_in_box(const Eigen::Vector3d& centre, double turn, double focal_length = 0.8,
                             int64_t width = 480, int64_t height = 360) {
   Camera camera;

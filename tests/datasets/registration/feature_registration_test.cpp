@@ -86,7 +86,7 @@ TEST_F(FeatureRegistration, FindsTheCamerasOfARoomAndLeavesOutWhatIsElsewhere) {
   const auto json = registration_json(registration, photographs_);
   EXPECT_EQ(json.at("from"), "features");
   EXPECT_EQ(json.at("cameras").at(5).at("registered"), false);
-  // The same again.
+  // The same is found again.
   EXPECT_EQ(found().photographs[3].world_from_camera.matrix(),
             registration.photographs[3].world_from_camera.matrix());
 }

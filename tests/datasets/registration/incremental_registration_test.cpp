@@ -37,7 +37,7 @@ struct Cloud {
     camera_from_world.push_back(pose.inverse());
     seen.views.push_back({0, kPixels});
   }
-  // Points that views first to last - 1 show.
+  // Adds points that views first to last - 1 show.
   void add_points(int count, size_t first, size_t last, double wrong_share) {
     std::uniform_real_distribution<double> unit(-1, 1);
     std::normal_distribution<double> noise(0, kNoise / kPixels);

@@ -102,7 +102,7 @@ TEST(ResizeCrop, AboutThePrincipalPointTheLensLooksAlongTheMiddle) {
       "(800 pixels) from its edges, found 150; crop about the image's centre (crop_centre: image).");
 }
 
-// A plan of its own for the larger size rounds to other pixels: 11 of them at 18 times the size.
+// A plan of its own for the larger size would round to other pixels: 11 of them at 18 times the size.
 TEST(ResizeCrop, MagnifiedIsTheSameCropWithTheCameraOfTheSmallOne) {
   const Camera camera = camera_of(4032, 3024);
   const ImageSize size{112, 112};

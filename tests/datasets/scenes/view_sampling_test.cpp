@@ -100,7 +100,7 @@ TEST(ViewSampling, ViewsComeInRandomOrderSourcesFirst) {
   ViewSampling shuffled, timed;
   shuffled.fewest_sources = shuffled.most_sources = timed.fewest_sources = timed.most_sources = 3;
   timed.order = ViewOrder::kTime;
-  // By how many of the views before it in time a view comes first among the sources, or last of all.
+  // It counts by how many of the views before it in time a view comes first among the sources, or last of all.
   std::array<int, 3> first{};
   std::array<int, 5> last{};
   for (uint64_t index = 0; index < 3000; ++index) {

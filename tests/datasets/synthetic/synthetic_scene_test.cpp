@@ -117,7 +117,7 @@ TEST(SyntheticScene, ShadowsAreSoftAndBelowTheirObject) {
   ball.centre = {0, 0, 1};
   ball.half_size = Vector3d::Constant(0.4);
   world.solids.push_back(ball);
-  // Looking down on the floor from beside the ball.
+  // It looks down on the floor from beside the ball.
   Camera camera = camera_at({1.6, 0, 0.6}, {0, 0, 0});
   const Image image = render_image(world, camera);
   const DepthMap depth = render_depth(world, camera);
@@ -131,7 +131,8 @@ TEST(SyntheticScene, ShadowsAreSoftAndBelowTheirObject) {
       const Vector3d point = camera.world_from_camera * (in_camera * depth.at(x, y));
       if (point.z() > 1e-6) continue;
       const double radius = std::hypot(point.x(), point.y());
-      // Lamp at 2.5 m, ball of 0.4 m at 1 m: the umbra on the floor ends near 0.52 m, the penumbra near 0.82 m.
+      // The lamp is at 2.5 m and the ball of 0.4 m at 1 m: the umbra on the floor ends near 0.52 m, the penumbra near
+      // 0.82 m.
       if (radius < 0.4) shadow.push_back(image.pixel(x, y)[0]);
       if (radius > 0.62 && radius < 0.68) between.push_back(image.pixel(x, y)[0]);
       if (radius > 0.95 && radius < 1.1) lit.push_back(image.pixel(x, y)[0]);
@@ -203,7 +204,7 @@ TEST(SyntheticScene, VariedRoomsKeepHalfAsTheyWereAndClutterTheRest) {
   EXPECT_GT(rolled, 8);
 }
 
-// On the floor or above it, below the ceiling, and between the walls.
+// Things must be on the floor or above it, below the ceiling, and between the walls.
 void expect_inside(const SyntheticWorld& world) {
   for (const Solid& solid : world.solids) {
     EXPECT_GE(solid.centre.z() - solid.half_size.z(), -1e-9);
@@ -281,7 +282,7 @@ TEST(SyntheticScene, OptionsThatContradictAreRefused) {
   EXPECT_EQ(test::error_of([&] { apply_setting(narrow, "width=4"); }).substr(0, 5), "--set");
 }
 
-// What differs from room to room, as one number: where things stand and what colours they have.
+// Returns what differs from room to room, as one number: where things stand and what colours they have.
 double content_of(const SyntheticWorld& world) {
   double sum = 0, weight = 1;
   const auto add = [&](double value) {
@@ -336,7 +337,7 @@ TEST(SyntheticScene, EveryCompilerDrawsTheSameRooms) {
   EXPECT_NEAR(looks, 141.078750347, 1e-6);
 }
 
-// The share of neighbouring pixels that have the same colour to one step of 255.
+// Returns the share of neighbouring pixels that have the same colour to one step of 255.
 double share_of_flat_pixels(const Image& image) {
   int64_t flat = 0;
   for (int64_t y = 0; y < image.height; ++y) {

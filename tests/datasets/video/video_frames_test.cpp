@@ -49,7 +49,7 @@ class VideoFrames : public testing::Test {
     ASSERT_EQ(run_program(command, log, "test"), 0) << read_file(log);
   }
 
-  // Without loss, so that the brightness of a frame tells which one it is.
+  // The video is without loss, so that the brightness of a frame tells which one it is.
   std::filesystem::path video(const std::string& name, const std::vector<int>& sharp) const {
     for (int i = 0; i < kFrames; ++i) {
       const bool is_sharp = std::find(sharp.begin(), sharp.end(), i) != sharp.end();

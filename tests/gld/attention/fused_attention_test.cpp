@@ -33,7 +33,7 @@ struct Scene {
   int64_t tokens() const { return views * (prefix + height * width); }
 };
 
-// The tables as gld/camera_encoding/prope.cpp makes them, but with arbitrary matrices.
+// Makes the tables as gld/camera_encoding/prope.cpp makes them, but with arbitrary matrices.
 PropeTables tables_for(const Scene& scene, const torch::TensorOptions& options) {
   PropeTables tables;
   tables.grid = {scene.views, scene.height, scene.width};
@@ -76,7 +76,8 @@ class FusedAttentionTest : public testing::Test {
  protected:
   void SetUp() override { torch::manual_seed(4); }
 
-  // Output and gradient of the joint array, in float32 through attention() and in double through the composition.
+  // Compares output and gradient of the joint array, in float32 through attention() and in double through the
+  // composition.
   void compare(const Scene& scene, const PropeTables* prope) {
     const auto joint = torch::randn({1, scene.tokens(), 3, scene.heads, scene.head_dim});
     const auto weights = torch::randn({1, scene.tokens(), scene.heads, scene.head_dim});

@@ -27,7 +27,7 @@ std::vector<std::string> names_in(const std::filesystem::path& folder) {
   return names;
 }
 
-// The number of a process that runs no more.
+// Returns the number of a process that runs no more.
 long ended_process() {
   const pid_t child = fork();
   if (child == 0) _exit(0);

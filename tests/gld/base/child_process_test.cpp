@@ -75,7 +75,7 @@ TEST(ChildProcess, StopsWhenItsParentIsKilled) {
   const auto number = folder.path() / "pid";
   const pid_t parent = ::fork();
   if (parent == 0) {
-    // One that would take its time, as a training does at the end of its step, or not stop at all.
+    // This one would take its time, as a training does at the end of its step, or not stop at all.
     ChildProcess process(
         {"/bin/sh", "-c", "trap '' TERM INT; echo $$ >" + number.string() + "; exec sleep 60"},
         folder.path() / "log", -1);

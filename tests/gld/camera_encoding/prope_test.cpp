@@ -37,7 +37,7 @@ struct Scene {
   }
 };
 
-// One token at a time, straight from DESIGN.md.
+// It encodes one token at a time, straight from DESIGN.md.
 torch::Tensor naive_encode(const Scene& scene, const torch::Tensor& x, const std::string& role) {
   auto y = x.clone();
   const auto cameras = relative_cameras(scene.views).views.cameras;

@@ -43,7 +43,7 @@ struct Written {
   bool compact = false;
 };
 
-// 0, 1, 2, ... written by libhdf5 itself.
+// These files hold 0, 1, 2, ... written by libhdf5 itself.
 class Hdf5Files : public ::testing::Test {
  protected:
   Hdf5Files() { H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr); }

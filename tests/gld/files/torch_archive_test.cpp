@@ -40,7 +40,7 @@ const TensorEntry& entry_of(const ParsedWeights& parsed, const std::string& name
   throw std::runtime_error("no tensor " + name);
 }
 
-// Elements in row-major order, through the strides.
+// Returns the elements in row-major order, through the strides.
 std::vector<double> values_of(const TensorEntry& entry) {
   std::vector<double> values;
   std::vector<int64_t> index(entry.shape.size(), 0);
@@ -73,8 +73,8 @@ double sum_of(const std::vector<TensorEntry>& entries) {
   return sum;
 }
 
-// {"model": {"w": tensor}, "ema": OrderedDict(w=...), "steps": 7, "rate": 0.5, "name": "run", "on": True, "none": None,
-//  "list": [1, (2, 3)]}
+// The pickle is {"model": {"w": tensor}, "ema": OrderedDict(w=...), "steps": 7, "rate": 0.5, "name": "run", "on": True,
+// "none": None, "list": [1, (2, 3)]}.
 std::string checkpoint_pickle() {
   PickleText pickle;
   pickle.op('}').op('(');

@@ -28,7 +28,7 @@ TEST(Flow, VelocityGivesBackDataAndNoiseAtEveryTimeBothEndsIncluded) {
 }
 
 TEST(Flow, ScoreOfASingleGaussian) {
-  // Data of variance s: x_t is normal with variance (1 - t)^2 s + t^2, whose score is -x over it.
+  // The data has variance s: x_t is normal with variance (1 - t)^2 s + t^2, whose score is -x over it.
   const double s = 0.3;
   const auto x = random_pair().data;
   for (const double t : {1e-6, 0.2, 1.0}) {

@@ -52,7 +52,8 @@ TEST(Guidance, ActsInsideTheIntervalBothEndsIncluded) {
   EXPECT_EQ(field.report().outside_interval, 2);
 }
 
-// u + s (c - u): at 0 the unconditional branch, at 1 the conditional one, and beyond it away from the unconditional.
+// The mix is u + s (c - u): at 0 the unconditional branch, at 1 the conditional one, and beyond it away from the
+// unconditional.
 TEST(Guidance, MixesTheBranchesByItsScale) {
   CountingBranches branches;
   branches.gap = 4;
@@ -63,7 +64,7 @@ TEST(Guidance, MixesTheBranchesByItsScale) {
   }
 }
 
-// What a field does is what a plan counts with.
+// A plan counts with what a field does.
 TEST(Guidance, OptionsSayWhereItActs) {
   const auto options = guidance_of(2, 0.25, 0.75);
   EXPECT_TRUE(options.acts_at(0.25));

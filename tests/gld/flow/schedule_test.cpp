@@ -29,8 +29,8 @@ TEST(Schedule, PublishedGridStopsAboveZero) {
   EXPECT_EQ(times.front(), 1);
   EXPECT_NEAR(times[48], 0.405, 5e-4);
   EXPECT_NEAR(times[49], 0.030, 5e-4);
-  // s u / (1 + (s - 1) u) at u = 1 - 0.999 * 48/49 and u = 0.001; DESIGN.md section 4, "Flow" rounds them to 0.56 and
-  // 0.058.
+  // The times are s u / (1 + (s - 1) u) at u = 1 - 0.999 * 48/49 and u = 0.001; DESIGN.md section 4, "Flow" rounds them
+  // to 0.56 and 0.058.
   options.shift = 62.4;
   EXPECT_NEAR(schedule_times(options, 49)[48], 0.57695, 1e-5);
   EXPECT_NEAR(schedule_times(options, 49)[49], 0.05879, 1e-5);
@@ -46,7 +46,8 @@ TEST(Schedule, PublishedGridEqualsTheReference) {
   for (size_t i = 0; i < times.size(); ++i) EXPECT_NEAR(times[i], expected[i], 1e-6);
 }
 
-// Every schedule, every number of steps, every shift: strictly decreasing from 1, and to 0 except for published.
+// With every schedule, every number of steps and every shift they are strictly decreasing from 1, and to 0 except for
+// published.
 TEST(Schedule, AllAreDecreasingForOneToAThousandSteps) {
   for (const ScheduleKind kind : {ScheduleKind::kPublished, ScheduleKind::kUniform, ScheduleKind::kShifted,
                                   ScheduleKind::kLogSnr, ScheduleKind::kKarras}) {

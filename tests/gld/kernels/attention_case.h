@@ -102,7 +102,7 @@ class Case {
   ReferenceAttention reference_;
 };
 
-// max |a - b| / max |b|; infinite when a value is not finite.
+// Returns max |a - b| / max |b|; infinite when a value is not finite.
 inline double relative_error(const std::vector<float>& found, const std::vector<double>& expected) {
   double error = 0, largest = 0;
   EXPECT_EQ(found.size(), expected.size());

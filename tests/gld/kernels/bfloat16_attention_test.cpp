@@ -36,7 +36,7 @@ INSTANTIATE_TEST_SUITE_P(Plain, BFloat16Attention, testing::Values(MatrixUnit::k
 INSTANTIATE_TEST_SUITE_P(on_avx512_bf16, BFloat16Attention, testing::Values(MatrixUnit::kAvx512));
 INSTANTIATE_TEST_SUITE_P(on_amx_bf16, BFloat16Attention, testing::Values(MatrixUnit::kAmx));
 
-// Of |q| |k| per head: the largest logit without signs, over all batches and heads.
+// Returns the largest of |q| |k| per head: the largest logit without signs, over all batches and heads.
 double largest_magnitude(Case& problem, const AttentionShape& shape) {
   double largest = 0;
   const int64_t row = shape.heads * shape.head_dim;
@@ -132,7 +132,7 @@ TEST_P(BFloat16Attention, SurvivesLogitsOfTenThousand) {
   const auto& expected = problem.reference().log_sum_exp;
   for (std::size_t i = 0; i < expected.size(); ++i) {
     ASSERT_TRUE(std::isfinite(problem.log_sum_exp[i]));
-    // 2^-8 of the products' magnitudes, of which the sum is a fraction.
+    // They differ by 2^-8 of the products' magnitudes, of which the sum is a fraction.
     EXPECT_NEAR(problem.log_sum_exp[i], expected[i], 0x1p-8 * 64 * 640 * 20 / 8);
   }
   EXPECT_LE(largest_of(problem.output), 1.01 * largest_of(problem.value()));

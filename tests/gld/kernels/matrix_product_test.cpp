@@ -44,8 +44,8 @@ struct ProductCase {
     return sum;
   }
 
-  // Largest error beside the root of the number of terms, which is how large results are; checks too that nothing was
-  // written between the rows.
+  // Returns the largest error beside the root of the number of terms, which is how large results are; checks too that
+  // nothing was written between the rows.
   double largest_error() const {
     double largest = 0;
     for (int64_t row = 0; row < product.rows; ++row) {

@@ -124,7 +124,7 @@ Bound bound_of(const PackedCase& one, int64_t row, int64_t output, ComputePrecis
       bound.error = sums + (2 * 0x1p-8 + 0x1p-16) * magnitudes;
       break;
     case ComputePrecision::kInt8: {
-      // Rounded zero: up to another half step where x is clamped at an end of the range.
+      // Zero is rounded: that is up to another half step where x is clamped at an end of the range.
       const double x_step = (high - low) / 255, w_step = largest / 127;
       bound.error = sums + x_step * w_sum + 0.5 * w_step * x_sum +
                     0.5 * x_step * w_step * static_cast<double>(one.inputs);
@@ -175,7 +175,7 @@ TEST_P(PackedProducts, GiveTheSameBitsForAnyThreadsAndRows) {
   }
 }
 
-// What each kernel computes with: its operands rounded as it says. Sums differ in order and so in rounding alone.
+// Each kernel computes with its operands rounded as it says. Sums differ in order and so in rounding alone.
 TEST_P(PackedProducts, AgreeWithThePlainUnitToRounding) {
   const PackedCase one(70, 1030, 101);
   const auto plain = one.run({GetParam().precision, MatrixUnit::kPlain}, 1);
@@ -320,7 +320,7 @@ class BFloat16Rounding : public testing::TestWithParam<MatrixUnit> {};
 
 TEST_P(BFloat16Rounding, IsToTheNearestWithTiesToEven) {
   const auto& kernels = matrix_unit_kernels(GetParam(), ComputePrecision::kBFloat16);
-  // 1 + 2^-8 lies between 1 and 1 + 2^-7, 1 + 3 2^-8 between that and 1 + 2^-6; a vector of them and a tail.
+  // 1 + 2^-8 lies between 1 and 1 + 2^-7, 1 + 3 2^-8 between that and 1 + 2^-6; there are a vector of them and a tail.
   std::vector<float> x(40, 1 + 0x1p-8f);
   x[1] = 1 + 3 * 0x1p-8f;
   x[2] = kNan;

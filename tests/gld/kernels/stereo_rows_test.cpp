@@ -158,7 +158,7 @@ TEST_P(StereoRows, CostIsOfTheBetterHalf) {
   constexpr size_t kCount = 21;
   std::vector<std::vector<float>> correlations;
   for (unsigned i = 0; i < 4; ++i) correlations.push_back(uniform(kCount, 10 + i));
-  // Some see nothing, at pixel 3 all.
+  // Some see nothing, and at pixel 3 all do.
   for (size_t i = 0; i < 4; ++i) correlations[i][3] = kNotSeenCorrelation;
   correlations[0][5] = correlations[2][6] = correlations[1][6] = correlations[3][7] = kNotSeenCorrelation;
   for (size_t i = 0; i < 3; ++i) correlations[i][8] = kNotSeenCorrelation;

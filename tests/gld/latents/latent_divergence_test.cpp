@@ -26,7 +26,7 @@ TEST(LatentDivergence, IsThatOfNormalDistributions) {
   EXPECT_NEAR(latent_divergence(scene, known), 0.5 * (0.5 + 0.5 * (0.25 - 1 - std::log(0.25))), 1e-6);
 }
 
-// Tokens (1, 3), (5, 3): the first channel has mean 3 and variance 4, the second 3 and none.
+// The tokens are (1, 3), (5, 3): the first channel has mean 3 and variance 4, the second 3 and none.
 TEST(LatentDivergence, OfFeaturesIsThatOfTheirMoments) {
   LatentStatistics known = two_channels();
   known.mean = torch::tensor({3.0F, 3.0F});

@@ -11,7 +11,7 @@
 namespace gld {
 namespace {
 
-// Rows with a mean far from zero in channel 0 and a tiny spread in channel 1.
+// Returns rows with a mean far from zero in channel 0 and a tiny spread in channel 1.
 std::vector<float> hard_rows(int64_t rows) {
   std::mt19937 engine(3);
   std::normal_distribution<float> normal;

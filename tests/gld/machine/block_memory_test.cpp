@@ -14,7 +14,7 @@ namespace {
 
 constexpr size_t kMegabyte = size_t{1} << 20;
 
-// Keeps up to 64 MiB while a test runs.
+// This keeps up to 64 MiB while a test runs.
 class BlockMemory : public testing::Test {
  protected:
   void SetUp() override {
@@ -92,7 +92,7 @@ TEST_F(BlockMemory, KeepsNoMoreThanTheLimit) {
 }
 
 TEST_F(BlockMemory, MakesRoomForOtherSizes) {
-  // Ever other sizes, one at a time: what was kept of the earlier ones goes before the peak rises by half.
+  // Sizes are ever other ones, one at a time: what was kept of the earlier ones goes before the peak rises by half.
   for (size_t size = 4; size < 20; size += 3) {
     void* block = take_block(size * kMegabyte);
     EXPECT_LE(kept_block_bytes(), static_cast<int64_t>(size * kMegabyte / 2)) << size;

@@ -9,7 +9,7 @@
 namespace gld {
 namespace {
 
-// A square of side 2 at x = y = 1e6, a point every 0.02.
+// Returns a square of side 2 at x = y = 1e6, with a point every 0.02.
 torch::Tensor square() {
   const auto line = torch::linspace(0, 2, 101, torch::kFloat64) + 1e6;
   const auto grid = torch::meshgrid({line, line}, "ij");

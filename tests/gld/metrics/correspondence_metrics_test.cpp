@@ -11,7 +11,8 @@
 namespace gld {
 namespace {
 
-// A point's place on the wall, as features whose cosine falls with the distance: on a sphere far larger than the wall.
+// Returns a point's place on the wall, as features whose cosine falls with the distance: on a sphere far larger than
+// the wall.
 torch::Tensor world_features(const test::PlaneRoom& room) {
   std::vector<torch::Tensor> maps;
   for (const Camera& camera : room.cameras) {

@@ -128,7 +128,7 @@ TEST(DepthMetrics, SayWhetherTheDepthWasScaledToTheTruth) {
   inputs.true_depth = torch::rand({2, 8, 9}) + 1;
   inputs.depth = inputs.true_depth / 5;
   const auto mean = [&](const char* name) { return measure(metric_named(name), inputs).mean(); };
-  // Known up to a factor, and the cameras say half of it.
+  // Depth is known up to a factor, and the cameras say half of it.
   inputs.depth_scale = 2.5;
   EXPECT_NEAR(mean("depth_abs_rel_median_scaled"), 0, 1e-6);
   EXPECT_NEAR(mean("depth_delta1_median_scaled"), 1, 1e-12);

@@ -126,7 +126,7 @@ class Properness : public testing::TestWithParam<decltype(&energy_score)> {
     return value_of(GetParam()(pictures_[truth], torch::stack(samples), {}));
   }
 
-  // Exact: over all truths and all pairs of samples, which are drawn independently.
+  // Returns the exact score: it is over all truths and all pairs of samples, which are drawn independently.
   double expected_score(const Probabilities& predicted, const Probabilities& true_ones) const {
     double sum = 0;
     for (int64_t truth = 0; truth < kPictures; ++truth) {
@@ -138,7 +138,7 @@ class Properness : public testing::TestWithParam<decltype(&energy_score)> {
     }
     return sum;
   }
-  // Of one picture whatever the truth, as a sample repeated.
+  // Returns that of one picture whatever the truth, as a sample repeated.
   double expected_score(const torch::Tensor& picture, const Probabilities& true_ones) const {
     double sum = 0;
     for (int64_t truth = 0; truth < kPictures; ++truth)
@@ -185,7 +185,7 @@ TEST_P(Properness, NeitherABlurNorAnInventionWins) {
 
 INSTANTIATE_TEST_SUITE_P(EnergyScore, Properness, testing::Values(energy_score, energy_score_of_features));
 
-// What PSNR says of the same blur: hence the score.
+// PSNR says this of the same blur: hence the score.
 TEST(EnergyScore, PrefersSamplesWherePsnrPrefersABlur) {
   const int64_t count = 40;
   const auto truths = random_pictures({count, 3, 12, 12}, 12);
@@ -196,7 +196,7 @@ TEST(EnergyScore, PrefersSamplesWherePsnrPrefersABlur) {
             0.8 * energy_score(truths, blur.unsqueeze(0)).mean().item<double>());
 }
 
-// Samples of too little and of too much difference, Gaussian in every pixel.
+// The samples have too little and too much difference, Gaussian in every pixel.
 TEST(EnergyScore, IsLeastForSamplesThatDifferAsMuchAsTheTruthDoes) {
   const int64_t count = 1500;
   const auto noise = [&](at::IntArrayRef shape, uint64_t seed) {

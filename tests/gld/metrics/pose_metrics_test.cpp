@@ -19,7 +19,7 @@ namespace {
 constexpr double kRadians = 3.14159265358979323846 / 180;
 constexpr int64_t kColumns = 12, kRows = 9;
 
-// Two sources and two targets, with centred principal points.
+// Returns two sources and two targets, with centred principal points.
 Views scene_views() {
   test::RandomCameras random(3);
   Views views;
@@ -76,7 +76,7 @@ TEST(PoseErrors, AreZeroForTheScenesOwnRaysInAnyFrameAndUnit) {
   }
 }
 
-// From the rays to the errors, as gld eval goes.
+// This goes from the rays to the errors, as gld eval goes.
 TEST(PoseErrors, OfCamerasThatWereFittedToExactRaysAreZero) {
   const Views views = scene_views();
   const auto exact = moved(views.cameras, some_motion(), 0.3);
@@ -138,7 +138,7 @@ TEST(PoseErrors, OriginsAndDirectionsOfTranslationFollowTheCentres) {
     views.cameras[i].world_from_camera = Eigen::Isometry3d::Identity();
     views.cameras[i].world_from_camera.translation().x() = static_cast<double>(i);
   }
-  // All origins at one place: no scale explains the centres, and each is as far off as it stands from the first.
+  // All origins are at one place: no scale explains the centres, and each is as far off as it stands from the first.
   auto predicted = views.cameras;
   for (Camera& camera : predicted) camera.world_from_camera.translation().setZero();
   auto errors = pose_errors(views, predicted, rays_of(predicted));
@@ -204,7 +204,7 @@ TEST(PoseMetrics, EstimatedCamerasAreComparedAsTheirFirstOneSeesThem) {
   errors = estimated_camera_errors(truth, estimated);
   EXPECT_LT(errors.rotation[0].item<double>(), 1e-6);
   EXPECT_NEAR(errors.rotation[1].item<double>(), 5.7296, 1e-3);
-  // All at one place: as far off as the truth is long.
+  // All are at one place: that is as far off as the truth is long.
   for (Camera& camera : estimated) camera.world_from_camera.translation().setZero();
   errors = estimated_camera_errors(truth, estimated);
   EXPECT_TRUE(errors.translation_direction.isnan().all().item<bool>());

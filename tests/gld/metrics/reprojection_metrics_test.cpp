@@ -76,7 +76,7 @@ TEST(DepthRoundTrip, IsZeroForAPerfectRenderer) {
   EXPECT_NEAR(found.agreement, 1, 1e-12);
 }
 
-// Spearman's rank correlation with 0, 1, 2, ...
+// Returns Spearman's rank correlation with 0, 1, 2, ...
 double spearman_with_rank(const std::vector<double>& values) {
   double squares = 0;
   const auto n = static_cast<double>(values.size());
@@ -89,7 +89,7 @@ double spearman_with_rank(const std::vector<double>& values) {
   return 1 - 6 * squares / (n * (n * n - 1));
 }
 
-// Every view but the first turned and moved by random amounts of that size.
+// Returns the views with every one but the first turned and moved by random amounts of that size.
 std::vector<Camera> disturbed(const std::vector<Camera>& cameras, double noise) {
   test::RandomCameras random(5);
   auto result = cameras;

@@ -123,7 +123,7 @@ TEST(PairAccuracy, CountsPairsAndTheAreaBelowTheirErrors) {
   EXPECT_NEAR(perfect->maa_30, 100, 1e-9);
   EXPECT_EQ(perfect->rotation_15, 100);
   EXPECT_EQ(perfect->direction_15, 100);
-  // The last camera turned by 12.5 degrees: the one pair of views 3 and 4 has that error; directions are right.
+  // The last camera is turned by 12.5 degrees: the one pair of views 3 and 4 has that error; directions are right.
   auto turned = truth;
   turned[4].world_from_camera.linear() =
       turned[4].world_from_camera.linear() *

@@ -23,7 +23,7 @@ size_t times(const std::string& text, const std::string& part) {
   return count;
 }
 
-// The text between two marks, of which the first stands once.
+// Returns the text between two marks, of which the first stands once.
 std::string between(const std::string& text, const std::string& begin, const std::string& end) {
   EXPECT_EQ(times(text, begin), 1u) << begin;
   const size_t from = text.find(begin) + begin.size();

@@ -49,7 +49,7 @@ TEST(PageText, JsonEndsNoScriptElementAndSaysTheSame) {
   EXPECT_EQ(nlohmann::ordered_json::parse(text), value);
 }
 
-// printf 'alert(1)' | openssl dgst -sha256 -binary | base64
+// The hash is that of printf 'alert(1)' | openssl dgst -sha256 -binary | base64
 TEST(PageText, APolicyNamesAScriptByItsHash) {
   EXPECT_EQ(policy_hash("alert(1)"), "'sha256-bhHHL3z2vDgxUt0W3dWQOrprscmda2Y5pLsLg4GF+pI='");
 }

@@ -57,7 +57,7 @@ TEST(DepthScale, AnIndependentErrorWidensTheInterval) {
   EXPECT_EQ(doubt_about(wider), "it may be anything from 0.736 to 4.7");
 }
 
-// In how many of 400 cases the interval holds the truth, 2.5.
+// Returns in how many of 400 cases the interval holds the truth, 2.5.
 int intervals_with_the_truth(const std::function<ArcPair(uint64_t seed)>& pair_of) {
   int inside = 0;
   for (uint64_t seed = 0; seed < 400; ++seed) {
@@ -126,7 +126,8 @@ TEST(DepthScale, WhatContradictsTheSurestEstimateIsLeftOut) {
   EXPECT_NEAR(surest->scale, std::sqrt(2.4 * 2.6), 1e-12);
 }
 
-// A narrow interval around a fit that explains nothing, and a fit that explains all at any scale, are no knowledge.
+// A narrow interval around a fit that explains nothing is no knowledge, and neither is a fit that explains all at any
+// scale.
 TEST(DepthScale, AnEstimateInDoubtIsNoScale) {
   const DepthScale unexplained = estimate("camera_poses", 580, 590, 0.93);
   const DepthScale open = estimate("photographs", 1, 5);
@@ -159,7 +160,7 @@ TEST(DepthScale, ScatteredCentresDoNotTellTheScale) {
   EXPECT_LE(believed, 1);
 }
 
-// The same of cameras that look elsewhere.
+// The same goes for cameras that look elsewhere.
 TEST(DepthScale, OrientationsThatDoNotFitAreADoubt) {
   ArcPair pair = arc(0, 1);
   for (size_t i = 0; i < pair.in_model.size(); ++i) {

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int64_t kWide = 48, kHigh = 32;
 
-// Dark on the left and bright on the right half.
+// The picture is dark on the left and bright on the right half.
 PicturedView two_halves(int64_t enlarged = 1) {
   PicturedView picture;
   picture.width = kWide * enlarged;
@@ -26,7 +26,7 @@ PicturedView two_halves(int64_t enlarged = 1) {
   return picture;
 }
 
-// 1 on the left and 2 on the right, smeared over so many columns to each side of the middle.
+// Depth is 1 on the left and 2 on the right, smeared over so many columns to each side of the middle.
 PlanarDepth step(double smeared) {
   PlanarDepth depth{kWide, kHigh, {}};
   for (int64_t y = 0; y < kHigh; ++y) {

@@ -19,7 +19,7 @@ using test::two_views_of_plane;
 
 constexpr double kExact = 0;  // depth of the sources that needs no match
 
-// Two views of the plane with its exact depth, confirmed that far everywhere.
+// Returns two views of the plane with its exact depth, confirmed that far everywhere.
 std::vector<ConfirmedDepth> sources_with(float confidence) {
   std::vector<ConfirmedDepth> sources;
   for (const PicturedView& view : two_views_of_plane()) {
@@ -43,7 +43,7 @@ PlanarDepth bent(PlanarDepth depth, double unit, double bend) {
   return depth;
 }
 
-// The mean of |log(depth / truth)| over the pixels of a range of columns.
+// Returns the mean of |log(depth / truth)| over the pixels of a range of columns.
 double log_error(const PlanarDepth& depth, const PlanarDepth& truth, int64_t first, int64_t last) {
   double sum = 0, count = 0;
   for (int64_t row = 0; row < depth.height; ++row) {

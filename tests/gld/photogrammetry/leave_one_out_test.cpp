@@ -18,7 +18,7 @@ PicturedView photograph(const Camera& camera) {
   return view;
 }
 
-// Along a line, each turned a little towards the same place.
+// Views stand along a line, each turned a little towards the same place.
 std::vector<PicturedView> row_of(int64_t count) {
   std::vector<PicturedView> views;
   for (int64_t i = 0; i < count; ++i) {

@@ -35,7 +35,7 @@ TEST(PhotoConsistency, FindsTheUnitOfExactDepth) {
   EXPECT_EQ(doubt_about(*scale), "");
 }
 
-// As far from the origin as scenes in map coordinates lie.
+// The origin is as far away as scenes in map coordinates lie.
 TEST(PhotoConsistency, TheOriginDoesNotMatter) {
   const auto scale = scale_from_photo_consistency(views_of_plane({3e5, -2e5, 100}), "photographs");
   ASSERT_TRUE(scale.has_value());

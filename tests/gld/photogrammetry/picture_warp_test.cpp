@@ -18,8 +18,8 @@ using test::camera_before_plane;
 using test::camera_between;
 using test::two_views_of_plane;
 
-// How far the colours of what was carried are from those of a photograph taken there; at the border of what is seen
-// only a part of a pixel's surface was.
+// Returns how far the colours of what was carried are from those of a photograph taken there; at the border of what is
+// seen only a part of a pixel's surface was.
 double mean_error(const CarriedPicture& carried, const PicturedView& truth) {
   double sum = 0, count = 0;
   for (size_t pixel = 0; pixel < carried.seen.size(); ++pixel) {

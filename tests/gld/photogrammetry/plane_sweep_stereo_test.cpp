@@ -24,7 +24,7 @@ StereoOptions few_planes() {
   return options;
 }
 
-// A plane painted finely enough for windows of 7 pixels, with its exact depth.
+// Returns a plane painted finely enough for windows of 7 pixels, with its exact depth.
 std::vector<PicturedView> plane_views(const std::vector<Camera>& cameras) {
   const test::TexturedPlane plane;
   std::vector<PicturedView> views;
@@ -251,7 +251,7 @@ std::vector<PicturedView> half_painted() {
   return views;
 }
 
-// Times a common factor, and smooth waves of that standard deviation.
+// The prior is the depth times a common factor, and smooth waves of that standard deviation.
 std::vector<PicturedView> with_wrong_prior(std::vector<PicturedView> views, double factor, double spread) {
   for (PicturedView& view : views) {
     for (int64_t y = 0; y < view.depth.height; ++y) {

@@ -100,10 +100,10 @@ TEST(CameraFromRays, AveragesNoise) {
   disturb(rays, 1.0, 0.05, 3);
   const RecoveredCamera found = camera_from_rays(rays, {}, {504, 280});
   const CameraErrors errors = camera_errors_of(found.camera, truth);
-  // A turn e about the horizontal axis moves the ray at height y by e (1 + y^2), a shift of the principal point
-  // all alike: only y^2, whose deviation over the picture (|y| < .35) is .036, tells them apart. With 2880 rays
-  // of 1 degree the turn has a deviation of 1 / (sqrt(2880) .036) = .5 degrees, the principal point one of
-  // 405 tan(.5 degrees) = 3.6 pixels; 3 of each.
+  // A turn e about the horizontal axis moves the ray at height y by e (1 + y^2), a shift of the principal point all
+  // alike: only y^2, whose deviation over the picture (|y| < .35) is .036, tells them apart. With 2880 rays of 1 degree
+  // the turn has a deviation of 1 / (sqrt(2880) .036) = .5 degrees, the principal point one of 405 tan(.5 degrees) =
+  // 3.6 pixels; 3 of each are allowed.
   EXPECT_LT(errors.rotation, 1.6);
   EXPECT_LT(errors.principal, 11);
   EXPECT_LT(errors.centre, 0.005);

@@ -19,7 +19,7 @@ namespace {
 constexpr int64_t kWidth = 504, kHeight = 280, kColumns = 288,
                   kRows = 160;  // 8 cells a patch of 14 pixels, as heads have
 
-// Looks roughly along z, with the principal point in the middle; the first one is the world.
+// They look roughly along z, with the principal point in the middle; the first one is the world.
 std::vector<Camera> cameras() {
   test::RandomCameras random(11);
   std::vector<Camera> result;
@@ -34,7 +34,7 @@ std::vector<Camera> cameras() {
 
 enum class Cells { kMiddles, kWholeNumbers };
 
-// In double: direction = R K^-1 (u, v, 1), u and v in pixels of the picture.
+// In double a ray has direction = R K^-1 (u, v, 1), u and v in pixels of the picture.
 RayGrid exact_rays(const Camera& camera, Cells cells) {
   RayGrid grid;
   grid.width = kColumns;

@@ -10,7 +10,7 @@ namespace gld {
 namespace {
 
 constexpr TextFont kFont{14, TextWeight::kRegular};
-// In a plane that is left to private use, where no usual font has anything.
+// This letter is in a plane that is left to private use, where no usual font has anything.
 const std::string kMissing = "\U0010FFFD";
 
 TEST(CairoText, WhatNoFontHasIsShownAsItsCodePoint) {

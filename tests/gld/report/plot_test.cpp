@@ -31,7 +31,7 @@ Figure example() {
   return {"figure", {panel, panel}, 300, 260};
 }
 
-// Width and height in a PNG's header.
+// Reads width and height in a PNG's header.
 std::pair<int, int> png_size(const std::string& bytes) {
   const auto number = [&](size_t at) {
     int value = 0;

@@ -82,7 +82,7 @@ struct Comparison {
   bool background = true;
 };
 
-// The fast picture beside the naive one, in pixels that are not next to a jump; they must be nearly all.
+// Compares the fast picture with the naive one, in pixels that are not next to a jump; they must be nearly all.
 void expect_picture_of_naive(const Comparison& c, InstructionSet set_of_instructions) {
   RandomGaussians wanted;
   wanted.count = c.count;

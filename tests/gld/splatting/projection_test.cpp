@@ -26,7 +26,7 @@ double difference(double& parameter, const std::function<double()>& value) {
   return (above - below) / (2 * kStep);
 }
 
-// Some smooth number of all that a projection gives.
+// Returns some smooth number of all that a projection gives.
 double number_of(const ProjectedGaussian& p) {
   return 0.3 * p.mean[0] - 0.2 * p.mean[1] + 0.011 * p.covariance[0] + 0.007 * p.covariance[1] -
          0.005 * p.covariance[2] + 2 * std::log(p.opacity);
@@ -119,7 +119,8 @@ TEST(Projection, IsThatOfSampledPoints) {
       covariance += moved * moved.transpose();
     }
     EXPECT_LT((projected.mean - pixel(shape.mean)).norm(), 1e-9);
-    // The curvature of the projection over 1e-5 of 4, and the rounding of a difference of pixels of 1e-13 to 1e-3.
+    // The error is the curvature of the projection over 1e-5 of 4, and the rounding of a difference of pixels of 1e-13
+    // to 1e-3.
     EXPECT_NEAR(projected.covariance[0], covariance(0, 0), 1e-9);
     EXPECT_NEAR(projected.covariance[1], covariance(0, 1), 1e-9);
     EXPECT_NEAR(projected.covariance[2], covariance(1, 1), 1e-9);
@@ -128,7 +129,7 @@ TEST(Projection, IsThatOfSampledPoints) {
 }
 
 TEST(Projection, NeedlesKeepTheirDeterminant) {
-  // Lengths 1e6 : 1 along a diagonal: xx yy - xy^2 in double would have an error of 1e-16 * 1e18.
+  // Lengths are 1e6 : 1 along a diagonal: xx yy - xy^2 in double would have an error of 1e-16 * 1e18.
   GaussianSet set = zero_gaussians(1, 0);
   set.means = {0, 0, 4};
   const double angle = 0.6;
@@ -146,8 +147,8 @@ TEST(Projection, NeedlesKeepTheirDeterminant) {
 }
 
 TEST(SphericalHarmonics, AreOrthonormal) {
-  // Over the sphere by a product rule that is exact for polynomials of degree 6: 4 nodes of Gauss and Legendre, and 8
-  // angles.
+  // This sums over the sphere by a product rule that is exact for polynomials of degree 6: 4 nodes of Gauss and
+  // Legendre, and 8 angles.
   const double nodes[4] = {0.8611363115940526, 0.3399810435848563, -0.3399810435848563, -0.8611363115940526};
   const double weights[4] = {0.3478548451374538, 0.6521451548625461, 0.6521451548625461, 0.3478548451374538};
   double products[16][16] = {};

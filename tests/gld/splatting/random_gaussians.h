@@ -16,7 +16,7 @@ struct RandomGaussians {
   unsigned seed = 1;
 };
 
-// In a box around (0, 0, 4). Numbers are multiples of 2^-10, so that steps of 2^-10 are exact.
+// They lie in a box around (0, 0, 4). Numbers are multiples of 2^-10, so that steps of 2^-10 are exact.
 inline GaussianSet random_gaussians(const RandomGaussians& wanted) {
   std::mt19937 engine(wanted.seed);
   const auto uniform = [&](double low, double high) {
@@ -39,7 +39,7 @@ inline GaussianSet random_gaussians(const RandomGaussians& wanted) {
   return set;
 }
 
-// Turned and moved a little, K off centre.
+// The camera is turned and moved a little, with K off centre.
 inline Camera splat_test_camera(int64_t width, int64_t height) {
   Camera camera;
   camera.width = width;

@@ -26,7 +26,7 @@ SplatImage random_image(int64_t channels, int64_t width, int64_t height, unsigne
   return image;
 }
 
-// SSIM of a pixel as its formula stands, in double, with zeros beyond the picture.
+// Returns SSIM of a pixel as its formula stands, in double, with zeros beyond the picture.
 double naive_similarity(const SplatImage& a, const SplatImage& b, int64_t c, int64_t px, int64_t py) {
   double weights[11], sum = 0;
   for (int k = 0; k < 11; ++k) sum += weights[k] = std::exp(-(k - 5) * (k - 5) / (2 * 1.5 * 1.5));
@@ -93,7 +93,7 @@ TEST(ImageLoss, GradientIsThatOfDifferences) {
     const double below = value(), down = pixel;
     pixel = here;
     const double slope = (above - below) / (up - down);
-    // The curvature of SSIM over 1e-3 of a pixel, and float's rounding of the gradient.
+    // The error is the curvature of SSIM over 1e-3 of a pixel, and float's rounding of the gradient.
     EXPECT_NEAR(loss.gradient.row(0, row)[column], slope, 1e-3 * std::abs(slope) + 1e-6)
         << column << " " << row;
   }
@@ -201,7 +201,7 @@ TEST(PixelWeights, AreWhatCompositingSums) {
   RandomGaussians wanted;
   wanted.count = 50;
   const GaussianSet set = random_gaussians(wanted);
-  // No whole number of tiles, nor of vectors.
+  // The picture is no whole number of tiles, nor of vectors.
   const Camera camera = splat_test_camera(37, 21);
   const SplatView view = view_of_splats(set, splat_camera(camera, set.origin, {}), {});
   std::vector<float> values(50);
@@ -252,7 +252,7 @@ FeatureCase feature_case(int64_t gaussians, int64_t channels) {
   return result;
 }
 
-// The gradient of what is minimised, in double, over that of features of 0.
+// Returns the gradient of what is minimised, in double, over that of features of 0.
 double relative_gradient(const FeatureCase& problem, const std::vector<float>& f, double ridge) {
   const auto n = static_cast<size_t>(problem.gaussians);
   std::vector<double> sums(n, 0.0), totals(n, 0.0);

@@ -65,7 +65,7 @@ TEST(SplatPly, HasTheLayoutOfViewers) {
   }
   header += "end_header\n";
   ASSERT_EQ(bytes.substr(0, header.size()), header);
-  // f_rest: all of red, then green, then blue.
+  // f_rest has all of red, then green, then blue.
   const float expected[26] = {1,  2,  3,  0,  0,  0, 4,  5,  6,  11,   21,    31,     12,
                               22, 32, 13, 23, 33, 7, -1, -2, -3, 0.5F, 0.25F, 0.125F, 1};
   ASSERT_EQ(bytes.size(), header.size() + sizeof(expected));
@@ -130,7 +130,7 @@ TEST(SplatPly, HostileFilesAreOneSentence) {
       where +
           ": expected 0, 9, 24 or 45 properties f_rest_*, found 1; write it with spherical harmonics of a whole "
           "degree.");
-  // Every byte changed or cut: an Error or a set, never anything else.
+  // With every byte changed or cut there is an Error or a set, never anything else.
   write_splat_ply(file, some_gaussians(1), {{"gld", "x"}});
   const std::string whole = read_file(file);
   int64_t refused = 0;

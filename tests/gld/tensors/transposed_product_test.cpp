@@ -17,8 +17,8 @@ struct Shape {
   int64_t rows, inputs, outputs;
 };
 
-// On both sides of what is packed; 39 and 51 rows are what the statistics of three views multiply (a class token and 12
-// or 16 patches each).
+// The shapes are on both sides of what is packed; 39 and 51 rows are what the statistics of three views multiply (a
+// class token and 12 or 16 patches each).
 std::vector<Shape> shapes() {
   return {{1, 1, 1},    {1, 512, 300}, {17, 5, 40},   {39, 588, 32},  {39, 32, 96},
           {47, 64, 64}, {48, 31, 200}, {51, 588, 96}, {130, 64, 257}, {600, 7, 48}};

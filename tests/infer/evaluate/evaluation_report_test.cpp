@@ -22,7 +22,7 @@ using testing::HasSubstr;
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
-// A scene whose columns have these values; the others are absent.
+// Returns a scene whose columns have these values; the others are absent.
 SceneEvaluation scene_with(const std::string& name, const std::map<std::string, double>& values) {
   SceneEvaluation scene;
   scene.scene = name;

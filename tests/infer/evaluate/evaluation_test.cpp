@@ -87,7 +87,7 @@ class Evaluation : public testing::Test {
     return options;
   }
 
-  // Without progress on the terminal.
+  // It runs without progress on the terminal.
   static std::string run(const EvaluationOptions& options) {
     testing::internal::CaptureStderr();
     std::string text = evaluate(options);
@@ -141,8 +141,8 @@ TEST_F(Evaluation, SolverAndGuidanceAreTheSamplesAlone) {
   EXPECT_EQ(guided.at("mean_prediction_psnr").at("mean"), one.at("mean_prediction_psnr").at("mean"));
 }
 
-// The same scene, views and noise through `gld sample`: the same latents to the bit, the same depth scale, and the same
-// PSNR up to the eight bits of a picture.
+// The same scene, views and noise go through `gld sample`: they give the same latents to the bit, the same depth scale,
+// and the same PSNR up to the eight bits of a picture.
 TEST_F(Evaluation, SamplesAreThoseOfGldSample) {
   const auto asked = options("as_sampled");
   const auto bundle = ModelBundle::open(asked.model);
@@ -290,7 +290,7 @@ TEST_F(EvaluationProtocol, EnergyScoresAreOfAllSamplesTogether) {
   for (const int64_t seed : {11, 1'000'011, 2'000'011}) {
     const EvaluatedScene one = evaluate_scene(models, scene, settings, {seed});
     samples.push_back(one.sample.images);
-    // One sample: its distance, which its PSNR is too.
+    // Of one sample it is its distance, which its PSNR is too.
     distances.push_back(one.evaluation.number("sample_energy_score").value);
   }
   const auto truth = stacked(scene.true_images);
@@ -363,7 +363,7 @@ TEST_F(EvaluationProtocol, EveryNumberOfSourcesIsReported) {
   const std::string csv = file(asked, "eval.csv");
   EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 5);
   EXPECT_EQ(found.at("protocol").at("poses"), "da3");
-  // What every scene has, whatever the sources.
+  // Every scene has these, whatever the sources.
   for (const char* name : {"pck_level0", "pck_level3", "pseudo_depth_abs_rel", "met3r_like_true_geometry",
                            "reconstruction_level0_psnr"}) {
     EXPECT_EQ(found.at("means").at(name).at("scenes"), 2) << name;

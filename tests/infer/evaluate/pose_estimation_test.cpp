@@ -69,7 +69,7 @@ TEST(PoseEstimation, EvaluationMeasuresTheCamerasOfADecoder) {
   apply_setting(seeing, "dpt_head.camera_decoder=true");
   const auto model = folder.path() / "decoder_model";
   write_random_bundle(model, seeing, 7);
-  // Lenses that have a focal length, whatever the random weights say.
+  // The lenses have a focal length, whatever the random weights say.
   auto tensors = read_all(model / "dpt_head.safetensors");
   tensors["cam_dec.fc_fov.0.bias"] = torch::ones({2});
   tensors["cam_dec.fc_fov.0.weight"] = tensors.at("cam_dec.fc_fov.0.weight") * 0.01;

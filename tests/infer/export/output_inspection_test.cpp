@@ -28,7 +28,7 @@ struct StepOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override { visitor.integer({"steps", "how many"}, steps, {1, 10}); }
 };
 
-// A safetensors file without tensors, whose header holds what a training checkpoint's does.
+// Writes a safetensors file without tensors, whose header holds what a training checkpoint's does.
 void write_checkpoint(const std::filesystem::path& file, const std::string& step, const std::string& state) {
   const nlohmann::json header = {{"__metadata__", {{"step", step}, {"state", state}}}};
   std::string text = json_text(header), length;

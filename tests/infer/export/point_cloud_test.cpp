@@ -43,7 +43,7 @@ Camera camera_of(int64_t width, int64_t height) {
   return camera;
 }
 
-// A view of the plane normal . x = distance in the world, each pixel's colour telling where it is.
+// Returns a view of the plane normal . x = distance in the world, each pixel's colour telling where it is.
 PointView plane_view(const Camera& camera, const Eigen::Vector3d& normal, double distance) {
   PointView view;
   view.camera = camera;

@@ -33,7 +33,7 @@ MeasuredSpeed measured(double linear) {
   return result;
 }
 
-// The environment's cache folder for as long as it lives.
+// This sets the environment's cache folder for as long as it lives.
 class CacheVariables {
  public:
   CacheVariables(const char* cache, const char* home) : cache_(of("XDG_CACHE_HOME")), home_(of("HOME")) {

@@ -52,7 +52,7 @@ PlanRequest request_of(int64_t side) {
   return request;
 }
 
-// The most memory that tensors take while `work` runs, beyond what they take before.
+// Returns the most memory that tensors take while `work` runs, beyond what they take before.
 int64_t tensor_bytes_of(const std::function<void()>& work) {
   release_kept_blocks();
   const int64_t before = used_block_bytes();
@@ -98,7 +98,7 @@ PlannedStage stage_of(const BundleOptions& bundle, const PlanRequest& request, S
   return {};
 }
 
-// All source views at once, where the head has gone.
+// It mends all source views at once, where the head has gone.
 TEST_F(StageMemoryPrediction, MendingDepthTakesWhatIsSaid) {
   BundleOptions bundle = middling_bundle();
   bundle.depth_refinement.channels = {24, 32, 48};

@@ -57,7 +57,8 @@ TEST(PlanErrors, TheBoundCoversWhatWasMeasuredAndLeavesRoom) {
   const auto over = [](const std::vector<double>& errors, double typical) {
     return std::log(error_bound(errors) / typical);
   };
-  // Student's quantiles at 0.001: 4.50079, 4.14370 and 3.09 of 8, 10 and (nearly) infinitely many degrees of freedom.
+  // Student's quantiles at 0.001 are 4.50079, 4.14370 and 3.09 of 8, 10 and (nearly) infinitely many degrees of
+  // freedom.
   EXPECT_NEAR(over({0.1}, 0.1), 4.50079 * std::sqrt(2.0) * 0.4, 1e-4);
   EXPECT_NEAR(over({0.1, 0.1, 0.1}, 0.1), 4.14370 * std::sqrt(4.0 / 3 * 8 * 0.16 / 10), 1e-4);
   const double e = std::exp(1.0);

@@ -21,7 +21,7 @@ Camera camera_at(double z) {
   return camera;
 }
 
-// What the camera sees of the plane z = 5 of the world.
+// Returns what the camera sees of the plane z = 5 of the world.
 PointCloud plane_cloud() {
   PointView view;
   view.camera = camera_at(1);
@@ -82,7 +82,7 @@ TEST(PageCloud, AFootprintIsThePixelOfTheNearestCameraThatSeesThePoint) {
   SeenDepth near{camera_at(3), DepthMap(40, 20)}, far{camera_at(1), DepthMap(40, 20)};
   for (float& depth : near.depth.metres) depth = 2;
   for (float& depth : far.depth.metres) depth = 4;
-  // Rows are farther apart than columns: 4 / 25 and 2 / 25 of the plane. To 2^(1/32).
+  // Rows are farther apart than columns: 4 / 25 and 2 / 25 of the plane. This holds to 2^(1/32).
   const auto at_middle = [&](const std::vector<SeenDepth>& views) {
     return Unpacked(page_cloud(cloud, views, Eigen::Vector3d::Zero(), 1000)).footprints[10 * 40 + 20];
   };

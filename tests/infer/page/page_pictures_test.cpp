@@ -10,7 +10,7 @@ namespace {
 
 using testing::StartsWith;
 
-// What PNG cannot make smaller.
+// Returns what PNG cannot make smaller.
 Image noisy(int64_t width, int64_t height) {
   Image image(width, height);
   uint32_t state = 1;

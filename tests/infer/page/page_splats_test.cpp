@@ -13,7 +13,7 @@
 namespace gld {
 namespace {
 
-// Gaussian i of n, each another one; its quaternion has any length and sign.
+// Each Gaussian i of n is another one; its quaternion has any length and sign.
 GaussianSet some_gaussians(int64_t n) {
   GaussianSet set = zero_gaussians(n, 1);
   set.origin = Eigen::Vector3d(1e6, 0, 5);

@@ -61,7 +61,7 @@ TEST_F(SamplePage, ShowsWhatTheRunHas) {
   EXPECT_EQ(views[4].at("file"), "images/view_04.png");
   // A source, the last of the given ones, stands before the first target on the path.
   EXPECT_EQ(views[3].at("nearest"), 2);
-  // Pictures: 3 sources with depth, 3 targets with truth and depth.
+  // These pictures are 3 sources with depth, 3 targets with truth and depth.
   EXPECT_EQ(made.data.at("pictures").size(), 15u);
   EXPECT_NE(made.data.at("pictures")[views[4].at("picture").get<size_t>()],
             made.data.at("pictures")[views[4].at("truth").get<size_t>()]);
@@ -142,7 +142,7 @@ TEST_F(SamplePage, HostileNamesAreText) {
   EXPECT_THAT(page_html(made), Not(HasSubstr("<img src=x")));
 }
 
-// With 300,000 points of 1.1 million.
+// The page has 300,000 points of 1.1 million.
 TEST_F(SamplePage, EightViewsStayBelowEightMegabytes) {
   test::DrawnRun large;
   large.width = 504;

@@ -15,7 +15,7 @@ namespace gld::test {
 // The planes of a cloud or of Gaussians in a page, taken apart as docs/PAGE.md says, without the writer's code.
 class UnpackedPlanes {
  public:
-  // bytes_each: all that one of them has.
+  // bytes_each is all that one of them has.
   UnpackedPlanes(const nlohmann::ordered_json& json, size_t bytes_each)
       : json_(json), count_(json.at("count").get<size_t>()), bytes_(bytes_each * count_) {
     const auto text = json.at("bytes").get<std::string>();
@@ -31,7 +31,7 @@ class UnpackedPlanes {
     EXPECT_EQ(size, bytes_.size());
   }
 
-  // The next three planes of 16 bits.
+  // Returns the next three planes of 16 bits.
   std::vector<Eigen::Vector3d> points() {
     std::vector<Eigen::Vector3d> points(count_);
     for (int axis = 0; axis < 3; ++axis, at_ += 2 * count_) {
@@ -45,7 +45,7 @@ class UnpackedPlanes {
     return points;
   }
 
-  // The next plane of 8 bits.
+  // Returns the next plane of 8 bits.
   std::vector<uint8_t> plane() {
     std::vector<uint8_t> values(count_);
     uint8_t value = 0;

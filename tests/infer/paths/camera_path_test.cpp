@@ -32,7 +32,7 @@ Camera camera_at(const Vector3d& centre, const Vector3d& target, const Vector3d&
 Vector3d centre_of(const Camera& camera) { return camera.world_from_camera.translation(); }
 Vector3d axis_of(const Camera& camera) { return camera.world_from_camera.linear().col(2); }
 
-// Of a scene of which nothing but the sources and perhaps a depth is known.
+// The path is of a scene of which nothing but the sources and perhaps a depth is known.
 std::vector<Camera> path_of(const CameraPathOptions& options, const std::vector<Camera>& sources,
                             double typical_depth) {
   return make_camera_path(options, sources, {{}, typical_depth}).cameras;
@@ -44,12 +44,12 @@ void expect_rotation(const Camera& camera) {
   EXPECT_NEAR(rotation.determinant(), 1, 1e-12);
 }
 
-// Distance of the point from the camera's optical axis.
+// Returns the distance of the point from the camera's optical axis.
 double distance_from_axis(const Camera& camera, const Vector3d& point) {
   return (point - centre_of(camera)).cross(axis_of(camera)).norm();
 }
 
-// Four sources around (offset + (1, 2, 0.5)), 3 away from the vertical through it and 1 above it.
+// Returns four sources around (offset + (1, 2, 0.5)), 3 away from the vertical through it and 1 above it.
 std::vector<Camera> ring(const Vector3d& offset) {
   const Vector3d target = offset + Vector3d(1, 2, 0.5);
   std::vector<Camera> cameras;
@@ -174,7 +174,7 @@ TEST(Orbit, StandsForCoincidentSourcesAndSingleFrames) {
   const Camera only = orbit_cameras({source, source}, shape)[0];
   EXPECT_LT((centre_of(only) - centre_of(source)).norm(), 1e-12);
   EXPECT_LT(rotation_angle(only.world_from_camera.linear(), source.world_from_camera.linear()), 1e-9);
-  // Straight down onto a table: up is the mean of the sources' up, the circle has no radius, all stays finite.
+  // It looks straight down onto a table: up is the mean of the sources' up, the circle has no radius, all stays finite.
   const Camera above = camera_at({0, 0, 3}, {0, 0, 0});
   shape.frames = 5;
   for (const Camera& camera : orbit_cameras({above}, shape)) {

@@ -25,7 +25,7 @@ constexpr int64_t kHeight = 28;
 const Vector3d kNormal = Vector3d(0.2, -0.3, 1).normalized();
 constexpr double kDistance = 5;  // of the plane kNormal . x = kDistance in the model's frame
 
-// As cropping leaves them: the principal point far from the middle.
+// The camera is as cropping leaves it: the principal point is far from the middle.
 Camera camera_at(const Vector3d& centre, double turn) {
   Camera camera;
   camera.width = kWidth;
@@ -40,7 +40,7 @@ std::vector<Camera> model_cameras() {
   return {camera_at({0, 0, 0}, 0), camera_at({0.8, 0.1, -0.2}, -0.15), camera_at({-0.7, 0.2, 0.3}, 0.2)};
 }
 
-// What a model predicts that sees the plane from these cameras.
+// Returns what a model predicts that sees the plane from these cameras.
 GeometryOutput plane_seen_from(const std::vector<Camera>& cameras) {
   GeometryOutput geometry;
   std::vector<torch::Tensor> rays, depths;
@@ -84,7 +84,7 @@ PointCloudOptions keep_all(PointLifting lifting) {
   return options;
 }
 
-// Root mean square distance of the points from the plane that fits them best.
+// Returns the root mean square distance of the points from the plane that fits them best.
 double off_plane(const PointCloud& cloud) {
   Vector3d mean = Vector3d::Zero();
   const auto count = static_cast<double>(cloud.size());
@@ -297,7 +297,7 @@ TEST(ScaleEvidence, AGuessedUnitIsOneWhereItsErrorIsKnown) {
   EXPECT_TRUE(scale_evidence(scene, {"sparse_points"}, found).usual_unit_depth.empty());
 }
 
-// The depth of one view, told in another unit with an error of 20 %: a scale with an interval of two deviations.
+// The depth of one view, told in another unit with an error of 20 %, gives a scale with an interval of two deviations.
 TEST(GeometryPlacement, AGuessedUnitIsAsSureAsItsError) {
   const auto geometry = plane_seen_from(model_cameras());
   const auto first = geometry.depth[0].to(torch::kFloat32).contiguous();

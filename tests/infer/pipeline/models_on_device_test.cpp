@@ -32,7 +32,7 @@ const LatentGrid kGrid = {kViews, kHeight / 14, kWidth / 14};
 
 bool is_meta(const torch::Device& device) { return device.type() == torch::kMeta; }
 
-// A module of the same weights on a device.
+// Returns a module of the same weights on a device.
 template <class Module, class Options>
 std::shared_ptr<Module> on(const torch::Device& device, const Options& options) {
   const auto random = std::make_shared<Module>(options, ParameterPlacement());

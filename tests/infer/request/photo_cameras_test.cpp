@@ -30,7 +30,7 @@ struct Photographed {
   torch::Tensor photographs;
 };
 
-// focal_factor: of the rays' camera against the true one, one a photograph.
+// focal_factor is that of the rays' camera against the true one, one a photograph.
 Photographed photographed_plane(const std::vector<double>& focal_factor = {1, 1, 1}) {
   constexpr double kUnit = 2;
   const Eigen::Matrix3d turn = Eigen::AngleAxisd(0.7, Vector3d(1, -2, 1).normalized()).toRotationMatrix();
@@ -99,7 +99,7 @@ TEST(PhotoCameras, PhotographsOfOneLensGetOneFocalLength) {
   }
   EXPECT_THAT(photo_cameras_text(found, {"a", "b", "c"}), HasSubstr("one lens took 3 of them"));
   EXPECT_EQ(photo_cameras_json(found, {"a", "b", "c"}).at("shared_lenses").size(), 1U);
-  // Each its own: what its rays ask for.
+  // Each has its own: what its rays ask for.
   const PhotoCameras own = photo_cameras(plane.geometry, plane.photographs,
                                          {{0, longer_side}, {1, longer_side}, {2, longer_side}});
   EXPECT_TRUE(own.lenses.empty());
@@ -109,7 +109,7 @@ TEST(PhotoCameras, PhotographsOfOneLensGetOneFocalLength) {
 // Rays that ask for less or more; photographs are four times as large as what the model sees.
 class ExifFocalLength : public testing::Test {
  protected:
-  // exif: over the true one, a photograph; 0 where there is none.
+  // exif is over the true one, one a photograph; it is 0 where there is none.
   PhotoCameras found(const std::vector<double>& rays, const std::vector<int64_t>& lenses,
                      const std::vector<double>& exif) const {
     const Photographed plane = photographed_plane(rays);
@@ -192,7 +192,7 @@ TEST_F(ExifFocalLength, FarFromWhatTheModelSeesIsADoubt) {
   EXPECT_THAT(found({1, 1, 1}, {0, 1, 2}, {1, 1, 1}).doubts(), testing::IsEmpty());
 }
 
-// A picture of half the size from the same lens: the same focal length over its longer side.
+// A picture of half the size from the same lens has the same focal length over its longer side.
 TEST(PhotoCameras, FocalLengthsOfOneLensFollowTheSizeOfThePhotograph) {
   const Photographed plane = photographed_plane({1, 1, 2});
   const auto side = static_cast<double>(std::max(plane.photographs.size(2), plane.photographs.size(3)));

@@ -43,7 +43,7 @@ Eigen::Vector2d projected(const Camera& camera, const Eigen::Vector3d& x_in_worl
   return (camera.intrinsics * x).hnormalized();
 }
 
-// What a file of COLMAP's text form says, by number.
+// Returns what a file of COLMAP's text form says, by number.
 std::map<int64_t, std::vector<std::string>> numbered_lines(const std::filesystem::path& file) {
   std::map<int64_t, std::vector<std::string>> lines;
   std::istringstream stream(read_file(file));
@@ -100,8 +100,8 @@ TEST_F(ColmapExport, HoldsCamerasPointsAndWhereTheyAreSeen) {
   EXPECT_GT(sighted, counts.points);
 }
 
-// Colours are those of the cloud; errors are what the depths of views disagree by: of exact depth little, and not known
-// for points that one view sees.
+// Colours are those of the cloud; errors are what the depths of views disagree by: that is little of exact depth, and
+// not known for points that one view sees.
 TEST_F(ColmapExport, GivesPointsColourErrorAndTrack) {
   const ColmapCounts counts = exported({});
   const auto points = numbered_lines(out() / "sparse_txt" / "points3D.txt");

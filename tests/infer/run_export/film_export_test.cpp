@@ -50,7 +50,7 @@ class FilmExport : public ::testing::Test {
     texts_ = film_provenance(run_, film, export_provenance(run_, R"({"between":0})"));
     return film;
   }
-  // What ffmpeg reads in a video, as pictures.
+  // Returns what ffmpeg reads in a video, as pictures.
   std::vector<Image> decoded(const std::filesystem::path& video) const {
     const auto place = folder_.path() / "decoded";
     std::filesystem::remove_all(place);

@@ -38,7 +38,7 @@ TEST(Film, KnowsWhetherAPathCloses) {
   EXPECT_FALSE(path_closes(orbit(3, 60)));
   EXPECT_FALSE(path_closes(orbit(2, 60)));
   EXPECT_FALSE(path_closes({}));
-  // Back at the place, looking elsewhere.
+  // The camera is back at the place, looking elsewhere.
   std::vector<Camera> turned = orbit(12, 360);
   for (size_t i = 0; i < turned.size(); ++i) {
     turned[i].world_from_camera.linear() =

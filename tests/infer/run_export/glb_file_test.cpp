@@ -142,7 +142,7 @@ TEST_F(GlbFile, ShowsPointsThroughItsCameras) {
   EXPECT_EQ(gltf.binary.substr(view.at("byteOffset"), view.at("byteLength")), scene.views[0].png);
 }
 
-// Whether expect_valid_gltf() would say something.
+// Returns whether expect_valid_gltf() would say something.
 bool is_refused(const GltfFile& gltf) {
   ::testing::TestPartResultArray failures;
   const ::testing::ScopedFakeTestPartResultReporter reporter(
@@ -282,7 +282,7 @@ TEST_F(GlbFile, RefusesInASentenceAndLeavesNothing) {
   EXPECT_FALSE(std::filesystem::exists(file()));
 }
 
-// The node of that name in Assimp's JSON, with its pose in the scene; matrices are row by row.
+// Returns the node of that name in Assimp's JSON, with its pose in the scene; matrices are row by row.
 std::optional<Eigen::Matrix4d> assimp_pose(const nlohmann::json& node, const std::string& name,
                                            const Eigen::Matrix4d& above) {
   const auto values = node.at("transformation").get<std::vector<double>>();

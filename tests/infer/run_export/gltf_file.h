@@ -71,7 +71,7 @@ inline size_t components_of(const std::string& type) {
   return std::map<std::string, size_t>{{"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4}}.at(type);
 }
 
-// The values of an accessor, (count, components), as they are stored.
+// Returns the values of an accessor, (count, components), as they are stored.
 inline std::vector<std::vector<double>> accessor_values(const GltfFile& file, size_t number) {
   const auto& accessor = file.at("accessors", number);
   const auto& view = file.at("bufferViews", accessor.at("bufferView"));
@@ -118,7 +118,7 @@ inline Eigen::Isometry3d node_pose(const nlohmann::json& node) {
   return pose;
 }
 
-// The pose of each node in the scene, by name.
+// Returns the pose of each node in the scene, by name.
 inline std::map<std::string, Eigen::Isometry3d> global_poses(const GltfFile& file) {
   std::map<std::string, Eigen::Isometry3d> poses;
   const auto visit = [&](const auto& self, size_t number, const Eigen::Isometry3d& above) -> void {
@@ -133,7 +133,7 @@ inline std::map<std::string, Eigen::Isometry3d> global_poses(const GltfFile& fil
   return poses;
 }
 
-// Keys that an object may have, those that it must have behind '!'.
+// words are the keys that an object may have, with those that it must have behind '!'.
 inline void expect_keys(const nlohmann::json& object, const std::string& what, const std::string& words) {
   ASSERT_TRUE(object.is_object()) << what;
   std::set<std::string> known{"extras", "extensions"};
@@ -150,7 +150,7 @@ inline void expect_keys(const nlohmann::json& object, const std::string& what, c
     EXPECT_EQ(known.count(item.key()), 1U) << what << " has " << item.key();
 }
 
-// Numbers of that count between two bounds, where the key is there.
+// Expects numbers of that count between two bounds, where the key is there.
 inline void expect_numbers(const nlohmann::json& object, const char* key, size_t count,
                            double low = -std::numeric_limits<double>::max(),
                            double high = std::numeric_limits<double>::max()) {
@@ -164,7 +164,7 @@ inline void expect_numbers(const nlohmann::json& object, const char* key, size_t
   }
 }
 
-// A number between two bounds, where the key is there.
+// Expects a number between two bounds, where the key is there.
 inline void expect_number(const nlohmann::json& object, const char* key, double low, double high) {
   if (!object.contains(key)) return;
   ASSERT_TRUE(object.at(key).is_number()) << key;
@@ -172,7 +172,7 @@ inline void expect_number(const nlohmann::json& object, const char* key, double 
   EXPECT_LE(object.at(key).get<double>(), high) << key;
 }
 
-// Whole numbers from 0 on, where the keys are there.
+// Expects whole numbers from 0 on, where the keys are there.
 inline void expect_whole(const nlohmann::json& object, const std::vector<const char*>& keys) {
   for (const char* key : keys) {
     EXPECT_TRUE(!object.contains(key) || object.at(key).is_number_unsigned())
@@ -180,14 +180,14 @@ inline void expect_whole(const nlohmann::json& object, const std::vector<const c
   }
 }
 
-// One of the values that the specification lists, where the key is there.
+// Expects one of the values that the specification lists, where the key is there.
 inline void expect_one_of(const nlohmann::json& object, const char* key, const nlohmann::json& values) {
   if (!object.contains(key)) return;
   EXPECT_NE(std::find(values.begin(), values.end(), object.at(key)), values.end())
       << key << " of " << object.dump();
 }
 
-// Whole numbers from 0 on, each once and one at least, where the key is there.
+// Expects whole numbers from 0 on, each once and one at least, where the key is there.
 inline void expect_ids(const nlohmann::json& object, const char* key, size_t end) {
   if (!object.contains(key)) return;
   ASSERT_TRUE(object.at(key).is_array()) << key;
@@ -200,14 +200,15 @@ inline void expect_ids(const nlohmann::json& object, const char* key, size_t end
   }
 }
 
-// All that the JSON schema of glTF 2.0 (Khronos, specification/2.0/schema) demands of the objects that an export has:
-// glTF, glTFid, glTFProperty (extensions and extras), asset, buffer, bufferView, accessor, camera, camera.perspective,
-// image, sampler, texture, textureInfo, material, material.pbrMetallicRoughness, mesh, mesh.primitive, node and scene,
-// their keys, required ones, types, enumerations, bounds, numbers of elements and what excludes what, where the schema
-// lets unknown keys and values pass, too; and KHR_materials_unlit. An export has none of the others, whose keys are
-// refused: accessor.sparse and its parts, animation and its parts, camera.orthographic, skin, morph targets and
-// weights, material's normal, occlusion and emissive textures and alpha, node's matrix, scale and skin, uri.
-// Beyond the schema: a tree of nodes, alignment, sizes, values that are finite, and exact bounds of positions.
+// Checks all that the JSON schema of glTF 2.0 (Khronos, specification/2.0/schema) demands of the objects that an export
+// has: glTF, glTFid, glTFProperty (extensions and extras), asset, buffer, bufferView, accessor, camera,
+// camera.perspective, image, sampler, texture, textureInfo, material, material.pbrMetallicRoughness, mesh,
+// mesh.primitive, node and scene, their keys, required ones, types, enumerations, bounds, numbers of elements and what
+// excludes what, where the schema lets unknown keys and values pass, too; and KHR_materials_unlit. An export has none
+// of the others, whose keys are refused: accessor.sparse and its parts, animation and its parts, camera.orthographic,
+// skin, morph targets and weights, material's normal, occlusion and emissive textures and alpha, node's matrix, scale
+// and skin, uri. Beyond the schema it checks: a tree of nodes, alignment, sizes, values that are finite, and exact
+// bounds of positions.
 inline void expect_valid_gltf(const GltfFile& file) {
   const auto& json = file.json;
   expect_keys(

@@ -41,7 +41,7 @@ class RunExport : public ::testing::Test {
     warned_ = ::testing::internal::GetCapturedStderr();
     return parse_json(read_file(std::filesystem::path(options.out) / "report.json"), "report");
   }
-  // All files of an export beside what says how it was made.
+  // Returns all files of an export beside what says how it was made.
   std::map<std::string, std::string> files(const std::string& out) const {
     std::map<std::string, std::string> found;
     const auto place = folder_.path() / out;

@@ -1,4 +1,5 @@
-// Every latent space of configs/ablations/latents from nothing to samples and their evaluation, with two steps a stage.
+// This takes every latent space of configs/ablations/latents from nothing to samples and their evaluation, with two
+// steps a stage.
 #include "datasets/formats/scene_writer.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"

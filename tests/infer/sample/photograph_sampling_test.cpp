@@ -254,7 +254,7 @@ TEST_F(PhotographSampling, OneSourceIsCarriedInTheUsualUnit) {
   EXPECT_THAT(printed_, HasSubstr("nothing is carried into the target views: one source has no scale"));
 }
 
-// Beside models that were trained without photographs in target views, whose pictures stay as they are.
+// It does so beside models that were trained without photographs in target views, whose pictures stay as they are.
 TEST_F(PhotographSampling, SaysWhatItIsWorth) {
   auto asked = options("worth");
   asked.views.sources = {0, 2, 4};

@@ -116,7 +116,7 @@ TEST_F(SamplingPlanReport, ThePlanDecodesNoPhotograph) {
   EXPECT_THROW(sample(asked), Error);
 }
 
-// Cut short behind the header, which tells the size: whoever decoded one would fail.
+// The photographs are cut short behind the header, which tells the size: whoever decoded one would fail.
 std::vector<std::string> undecodable_photographs(const std::filesystem::path& picture,
                                                  const std::filesystem::path& folder, int count) {
   std::filesystem::create_directories(folder);

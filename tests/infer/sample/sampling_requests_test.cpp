@@ -105,7 +105,7 @@ TEST_F(SamplingRequests, PhotographsNeedAModelThatSeesGeometry) {
   EXPECT_EQ(test::error_of([&] { sample(asked); }),
             "--photos: expected a model with a geometry head, which sees the cameras, found " + asked.model +
                 "; add --geometry-model DIR with one that has, or let COLMAP find the cameras.");
-  // Which then sees the photographs as well as the generated images.
+  // The geometry model then sees the photographs as well as the generated images.
   asked.geometry_model = (test::source_root() / "configs" / "tiny").string();
   asked.photos.lens = PhotoLens::kOwn;
   asked.views.path.frames = 2;
@@ -185,7 +185,7 @@ TEST_F(SamplingRequests, TheGeometryModelIsToldTheGivenCameras) {
   EXPECT_NE(told.second, found.second);
 }
 
-// A model whose file was damaged, or whose training diverged: no depth of 0 and exit status 0.
+// A model whose file was damaged, or whose training diverged, must not give depth of 0 and exit status 0.
 TEST_F(SamplingRequests, NumbersThatAreNotFiniteInTheGeometryHeadAreNamed) {
   const auto model = folder_->path() / "broken_head";
   std::filesystem::copy(folder_->path() / "model", model, std::filesystem::copy_options::recursive);
@@ -379,7 +379,7 @@ TEST_F(SamplingRequests, WhatWouldHaveNoEffectIsRefused) {
     change(asked);
     return test::error_of([&] { check_options(asked, "gld sample"); });
   };
-  // Each alone, with the defaults and images only.
+  // Each is asked for alone, with the defaults and images only.
   for (const char* key :
        {"solver.schedule_file", "solver.shift", "solver.last_time", "solver.tolerance",
         "solver.max_evaluations", "solver.diffusion", "solver.diffusion_strength", "solver.noise_seed",

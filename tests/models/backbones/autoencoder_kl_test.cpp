@@ -25,7 +25,7 @@ AutoencoderKl with_posterior(Posterior posterior, int64_t seed) {
   return model;
 }
 
-// mean + exp(logarithm of the variance / 2) standard normal numbers, of the picture and the seed alone.
+// A sample is mean + exp(logarithm of the variance / 2) standard normal numbers, of the picture and the seed alone.
 TEST(AutoencoderKlPosterior, IsSampledAroundItsMean) {
   const torch::NoGradGuard no_grad;
   const auto images = torch::rand({2, 3, 32, 32}, at::detail::createCPUGenerator(2));

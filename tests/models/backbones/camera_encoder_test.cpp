@@ -91,7 +91,7 @@ TEST(KnownCameras, AreToldWhateverTheirWorldAndUnit) {
     camera.intrinsics.topRows<2>() *= 3;
   }
   EXPECT_LT(largest_difference(levels[3], backbone->encode_with_cameras(images, 3, pixels)[3]), 1e-4);
-  // And they matter: another pose of one view, another lens, or none told at all.
+  // And they matter: this is another pose of one view, another lens, or none told at all.
   auto other = cameras;
   other[2].world_from_camera.translation() += Eigen::Vector3d(0, 2, 0);
   EXPECT_GT(largest_difference(levels[0].narrow(0, 0, 1),

@@ -24,7 +24,7 @@ torch::Tensor random_images(int64_t views, int64_t height, int64_t width, uint64
   return torch::randn({views, 3, height, width}, at::detail::createCPUGenerator(seed));
 }
 
-// What cubic convolution with PyTorch's coefficient -0.75 makes of the sequence 0, 1, 2, ... at position x.
+// Returns what cubic convolution with PyTorch's coefficient -0.75 makes of the sequence 0, 1, 2, ... at position x.
 double interpolated_index(double x) {
   constexpr double kA = -0.75;
   const double first = std::floor(x), t = x - first;

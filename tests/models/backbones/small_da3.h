@@ -17,7 +17,7 @@ inline Da3BackboneOptions small_da3() {
   return options;
 }
 
-// With weights of the scale of a trained model, so that every part matters.
+// The backbone has weights of the scale of a trained model, so that every part matters.
 inline std::shared_ptr<Da3Backbone> random_da3(const Da3BackboneOptions& options, uint64_t seed = 1) {
   auto backbone = std::make_shared<Da3Backbone>(options, ParameterPlacement());
   const torch::NoGradGuard no_grad;

@@ -29,7 +29,7 @@ std::shared_ptr<VggtBackbone> random_vggt() {
   auto backbone = std::make_shared<VggtBackbone>(small_vggt(), ParameterPlacement());
   torch::NoGradGuard no_grad;
   backbone->initialise(at::detail::createCPUGenerator(1));
-  // Weights of the scale of a trained model, so that every part matters.
+  // Weights have the scale of a trained model, so that every part matters.
   for (auto& parameter : backbone->parameters()) {
     if (parameter.dim() > 1) parameter.mul_(8);
   }

@@ -39,7 +39,7 @@ std::shared_ptr<PhotographBlending> blending_of(const PixelUnetOptions& options)
   return blending;
 }
 
-// Chooses the hypothesis of that number (0: the rule's picture) everywhere.
+// The network chooses the hypothesis of that number (0: the rule's picture) everywhere.
 std::shared_ptr<PhotographBlending> always(int64_t number) {
   auto blending = blending_of(small_blending());
   const torch::NoGradGuard no_grad;
@@ -49,7 +49,8 @@ std::shared_ptr<PhotographBlending> always(int64_t number) {
   return blending;
 }
 
-// The plane laid into the view between by a depth that is `off` times too large; no matching that would mend it.
+// The plane is laid into the view between by a depth that is `off` times too large; there is no matching that would
+// mend it.
 PlacedPhotographs placed_plane(double off, int64_t times = 1) {
   std::vector<PicturedView> sources = two_views_of_plane();
   const Camera target =
@@ -209,7 +210,7 @@ TEST(PhotographBlending, HasItsNamesAndItsCost) {
                                             "decoder.1.first.weight", "choice.weight"}));
   const Cost cost = blending_cost(small_blending(), 32, 48);
   EXPECT_EQ(cost.weight_bytes, 4 * weights);
-  // Four times the pixels; beyond the side that it looks at no more.
+  // It costs four times as much for four times the pixels, and beyond the side that it looks at no more.
   EXPECT_DOUBLE_EQ(blending_cost(small_blending(), 64, 96).flop(), 4 * cost.flop());
   EXPECT_DOUBLE_EQ(blending_cost(small_blending(), 640, 960).flop(), 4 * cost.flop());
   EXPECT_EQ(blending_cost(PixelUnetOptions(), 32, 48).flop(), 0);

@@ -59,7 +59,7 @@ void expect_equal(const Shapes& module, const Shapes& published) {
   EXPECT_GT(published.size(), 150U);
 }
 
-// Names as in the file, of which a few parts stand elsewhere than the rest.
+// Names are as in the file, of which a few parts stand elsewhere than the rest.
 void add_published(Shapes& shapes, const torch::nn::Module& module, const std::string& prefix,
                    const std::vector<std::pair<std::string, std::string>>& elsewhere) {
   Shapes own;

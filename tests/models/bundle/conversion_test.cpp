@@ -30,7 +30,7 @@ using test::PickleText;
 using test::Tensors;
 using test::with_prefix;
 
-// A PyTorch file of nested state_dicts, the way the published training saves one.
+// Writes a PyTorch file of nested state_dicts, the way the published training saves one.
 std::string checkpoint(const std::map<std::string, Tensors>& dictionaries) {
   PickleText pickle;
   std::map<std::string, std::string> storages;

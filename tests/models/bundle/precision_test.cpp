@@ -58,7 +58,7 @@ FrozenModules reference_modules(torch::Dtype dtype) {
   return modules;
 }
 
-// images: (views, 3, height, width) in [0, 1] -> the levels, the maps and the images.
+// Makes of images, (views, 3, height, width) in [0, 1], the levels, the maps and the images.
 std::map<std::string, torch::Tensor> run(const FrozenModules& modules, const torch::Tensor& images) {
   const auto grid = modules.backbone->architecture().grid_of(images.size(0), images.size(2), images.size(3));
   std::map<std::string, torch::Tensor> results;

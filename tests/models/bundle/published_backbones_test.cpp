@@ -1,4 +1,4 @@
-// Published files of backbones through gld convert: what each gives, and what is refused by name.
+// This takes published files of backbones through gld convert, and tests what each gives, and what is refused by name.
 #include "models/bundle/published_backbones.h"
 
 #include "gld/base/atomic_file.h"

@@ -20,7 +20,7 @@ using test::error_of;
 
 class PublishedRelease : public testing::Test {
  protected:
-  // As the snapshot and the clone it is put into lie on disk; what is in the files is looked at later.
+  // The files are as the snapshot and the clone it is put into lie on disk; what is in them is looked at later.
   PublishedRelease() {
     for (const auto model : {ReleasedModel::kDa3, ReleasedModel::kVggt}) {
       for (const auto& file : release_files(model)) put(file.path);

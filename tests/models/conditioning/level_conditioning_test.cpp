@@ -53,7 +53,7 @@ TEST(LevelConditioning, ShowsTheSourceLevelAndThePhotographsNormalised) {
       condition_on_source_level({1, given.options, given.statistics}, given.views, given.sources);
   EXPECT_TRUE(inputs.source_features.equal((given.sources.levels[1].slice(1, 1) - 1) / 2));
   EXPECT_TRUE(inputs.warped_features.equal((given.sources.warped.levels[1] - 1) / 2));
-  // The first two of three: as many as it has room for.
+  // It takes the first two of three: as many as it has room for.
   EXPECT_TRUE(inputs.warp_agreement.equal(given.sources.warped.agreement.slice(1, 0, 2)));
   EXPECT_FALSE(inputs.deeper_level.defined());
 
@@ -78,9 +78,9 @@ TEST(LevelConditioning, NoiseOnTheDeeperLevelKeepsItsVariance) {
   EXPECT_TRUE(noisy_deeper_level(level, noise, 0).equal(level));
   for (const double sigma : {0.3, 2.0}) {
     const auto noisy = noisy_deeper_level(level, noise, sigma);
-    // The variance of 100000 squares' mean: sqrt(2 / 100000) = 0.0045; four of these.
+    // The variance of 100000 squares' mean is sqrt(2 / 100000) = 0.0045; four of these are allowed.
     EXPECT_NEAR(noisy.square().mean().item<double>(), 1, 0.018);
-    // Correlation with what it was: 1 / sqrt(1 + sigma^2), whose deviation is below 1 / sqrt(100000) = 0.0032.
+    // Its correlation with what it was is 1 / sqrt(1 + sigma^2), whose deviation is below 1 / sqrt(100000) = 0.0032.
     EXPECT_NEAR((noisy * level).mean().item<double>(), 1 / std::sqrt(1 + sigma * sigma), 0.018);
   }
 }

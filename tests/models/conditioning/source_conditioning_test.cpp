@@ -28,10 +28,10 @@ LatentSpace small_space() {
   return LatentSpace(backbone, 1);
 }
 
-// Of whole patches of the backbone.
+// The camera has whole patches of the backbone.
 Camera camera_at(double x) { return test::camera_before_plane({x, 0.1 * x, 0}, -0.2 * x, 84, 70); }
 
-// Two source views of a plane and a target between them.
+// Returns two source views of a plane and a target between them.
 SourceScene plane_scene() {
   SourceScene scene;
   scene.views.cameras = {camera_at(0), camera_at(1.2), camera_at(0.5)};
@@ -45,7 +45,7 @@ SourceScene plane_scene() {
   return scene;
 }
 
-// Knows the plane, in a unit of its own.
+// This head knows the plane, in a unit of its own.
 class PlaneHead : public GeometryHead {
  public:
   explicit PlaneHead(const SourceScene& scene) : views_(scene.views.num_sources) {

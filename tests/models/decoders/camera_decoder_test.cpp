@@ -25,7 +25,7 @@ DptHeadOptions small_head() {
   return options;
 }
 
-// The maps of the last two of three views.
+// The inputs are for the maps of the last two of three views.
 GeometryInputs random_inputs(const LatentGrid& grid) {
   GeometryInputs inputs;
   for (uint64_t level = 0; level < 4; ++level) {

@@ -34,7 +34,7 @@ std::shared_ptr<DepthRefinement> refinement_of(const PixelUnetOptions& options) 
   return refinement;
 }
 
-// Says exp(correction) everywhere, whatever it sees.
+// The network says exp(correction) everywhere, whatever it sees.
 std::shared_ptr<DepthRefinement> always(double correction,
                                         const PixelUnetOptions& options = small_network()) {
   auto refinement = refinement_of(options);
@@ -55,7 +55,7 @@ ToldDepth told_of_plane(double off) {
   return told;
 }
 
-// Of all pixels that are shown at the factor, the mean of how far colours are apart there.
+// Returns, of all pixels that are shown at the factor, the mean of how far colours are apart there.
 double mean_difference(const DepthEvidence& evidence, double factor) {
   const auto place = std::find(kDepthFactors.begin(), kDepthFactors.end(), factor) - kDepthFactors.begin();
   const auto shown = evidence.shown.select(1, place) > 0;

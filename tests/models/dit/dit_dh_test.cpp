@@ -176,8 +176,8 @@ TEST_P(DitConfigurations, AgreesWithTheFormulasInDouble) {
   }
 }
 
-// In double, where the order of a sum is 1e-15 and hides nothing; and in float32, which goes through other code, as
-// near to the double result as its roundings allow.
+// Savings are exact in double, where the order of a sum is 1e-15 and hides nothing; and in float32, which goes through
+// other code, they are as near to the double result as its roundings allow.
 TEST_P(DitConfigurations, EverySavingIsExact) {
   const auto model = test::in_double(*model_);
   const auto scene = test::in_double(scene_);
@@ -442,7 +442,7 @@ TEST(DitDh, WhatWasCarriedIsTheFirstGuess) {
             1e-5);
   EXPECT_LT(at_noise[0].abs().max().item<double>(), 1e-5);  // nothing is carried into a source view
   EXPECT_LT(data_at(1, DitBranch::kUnconditional).abs().max().item<double>(), 1e-5);
-  // Where noise and the carried features are as uncertain, half as much: t / (1 - t) = sqrt(0.1).
+  // Where noise and the carried features are as uncertain, it is half as much: t / (1 - t) = sqrt(0.1).
   const double even = std::sqrt(0.1) / (1 + std::sqrt(0.1));
   EXPECT_LT(
       (data_at(even, DitBranch::kConditional).narrow(0, 1, 2) - 0.5 * believed * scene.inputs.warped_features)

@@ -128,7 +128,7 @@ TEST_P(DitPassesOf, VelocitiesAreThoseOfEachSceneAlone) {
   }
   const auto together = model_->velocity(passes, torch::cat(states));
   EXPECT_LT(relative_difference(together, torch::cat(alone)), GetParam().tolerance);
-  // Which a mix-up of the scenes would not survive.
+  // A mix-up of the scenes would not survive this.
   EXPECT_GT(relative_difference(together, torch::cat(alone).flip(0)), 0.1);
 }
 

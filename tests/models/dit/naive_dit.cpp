@@ -110,7 +110,7 @@ class NaiveDit {
     return torch::stack(views);
   }
 
-  // What a part of the model gets of the pictures that were carried into target views.
+  // Returns what a part of the model gets of the pictures that were carried into target views.
   Tensor carried(const std::string& part) const {
     const std::string split = options_.split_embedders ? "_tgt" : "";
     const auto embedder = weight(part + "_embedder" + split + ".proj.weight").flatten(1);
@@ -167,7 +167,7 @@ class NaiveDit {
     }
   }
 
-  // One token's head by the encoding of its view and place; direction -1 rotates back.
+  // Encodes one token's head by the encoding of its view and place; direction -1 rotates back.
   Tensor encode(const Tensor& vector, const Tensor& matrix, int64_t patch, double direction) const {
     const int64_t head_dim = vector.size(0), half = head_dim / 8;
     auto out = torch::empty_like(vector);
@@ -185,7 +185,7 @@ class NaiveDit {
     return out;
   }
 
-  // x: (views * tokens, head_dim).
+  // x is (views * tokens, head_dim).
   Tensor encode_all(const Tensor& x, const std::string& role) const {
     auto out = x.clone();
     const int64_t per_view = special_ + patches_;
@@ -234,7 +234,7 @@ class NaiveDit {
   std::vector<Tensor> projection_, inverse_;
 };
 
-// Token by token: the network's prediction mixed with what was carried to the token.
+// This goes token by token: the network's prediction is mixed with what was carried to the token.
 Tensor with_first_guess(const DitOptions& options, const std::map<std::string, Tensor>& weights,
                         const NaiveDitInputs& inputs, Tensor output) {
   const int64_t side = options.camera_patch_size, special = options.num_special_tokens;

@@ -24,7 +24,7 @@ struct NaiveDitInputs {
   bool conditional = true;
 };
 
-// (views, tokens, channels). weights: by the names of the checkpoint, in double.
+// The result is (views, tokens, channels). weights are by the names of the checkpoint, in double.
 torch::Tensor naive_dit_velocity(const DitOptions& options,
                                  const std::map<std::string, torch::Tensor>& weights,
                                  const NaiveDitInputs& inputs);

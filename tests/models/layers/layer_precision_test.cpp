@@ -45,7 +45,7 @@ void pack(DitDh& model, ComputePrecision precision) {
 // 4 views of 20 tokens, more rows than LibTorch gets.
 const test::RandomCameras::SceneSizes kSizes{4, 2, 70, 56};
 
-// Bytes of files that are in this process's memory.
+// Returns the bytes of files that are in this process's memory.
 int64_t resident_file_bytes() {
   std::ifstream status("/proc/self/status");
   for (std::string word; status >> word;) {
@@ -57,7 +57,7 @@ int64_t resident_file_bytes() {
 
 // Weights are read in place, from pages of their file; packed ones stand beside them, so the pages must go.
 TEST(LayerPrecision, PackedWeightsDoNotKeepThePagesOfTheirFile) {
-  // Beside what was built: a folder for temporary files may lie in memory, which has no pages of files.
+  // It lies beside what was built: a folder for temporary files may lie in memory, which has no pages of files.
   const test::TemporaryFolder folder(std::filesystem::current_path());
   constexpr int64_t kWidth = 2048;
   constexpr int64_t kBytes = kWidth * kWidth * 4;
@@ -224,7 +224,7 @@ TEST(LayerPrecision, ReleasedWeightsAreShapesWithoutNumbers) {
       "use_precision.");
 }
 
-// Gradients of a step by a model that learns in a precision, one after the other.
+// Returns the gradients of a step by a model that learns in a precision, one after the other.
 torch::Tensor gradients(DitDh& model, const test::DitTestScene& scene, ComputePrecision precision,
                         ActivationStorage storage) {
   learn_in(model, precision);
@@ -250,7 +250,7 @@ TEST(LayerPrecision, AModelLearnsInAPrecisionWithItsErrors) {
   const auto reduced = gradients(*model, scene, ComputePrecision::kBFloat16, ActivationStorage::kKeep);
   EXPECT_GT(relative_rms(reduced, exact), 1e-3);
   EXPECT_LT(relative_rms(reduced, exact), 2e-2);
-  // Computed again to save memory: only the order of some sums is another.
+  // When they are computed again to save memory, only the order of some sums is another.
   EXPECT_LT(relative_rms(gradients(*model, scene, ComputePrecision::kBFloat16, ActivationStorage::kRecompute),
                          reduced),
             1e-3);

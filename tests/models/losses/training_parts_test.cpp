@@ -142,7 +142,7 @@ DinoDiscriminatorOptions small_dino() {
   return options;
 }
 
-// A file with DINO's names, as torch.hub publishes them.
+// Writes a file with DINO's names, as torch.hub publishes them.
 std::filesystem::path write_small_dino(const std::filesystem::path& folder) {
   std::map<std::string, torch::Tensor> tensors;
   const auto draw = [&tensors](const std::string& name, const std::vector<int64_t>& shape) {

@@ -129,7 +129,7 @@ TEST(DenoisingUnet, OneViewAloneIsTheSameInEveryAttention) {
               1e-5);
 }
 
-// How much what the network predicts of view `of` changes with view `with`.
+// Returns how much what the network predicts of view `of` changes with view `with`.
 double influence(ViewAttention attention, int64_t of, int64_t with) {
   const DenoisingUnet unet = random_unet(small_refiner(attention));
   auto views = random_views(4, 4, 4).requires_grad_();
@@ -202,7 +202,7 @@ Camera camera_at(double x, double turn) {
 }
 
 TEST(NearestReferences, WeighTurnsAgainstSpacing) {
-  // Spacing 1: a turn of 1 radian is |R - R'|_F / 2 = sqrt(2) sin(1/2) = .68.
+  // The spacing is 1: a turn of 1 radian is |R - R'|_F / 2 = sqrt(2) sin(1/2) = .68.
   const std::vector<Camera> cameras = {camera_at(0, 1), camera_at(1, 0), camera_at(2, 0), camera_at(3, 0)};
   EXPECT_THAT(nearest_references(camera_at(0.1, 0), cameras, 3, ReferenceUnit::kSpacing),
               ElementsAre(0, 1, 2));

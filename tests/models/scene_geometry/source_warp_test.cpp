@@ -30,7 +30,7 @@ torch::Tensor picture_of(const PicturedView& view) {
   return torch::tensor(view.rgb).view({view.height, view.width, 3}).permute({2, 0, 1});
 }
 
-// What a geometry head that knows the plane says of the source views.
+// Returns what a geometry head that knows the plane says of the source views.
 PlaneScene plane_scene(const std::vector<Camera>& cameras, int64_t num_sources) {
   const test::TexturedPlane plane;
   PlaneScene scene;
@@ -85,10 +85,10 @@ TEST(SourceWarp, PhotographsLieWhereTheTargetsSeeThemTheNearestFirst) {
     }
     EXPECT_GT(std::abs(own[0].seen_share() - own[1].seen_share()), 0.02);
   }
-  // One of them: the first.
+  // It takes one of them: the first.
   const SourceWarp one = warp_sources(scene.views, scene.images.narrow(0, 0, 2), depth_of(scene), 1);
   EXPECT_TRUE(torch::equal(one.agreement, warp.agreement.narrow(1, 0, 1)));
-  // More than there are: the rest is empty.
+  // It takes more than there are: the rest is empty.
   const SourceWarp three = warp_sources(scene.views, scene.images.narrow(0, 0, 2), depth_of(scene), 3);
   EXPECT_TRUE(torch::equal(three.agreement.narrow(1, 0, 2), warp.agreement));
   EXPECT_EQ(three.agreement.narrow(1, 2, 1).abs().max().item<double>(), 0);

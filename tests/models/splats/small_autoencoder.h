@@ -13,7 +13,7 @@
 
 namespace gld::test {
 
-// An autoencoder of latents of an eighth of a picture's sides, and a refiner of them.
+// Returns an autoencoder of latents of an eighth of a picture's sides, and a refiner of them.
 inline BundleOptions small_autoencoder_model() {
   AutoencoderKlOptions autoencoder;
   autoencoder.block_out_channels = {4, 8, 8, 8};
@@ -45,7 +45,8 @@ inline ModelBundle write_small_autoencoder(const std::filesystem::path& folder, 
   return bundle;
 }
 
-// Six views of 32x32 beside each other, two of them held out, whose splatted latents are half of the encoded ones.
+// Returns six views of 32x32 beside each other, two of them held out, whose splatted latents are half of the encoded
+// ones.
 inline SplattedScene half_splatted_scene(const ModelBundle& bundle, uint64_t seed) {
   SplattedScene scene;
   scene.name = "scene_" + std::to_string(seed);

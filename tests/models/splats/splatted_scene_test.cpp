@@ -26,7 +26,7 @@ class SplattedScenes : public testing::Test {
         file_(folder_.path() / "scene.safetensors") {
     save_splatted_scene(file_, test::half_splatted_scene(bundle_, 1));
   }
-  // What reading says of the file with these tensors and notes in the place of its own.
+  // Returns what reading says of the file with these tensors and notes in the place of its own.
   std::string error_with(const std::string& name, const torch::Tensor& tensor) {
     auto tensors = read_all(file_);
     tensors[name] = tensor;

@@ -230,7 +230,7 @@ TEST_F(WeightLoading, SavedTensorsComeBackInAnyDtypeShapeAndStride) {
                 "list the file with gld inspect.");
 }
 
-// A part of the module under another beginning than the rest.
+// Here a part of the module stands under another beginning than the rest.
 TEST_F(WeightLoading, PartsMayStandElsewhereInTheFile) {
   std::map<std::string, torch::Tensor> tensors;
   for (const auto& [name, tensor] : good_tensors()) {

@@ -132,7 +132,7 @@ TEST(DistributedTraining, AnOptimiserInPiecesGivesTheSameBits) {
   expect_same_checkpoint(one.path(), four.path());
 }
 
-// What two processes say together that cannot train with these options; whoever says it first ends the other.
+// Returns what two processes say together that cannot train with these options; whoever says it first ends the other.
 std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
   const test::TemporaryFolder folder;
   const int64_t port = free_port();
@@ -160,7 +160,8 @@ TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
                       "muon, which moves whole matrices; choose one of them, or leave the optimiser whole."));
 }
 
-// A run without end of three processes, one of which is killed after the first checkpoint: what the others then say.
+// This starts a run without end of three processes, one of which is killed after the first checkpoint, and returns what
+// the others then say.
 std::vector<std::string> said_after_killing(int64_t victim, const std::filesystem::path& folder) {
   const int64_t port = free_port();
   auto options = short_run();
@@ -213,7 +214,7 @@ TEST(DistributedTraining, TheLossOfRankZeroIsSaidToo) {
   }
 }
 
-// What processes of these placements say, and that they end with status 1 within 10 s.
+// Returns what processes of these placements say, and checks that they end with status 1 within 10 s.
 std::vector<std::string> said_when_joining(const std::vector<ProcessPlacement>& placements) {
   const test::TemporaryFolder folder;
   std::vector<Child> children;
@@ -278,8 +279,8 @@ TEST(DistributedTraining, AMasterThatIsNotThereIsSaid) {
       HasSubstr("expected the store of rank 0 within 2 s, of LibTorch " + torch_version() + ", found "));
 }
 
-// Something that is no store: it takes a connection and says nothing, or bytes of another protocol, which LibTorch
-// takes for a size that no memory holds.
+// At the address is something that is no store: it takes a connection and says nothing, or bytes of another protocol,
+// which LibTorch takes for a size that no memory holds.
 TEST(DistributedTraining, AnotherProgramAtTheAddressIsSaid) {
   for (const size_t bytes : {size_t{0}, size_t{4096}}) {
     const test::TemporaryFolder folder;

@@ -262,7 +262,7 @@ std::string first_checksum(const std::map<std::string, torch::Tensor>& tensors) 
   return text;
 }
 
-// The newest checkpoint of a run as the program of before wrote it.
+// Writes the newest checkpoint of a run as the program of before wrote it.
 void write_as_first_format(const std::filesystem::path& file, const Checkpoint& checkpoint) {
   save_safetensors(file, checkpoint.tensors,
                    {{"format", "gld training checkpoint 1"},

@@ -44,7 +44,7 @@ TEST(Correspondence, TheLossIsLeastWhereAttentionLooksAtTheRightPlace) {
   AttentionTap tap;
   tap.query = torch::zeros({1, tokens, 2, 8}).requires_grad_(true);
   tap.key = torch::ones({1, tokens, 2, 8});
-  // All keys alike: targets choose among 2 x 16 source tokens, sources among the 16 of the other source.
+  // With all keys alike, targets choose among 2 x 16 source tokens, sources among the 16 of the other source.
   const auto uniform = correspondence_loss(tap, truth, {1, 2});
   int64_t from_sources = 0, from_targets = 0;
   for (int64_t view = 0; view < 3; ++view) {

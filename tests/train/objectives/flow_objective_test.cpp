@@ -66,7 +66,7 @@ TEST(FlowObjective, TrainsTheFlowMatchingLoss) {
   EXPECT_NEAR(losses.parts[1].second.item<double>() / errors.target.item<double>(), 1, 1e-5);
 }
 
-// Knows the depth and cameras of a scene's source views.
+// This knows the depth and cameras of a scene's source views.
 class TrueGeometry : public GeometryHead {
  public:
   explicit TrueGeometry(const TrainingScene& scene) {

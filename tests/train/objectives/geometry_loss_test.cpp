@@ -95,7 +95,7 @@ TEST(GeometryLoss, RayErrorsAreThoseOfTheCameras) {
   EXPECT_NEAR(exact.rotation_degrees, 0, 1e-4);
   EXPECT_NEAR(exact.translation_degrees, 0, 1e-4);
   EXPECT_NEAR(exact.origin, 0, 1e-6);
-  // The last view turned by 6 degrees about z and its centre moved by one baseline of 1.5 steps across.
+  // The last view is turned by 6 degrees about z and its centre moved by one baseline of 1.5 steps across.
   auto rays = targets.rays.clone();
   const auto turn = torch::tensor({std::cos(6 * M_PI / 180), -std::sin(6 * M_PI / 180), 0.0,
                                    std::sin(6 * M_PI / 180), std::cos(6 * M_PI / 180), 0.0, 0.0, 0.0, 1.0})
@@ -158,7 +158,7 @@ TEST(GeometryLoss, PredictedPointsAreComparedWithTheTrueOnes) {
   EXPECT_NEAR(losses.point_map.item<double>(), 0.25, 1e-5);
   losses.total.backward();
   EXPECT_GT(predicted.points.grad().abs().sum().item<double>(), 0);
-  // The surer, the dearer, with the reward of depth's confidence.
+  // The surer a point is, the dearer it is, with the reward of depth's confidence.
   predicted.point_confidence = torch::full({3, 56, 56}, 3.0);
   losses = geometry_losses(predicted, targets, options);
   EXPECT_NEAR(losses.point_map.item<double>(), 3 * 0.25 - options.confidence_reward * std::log(3.0), 1e-5);

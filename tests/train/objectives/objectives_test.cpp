@@ -1,4 +1,4 @@
-// Two steps of every kind of training with a shrunken configuration, and what each objective promises.
+// This runs two steps of every kind of training with a shrunken configuration, and tests what each objective promises.
 #include "datasets/scenes/frame_checks.h"
 #include "gld/metrics/image_metrics.h"
 #include "models/bundle/bundle.h"
@@ -252,7 +252,7 @@ DecoderObjectiveOptions quiet_decoder() {
   return options;
 }
 
-// What moves the discriminator's weights, without the vectors of its spectral normalisation.
+// Returns what moves, the discriminator's weights, without the vectors of its spectral normalisation.
 std::map<std::string, torch::Tensor> discriminator_weights(const DecoderObjective& objective) {
   std::map<std::string, torch::Tensor> weights;
   for (const auto& [name, tensor] : objective.state()) {

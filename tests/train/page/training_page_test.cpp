@@ -81,7 +81,7 @@ TEST(TrainingPage, ThinsLongCoursesAndSaysWhatWentWrong) {
   EXPECT_EQ(names, "before the first step, after step 300, after step 400, ");
 }
 
-// As the training loop leaves it in between.
+// The run is as the training loop leaves it in between.
 void write_unfinished(const std::filesystem::path& run) {
   write_file_atomically(run / kRunConfiguration,
                         "# gld train level: the options of this run, defaults included\n");

@@ -256,7 +256,7 @@ TEST_F(FittedSplats, StartsFromSparsePointsWithoutDepth) {
       "image,depth.");
 }
 
-// As gld sample --size photographs leaves them.
+// The depth is as gld sample --size photographs leaves it.
 TEST_F(FittedSplats, StartsFromDepthThatIsSmallerThanItsPictures) {
   CameraList cameras = read_cameras_json(scene() / "cameras.json");
   CameraList of_depth = cameras;

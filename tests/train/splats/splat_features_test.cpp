@@ -46,7 +46,7 @@ TEST(SplatFeatures, AreSolvedForAndSavedBesideTheGaussians) {
   EXPECT_EQ(report.at("level"), 1);
   EXPECT_LE(report.at("residual").get<double>(), options.solve.tolerance);
   // 6 x 64 pixels of 4,000 Gaussians could be shown nearly as they are, but for the ridge; what no feature was fitted
-  // to, better than by the channels' means.
+  // to is shown better than by the channels' means.
   EXPECT_LT(report.at("fitted_error").get<double>(), 0.5);
   EXPECT_LT(report.at("held_out_error").get<double>(), 1);
   EXPECT_GT(report.at("held_out_error").get<double>(), report.at("fitted_error").get<double>());
@@ -62,7 +62,7 @@ TEST(SplatFeatures, AreSolvedForAndSavedBesideTheGaussians) {
             read_file(std::filesystem::path(options.out) / kSplatFeaturesFile));
 }
 
-// Means of the Gaussians that a fit of so many steps leaves.
+// Returns the means of the Gaussians that a fit of so many steps leaves.
 std::vector<float> fitted_means(SplatCommandOptions options, SplatGeometryFrom from, int64_t steps,
                                 const std::filesystem::path& out) {
   options.fit.geometry_from = from;

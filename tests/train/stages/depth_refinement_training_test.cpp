@@ -102,7 +102,7 @@ TEST(DepthRefinementTraining, ASceneWithoutDepthHasNoGradient) {
     if (!gradient.defined()) continue;
     EXPECT_EQ(gradient.abs().max().item<double>(), 0) << parameter.name;
   }
-  // As it has of the same scene with its depth.
+  // The same scene with its depth has a gradient.
   batch = data.batch(0);
   objective.losses(batch, {0, 1, generator}).total.backward();
   EXPECT_EQ(objective.parameters().back().name, "correction.bias");

@@ -264,7 +264,7 @@ TEST_F(TrainedChain, TheTimeShiftFollowsFromTheLatent) {
   EXPECT_NE(by_rule, loss_at(50));
 }
 
-// The weights of that part after two steps; stopped after the first where resumed.
+// Returns the weights of that part after two steps; the run is stopped after the first where resumed.
 torch::Tensor trained_weights(TrainLevelOptions options, const std::string& how) {
   if (how == "resumed") {
     options.loop.steps = 1;

@@ -106,7 +106,7 @@ TEST(AdaptiveSolver, ErrorFollowsTheTolerance) {
   }
 }
 
-// FSAL: an accepted or rejected step costs stages - 1 evaluations; two more start the solve.
+// By FSAL an accepted or rejected step costs stages - 1 evaluations; two more start the solve.
 TEST(AdaptiveSolver, ReusesTheLastStage) {
   InteriorFlow flow;
   for (const auto& [solver, stages] :

@@ -48,8 +48,8 @@ std::vector<SolverKind> fixed_step_solvers() {
 
 torch::Tensor doubles(const std::vector<double>& values) { return torch::tensor(values, torch::kFloat64); }
 
-// One point as data: v = (x - data)/t, whose flow is a straight line. Every solver must follow it exactly, also where
-// it starts at t = 1 and ends at t = 0, on every schedule.
+// The data is one point: v = (x - data)/t, whose flow is a straight line. Every solver must follow it exactly, also
+// where it starts at t = 1 and ends at t = 0, on every schedule.
 TEST(Solver, StraightFlowsAreExactAtBothEnds) {
   for (const SolverKind solver : fixed_step_solvers()) {
     for (const ScheduleKind schedule :
@@ -246,7 +246,8 @@ TEST(Solver, OptionsNameTheNearestSolver) {
   EXPECT_EQ(options.schedule.schedule, ScheduleKind::kPublished);
 }
 
-// Weights of the exponential integrator: exact for polynomials in the log-SNR, against quadrature.
+// The weights of the exponential integrator are exact for polynomials in the log-SNR; they are compared with
+// quadrature.
 TEST(DataPrediction, WeightsIntegratePolynomialsInLogSnr) {
   const auto log_snr = [](double t) { return std::log((1 - t) / t); };
   const double start = 0.6, next = 0.35;

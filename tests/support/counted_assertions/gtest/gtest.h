@@ -12,7 +12,7 @@ namespace gld::test {
 
 inline std::atomic<long> assertions_made{0};
 
-// Always 0, what googletest's own macro switches on.
+// Returns always 0, which is what googletest's own macro switches on.
 inline int count_assertion() {
   ++assertions_made;
   return 0;
