@@ -286,7 +286,7 @@ class Hdf5Parser {
       }
     }
     if (kind == 1) {
-      // Sign bit, bits in all, and where exponent and fraction lie: only IEEE 754's own are read.
+      // Sign bit, bytes in all, and where exponent and fraction lie: only IEEE 754's own are read.
       struct Ieee {
         uint8_t sign;
         uint32_t bytes;

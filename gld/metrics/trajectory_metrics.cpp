@@ -17,7 +17,7 @@ namespace {
 
 using Poses = std::vector<Eigen::Isometry3d>;
 
-// Singular values of the covariance are products of both extents: a line that is thinner than this is so by its square.
+// Centres whose second extent is at most this, relative to the first, lie on a line, about which no rotation is told.
 constexpr double kThinnestLine = 1e-6;
 constexpr double kOpposite = 180;  // degrees
 

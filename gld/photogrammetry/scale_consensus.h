@@ -48,7 +48,7 @@ class ScaleConsensus {
 
   int64_t observations() const { return observations_; }
 
-  // Returns nothing of fewer than 20 observations in fewer than 2 blocks. The interval covers where the maximum lies
+  // Returns nothing of fewer than 20 observations or 2 blocks. The interval covers where the maximum lies
   // when blocks are drawn anew (bootstrap, always with the same draws) and the scatter between views, and is never
   // narrower than smallest_deviation (of the logarithm) allows. The residual is the median of |log(ratio / scale)| over
   // the observations that are decided by themselves.

@@ -15,7 +15,7 @@ bool is_given(const ConversionOptions& options, const char* backbone) {
 }
 
 // Returns where a file of the release may lie in a folder: at its own path, or without the folders that hold nothing
-// else of its name. Both decoders are called mae_decoder.pt, and the statistics of both models are too.
+// else of its name. Both decoders are called mae_decoder.pt, and the statistics of both models share a name as well.
 std::vector<std::filesystem::path> places_of(const std::filesystem::path& path) {
   std::vector<std::filesystem::path> places{path};
   const std::filesystem::path inner = path.lexically_relative(*path.begin());

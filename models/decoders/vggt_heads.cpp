@@ -16,7 +16,7 @@ constexpr int64_t kRaysASide = 8;
 
 int64_t value_channels(VggtDptOutput output) { return output == VggtDptOutput::kDepth ? 1 : 3; }
 
-// Returns R of unit quaternions (x, y, z, w), (views, 4) -> (views, 3, 3). Quaternions need not have length 1.
+// Returns the rotations of quaternions (x, y, z, w) of any length, (views, 4) -> (views, 3, 3).
 torch::Tensor rotations(const torch::Tensor& quaternions) {
   const auto q = quaternions.unbind(-1);
   const auto &x = q[0], &y = q[1], &z = q[2], &w = q[3];

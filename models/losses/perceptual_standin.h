@@ -27,8 +27,9 @@ struct PerceptualStandinOptions : OptionsGroup {
 // edge's place is uncertain; the third asks for edges as strong as the true ones. Like LPIPS it sees edges and local
 // structure rather than the exact value of each pixel; unlike LPIPS it knows nothing of objects. It is 0 for equal
 // images, about 0.1 to 0.5 for unrelated ones.
-// image, prediction: (batch, 3, height, width), RGB in [0, 1] -> (batch). It is differentiable. Scales at which a side
-// is shorter than 7 pixels are left out.
+// image, prediction: (batch, 3, height, width), RGB in [0, 1] -> (batch). It is differentiable. The sum over
+// scales is divided by how many were asked for; those at which a side is shorter than 7 pixels add nothing, nor do
+// edges where a side has 7.
 torch::Tensor perceptual_standin(const torch::Tensor& image, const torch::Tensor& prediction,
                                  const PerceptualStandinOptions& options);
 

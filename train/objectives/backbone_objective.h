@@ -28,8 +28,8 @@ struct BackboneObjectiveOptions : OptionsGroup {
   double all_views_probability = 0.5;
   double correspondence_weight = 0;
   std::vector<int64_t> correspondence_blocks;  // counted from 0; blocks that attend over all views
-  // With kHeadOnly this is the strength of the noise on what the head reads, in deviations of a channel
-  // (feature_noise.h).
+  // With kHeadOnly this is the deviation of the strength of the noise on what the head reads, in deviations of a
+  // channel (feature_noise.h).
   double feature_noise = 0;
 
   void visit(FieldVisitor& visitor) override;

@@ -252,7 +252,7 @@ DecoderObjectiveOptions quiet_decoder() {
   return options;
 }
 
-// Returns what moves, the discriminator's weights, without the vectors of its spectral normalisation.
+// Returns the discriminator's weights, without the vectors of its spectral normalisation.
 std::map<std::string, torch::Tensor> discriminator_weights(const DecoderObjective& objective) {
   std::map<std::string, torch::Tensor> weights;
   for (const auto& [name, tensor] : objective.state()) {

@@ -111,8 +111,6 @@ TEST(ExactFlows, NarrowGaussiansFollowTheirClosedForm) {
   }
 }
 
-// Every fixed-step solver stays finite on every schedule, from one to a thousand evaluations, shifts 1 to 100 and
-// guidance up to 20.
 TEST(ExactFlows, ProblemFilesAreChecked) {
   const test::TemporaryFolder folder;
   const auto path = folder.path() / "problem.safetensors";
