@@ -30,6 +30,18 @@ const torch::Tensor& tensor_of(const std::map<std::string, torch::Tensor>& state
   return found->second;
 }
 
+// Norms in double of pieces, since LibTorch copies what it sums in another type: of a full-size model 6 GB.
+double norm_in_pieces(const torch::Tensor& flat) {
+  constexpr int64_t kPiece = int64_t{1} << 24;
+  std::vector<torch::Tensor> norms;
+  for (int64_t first = 0; first < flat.numel(); first += kPiece) {
+    const auto piece = flat.narrow(0, first, std::min(kPiece, flat.numel() - first));
+    norms.push_back(torch::linalg_vector_norm(piece, 2, {}, false, torch::kFloat64));
+  }
+  if (norms.empty()) return 0;
+  return torch::linalg_vector_norm(torch::stack(norms), 2).item<double>();
+}
+
 }  // namespace
 
 void OptimiserOptions::visit(FieldVisitor& visitor) {
@@ -72,9 +84,7 @@ Optimiser::Optimiser(FlatParameters& parameters, const OptimiserOptions& options
 
 double Optimiser::gradient_norm() const {
   const torch::Tensor& gradients = parameters_->gradients();
-  if (!gradients.is_cpu()) {
-    return torch::linalg_vector_norm(gradients, 2, {}, false, torch::kFloat64).item<double>();
-  }
+  if (!gradients.is_cpu()) return norm_in_pieces(gradients);
   const auto* data = gradients.data_ptr<float>();
   const int64_t length = gradients.numel();
   const int64_t blocks = (length + kBlock - 1) / kBlock;
