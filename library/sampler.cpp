@@ -7,6 +7,7 @@
 #include "gld/machine/stage_record.h"
 #include "gld/report/provenance.h"
 #include "gld/tensors/compute_threads.h"
+#include "gld/tensors/device.h"
 #include "infer/pipeline/bundle_models.h"
 #include "infer/sample/planned_sampling.h"
 #include "infer/sample/prepared_sampling.h"
@@ -157,6 +158,7 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   if (const std::string problem = memory_problem(prepared, options); !problem.empty())
     throw SamplerError(problem);
   StageRecords stages;
+  record_device(stages, prepared.device);
   if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
   for (auto& note : mixed_parts(prepared.bundle, parts, options.allow_mixed)) {
     prepared.scene.warnings.push_back(std::move(note));

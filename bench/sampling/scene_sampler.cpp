@@ -3,6 +3,7 @@
 #include "bench/support/relative_rms.h"
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/tensors/device.h"
 #include "models/cost/cost_model.h"
 
 #include <limits>
@@ -33,6 +34,7 @@ SampledScene SceneSampler::run(const BenchmarkScene& scene, const ComparedMethod
   PipelineRequest request = scene.request;
   request.flow = flow_settings(compared.method, guidance, bundle_);
   StageRecords stages;
+  record_device(stages, request.device);
   SampledScene made;
   try {
     made.result = run_pipeline(*models, request, stages);

@@ -54,8 +54,9 @@ class RecordOnExit {
 void StageRecords::run(const std::string& name, const std::function<void()>& work) {
   if (on_start_) on_start_(name);
   RecordOnExit record(records_, name);
+  if (device_.begin) device_.begin();
   work();
-  if (finish_) record.set_device_bytes(finish_());
+  if (device_.end) record.set_device_bytes(device_.end());
 }
 
 nlohmann::ordered_json StageRecords::to_json() const {

@@ -15,8 +15,15 @@ struct StageRecord {
   std::string name;
   double seconds = 0;
   int64_t peak_bytes = 0;  // largest resident memory of the process while the stage ran; 0 where unknown
-  int64_t device_bytes =
-      0;  // most of a GPU's memory that tensors had while the stage ran; 0 without one or where unknown
+  // The most of a GPU's memory that tensors had while the stage ran; 0 without a GPU or where unknown.
+  int64_t device_bytes = 0;
+};
+
+// What is asked of a GPU around a stage; nothing where there is none.
+struct StageDevice {
+  std::function<void()> begin;
+  std::function<int64_t()>
+      end;  // within the stage's time: waits for what is still computed; returns device_bytes
 };
 
 // Runs stages one after another and keeps their records.
@@ -26,9 +33,8 @@ class StageRecords {
   void run(const std::string& name, const std::function<void()>& work);
   // The function is called with the name of each stage before it begins.
   void on_start(std::function<void(const std::string& name)> called) { on_start_ = std::move(called); }
-  // The function is called when a stage's work has returned, within its time: it waits for what a device still
-  // computes, and says what device_bytes is.
-  void finish_by(std::function<int64_t()> called) { finish_ = std::move(called); }
+  // Has a GPU asked at the beginning and the end of each stage.
+  void set_device(StageDevice device) { device_ = std::move(device); }
 
   const std::vector<StageRecord>& records() const { return records_; }
   nlohmann::ordered_json to_json() const;
@@ -36,7 +42,7 @@ class StageRecords {
  private:
   std::vector<StageRecord> records_;
   std::function<void(const std::string& name)> on_start_;
-  std::function<int64_t()> finish_;
+  StageDevice device_;
 };
 
 // Returns the largest resident memory of this process since the last reset, in bytes; it is 0 where the system does not

@@ -61,11 +61,13 @@ void finish_queued_work(const torch::Device& device) {
   if (device.is_cuda()) torch::cuda::synchronize(device.index());
 }
 
-int64_t finish_stage_on(const torch::Device& device) {
-  finish_queued_work(device);
-  const int64_t bytes = most_used_device_bytes(device);
-  reset_most_used_device_bytes(device);
-  return bytes;
+void record_device(StageRecords& stages, const torch::Device& device) {
+  if (!device.is_cuda()) return;
+  stages.set_device({[device] { reset_most_used_device_bytes(device); },
+                     [device] {
+                       finish_queued_work(device);
+                       return most_used_device_bytes(device);
+                     }});
 }
 
 }  // namespace gld

@@ -1,5 +1,7 @@
 #pragma once
 
+#include "gld/machine/stage_record.h"
+
 #include <string>
 
 #include <torch/types.h>
@@ -21,8 +23,8 @@ std::string device_name(const torch::Device& device);
 // nothing is queued.
 void finish_queued_work(const torch::Device& device);
 
-// The end of a stage on a device: waits as above, and returns most_used_device_bytes (torch_version.h) since the last
-// end.
-int64_t finish_stage_on(const torch::Device& device);
+// Has stages wait for that device and record the memory that its tensors had at most (most_used_device_bytes in
+// torch_version.h).
+void record_device(StageRecords& stages, const torch::Device& device);
 
 }  // namespace gld

@@ -92,8 +92,9 @@ torch::Tensor rms_norm_by_library(const RmsNormInputs& inputs) {
 torch::Tensor rms_norm(const RmsNormInputs& inputs) {
   if (inputs.x.dim() < 1 || inputs.x.numel() == 0 ||
       !one_pass_applies({inputs.x, inputs.weight, inputs.shift, inputs.scale})) {
+    constexpr double kLeastEpsilon = 1e-30;  // float32 has its inverse root
     const bool library = has_library_rms_norm(inputs.x.device()) && inputs.x.element_size() <= 4 &&
-                         inputs.epsilon > 0 && inputs.x.numel() > 0;
+                         inputs.epsilon >= kLeastEpsilon && inputs.x.numel() > 0;
     return library ? rms_norm_by_library(inputs) : composed_rms_norm(inputs);
   }
   const auto x = inputs.x.contiguous();

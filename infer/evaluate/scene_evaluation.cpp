@@ -3,6 +3,7 @@
 #include "datasets/loading/batching.h"
 #include "gld/base/error.h"
 #include "gld/metrics/metric_list.h"
+#include "gld/tensors/device.h"
 #include "infer/evaluate/carried_pictures.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -152,6 +153,7 @@ PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, c
   request.geometry_views = geometry_views;
   request.geometry_maps = GeometryMaps::kDepthAndRays;
   StageRecords stages;
+  record_device(stages, models.device);
   return run_pipeline(models.models, request, stages);
 }
 

@@ -36,14 +36,23 @@ const StageRecord* record_of(const std::vector<StageRecord>& records, const std:
   return nullptr;
 }
 
-// For a stage that ran on a GPU it is what tensors had there, which is what was predicted.
-int64_t bytes_of(const StageRecord& record) {
-  return record.device_bytes > 0 ? record.device_bytes : record.peak_bytes;
+// Whether what was predicted of a stage is the memory of a GPU: that of the models' products, which it computes.
+bool is_on_gpu(const PlannedStage& stage, const StageRecord& record) {
+  return stage.of_products && record.device_bytes > 0;
+}
+
+int64_t bytes_of(const PlannedStage& stage, const StageRecord& record) {
+  return is_on_gpu(stage, record) ? record.device_bytes : record.peak_bytes;
 }
 
 nlohmann::ordered_json ratio(double actual, double predicted) {
   if (predicted <= 0) return nullptr;
   return actual / predicted;
+}
+
+// Null where none were predicted: seconds of a GPU are not.
+nlohmann::ordered_json seconds_or_null(double seconds) {
+  return seconds > 0 ? nlohmann::ordered_json(seconds) : nlohmann::ordered_json();
 }
 
 nlohmann::ordered_json stage_json(const PlannedStage& stage) {
@@ -57,7 +66,7 @@ nlohmann::ordered_json stage_json(const PlannedStage& stage) {
           {"tflop", stage.cost.flop() / 1e12},
           {"linear_layers_in", compute_precision_name(stage.precision.linear)},
           {"attention_in", compute_precision_name(stage.precision.attention)},
-          {"predicted_seconds", stage.seconds},
+          {"predicted_seconds", seconds_or_null(stage.seconds)},
           {"predicted_peak_bytes", stage.peak_bytes}};
 }
 
@@ -67,6 +76,10 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan) {
   auto list = nlohmann::ordered_json::array();
   for (const auto& stage : plan.stages) list.push_back(stage_json(stage));
   return list;
+}
+
+nlohmann::ordered_json predicted_seconds_json(const SamplingPlan& plan) {
+  return seconds_or_null(plan.seconds());
 }
 
 nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
@@ -79,7 +92,7 @@ nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<Sta
       object["peak_bytes"] = record->peak_bytes;
       if (record->device_bytes > 0) object["device_bytes"] = record->device_bytes;
       object["peak_over_predicted"] =
-          ratio(static_cast<double>(bytes_of(*record)), static_cast<double>(stage.peak_bytes));
+          ratio(static_cast<double>(bytes_of(stage, *record)), static_cast<double>(stage.peak_bytes));
     }
     list.push_back(std::move(object));
   }
@@ -98,19 +111,18 @@ std::vector<TimedStage> timed_stages(const SamplingPlan& plan, const std::vector
 
 std::string actual_text(const SamplingPlan& plan, const std::vector<StageRecord>& records) {
   double seconds = 0;
-  int64_t peak = 0;
-  bool on_device = false;
+  int64_t host = 0, gpu = 0;
   for (const auto& stage : plan.stages) {
     const StageRecord* record = record_of(records, stage.name);
     if (record == nullptr) continue;
     seconds += record->seconds;
-    peak = std::max(peak, bytes_of(*record));
-    on_device = on_device || record->device_bytes > 0;
+    int64_t& most = is_on_gpu(stage, *record) ? gpu : host;
+    most = std::max(most, bytes_of(stage, *record));
   }
   const std::string predicted =
       plan.seconds() > 0 ? fmt::format(" (predicted {})", duration_text(plan.seconds())) : std::string();
   return fmt::format("the planned stages took {}{} and at most {}{} (predicted {})\n", duration_text(seconds),
-                     predicted, bytes_text(peak), on_device ? " of the GPU's memory" : "",
+                     predicted, bytes_text(gpu > 0 ? gpu : host), gpu > 0 ? " of the GPU's memory" : "",
                      bytes_text(plan.peak_bytes()));
 }
 

@@ -16,6 +16,9 @@ namespace gld {
 std::string plan_text(const SamplingPlan& plan);
 nlohmann::ordered_json plan_json(const SamplingPlan& plan);
 
+// Returns the seconds of all stages; null where none were predicted.
+nlohmann::ordered_json predicted_seconds_json(const SamplingPlan& plan);
+
 // Returns the same with what every stage took: seconds, peak memory, and both over what was predicted.
 nlohmann::ordered_json plan_json(const SamplingPlan& plan, const std::vector<StageRecord>& records);
 // Returns what learn_from_run() (infer/forecast/machine_rates.h) takes.

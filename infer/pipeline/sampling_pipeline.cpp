@@ -3,7 +3,6 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/latents/latent_divergence.h"
-#include "gld/tensors/device.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "infer/pipeline/flow_stage.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -261,7 +260,6 @@ StageRequest PipelineRequest::stage_request() const {
 PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest& request,
                             StageRecords& stages) {
   const torch::NoGradGuard no_gradients;
-  stages.finish_by([device = request.device] { return finish_stage_on(device); });
   const int64_t num_sources = request.views.num_sources;
   PipelineResult result;
   PipelineState state;

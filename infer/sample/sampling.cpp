@@ -14,6 +14,7 @@
 #include "gld/report/report_text.h"
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
+#include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 #include "infer/forecast/method_choice.h"
 #include "infer/forecast/plan_report.h"
@@ -299,7 +300,7 @@ ReportText sampling_plan_report(const SampleOptions& options, PlanTiming timing)
     const nlohmann::ordered_json report{{"scene", prepared.scene.name},
                                         {"sampling", choice_json(planned.choice)},
                                         {"plan", plan_json(planned.plan)},
-                                        {"predicted_seconds", planned.plan.seconds()},
+                                        {"predicted_seconds", predicted_seconds_json(planned.plan)},
                                         {"predicted_peak_bytes", planned.plan.peak_bytes()},
                                         {"rates", planned.speed.origin},
                                         {"warnings", warnings}};
@@ -321,6 +322,7 @@ void sample(const SampleOptions& options) {
     fail({"gld sample", "", "", problem});
   }
   StageRecords stages;
+  record_device(stages, prepared.device);
   if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
   for (auto& note : mixed_parts(bundle, parts, options.allow_mixed))
     scene.warnings.push_back(std::move(note));

@@ -17,6 +17,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -38,10 +39,13 @@ Options training_options(const std::string& device, const std::filesystem::path&
 class CommandsOnDevice : public testing::TestWithParam<std::string> {
  protected:
   void SetUp() override {
-    if (std::unique_ptr<test::TemporaryFolder>& folder = folders_[GetParam()]; !folder) {
+    std::unique_ptr<test::TemporaryFolder>& folder = folders_[GetParam()];
+    if (!folder) {
       folder = std::make_unique<test::TemporaryFolder>();
       train_all();
+      trained_.insert(GetParam());
     }
+    if (trained_.count(GetParam()) == 0) FAIL() << "the trainings before did not end";
   }
   void train_all() {
     ::setenv("XDG_CACHE_HOME", path("cache").c_str(), 1);  // no rates of the tester's
@@ -90,7 +94,9 @@ class CommandsOnDevice : public testing::TestWithParam<std::string> {
   }
 
   static std::map<std::string, std::unique_ptr<test::TemporaryFolder>> folders_;
+  static std::set<std::string> trained_;
 };
+std::set<std::string> CommandsOnDevice::trained_;
 std::map<std::string, std::unique_ptr<test::TemporaryFolder>> CommandsOnDevice::folders_;
 
 // All the others rest on this.
@@ -131,7 +137,11 @@ TEST_P(CommandsOnDevice, NovelViewsAreSampled) {
   const SampleOptions options = sampling_options("sampled");
   sample(options);
   EXPECT_EQ(report("sampled").at("precision"), "float32");
-  EXPECT_EQ(report("sampled").at("plan")[0].at("predicted_seconds"), 0)
+  if (GetParam() == "cuda") {
+    EXPECT_GT(report("sampled").at("stages")[0].at("device_bytes").get<int64_t>(), 0)
+        << "LibTorch 2.9 and newer say";
+  }
+  EXPECT_TRUE(report("sampled").at("plan")[0].at("predicted_seconds").is_null())
       << "the rates known are the processor's";
   for (const char* file : {"images/view_02.png", "images/view_03.png", "contact_sheet.png"}) {
     EXPECT_TRUE(std::filesystem::is_regular_file(path("sampled") / file)) << file;

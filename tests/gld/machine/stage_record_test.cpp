@@ -28,11 +28,12 @@ TEST(StageRecords, AreKeptInOrderAlsoOfWhatThrows) {
 // Work that was only queued belongs to the stage that queued it.
 TEST(StageRecords, WaitForADeviceWithinTheStage) {
   StageRecords stages;
-  int64_t queued = 0;
-  stages.finish_by([&] {
-    std::this_thread::sleep_for(std::chrono::milliseconds(20 * queued));
-    return 1000 * std::exchange(queued, 0);
-  });
+  int64_t queued = 0, most = 7;
+  stages.set_device({[&] { most = 0; },
+                     [&] {
+                       std::this_thread::sleep_for(std::chrono::milliseconds(20 * queued));
+                       return most += 1000 * std::exchange(queued, 0);
+                     }});
   stages.run("queues", [&] { queued = 1; });
   stages.run("queues nothing", [] {});
   EXPECT_GE(stages.records()[0].seconds, 0.02);

@@ -76,5 +76,28 @@ TEST(TransposedProduct, OfNothingIsNothing) {
             (std::vector<int64_t>{0, 3}));
 }
 
+class RoundedProduct : public testing::TestWithParam<torch::DeviceType> {};
+
+// Of factors that bfloat16 holds the product is rounded to bfloat16 once at most, and the bias is added in float32.
+TEST_P(RoundedProduct, IsRoundedOnceAtMost) {
+  const torch::NoGradGuard no_grad;
+  torch::manual_seed(3);
+  for (const Shape& shape : shapes()) {
+    const auto x = torch::randn({shape.rows, shape.inputs}).to(torch::kBFloat16).to(torch::kFloat32);
+    const auto weight = torch::randn({shape.outputs, shape.inputs}).to(torch::kBFloat16);
+    const auto bias = torch::randn({shape.outputs});
+    const auto product = torch::mm(x.to(torch::kFloat64), weight.to(torch::kFloat64).t());
+    const auto found = times_rounded(x.to(GetParam()), weight.to(GetParam()), bias.to(GetParam()));
+    EXPECT_EQ(found.scalar_type(), torch::kFloat32);
+    const auto error = (found.to(torch::kCPU, torch::kFloat64) - product - bias).abs();
+    const auto bound = product.abs() * 0x1p-8 + 4e-6 * std::sqrt(static_cast<double>(shape.inputs));
+    EXPECT_TRUE((error <= bound).all().item<bool>())
+        << shape.rows << " x " << shape.inputs << " x " << shape.outputs;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Cpu, RoundedProduct, testing::Values(torch::kCPU));
+INSTANTIATE_TEST_SUITE_P(on_gpu, RoundedProduct, testing::Values(torch::kCUDA));
+
 }  // namespace
 }  // namespace gld

@@ -265,8 +265,22 @@ TEST(PlannedRuns, TheReportPutsTheActualBesideThePredicted) {
   EXPECT_EQ(on_device.at("peak_over_predicted"), 0.75);
   EXPECT_EQ(on_device.at("device_bytes"), 750'000'000);
   EXPECT_TRUE(on_device.at("seconds_over_predicted").is_null());
+  EXPECT_TRUE(on_device.at("predicted_seconds").is_null());
+  EXPECT_TRUE(predicted_seconds_json(plan).is_null());
   EXPECT_EQ(actual_text(plan, {record}),
             "the planned stages took 3.0 s and at most 750.0 MB of the GPU's memory (predicted 1.00 GB)\n");
+  // What the processor computes beside it is the host's memory, and no part of that.
+  PlannedStage fit = stage;
+  fit.name = "splats";
+  fit.of_products = false;
+  plan.stages.push_back(fit);
+  StageRecord of_fit;
+  of_fit.name = "splats";
+  of_fit.peak_bytes = 2'000'000'000;
+  of_fit.device_bytes = 1000;
+  EXPECT_EQ(plan_json(plan, {record, of_fit}).at(1).at("peak_over_predicted"), 2);
+  EXPECT_THAT(actual_text(plan, {record, of_fit}),
+              testing::HasSubstr("at most 750.0 MB of the GPU's memory"));
 }
 
 }  // namespace
