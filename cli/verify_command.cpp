@@ -39,7 +39,8 @@ int verify(const std::vector<std::string>& folders, const VerifyOptions& options
     results.push_back(verify_case(folder, runners, compute));
     if (!options.json) std::cout << case_text(results.back()) << std::flush;
   }
-  std::cout << (options.json ? json_text(verification_json(results), 2) + "\n" : summary_text(results));
+  std::cout << (options.json ? json_text(verification_json(results, compute), 2) + "\n"
+                             : summary_text(results, compute));
   const bool passed =
       std::all_of(results.begin(), results.end(), [](const auto& result) { return result.passed(); });
   return passed ? 0 : 1;

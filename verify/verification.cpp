@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
+#include "gld/tensors/device.h"
 #include "gld/tensors/torch_version.h"
 
 #include <algorithm>
@@ -179,17 +180,21 @@ std::string case_text(const CaseVerification& result) {
   return text;
 }
 
-std::string summary_text(const std::vector<CaseVerification>& cases) {
+std::string summary_text(const std::vector<CaseVerification>& cases, const CaseCompute& compute) {
   const auto passed =
       std::count_if(cases.begin(), cases.end(), [](const auto& result) { return result.passed(); });
-  return fmt::format("{} of {} cases pass, on LibTorch {} with {} as BLAS\n", passed, cases.size(),
-                     torch_version(), blas_name());
+  const std::string where =
+      compute.device.is_cpu() ? "with " + blas_name() + " as BLAS" : "on " + device_name(compute.device);
+  return fmt::format("{} of {} cases pass in {}, on LibTorch {} {}\n", passed, cases.size(),
+                     compute_precision_name(compute.precision), torch_version(), where);
 }
 
-nlohmann::json verification_json(const std::vector<CaseVerification>& cases) {
+nlohmann::json verification_json(const std::vector<CaseVerification>& cases, const CaseCompute& compute) {
   nlohmann::json result = {{"passed", true},
                            {"libtorch", torch_version()},
                            {"blas", blas_name()},
+                           {"device", device_name(compute.device)},
+                           {"precision", compute_precision_name(compute.precision)},
                            {"cases", nlohmann::json::array()}};
   for (const auto& item : cases) {
     nlohmann::json tensors = nlohmann::json::array();

@@ -57,9 +57,9 @@ CaseVerification verify_case(const std::filesystem::path& folder, const Referenc
 
 // Returns one line for the case and one a tensor; then one line for all, with the LibTorch that they ran on.
 std::string case_text(const CaseVerification& result);
-std::string summary_text(const std::vector<CaseVerification>& cases);
-// Returns {"passed", "libtorch", "blas", "cases": [{"folder", "kind", "passed", "seconds", "tensors": [...],
-// "error"}]}; numbers that are not finite are null.
-nlohmann::json verification_json(const std::vector<CaseVerification>& cases);
+std::string summary_text(const std::vector<CaseVerification>& cases, const CaseCompute& compute = {});
+// Returns {"passed", "libtorch", "blas", "device", "precision", "cases": [{"folder", "kind", "passed", "seconds",
+// "tensors": [...], "error"}]}; numbers that are not finite are null.
+nlohmann::json verification_json(const std::vector<CaseVerification>& cases, const CaseCompute& compute = {});
 
 }  // namespace gld

@@ -31,7 +31,7 @@ std::string reference_case(const std::string& name) {
 TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
   const auto good = run_verify({reference_case("metrics_image_depth"), reference_case("rgb_decoder")});
   EXPECT_EQ(good.status, 0);
-  EXPECT_NE(good.output.find("2 of 2 cases pass, on LibTorch "), std::string::npos) << good.output;
+  EXPECT_NE(good.output.find("2 of 2 cases pass in float32, on LibTorch "), std::string::npos) << good.output;
   EXPECT_NE(good.output.find("  pass  psnr "), std::string::npos) << good.output;
 
   // A folder that is no case fails with its sentence and does not stop the next.
@@ -43,7 +43,8 @@ TEST(VerifyCommand, SucceedsOnlyWhenEveryCasePasses) {
                 "holds case.json."),
             std::string::npos)
       << mixed.output;
-  EXPECT_NE(mixed.output.find("1 of 2 cases pass, on LibTorch "), std::string::npos) << mixed.output;
+  EXPECT_NE(mixed.output.find("1 of 2 cases pass in float32, on LibTorch "), std::string::npos)
+      << mixed.output;
 }
 
 TEST(VerifyCommand, PrintsOneJsonObject) {
@@ -53,6 +54,8 @@ TEST(VerifyCommand, PrintsOneJsonObject) {
   EXPECT_TRUE(report.at("passed").get<bool>());
   EXPECT_EQ(report.at("libtorch"), torch_version());
   EXPECT_EQ(report.at("blas"), blas_name());
+  EXPECT_EQ(report.at("precision"), "float32");
+  EXPECT_FALSE(report.at("device").get<std::string>().empty());
   const auto& tensors = report.at("cases").at(0).at("tensors");
   ASSERT_EQ(tensors.size(), 5u);
   EXPECT_EQ(tensors[0].at("name"), "abs_rel");

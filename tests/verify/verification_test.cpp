@@ -104,8 +104,9 @@ TEST_F(Verification, PassesOnlyWhenEveryExpectedTensorDoes) {
   EXPECT_FALSE(missing.passed());
   EXPECT_EQ(missing.tensors[0].problem, "missing: this kind of case computes no tensor of that name");
 
-  EXPECT_EQ(summary_text({good, wrong, missing}),
-            "1 of 3 cases pass, on LibTorch " + torch_version() + " with " + blas_name() + " as BLAS\n");
+  EXPECT_EQ(
+      summary_text({good, wrong, missing}),
+      "1 of 3 cases pass in float32, on LibTorch " + torch_version() + " with " + blas_name() + " as BLAS\n");
   EXPECT_NE(case_text(wrong).find("FAIL  b"), std::string::npos);
   const auto json = verification_json({good, missing});
   EXPECT_FALSE(json.at("passed").get<bool>());
