@@ -11,7 +11,8 @@ get_filename_component(gld_torch_libraries "${GLD_TORCH_CPU_LIBRARY}" DIRECTORY)
 if(GLD_TORCH_CPU_LIBRARY AND EXISTS ${gld_torch_libraries}/libtorch_cuda.so)
   # The one that scripts/setup.sh lays beside PyTorch's package; elsewhere the system's. LibTorch's own search has another name for it.
   file(GLOB gld_toolkit_beside ${gld_torch_libraries}/../../nvidia/cu*/bin/nvcc)
-  if(gld_toolkit_beside AND NOT CUDAToolkit_ROOT)
+  if(gld_toolkit_beside AND NOT CUDAToolkit_ROOT AND NOT CUDA_TOOLKIT_ROOT_DIR)
+    list(GET gld_toolkit_beside -1 gld_toolkit_beside)
     get_filename_component(CUDAToolkit_ROOT "${gld_toolkit_beside}/../.." REALPATH)
     set(CUDA_TOOLKIT_ROOT_DIR "${CUDAToolkit_ROOT}")
   endif()
@@ -74,7 +75,7 @@ endif()
 
 # PyTorch's packages with CUDA show parts of a C++ library of their own to the whole process, std::filesystem::remove_all
 # among them, which there calls nothing (2.11: a fault at address 0): the compiler's library is asked first.
-if(Torch_VERSION VERSION_GREATER_EQUAL 2)
+if(EXISTS ${gld_torch_libraries}/libtorch_cuda.so)
   foreach(kind EXE SHARED)
     string(PREPEND CMAKE_${kind}_LINKER_FLAGS "-Wl,--push-state,--no-as-needed,-lstdc++,--pop-state ")
   endforeach()

@@ -135,14 +135,17 @@ try:
     release = importlib.metadata.version("cuda-toolkit")
 except importlib.metadata.PackageNotFoundError:
     raise SystemExit
-root = pathlib.Path(importlib.util.find_spec("nvidia").submodule_search_locations[0]) / ("cu" + release.split(".")[0])
-print(release, root)')
+packages = importlib.util.find_spec("nvidia")
+root = pathlib.Path(packages.submodule_search_locations[0] if packages else "") / ("cu" + release.split(".")[0])
+if (root / "lib").is_dir():
+    print(release, root)')
 if [ -n "$toolkit" ]; then
   if [ ! -x "${toolkit#* }/bin/nvcc" ] || [ ! -e "${toolkit#* }/include/cccl" ]; then
+    echo "setup: installing with pip what linking with CUDA ${toolkit%% *} needs"
     "$environment/bin/pip" install --quiet "cuda-toolkit[nvcc,crt,nvvm,cccl]==${toolkit%% *}"
   fi
   [ -e "${toolkit#* }/lib64" ] || ln -s lib "${toolkit#* }/lib64"
-  for library in "${toolkit#* }"/lib/lib*.so.*; do
+  find "${toolkit#* }/lib" -name 'lib*.so.*' | while read -r library; do
     plain=${library%%.so.*}.so
     [ -e "$plain" ] || ln -s "${library##*/}" "$plain"
   done

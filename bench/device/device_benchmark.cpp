@@ -36,7 +36,7 @@ namespace gld {
 namespace {
 
 constexpr int64_t kWarmUps = 2;  // kernels are chosen and loaded, and memory is asked for, at the first
-constexpr int kParts = 4;
+constexpr int kParts = 3;
 
 // What is measured: the options of a model and the sizes of its scene.
 struct Setting {
@@ -156,6 +156,9 @@ void measure_training(const DeviceBenchmarkOptions& options, const Setting& sett
   std::optional<Optimiser> optimiser;
   const auto prepare = [&] {
     if (optimiser) return;
+    // Of one for which the device had no room nothing is left.
+    parameters.reset();
+    objective.reset();
     objective.emplace(setting.bundle, setting.dit, setting.cameras, setting.device);
     parameters.emplace(objective->parameters());
     optimiser.emplace(*parameters, OptimiserOptions{});
@@ -189,6 +192,7 @@ void measure_training(const DeviceBenchmarkOptions& options, const Setting& sett
 }
 
 TableCell if_measured(double value) { return value > 0 ? TableCell(value) : TableCell(std::string()); }
+TableCell bytes_if_known(int64_t bytes) { return bytes > 0 ? TableCell(bytes) : TableCell(std::string()); }
 
 }  // namespace
 
@@ -221,7 +225,7 @@ void DeviceBenchmarkOptions::check() const {
 std::vector<DeviceBenchmarkRow> device_benchmark_rows(const DeviceBenchmarkOptions& options) {
   const Setting setting = setting_of(options);
   std::vector<DeviceBenchmarkRow> rows;
-  Progress progress("bench device", kParts - 1);
+  Progress progress("bench device", kParts);
   {
     const torch::NoGradGuard no_grad;
     measure_products(options, setting, rows);
@@ -230,7 +234,7 @@ std::vector<DeviceBenchmarkRow> device_benchmark_rows(const DeviceBenchmarkOptio
   measure_evaluations(options, setting, rows);
   progress.update(2, "evaluations");
   measure_training(options, setting, rows);
-  progress.update(3, "training");
+  progress.update(kParts, "training");
   progress.finish();
   std::map<std::string, double> peaks;  // operations a second, by precision
   for (const auto& row : rows) {
@@ -250,7 +254,8 @@ Table device_benchmark_table(const std::vector<DeviceBenchmarkRow>& rows) {
   for (const auto& row : rows) {
     table.add_row({row.part, row.variant, if_measured(row.seconds), if_measured(row.seconds_low),
                    if_measured(row.seconds_high), if_measured(row.tflop), if_measured(row.fraction_of_peak),
-                   if_measured(row.relative_rms), row.resident_bytes, row.most_bytes, row.problem});
+                   if_measured(row.relative_rms), bytes_if_known(row.resident_bytes),
+                   bytes_if_known(row.most_bytes), row.problem});
   }
   return table;
 }

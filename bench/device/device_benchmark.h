@@ -37,7 +37,7 @@ struct DeviceBenchmarkRow {
   double tflop = 0;             // 0: not compared with products
   double fraction_of_peak = 0;  // operations / seconds / the run's products in the same precision
   double relative_rms = 0;      // of an evaluation, from the one in float32
-  int64_t resident_bytes = 0;   // weights, and of training gradients, moments and average
+  int64_t resident_bytes = 0;   // weights and the scene, and of training gradients, moments and average
   int64_t most_bytes = 0;       // of tensors at a time, resident_bytes among them; 0: unknown
   std::string problem;          // "no room on the device"
 };
