@@ -158,7 +158,7 @@ ordered_json inspect_run(const std::filesystem::path& folder, const std::string&
   return {{"run", valid_text(folder.string())},
           {"kind", valid_text(kind)},
           {"state", state},
-          {"verdict", verdict_of_run(folder)},
+          {"verdict", state == "finished" ? verdict_of_run(folder) : ordered_json()},
           {"checkpoints", checkpoints_of(folder)},
           {"next", next_command(kind, state, folder)}};
 }

@@ -265,6 +265,9 @@ void SampleOptions::check() const {
   if (!scene.empty() && !photos.files.empty()) {
     fail({"--scene, --photos", "one of the two", "both", "leave out --photos where the scene has cameras"});
   }
+  if (memory_limit > 0 && device != "cpu") {
+    fail({"--memory-limit", "--device cpu, of whose memory it is", device, "leave one of the two out"});
+  }
   check_out(out, "runs/sample");
   requested();
   savings();

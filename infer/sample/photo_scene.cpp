@@ -13,6 +13,7 @@
 #include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/machine/block_memory.h"
+#include "gld/report/shell_word.h"
 #include "infer/export/image_export.h"
 #include "infer/forecast/sampling_plan.h"
 #include "infer/pipeline/geometry_of_pictures.h"
@@ -28,20 +29,18 @@
 #include <utility>
 
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 namespace gld {
 namespace {
 
-// The folders of photographs in a folder that holds none itself, as --photos takes them: "a,b"; nothing without any.
-std::string folders_of_photographs(const std::filesystem::path& folder) {
-  std::vector<std::string> folders;
-  std::error_code none;
-  for (const auto& item : std::filesystem::directory_iterator(folder, none)) {
-    if (item.is_directory(none) && !list_images(item.path()).empty()) folders.push_back(item.path().string());
+// Returns the folders in a folder that hold photographs.
+std::vector<std::filesystem::path> folders_of_photographs(const std::filesystem::path& folder) {
+  std::vector<std::filesystem::path> folders;
+  if (!std::filesystem::is_directory(folder)) return folders;
+  for (const auto& inner : list_folders(folder)) {
+    if (!list_images(inner).empty()) folders.push_back(inner);
   }
-  std::sort(folders.begin(), folders.end());
-  return fmt::format("{}", fmt::join(folders, ","));
+  return folders;
 }
 
 std::vector<std::filesystem::path> photograph_files(const PhotoSelection& selection,
@@ -61,9 +60,12 @@ std::vector<std::filesystem::path> photograph_files(const PhotoSelection& select
     const auto listed = list_images(path);
     if (listed.empty()) {
       const bool is_there = std::filesystem::exists(path);
-      if (const std::string folders = folders_of_photographs(path); !folders.empty()) {
-        fail({photo, "a photograph, or a folder of them", "folders of photographs in it alone",
-              "give those of one place: --photos " + folders});
+      if (const auto folders = folders_of_photographs(path); !folders.empty()) {
+        fail({photo, "a photograph, or a folder of them",
+              fmt::format("{} of photographs in it, and no photograph itself",
+                          folders.size() == 1 ? "a folder" : std::to_string(folders.size()) + " folders"),
+              "give the photographs of one place, for example --photos " +
+                  shell_word(folders.front().string())});
       }
       fail({photo, "a photograph, or a folder of them", is_there ? "none" : "nothing",
             is_there ? "put JPEG, HEIC, PNG, WebP or TIFF files there" : "check the name"});

@@ -75,9 +75,9 @@ TEST_F(PhotographSampling, PhotographsNeedNoCameras) {
   EXPECT_EQ(
       test::error_of([&] { sample(asked); }),
       trips.string() +
-          ": expected a photograph, or a folder of them, found folders of photographs in it alone; give "
-          "those of one place: --photos " +
-          (trips / "berlin").string() + "," + (trips / "lund").string() + ".");
+          ": expected a photograph, or a folder of them, found 2 folders of photographs in it, and no photograph "
+          "itself; give the photographs of one place, for example --photos " +
+          (trips / "berlin").string() + ".");
 }
 
 // In whole multiples of what the models see, and so are the new views.

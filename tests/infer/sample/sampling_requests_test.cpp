@@ -286,6 +286,12 @@ TEST_F(SamplingRequests, WrongRequestsGetOneSentence) {
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.views.path.path = "orbit"; }),
             "--targets, --path: expected either target frames or a path, found both; "
             "add for example --targets 1,2, or --path orbit.");
+  EXPECT_EQ(
+      sentence([](SampleOptions& asked) {
+        asked.device = "cuda:1";
+        asked.memory_limit = 4;
+      }),
+      "--memory-limit: expected --device cpu, of whose memory it is, found cuda:1; leave one of the two out.");
   EXPECT_EQ(sentence([](SampleOptions& asked) { asked.size = "100x56"; }),
             "--size: expected sides that are multiples of the patch size 14, found 100x56; take 98x56.");
   EXPECT_EQ(
