@@ -3,6 +3,7 @@
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
 #include "gld/tensors/device.h"
+#include "gld/tensors/out_of_memory.h"
 #include "gld/tensors/torch_version.h"
 
 #include <algorithm>
@@ -54,8 +55,8 @@ std::string no_memory(const std::filesystem::path& folder) {
 // Tensors that agree with the configuration never get here; LibTorch's own words, without its backtrace, are
 // the best there is.
 std::string library_fault(const std::filesystem::path& folder, const c10::Error& error) {
+  if (is_out_of_memory(error)) return no_memory(folder);
   std::string words = error.what_without_backtrace();
-  if (words.find("can't allocate memory") != std::string::npos) return no_memory(folder);
   words = words.substr(0, words.find('\n'));
   return folder.string() + ": found tensors that do not fit together (" + words +
          "); compare them with case.json.";

@@ -1,6 +1,7 @@
 #include "bench/device/device_benchmark.h"
 
 #include "bench/support/benchmark_report.h"
+#include "bench/support/measured_cell.h"
 #include "bench/support/random_dit.h"
 #include "bench/support/relative_rms.h"
 #include "bench/training/repeated_scene.h"
@@ -15,6 +16,7 @@
 #include "gld/report/run_folder.h"
 #include "gld/tensors/compute_threads.h"
 #include "gld/tensors/device.h"
+#include "gld/tensors/out_of_memory.h"
 #include "gld/tensors/torch_version.h"
 #include "models/bundle/bundle.h"
 #include "models/cost/cost_model.h"
@@ -56,13 +58,6 @@ Setting setting_of(const DeviceBenchmarkOptions& options) {
   setting.cameras = {options.views, options.sources, size};
   setting.grid = setting.bundle.backbone.grid_of(options.views, size.height, size.width);
   return setting;
-}
-
-// LibTorch's class for it is younger than the oldest LibTorch here; its words are those of the allocator.
-bool is_out_of_memory(const c10::Error& error) {
-  const std::string words = error.what_without_backtrace();
-  return words.find("out of memory") != std::string::npos ||
-         words.find("can't allocate") != std::string::npos;
 }
 
 // Times work, which leaves what it computes queued.
@@ -191,9 +186,6 @@ void measure_training(const DeviceBenchmarkOptions& options, const Setting& sett
       }));
 }
 
-TableCell if_measured(double value) { return value > 0 ? TableCell(value) : TableCell(std::string()); }
-TableCell bytes_if_known(int64_t bytes) { return bytes > 0 ? TableCell(bytes) : TableCell(std::string()); }
-
 }  // namespace
 
 void DeviceBenchmarkOptions::visit(FieldVisitor& visitor) {
@@ -254,8 +246,8 @@ Table device_benchmark_table(const std::vector<DeviceBenchmarkRow>& rows) {
   for (const auto& row : rows) {
     table.add_row({row.part, row.variant, if_measured(row.seconds), if_measured(row.seconds_low),
                    if_measured(row.seconds_high), if_measured(row.tflop), if_measured(row.fraction_of_peak),
-                   if_measured(row.relative_rms), bytes_if_known(row.resident_bytes),
-                   bytes_if_known(row.most_bytes), row.problem});
+                   if_measured(row.relative_rms), if_measured(row.resident_bytes),
+                   if_measured(row.most_bytes), row.problem});
   }
   return table;
 }

@@ -1,6 +1,7 @@
 #include "bench/training/train_benchmark.h"
 
 #include "bench/support/benchmark_report.h"
+#include "bench/support/measured_cell.h"
 #include "bench/support/peak_meter.h"
 #include "bench/training/repeated_scene.h"
 #include "gld/base/command_options.h"
@@ -263,8 +264,6 @@ double optimiser_share(const std::vector<TrainBenchmarkRow>& rows) {
   const double optimiser = find(rows, "optimiser", "scaled_to_full_size").seconds;
   return optimiser / (seconds + optimiser);
 }
-
-TableCell if_measured(double value) { return value > 0 ? TableCell(value) : TableCell(std::string()); }
 
 Table overview(const std::vector<TrainBenchmarkRow>& rows) {
   Table table({"case", "variant", "seconds", "lowest", "highest", "tflop", "fraction_of_peak", "memory"});

@@ -22,8 +22,8 @@ struct StageRecord {
 // What is asked of a GPU around a stage; nothing where there is none.
 struct StageDevice {
   std::function<void()> begin;
-  std::function<int64_t()>
-      end;  // within the stage's time: waits for what is still computed; returns device_bytes
+  // Within the stage's time it waits for what is still computed, and returns device_bytes.
+  std::function<int64_t()> end;
 };
 
 // Runs stages one after another and keeps their records.
