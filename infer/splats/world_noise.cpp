@@ -10,14 +10,31 @@ namespace gld {
 namespace {
 
 constexpr int64_t kChannels = 6, kWaves = 24;
-// Periods a latent pixel. Higher ones, on surfaces farther than usual or seen aslant, would be aliased, and then differ
-// between views.
+// Periods a latent pixel. On surfaces farther than usual or seen aslant they are higher.
 constexpr double kLowest = 0.04, kHighest = 0.45;
 constexpr int64_t kPlacesAside = 4;
 constexpr double kPi = 3.14159265358979323846;
 constexpr float kSeen = 0.5F;
 
 double uniform(uint32_t bits) { return (static_cast<double>(bits) + 0.5) / 4294967296.0; }
+
+double sum_of_waves(const WorldNoise& noise, int64_t channel, const Eigen::Vector3d& at) {
+  double sum = 0;
+  for (int64_t w = channel * noise.waves_each(); w < (channel + 1) * noise.waves_each(); ++w) {
+    const auto number = static_cast<size_t>(w);
+    sum += std::cos(noise.waves[number].dot(at) + noise.phases[number]);
+  }
+  return sum;
+}
+
+// Returns the weights of places in latent pixels along one side, (latent_side, latent_side kPlacesAside), rows of sum 1.
+torch::Tensor low_pass(int64_t latent_side) {
+  const auto pixels = torch::arange(latent_side, torch::kFloat64) + 0.5;
+  const auto places = (torch::arange(latent_side * kPlacesAside, torch::kFloat64) + 0.5) / kPlacesAside;
+  const auto apart = places.unsqueeze(0) - pixels.unsqueeze(1);
+  const auto weights = apart.square().div(-2 * kPixelVariance).exp();
+  return weights / weights.sum(1, /*keepdim=*/true);
+}
 
 }  // namespace
 
@@ -82,31 +99,22 @@ double typical_pixel(const StillGaussians& gaussians, int64_t latent_side, const
 
 torch::Tensor noise_picture(const WorldNoise& noise, const StillGaussians& gaussians, const Camera& camera,
                             int64_t latent_side, const KernelSettings& settings) {
-  const int64_t side = latent_side * kPlacesAside, each = noise.waves_each();
+  const int64_t side = latent_side * kPlacesAside, places = side * side;
   const SplatImage seen = seen_places(gaussians, resized_camera(camera, side, side), settings);
-  auto picture = torch::zeros({noise.channels, latent_side, latent_side}, torch::kFloat32);
-  float* const values = picture.data_ptr<float>();
-  const double share = 1.0 / static_cast<double>(kPlacesAside * kPlacesAside);
-  const double size = std::sqrt(2.0 / static_cast<double>(each));
+  auto fine = torch::zeros({noise.channels, side, side}, torch::kFloat64);
+  double* const values = fine.data_ptr<double>();
+  const double size = std::sqrt(2.0 / static_cast<double>(noise.waves_each()));
 #pragma omp parallel for num_threads(settings.threads) schedule(static)
-  for (int64_t row = 0; row < latent_side; ++row) {
-    for (int64_t place = 0; place < latent_side * kPlacesAside * kPlacesAside; ++place) {
-      const int64_t x = place % side, y = row * kPlacesAside + place / side;
-      if (seen.row(3, y)[x] < kSeen) continue;
-      const Eigen::Vector3d at(seen.row(0, y)[x], seen.row(1, y)[x], seen.row(2, y)[x]);
-      for (int64_t c = 0; c < noise.channels; ++c) {
-        double sum = 0;
-        for (int64_t w = 0; w < each; ++w) {
-          const auto number = static_cast<size_t>(c * each + w);
-          sum += std::cos(noise.waves[number].dot(at) + noise.phases[number]);
-        }
-        // The values are about 1, so that there is a DC to divide by.
-        values[(c * latent_side + row) * latent_side + x / kPlacesAside] +=
-            static_cast<float>((1 + size * sum) * share);
-      }
-    }
+  for (int64_t place = 0; place < places; ++place) {
+    const int64_t x = place % side, y = place / side;
+    if (seen.row(3, y)[x] < kSeen) continue;
+    const Eigen::Vector3d at(seen.row(0, y)[x], seen.row(1, y)[x], seen.row(2, y)[x]);
+    // The values are about 1, so that there is a DC to divide by.
+    for (int64_t c = 0; c < noise.channels; ++c)
+      values[c * places + place] = 1 + size * sum_of_waves(noise, c, at);
   }
-  return picture;
+  const auto rows = low_pass(latent_side).to(torch::kFloat64);
+  return rows.matmul(fine).matmul(rows.t()).to(torch::kFloat32);
 }
 
 }  // namespace gld
