@@ -23,11 +23,11 @@ torch::Tensor render_block(const DenseSplats& splats, const torch::Tensor& pixel
   const auto power = dx * (dx * (-0.5 * splats.conics.select(1, 0)) - dy * splats.conics.select(1, 1)) -
                      dy * dy * (0.5 * splats.conics.select(1, 2));
   const auto value = splats.opacities * power.exp();
-  const auto faint = value.detach() < 1.0 / 255;
+  const auto faint = value.detach() < splats.faintest;
   auto alpha = value.clamp_max(kDensestAlpha).masked_fill(faint, 0);
   const auto logarithms = torch::log1p(-alpha);
   const auto left = logarithms.cumsum(1);
-  alpha = alpha.masked_fill(left.detach() < std::log(static_cast<double>(kLeastTransmittance)), 0);
+  alpha = alpha.masked_fill(left.detach() < std::log(splats.least_transmittance), 0);
   return (alpha * (left - logarithms).exp()).matmul(splats.features);
 }
 
@@ -41,7 +41,9 @@ DenseSplats dense_splats(const GaussianSet& set, const SplatView& view, const Sp
                     torch::empty({count}, real),
                     torch::empty({count, features.channels}, real),
                     view.camera.width,
-                    view.camera.height};
+                    view.camera.height,
+                    view.camera.faintest,
+                    static_cast<double>(view.camera.least_transmittance)};
   for (int64_t i = 0; i < count; ++i) {
     const VisibleSplat& splat = view.splats[static_cast<size_t>(i)];
     ProjectedGaussian projected;

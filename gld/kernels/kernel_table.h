@@ -246,7 +246,7 @@ struct LeastCost {
 
 // A Gaussian in a strip: KernelTable::splat_strip pixels of a row, the i-th of which it covers with
 // alpha = min(kDensestAlpha, 2^(height - (slope i + shift)^2)), or not at all where that power of 2 is below
-// kFaintestSplat. All finite.
+// 2^faintest. All finite.
 struct SplatRow {
   float slope;
   float shift;
@@ -254,17 +254,17 @@ struct SplatRow {
   float across;  // the whitened distance that height holds already, for its moments
 };
 constexpr float kDensestAlpha = 0.99F;
-constexpr float kFaintestSplat = -7.99435344F;  // log2(1 / 255)
-constexpr float kLeastTransmittance = 1e-4F;
 
 // How much of each Gaussian of a strip is seen, front to back: weight = alpha times what those before it let through.
-// A pixel of which less than kLeastTransmittance would be left is done.
+// A pixel of which less than least_transmittance would be left is done.
 struct SplatWeights {
   const SplatRow* rows;    // of a tile
   const int32_t* records;  // (count) those of the strip, front to back
   int64_t count;
-  float* alpha;          // (count, splat_strip) set, 0 where the pixel was done
-  float* weight;         // (count, splat_strip) set
+  float faintest;  // log2 of the alpha from which a Gaussian is there
+  float least_transmittance;
+  float* alpha;   // (count, splat_strip) set, before kDensestAlpha holds it; 0 where the pixel was done
+  float* weight;  // (count, splat_strip) set
   float* transmittance;  // (splat_strip) set
 };
 
@@ -281,6 +281,10 @@ struct SplatChannels {
   int64_t plane;
 };
 
+// What reaches a Gaussian whose alpha is held at kDensestAlpha: nothing, as the function has it, or what would reach it
+// if it were not held, as the published code has it.
+enum class HeldAlphaGradient { kNone, kPublished };
+
 // alpha d loss / d alpha of each Gaussian and pixel of a strip, and the weights, where its tile's records lie.
 struct SplatSlopes {
   const float* alpha;   // (used, splat_strip), as weights were left
@@ -290,6 +294,7 @@ struct SplatSlopes {
   const int32_t* gaussians;  // (count)
   int64_t count;
   int64_t used;  // those beyond are seen nowhere in the strip
+  HeldAlphaGradient held;
   const float* features;
   int64_t channels;
   const float* background;

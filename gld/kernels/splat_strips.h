@@ -45,10 +45,10 @@ GLD_INLINE Vector lane_numbers() {
 
 int64_t weigh_splats(const SplatWeights& strip) {
   const Vector lane = lane_numbers(), one = Simd::broadcast(1.0f), zero = Simd::zero();
-  const Vector faintest = Simd::broadcast(kFaintestSplat), dense = Simd::broadcast(kDensestAlpha);
+  const Vector faintest = Simd::broadcast(strip.faintest), dense = Simd::broadcast(kDensestAlpha);
   // A pixel that is done has a stop that nothing reaches.
   constexpr float kNever = 2.0f;
-  Vector left = one, stop = Simd::broadcast(kLeastTransmittance);
+  Vector left = one, stop = Simd::broadcast(strip.least_transmittance);
   int64_t i = 0;
   for (; i < strip.count; ++i) {
     const SplatRow& row = strip.rows[strip.records[i]];
@@ -56,10 +56,10 @@ int64_t weigh_splats(const SplatWeights& strip) {
     const Vector power = Simd::subtract(Simd::broadcast(row.height), Simd::multiply(along, along));
     const Vector value = Simd::exp2(power);
     // There cannot be NaN: rows are finite.
-    const Vector clipped = where_at_least(value, dense, dense, value);
-    const Vector alpha = where_at_least(power, faintest, clipped, zero);
+    const Vector there = where_at_least(power, faintest, value, zero);
+    const Vector alpha = where_at_least(there, dense, dense, there);
     const Vector after = Simd::subtract(left, Simd::multiply(left, alpha));
-    Simd::store(strip.alpha + i * Simd::lanes, where_at_least(after, stop, alpha, zero));
+    Simd::store(strip.alpha + i * Simd::lanes, where_at_least(after, stop, there, zero));
     Simd::store(strip.weight + i * Simd::lanes,
                 where_at_least(after, stop, Simd::multiply(left, alpha), zero));
     const Vector still = where_at_least(after, stop, stop, Simd::broadcast(kNever));
@@ -191,12 +191,17 @@ void splat_slopes_of_strip(const SplatSlopes& strip) {
     const Vector weight = Simd::load(strip.weight + i * Simd::lanes);
     Simd::store(strip.record_weight + strip.records[i] * Simd::lanes, weight);
     if (strip.slope == nullptr) continue;
-    const Vector alpha = Simd::load(strip.alpha + i * Simd::lanes);
+    const Vector value = Simd::load(strip.alpha + i * Simd::lanes);
+    const Vector alpha = where_at_least(value, dense, dense, value);
     const Vector seen = Simd::multiply(weight, Simd::load(strip.scratch + i * Simd::lanes));
     // alpha dalpha = alpha T q - S alpha / (1 - alpha), and alpha T is the weight.
     const Vector share = Simd::divide(alpha, Simd::subtract(one, alpha));
     const Vector slope = Simd::subtract(seen, Simd::multiply(behind, share));
-    Simd::store(strip.slope + strip.records[i] * Simd::lanes, where_at_least(alpha, dense, zero, slope));
+    // d value / d what it depends on is the value itself, not what alpha is held at.
+    const Vector of_held = strip.held == HeldAlphaGradient::kPublished
+                               ? Simd::multiply(slope, Simd::divide(value, dense))
+                               : zero;
+    Simd::store(strip.slope + strip.records[i] * Simd::lanes, where_at_least(value, dense, of_held, slope));
     behind = Simd::add(behind, seen);
   }
 }

@@ -50,8 +50,10 @@ int64_t weigh(const Tile& tile, const TileRecords& records, const Strip& strip, 
     scratch.weight.resize(numbers);
     scratch.scratch.resize(numbers);
   }
+  const SplatCamera& camera = tile.view->camera;
   return kernels.splat_weights({records.rows.data(), records.strip_records.data() + strip.first, strip.count,
-                                scratch.alpha.data(), scratch.weight.data(), transmittance});
+                                camera.faintest_power, camera.least_transmittance, scratch.alpha.data(),
+                                scratch.weight.data(), transmittance});
 }
 
 // Calls work(tile, its records, kernels, scratch) for every tile, each thread with a scratch of its own. Records are
@@ -195,12 +197,12 @@ CompositingGradients composite_backward(const SplatView& view, const SplatFeatur
           const Strip strip = strip_of_tile(tile, records, number);
           if (!strip.inside) break;
           const int64_t used = weigh(tile, records, strip, kernels, scratch, transmittance);
-          kernels.splat_slopes({scratch.alpha.data(), scratch.weight.data(), transmittance,
-                                records.strip_records.data() + strip.first,
-                                records.strip_rows.data() + strip.first, strip.count, used, features.values,
-                                channels, background_of(features), of_image.values.data() + strip.pixel,
-                                of_image.plane(), scratch.scratch.data(), scratch.record_weight.data(),
-                                slope});
+          kernels.splat_slopes(
+              {scratch.alpha.data(), scratch.weight.data(), transmittance,
+               records.strip_records.data() + strip.first, records.strip_rows.data() + strip.first,
+               strip.count, used, view.camera.held_alpha_gradient, features.values, channels,
+               background_of(features), of_image.values.data() + strip.pixel, of_image.plane(),
+               scratch.scratch.data(), scratch.record_weight.data(), slope});
         }
         const auto first = static_cast<size_t>(view.tile_first[static_cast<size_t>(tile.listed.number)]);
         kernels.splat_sums({static_cast<int64_t>(records.first_record.size()) - 1,

@@ -7,7 +7,7 @@
 namespace gld {
 namespace {
 
-constexpr double kFaintest = 1.0 / 255, kDensest = 0.99, kLeastLeft = 1e-4;
+constexpr double kDensest = 0.99;
 
 std::vector<size_t> front_to_back(const NaiveScene& scene) {
   std::vector<size_t> order(scene.splats.size());
@@ -20,7 +20,7 @@ std::vector<size_t> front_to_back(const NaiveScene& scene) {
 struct Seen {
   size_t splat;
   double dx, dy, alpha, before;  // before: what the ones in front let through
-  bool clipped;
+  double value;                  // of alpha, before it is held
 };
 
 double relative_distance(double value, double jump) { return std::abs(value - jump) / jump; }
@@ -41,13 +41,14 @@ double look_through(const NaiveScene& scene, const std::vector<size_t>& order, i
                       splat.covariance[0] * one.dy * one.dy) /
                      splat.determinant;
     const double value = splat.opacity * std::exp(-0.5 * q);
-    to_jump = std::min({to_jump, relative_distance(value, kFaintest), relative_distance(value, kDensest)});
-    if (value < kFaintest) continue;
+    to_jump = std::min(
+        {to_jump, relative_distance(value, scene.options.faintest), relative_distance(value, kDensest)});
+    if (value < scene.options.faintest) continue;
     one.alpha = std::min(kDensest, value);
-    one.clipped = value >= kDensest;
+    one.value = value;
     one.before = left;
-    to_jump = std::min(to_jump, relative_distance(left * (1 - one.alpha), kLeastLeft));
-    if (left * (1 - one.alpha) < kLeastLeft) break;
+    to_jump = std::min(to_jump, relative_distance(left * (1 - one.alpha), scene.options.least_transmittance));
+    if (left * (1 - one.alpha) < scene.options.least_transmittance) break;
     left *= 1 - one.alpha;
     seen.push_back(one);
   }
@@ -119,8 +120,8 @@ NaiveGradients render_naively_backward(const NaiveScene& scene, const std::vecto
       }
       const double of_alpha = one.before * q - behind / (1 - one.alpha);
       behind += one.alpha * one.before * q;
-      if (one.clipped) continue;
-      const double a = one.alpha * of_alpha;
+      if (one.value >= kDensest && scene.options.held_alpha_gradient == HeldAlphaGradient::kNone) continue;
+      const double a = one.value * of_alpha;
       NaiveSplat& sum = gradients.splats[one.splat];
       sum.opacity += a;
       // S2^-1 d

@@ -10,7 +10,6 @@
 namespace gld {
 namespace {
 
-constexpr double kFaintestOpacity = 1.0 / 255;
 // So far beyond the picture's edge, in half its sides, the Jacobian still follows a Gaussian.
 constexpr double kBeyondTheEdge = 0.3;
 
@@ -70,6 +69,14 @@ void ProjectionOptions::visit(FieldVisitor& visitor) {
       {0, 1e30});
   visitor.boolean({"antialias", "Gaussians smaller than a pixel become fainter, not larger (Mip-Splatting)"},
                   antialias);
+  visitor.real({"faintest", "alpha from which a Gaussian reaches a pixel"}, faintest, {1e-9, 0.5});
+  visitor.real({"least_transmittance", "what has to be left of a pixel behind a Gaussian for it to be drawn"},
+               least_transmittance, {1e-9, 0.5});
+  visit_choice(
+      visitor,
+      {"held_alpha_gradient",
+       "what reaches a Gaussian where its alpha is held at 0.99: none, or published, as if it were not"},
+      held_alpha_gradient, {"none", "published"});
 }
 
 SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
@@ -89,6 +96,10 @@ SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
   result.offset = origin - camera.world_from_camera.translation();
   result.near = options.near;
   result.antialias = options.antialias;
+  result.faintest = options.faintest;
+  result.faintest_power = static_cast<float>(std::log2(options.faintest));
+  result.least_transmittance = static_cast<float>(options.least_transmittance);
+  result.held_alpha_gradient = options.held_alpha_gradient;
   return result;
 }
 
@@ -108,7 +119,7 @@ bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, Pro
   const Eigen::Vector3d t = camera.camera_from_world_rotation * projected.from_camera;
   if (!(t[2] > camera.near)) return false;
   projected.opacity = sigmoid(shape.logit_opacity);
-  if (projected.opacity < kFaintestOpacity) return false;
+  if (projected.opacity < camera.faintest) return false;
   projected.x_in_camera = t;
   for (int axis = 0; axis < 2; ++axis)
     projected.mean[axis] = camera.focal[axis] * t[axis] / t[2] + camera.principal[axis];
@@ -127,7 +138,7 @@ bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, Pro
       projected.plain_determinant + kPixelVariance * (xx + yy) + kPixelVariance * kPixelVariance;
   if (!std::isfinite(projected.determinant) || !projected.mean.allFinite()) return false;
   if (camera.antialias) projected.opacity *= std::sqrt(projected.plain_determinant / projected.determinant);
-  return projected.opacity >= kFaintestOpacity;
+  return projected.opacity >= camera.faintest;
 }
 
 void project_gaussian_backward(const GaussianShape& shape, const SplatCamera& camera,

@@ -186,18 +186,29 @@ TEST_P(Compositing, OfOddPictures) {
 }
 
 // d loss / d parameters in float beside the naive double, for a loss that is linear in the picture. The pixels next to
-// a jump do not count.
+// a jump do not count. Opaque Gaussians have pixels whose alpha is held, other bounds more pixels that end.
 TEST_P(Compositing, GradientsAreTheNaiveOnes) {
   RandomGaussians wanted;
   wanted.count = 150;
   wanted.smallest = 0.02;
   wanted.degree = 3;
-  const GaussianSet set = random_gaussians(wanted);
-  for (const bool antialias : {false, true}) {
+  struct Drawn {
     ProjectionOptions projection;
-    projection.antialias = antialias;
+    float more_opaque = 0;  // in logits
+  };
+  std::vector<Drawn> variants(4);
+  variants[1].projection.antialias = true;
+  variants[2].projection.held_alpha_gradient = HeldAlphaGradient::kPublished;
+  variants[3].projection.faintest = 0.03;
+  variants[3].projection.least_transmittance = 0.02;
+  for (const size_t opaque : {size_t{2}, size_t{3}}) variants[opaque].more_opaque = 4;
+  for (const Drawn& drawn : variants) {
+    const ProjectionOptions& projection = drawn.projection;
+    GaussianSet set = random_gaussians(wanted);
+    for (float& logit : set.logit_opacities) logit += drawn.more_opaque;
     const SplatCamera camera = splat_camera(splat_test_camera(45, 33), set.origin, projection);
     NaiveView naive = naive_view(shapes_of(set), camera);
+    naive.scene.options = projection;
     naive.scene.channels = 3;
     std::vector<SeenColour> colours(naive.index.size());
     for (size_t k = 0; k < naive.index.size(); ++k) {
