@@ -51,8 +51,9 @@ SplatImage picture_of_places(const SplatPicture& picture, int64_t channels, doub
 }
 
 struct FeatureProblem {
+  GaussianSet set;
   std::vector<FeatureView> views;
-  int64_t gaussians = 0, channels = 0;
+  int64_t channels = 0;
 
   SplatFeatures features(const std::vector<float>& values) const {
     SplatFeatures result;
@@ -72,7 +73,7 @@ FeatureProblem feature_problem(const Scene& scene, const SplatErrorSettings& set
   ProjectionOptions projection;
   projection.near = kNearShare * reach.extent;
   FeatureProblem problem;
-  problem.gaussians = set.size();
+  problem.set = set;
   problem.channels = settings.channels;
   for (const SplatPicture& picture : views.pictures) {
     problem.views.push_back(
@@ -112,7 +113,7 @@ std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, dou
   constexpr double kFirst = 0.9, kSecond = 0.999;
   FeatureSolveOptions start;
   start.most_iterations = 0;
-  std::vector<float> values = solve_features(problem.views, problem.gaussians, start, kernels).features;
+  std::vector<float> values = solve_features(problem.views, problem.set, start, kernels).features;
   std::vector<float> gradients(values.size()), first(values.size(), 0.0F), second(values.size(), 0.0F);
   for (int64_t step = 0; step < steps; ++step) {
     const FeatureView& view = problem.views[static_cast<size_t>(step) % problem.views.size()];
@@ -188,16 +189,16 @@ std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatE
   solve.tolerance = kSolved;
   solve.most_iterations = kMostIterations;
   const std::vector<SplatImage> expected = pictures_of(
-      problem, solve_features(problem.views, problem.gaussians, solve, kernels).features, kernels);
+      problem, solve_features(problem.views, problem.set, solve, kernels).features, kernels);
   std::vector<SplatFeatureRow> rows;
   for (const int64_t iterations : settings.iterations) {
     solve.tolerance = FeatureSolveOptions().tolerance;
     solve.most_iterations = iterations;
     SolvedFeatures solved;
     const double seconds =
-        seconds_of([&] { solved = solve_features(problem.views, problem.gaussians, solve, kernels); });
+        seconds_of([&] { solved = solve_features(problem.views, problem.set, solve, kernels); });
     stop_if_interrupted(fmt::format("{} rows", rows.size()));
-    rows.push_back({"conjugate_gradients", problem.gaussians, solved.iterations(), seconds,
+    rows.push_back({"conjugate_gradients", problem.set.size(), solved.iterations(), seconds,
                     error_of(problem, solved.features, expected, kernels), solved.residuals.back()});
     if (solved.residuals.back() <= solve.tolerance) break;
   }
@@ -206,7 +207,7 @@ std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatE
       std::vector<float> values;
       const double seconds = seconds_of([&] { values = fit_by_adam(problem, steps, rate, kernels); });
       stop_if_interrupted(fmt::format("{} rows", rows.size()));
-      rows.push_back({fmt::format("adam_{:g}", rate), problem.gaussians, steps, seconds,
+      rows.push_back({fmt::format("adam_{:g}", rate), problem.set.size(), steps, seconds,
                       error_of(problem, values, expected, kernels), 0});
     }
   }

@@ -104,7 +104,7 @@ void begin_features(const std::vector<FittedView>& views, const SplatFitOptions&
          view.latent.picture});
   }
   fit.set.channels = views.front().latent.picture.channels;
-  fit.set.features = solve_features(seen, fit.set.size(), {}, settings).features;
+  fit.set.features = solve_features(seen, fit.set, {}, settings).features;
   fit.moments = splat_moments(fit.set);
 }
 

@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/kernels/kernel_table.h"
+#include "gld/splatting/feature_harmonics.h"
 
 #include <algorithm>
 #include <cmath>
@@ -56,6 +57,34 @@ Sparse transposed(const Sparse& from, int64_t columns) {
   return to;
 }
 
+// Adds the weights of a view's pixels, and of each harmonic of its Gaussians: their columns are (gaussian, coefficient).
+void add_rows(const SplatView& view, const GaussianSet& set, int64_t degree, const KernelSettings& settings,
+              Sparse& rows) {
+  const PixelWeights weights = pixel_weights(view, settings);
+  const int64_t before = rows.first.back(), each = harmonic_coefficients(degree);
+  for (size_t pixel = 1; pixel < weights.first.size(); ++pixel)
+    rows.first.push_back(before + each * weights.first[pixel]);
+  if (each == 1) {
+    rows.columns.insert(rows.columns.end(), weights.columns.begin(), weights.columns.end());
+    rows.values.insert(rows.values.end(), weights.values.begin(), weights.values.end());
+    return;
+  }
+  const std::vector<float> harmonics = feature_harmonics(set, view, degree, settings);
+  std::vector<int32_t> splat_of(static_cast<size_t>(set.size()), -1);
+  for (int64_t i = 0; i < view.size(); ++i)
+    splat_of[static_cast<size_t>(view.splats[static_cast<size_t>(i)].index)] = static_cast<int32_t>(i);
+  rows.columns.reserve(rows.columns.size() + static_cast<size_t>(each) * weights.columns.size());
+  rows.values.reserve(rows.columns.capacity());
+  for (size_t entry = 0; entry < weights.columns.size(); ++entry) {
+    const int32_t gaussian = weights.columns[entry];
+    const float* const of_splat = harmonics.data() + splat_of[static_cast<size_t>(gaussian)] * each;
+    for (int64_t k = 0; k < each; ++k) {
+      rows.columns.push_back(static_cast<int32_t>(gaussian * each + k));
+      rows.values.push_back(weights.values[entry] * of_splat[k]);
+    }
+  }
+}
+
 // Calls work(begin, end) for parts of 0 to count, which are the same for any number of threads.
 constexpr int64_t kPart = 256;
 template <class Work>
@@ -64,49 +93,73 @@ void for_parts(int64_t count, int threads, const Work& work) {
   for (int64_t begin = 0; begin < count; begin += kPart) work(begin, std::min(begin + kPart, count));
 }
 
+// The unknowns are features' coefficients, (gaussians, coefficients).
 class Problem {
  public:
-  Problem(const std::vector<FeatureView>& views, int64_t gaussians, const KernelSettings& settings)
-      : kernels_(kernel_table(settings.instruction_set)), threads_(settings.threads) {
+  Problem(const std::vector<FeatureView>& views, const GaussianSet& set, int64_t degree,
+          const KernelSettings& settings)
+      : kernels_(kernel_table(settings.instruction_set)),
+        threads_(settings.threads),
+        each_(harmonic_coefficients(degree)) {
     by_pixel_.first.assign(1, 0);
-    for (const FeatureView& view : views) {
-      const PixelWeights weights = pixel_weights(view.view, settings);
-      const int64_t before = by_pixel_.first.back();
-      for (size_t pixel = 1; pixel < weights.first.size(); ++pixel)
-        by_pixel_.first.push_back(before + weights.first[pixel]);
-      by_pixel_.columns.insert(by_pixel_.columns.end(), weights.columns.begin(), weights.columns.end());
-      by_pixel_.values.insert(by_pixel_.values.end(), weights.values.begin(), weights.values.end());
+    for (const FeatureView& view : views) add_rows(view.view, set, degree, settings, by_pixel_);
+    constexpr int64_t kMost = std::numeric_limits<int32_t>::max();
+    if (by_pixel_.rows() > kMost || set.size() * each_ > kMost) {
+      fail({"features of splats", "less than 2^31 pixels and coefficients",
+            std::to_string(std::max(by_pixel_.rows(), set.size() * each_)), "take fewer or smaller views"});
     }
-    if (by_pixel_.rows() > std::numeric_limits<int32_t>::max()) {
-      fail({"features of splats", "less than 2^31 pixels", std::to_string(by_pixel_.rows()),
-            "take fewer or smaller views"});
-    }
-    by_gaussian_ = transposed(by_pixel_, gaussians);
+    by_unknown_ = transposed(by_pixel_, set.size() * each_);
     sum_weights();
   }
 
   int64_t pixels() const { return by_pixel_.rows(); }
-  int64_t gaussians() const { return by_gaussian_.rows(); }
+  int64_t unknowns() const { return by_unknown_.rows(); }
   int threads() const { return threads_; }
+  // Whether it is the coefficient that does not depend on the direction of view.
+  bool is_first(int64_t unknown) const { return unknown % each_ == 0; }
 
   // These compute W f and W^T p.
   void forward(const ChannelTable& f, ChannelTable& p) const { multiply(by_pixel_, f, p); }
-  void back(const ChannelTable& p, ChannelTable& f) const { multiply(by_gaussian_, p, f); }
+  void back(const ChannelTable& p, ChannelTable& f) const { multiply(by_unknown_, p, f); }
 
-  // These return the sum of a Gaussian's weights, and W^T W 1.
-  float weight(int64_t i) const { return weights_[static_cast<size_t>(i)]; }
-  float total(int64_t i) const { return totals_[static_cast<size_t>(i)]; }
+  // Of the Gaussian of an unknown these return the sum of its weights, and t.
+  float weight(int64_t i) const { return weights_[static_cast<size_t>(i / each_ * each_)]; }
+  float total(int64_t i) const { return totals_[static_cast<size_t>(i / each_ * each_)]; }
+  // Returns |W|^T |W| 1 of the unknown.
+  float bound(int64_t i) const { return bounds_[static_cast<size_t>(i)]; }
 
  private:
   void sum_weights() {
-    ChannelTable ones(gaussians(), 1), seen(pixels(), 1), sum(gaussians(), 1);
-    for (int64_t i = 0; i < gaussians(); ++i) *ones.row(i) = 1;
+    ChannelTable ones(unknowns(), 1), seen(pixels(), 1), sum(unknowns(), 1);
+    for (int64_t i = 0; i < unknowns(); i += each_) *ones.row(i) = 1;
     forward(ones, seen);
     back(seen, sum);
-    for (int64_t i = 0; i < gaussians(); ++i) totals_.push_back(*sum.row(i));
+    for (int64_t i = 0; i < unknowns(); ++i) totals_.push_back(*sum.row(i));
+    bounds_ = totals_;
+    if (each_ > 1) bound_unknowns();
     for (int64_t i = 0; i < pixels(); ++i) *seen.row(i) = 1;
     back(seen, sum);
-    for (int64_t i = 0; i < gaussians(); ++i) weights_.push_back(*sum.row(i));
+    for (int64_t i = 0; i < unknowns(); ++i) weights_.push_back(*sum.row(i));
+  }
+
+  // Weights are positive, harmonics are not.
+  void bound_unknowns() {
+    std::vector<double> seen(static_cast<size_t>(pixels()));
+    for (int64_t pixel = 0; pixel < pixels(); ++pixel) {
+      for (int64_t k = by_pixel_.first[static_cast<size_t>(pixel)];
+           k < by_pixel_.first[static_cast<size_t>(pixel) + 1]; ++k)
+        seen[static_cast<size_t>(pixel)] += std::abs(by_pixel_.values[static_cast<size_t>(k)]);
+    }
+    for (int64_t i = 0; i < unknowns(); ++i) {
+      double sum = 0;
+      for (int64_t k = by_unknown_.first[static_cast<size_t>(i)];
+           k < by_unknown_.first[static_cast<size_t>(i) + 1]; ++k) {
+        const auto entry = static_cast<size_t>(k);
+        sum += std::abs(static_cast<double>(by_unknown_.values[entry])) *
+               seen[static_cast<size_t>(by_unknown_.columns[entry])];
+      }
+      bounds_[static_cast<size_t>(i)] = static_cast<float>(sum);
+    }
   }
 
   void multiply(const Sparse& matrix, const ChannelTable& table, ChannelTable& sums) const {
@@ -118,8 +171,9 @@ class Problem {
 
   const KernelTable& kernels_;
   int threads_;
-  Sparse by_pixel_, by_gaussian_;
-  std::vector<float> weights_, totals_;
+  int64_t each_;  // coefficients of a Gaussian
+  Sparse by_pixel_, by_unknown_;
+  std::vector<float> weights_, totals_, bounds_;  // (unknowns)
 };
 
 // Returns channels `first` to `first + channels` of all views' pixels.
@@ -158,10 +212,10 @@ class ChannelSolve {
         ridge_(ridge),
         stride_(pixels.stride),
         pixels_(std::move(pixels)),
-        values_(problem.gaussians(), stride_),
-        residual_(problem.gaussians(), stride_),
-        direction_(problem.gaussians(), stride_),
-        image_(problem.gaussians(), stride_) {
+        values_(problem.unknowns(), stride_),
+        residual_(problem.unknowns(), stride_),
+        direction_(problem.unknowns(), stride_),
+        image_(problem.unknowns(), stride_) {
     begin_at_means();
     right_ = sums([&](int64_t i, double* sum) {
       const float weight = ridge_ * problem_.total(i), scale = inverse(i);
@@ -221,20 +275,20 @@ class ChannelSolve {
     turn_direction();
   }
 
-  const float* values(int64_t gaussian) const { return values_.row(gaussian); }
+  const float* values(int64_t unknown) const { return values_.row(unknown); }
 
  private:
   // Returns the inverse of what bounds the diagonal of the normal equations' rows, ridge included.
   float inverse(int64_t i) const {
-    const float total = problem_.total(i);
-    return total > 0 ? 1 / (total * (1 + ridge_)) : 0.0F;
+    const float bound = problem_.bound(i) + ridge_ * problem_.total(i);
+    return bound > 0 ? 1 / bound : 0.0F;
   }
 
   // Sets values = m and residual = W^T pictures.
   void begin_at_means() {
     problem_.back(pixels_, residual_);
     per_row([&](int64_t i) {
-      const float sum = problem_.total(i) > 0 ? problem_.weight(i) : 0;
+      const float sum = problem_.is_first(i) && problem_.total(i) > 0 ? problem_.weight(i) : 0;
       for (int64_t c = 0; c < stride_ && sum > 0; ++c) values_.row(i)[c] = residual_.row(i)[c] / sum;
     });
   }
@@ -259,17 +313,17 @@ class ChannelSolve {
 
   template <class Work>
   void per_row(const Work& work) const {
-    for_parts(problem_.gaussians(), problem_.threads(), [&](int64_t begin, int64_t end) {
+    for_parts(problem_.unknowns(), problem_.threads(), [&](int64_t begin, int64_t end) {
       for (int64_t i = begin; i < end; ++i) work(i);
     });
   }
 
-  // Returns the sum over Gaussians of what row(i, sums) adds for each channel, by parts, in their order.
+  // Returns the sum over unknowns of what row(i, sums) adds for each channel, by parts, in their order.
   template <class Row>
   std::vector<double> sums(const Row& row) const {
     const auto each = static_cast<size_t>(stride_);
-    std::vector<double> parts(static_cast<size_t>((problem_.gaussians() + kPart - 1) / kPart) * each, 0.0);
-    for_parts(problem_.gaussians(), problem_.threads(), [&](int64_t begin, int64_t end) {
+    std::vector<double> parts(static_cast<size_t>((problem_.unknowns() + kPart - 1) / kPart) * each, 0.0);
+    for_parts(problem_.unknowns(), problem_.threads(), [&](int64_t begin, int64_t end) {
       double* const sum = parts.data() + static_cast<size_t>(begin / kPart) * each;
       for (int64_t i = begin; i < end; ++i) row(i, sum);
     });
@@ -307,15 +361,19 @@ void FeatureSolveOptions::visit(FieldVisitor& visitor) {
       most_iterations, {0, 100000});
   visitor.real({"ridge", "weight of the distance from each Gaussian's mean, beside its total weight"}, ridge,
                {0, 1});
+  visitor.integer(
+      {"degree",
+       "of features' spherical harmonics: 0, the same from everywhere; Splatent's published code has 2"},
+      degree, {0, kMostHarmonicDegree});
 }
 
-SolvedFeatures solve_features(const std::vector<FeatureView>& views, int64_t gaussians,
+SolvedFeatures solve_features(const std::vector<FeatureView>& views, const GaussianSet& set,
                               const FeatureSolveOptions& options, const KernelSettings& settings) {
   check_views(views);
   const int64_t channels = views.front().picture.channels;
-  const Problem problem(views, gaussians, settings);
+  const Problem problem(views, set, options.degree, settings);
   SolvedFeatures result;
-  result.features.resize(static_cast<size_t>(gaussians * channels));
+  result.features.resize(static_cast<size_t>(problem.unknowns() * channels));
   constexpr int64_t kTogether = 64;
   for (int64_t first = 0; first < channels; first += kTogether) {
     const int64_t count = std::min(kTogether, channels - first);
@@ -328,7 +386,7 @@ SolvedFeatures solve_features(const std::vector<FeatureView>& views, int64_t gau
       residuals.push_back(solve.residual());
     }
     take_worst(residuals, result.residuals);
-    for (int64_t i = 0; i < gaussians; ++i)
+    for (int64_t i = 0; i < problem.unknowns(); ++i)
       std::copy_n(solve.values(i), count, result.features.data() + i * channels + first);
   }
   return result;

@@ -14,6 +14,13 @@ constexpr int64_t kMostHarmonicDegree = 3;
 
 // Returns how many coefficients spherical harmonics have up to a degree: 1, 4, 9 or 16.
 constexpr int64_t harmonic_coefficients(int64_t degree) { return (degree + 1) * (degree + 1); }
+// Returns the degree with so many coefficients, -1 for none.
+constexpr int64_t degree_of_coefficients(int64_t coefficients) {
+  for (int64_t degree = 0; degree <= kMostHarmonicDegree; ++degree) {
+    if (harmonic_coefficients(degree) == coefficients) return degree;
+  }
+  return -1;
+}
 
 // A scene as n 3D Gaussians (Kerbl et al. 2023). Each array holds n rows. Gradients of a loss, moments of Adam and the
 // like are sets of the same shape.

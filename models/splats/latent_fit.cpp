@@ -4,6 +4,7 @@
 #include "gld/base/json_text.h"
 #include "gld/base/sha256.h"
 #include "gld/machine/timing.h"
+#include "gld/splatting/feature_harmonics.h"
 #include "gld/tensors/weight_tensors.h"
 
 #include <algorithm>
@@ -46,6 +47,17 @@ torch::Tensor checked_tensor(const WeightFile& file, const std::string& name,
   return values;
 }
 
+// Returns features of either kind, (gaussians, channels) or (gaussians, coefficients, channels).
+torch::Tensor checked_features(const WeightFile& file, const std::string& name, int64_t channels) {
+  if (read_tensor(file, name).dim() != 3) return checked_tensor(file, name, {0, channels}, torch::kFloat32);
+  auto features = checked_tensor(file, name, {0, 0, channels}, torch::kFloat32);
+  if (degree_of_coefficients(features.size(1)) < 1) {
+    refuse_features(file.path(), name + " with 4, 9 or 16 coefficients of spherical harmonics",
+                    std::to_string(features.size(1)));
+  }
+  return features;
+}
+
 }  // namespace
 
 torch::Tensor feature_tensor(const std::vector<float>& values, int64_t channels) {
@@ -68,8 +80,11 @@ LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& lat
                           settings),
            latents.pictures[number]});
     }
-    const SolvedFeatures solved = solve_features(views, gaussians.set.size(), options, settings);
+    const SolvedFeatures solved = solve_features(views, gaussians.set, options, settings);
     fit.features = feature_tensor(solved.features, latents.tag.channels);
+    if (options.degree > 0) {
+      fit.features = fit.features.reshape({gaussians.set.size(), harmonic_coefficients(options.degree), -1});
+    }
     fit.iterations = solved.iterations();
     fit.residual = solved.residuals.back();
   });
@@ -79,12 +94,18 @@ LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& lat
 SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tensor& features,
                              const Camera& over_latents, const KernelSettings& settings) {
   const auto values = features.contiguous();
-  SplatFeatures given;
-  given.values = values.data_ptr<float>();
-  given.channels = values.size(1);
-  given.by_index = true;
   const SplatView view = view_of_splats(
       gaussians.set, splat_camera(over_latents, gaussians.set.origin, gaussians.projection), settings);
+  SplatFeatures given;
+  given.values = values.data_ptr<float>();
+  given.channels = values.size(-1);
+  given.by_index = values.dim() == 2;
+  std::vector<float> seen;
+  if (!given.by_index) {
+    seen = seen_features(gaussians.set, view, given.values, degree_of_coefficients(values.size(1)),
+                         given.channels, settings);
+    given.values = seen.data();
+  }
   return composite(view, given, settings).image;
 }
 
@@ -147,7 +168,7 @@ std::vector<LatentFit> read_latent_fits(const std::filesystem::path& file,
     if (!tag) refuse_features(file, "the latent space of " + name, "something else");
     LatentFit fit;
     fit.tag = *tag;
-    fit.features = checked_tensor(*weights, name + ".features", {0, tag->channels}, torch::kFloat32);
+    fit.features = checked_features(*weights, name + ".features", tag->channels);
     fit.statistics.mean = checked_tensor(*weights, name + ".mean", {tag->channels}, torch::kFloat32);
     fit.statistics.variance =
         checked_tensor(*weights, name + ".deviation", {tag->channels}, torch::kFloat32).square();

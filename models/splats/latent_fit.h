@@ -24,7 +24,8 @@ struct StillGaussians {
   int64_t fitted = 0;           // of these
 };
 
-// Features of a level that make the pictures of the fitted views, normalised, (gaussians, channels).
+// Features of a level that make the pictures of the fitted views, normalised: (gaussians, channels), or (gaussians,
+// coefficients, channels) where they depend on the direction of view (gld/splatting/feature_harmonics.h).
 struct LatentFit {
   LatentTag tag;
   LatentStatistics statistics;
@@ -38,7 +39,7 @@ struct LatentFit {
 LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& latents,
                       const FeatureSolveOptions& options, const KernelSettings& settings);
 
-// Returns what a camera sees of features, (gaussians, channels), over latent pixels; where nothing is seen it is 0, the
+// Returns what a camera sees of features, as LatentFit has them, over latent pixels; where nothing is seen it is 0, the
 // mean of normalised latents.
 SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tensor& features,
                              const Camera& over_latents, const KernelSettings& settings);
@@ -55,7 +56,7 @@ double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& 
 double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
                     int64_t first, int64_t end, const KernelSettings& settings);
 
-// Writes beside a PLY file, for its Gaussians in its order: tensors levelN.features (gaussians, channels), normalised,
+// Writes beside a PLY file, for its Gaussians in its order: tensors levelN.features, as LatentFit has them,
 // levelN.mean and levelN.deviation (channels), raw = features deviation + mean, and where a fit has them levelN.encoded
 // (views, channels, height, width), float16; metadata "gld:latent_space" (tags as JSON), "gld:splats" (SHA-256 of the
 // PLY file) and those of `notes`. The file is written whole or not at all.

@@ -1,5 +1,6 @@
 // The image loss, Adam, density control, and features by least squares.
 #include "gld/splatting/density_control.h"
+#include "gld/splatting/feature_harmonics.h"
 #include "gld/splatting/feature_solve.h"
 #include "gld/splatting/image_loss.h"
 #include "gld/splatting/splat_adam.h"
@@ -231,8 +232,9 @@ TEST(PixelWeights, AreWhatCompositingSums) {
 }
 
 struct FeatureCase {
+  GaussianSet set;
   std::vector<FeatureView> views;
-  int64_t gaussians = 0, channels = 0;
+  int64_t channels = 0;
 };
 FeatureCase feature_case(int64_t gaussians, int64_t channels) {
   RandomGaussians wanted;
@@ -241,7 +243,7 @@ FeatureCase feature_case(int64_t gaussians, int64_t channels) {
   wanted.largest = 0.1;
   const GaussianSet set = random_gaussians(wanted);
   FeatureCase result;
-  result.gaussians = gaussians;
+  result.set = set;
   result.channels = channels;
   for (const double angle : {-0.2, 0.0, 0.2}) {
     Camera camera = splat_test_camera(32, 24);
@@ -254,7 +256,7 @@ FeatureCase feature_case(int64_t gaussians, int64_t channels) {
 
 // Returns the gradient of what is minimised, in double, over that of features of 0.
 double relative_gradient(const FeatureCase& problem, const std::vector<float>& f, double ridge) {
-  const auto n = static_cast<size_t>(problem.gaussians);
+  const auto n = static_cast<size_t>(problem.set.size());
   std::vector<double> sums(n, 0.0), totals(n, 0.0);
   double worst = 0;
   for (int64_t c = 0; c < problem.channels; ++c) {
@@ -303,7 +305,7 @@ double relative_gradient(const FeatureCase& problem, const std::vector<float>& f
 TEST(FeatureSolve, LeavesTheResidualThatItSays) {
   const FeatureCase problem = feature_case(1500, 70);
   FeatureSolveOptions options;
-  const SolvedFeatures solved = solve_features(problem.views, problem.gaussians, options, {});
+  const SolvedFeatures solved = solve_features(problem.views, problem.set, options, {});
   EXPECT_LE(solved.residuals.back(), options.tolerance);
   EXPECT_LT(solved.iterations(), options.most_iterations);
   // What is said comes from the recursion in float; sums of some hundred products round to some 1e-7.
@@ -315,8 +317,8 @@ TEST(FeatureSolve, IsTheSameForAnyNumberOfThreads) {
   const FeatureCase problem = feature_case(700, 5);
   KernelSettings many;
   many.threads = 4;
-  EXPECT_EQ(solve_features(problem.views, problem.gaussians, {}, {}).features,
-            solve_features(problem.views, problem.gaussians, {}, many).features);
+  EXPECT_EQ(solve_features(problem.views, problem.set, {}, {}).features,
+            solve_features(problem.views, problem.set, {}, many).features);
 }
 
 TEST(FeatureSolve, FindsTheFeaturesThatMadeThePictures) {
@@ -345,7 +347,7 @@ TEST(FeatureSolve, FindsTheFeaturesThatMadeThePictures) {
   FeatureSolveOptions options;
   options.ridge = 0;
   options.most_iterations = 400;
-  const SolvedFeatures solved = solve_features(views, wanted.count, options, {});
+  const SolvedFeatures solved = solve_features(views, set, options, {});
   EXPECT_LE(solved.residuals.back(), 1e-6);
   EXPECT_LT(solved.residuals.size(), 400U);
   // The pictures are those of the features, to the tolerance times what the matrix makes of it.
@@ -357,6 +359,109 @@ TEST(FeatureSolve, FindsTheFeaturesThatMadeThePictures) {
       worst = std::max<double>(worst, std::abs(again.values[i] - view.picture.values[i]));
   }
   EXPECT_LT(worst, 1e-4);
+}
+
+// The views of a ring of cameras about the Gaussians: what differs with the direction.
+std::vector<Camera> cameras_about(const std::vector<double>& angles, double tilt) {
+  std::vector<Camera> cameras;
+  const Eigen::Vector3d middle(0, 0, 4);
+  for (const double angle : angles) {
+    Camera camera = splat_test_camera(40, 30);
+    const Eigen::Matrix3d turn = (Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitY()) *
+                                  Eigen::AngleAxisd(tilt * std::sin(5 * angle), Eigen::Vector3d::UnitX()))
+                                     .toRotationMatrix();
+    camera.world_from_camera.linear() = turn * camera.world_from_camera.linear();
+    camera.world_from_camera.translation() =
+        middle + turn * (camera.world_from_camera.translation() - middle);
+    cameras.push_back(camera);
+  }
+  return cameras;
+}
+
+struct DirectedCase {
+  GaussianSet set;
+  std::vector<float> truth;  // (gaussians, coefficients of degree 2, channels)
+  int64_t channels = 3;
+
+  FeatureView view_of(const Camera& camera) const {
+    SplatView view = view_of_splats(set, splat_camera(camera, set.origin, {}), {});
+    SplatImage picture = shown(view, truth, 2);
+    return {std::move(view), std::move(picture)};
+  }
+  SplatImage shown(const SplatView& view, const std::vector<float>& values, int64_t degree) const {
+    const std::vector<float> seen = seen_features(set, view, values.data(), degree, channels, {});
+    SplatFeatures features;
+    features.values = seen.data();
+    features.channels = channels;
+    return composite(view, features, {}).image;
+  }
+  // Returns the root of the mean squared difference over that of the picture.
+  double error_of(const FeatureView& view, const std::vector<float>& values, int64_t degree) const {
+    const SplatImage again = shown(view.view, values, degree);
+    double apart = 0, size = 0;
+    for (size_t i = 0; i < again.values.size(); ++i) {
+      apart += std::pow(static_cast<double>(again.values[i]) - view.picture.values[i], 2);
+      size += std::pow(static_cast<double>(view.picture.values[i]), 2);
+    }
+    return std::sqrt(apart / size);
+  }
+};
+
+TEST(FeatureSolve, FeaturesThatDependOnTheDirectionNeedTheirDegree) {
+  RandomGaussians wanted;
+  wanted.count = 30;
+  wanted.smallest = 0.08;
+  wanted.largest = 0.2;
+  DirectedCase problem;
+  problem.set = random_gaussians(wanted);
+  std::mt19937 engine(11);
+  std::uniform_real_distribution<float> distribution(-1, 1);
+  problem.truth.resize(static_cast<size_t>(wanted.count * harmonic_coefficients(2) * problem.channels));
+  for (float& value : problem.truth) value = distribution(engine);
+  std::vector<FeatureView> views;
+  for (const Camera& camera : cameras_about({-1.2, -0.9, -0.6, -0.3, 0.0, 0.3, 0.6, 0.9, 1.2}, 0.5))
+    views.push_back(problem.view_of(camera));
+  FeatureSolveOptions options;
+  options.ridge = 1e-6;
+  options.most_iterations = 3000;
+  std::vector<double> errors;
+  for (options.degree = 0; options.degree <= 2; ++options.degree) {
+    const SolvedFeatures solved = solve_features(views, problem.set, options, {});
+    ASSERT_EQ(solved.features.size(),
+              static_cast<size_t>(wanted.count * problem.channels * harmonic_coefficients(options.degree)));
+    double worst = 0;
+    for (const FeatureView& view : views)
+      worst = std::max(worst, problem.error_of(view, solved.features, options.degree));
+    errors.push_back(worst);
+    if (options.degree < 2) continue;
+    // Between the views that were fitted as well.
+    for (const Camera& camera : cameras_about({-0.4, 0.5}, 0.5))
+      EXPECT_LT(problem.error_of(problem.view_of(camera), solved.features, 2), 0.1);
+  }
+  EXPECT_GT(errors[0], 0.3);
+  EXPECT_LT(errors[1], errors[0]);
+  EXPECT_LT(errors[2], 0.02);
+}
+
+TEST(FeatureHarmonics, BeginWithOneAndAreEvenOverDirections) {
+  RandomGaussians wanted;
+  wanted.count = 2;
+  GaussianSet set = random_gaussians(wanted);
+  const Camera camera = splat_test_camera(40, 30);
+  const SplatView view = view_of_splats(set, splat_camera(camera, set.origin, {}), {});
+  ASSERT_EQ(view.size(), 2);
+  const std::vector<float> b = feature_harmonics(set, view, 3, {});
+  ASSERT_EQ(b.size(), 32U);
+  for (size_t i = 0; i < 2; ++i) {
+    // The addition theorem: the squares of a degree sum to 2 l + 1 for any direction.
+    EXPECT_EQ(b[16 * i], 1);
+    for (size_t degree = 1; degree <= 3; ++degree) {
+      double squares = 0;
+      for (size_t k = degree * degree; k < (degree + 1) * (degree + 1); ++k)
+        squares += static_cast<double>(b[16 * i + k]) * b[16 * i + k];
+      EXPECT_NEAR(squares, static_cast<double>(2 * degree + 1), 1e-5);
+    }
+  }
 }
 
 }  // namespace

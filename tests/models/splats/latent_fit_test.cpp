@@ -125,5 +125,37 @@ TEST(LatentFit, FindsAndKeepsFeatures) {
   EXPECT_EQ(tags.at("level0").at("width"), 24);
 }
 
+// Features that depend on the direction of view are kept with their coefficients, and read back.
+TEST(LatentFit, KeepsFeaturesOfADegree) {
+  RandomGaussians wanted;
+  wanted.count = 40;
+  const GaussianSet set = random_gaussians(wanted);
+  StillGaussians gaussians{set, {}, {splat_test_camera(96, 96), splat_test_camera(96, 96)}, 2};
+  gaussians.cameras[1].world_from_camera.translation().x() += 0.8;
+  LatentPictures latents =
+      latent_pictures_of(torch::randn({2, 5, 24, 24}, at::detail::createCPUGenerator(8)), {});
+  FeatureSolveOptions options;
+  options.degree = 1;
+  const LatentFit fit = fit_latents(gaussians, latents, options, {});
+  EXPECT_EQ(fit.features.sizes(), (std::vector<int64_t>{40, 4, 5}));
+  const double error = latent_error(gaussians, fit, latents, 0, 2, {});
+  options.degree = 0;
+  EXPECT_LT(error, latent_error(gaussians, fit_latents(gaussians, latents, options, {}), latents, 0, 2, {}));
+
+  const test::TemporaryFolder folder;
+  const auto ply = folder.path() / "splats.ply", file = folder.path() / "features.safetensors";
+  write_file_atomically(ply, "as if it were one");
+  save_latent_fits(file, {fit}, ply, {});
+  EXPECT_TRUE(torch::equal(read_latent_fits(file, ply).at(0).features, fit.features));
+  LatentFit odd = fit;
+  odd.features = fit.features.slice(1, 0, 3).contiguous();
+  save_latent_fits(file, {odd}, ply, {});
+  EXPECT_EQ(
+      error_of([&] { read_latent_fits(file, ply); }),
+      file.string() +
+          ": expected level0.features with 4, 9 or 16 coefficients of spherical harmonics, found 3; make it "
+          "again with gld splat fit --features.");
+}
+
 }  // namespace
 }  // namespace gld
