@@ -1,6 +1,7 @@
 #include "bench/splatting/splat_errors.h"
 
 #include "datasets/splats/scene_fit.h"
+#include "datasets/splats/splat_picture.h"
 #include "gld/base/interrupt.h"
 #include "gld/kernels/adam_kernel.h"
 #include "gld/machine/timing.h"
@@ -180,6 +181,87 @@ Table splat_fit_table(const std::vector<SplatFitRow>& rows) {
   return table;
 }
 
+namespace {
+
+// Neither bound is met by a number that a picture shows.
+constexpr double kNoBound = 1e-9;
+
+std::vector<SplatImage> drawn(const SplatFit& fit, const std::vector<FittedView>& views,
+                              const ProjectionOptions& projection, const KernelSettings& kernels) {
+  std::vector<SplatImage> pictures;
+  pictures.reserve(views.size());
+  for (const FittedView& view : views)
+    pictures.push_back(splat_picture(fit.set, view.camera, projection, kernels).image);
+  return pictures;
+}
+
+double difference_of(const std::vector<SplatImage>& a, const std::vector<SplatImage>& b) {
+  double squares = 0, numbers = 0;
+  for (size_t view = 0; view < a.size(); ++view) {
+    for (size_t i = 0; i < a[view].values.size(); ++i)
+      squares += std::pow(static_cast<double>(a[view].values[i]) - b[view].values[i], 2);
+    numbers += static_cast<double>(a[view].channels * a[view].width * a[view].height);
+  }
+  return std::sqrt(squares / numbers);
+}
+
+SplatBoundRow bound_row(const SplatFit& fit, const std::vector<FittedView>& views,
+                        const ProjectionOptions& projection, const std::vector<SplatImage>& unbounded,
+                        int64_t repeats, const KernelSettings& kernels) {
+  std::vector<double> seconds;
+  std::vector<SplatImage> pictures;
+  for (int64_t i = 0; i < repeats; ++i)
+    seconds.push_back(seconds_of([&] { pictures = drawn(fit, views, projection, kernels); }));
+  std::sort(seconds.begin(), seconds.end());
+  SplatBoundRow row;
+  row.faintest = projection.faintest;
+  row.least_transmittance = projection.least_transmittance;
+  row.milliseconds = 1e3 * seconds[seconds.size() / 2] / static_cast<double>(views.size());
+  row.error = difference_of(pictures, unbounded);
+  row.held_out_psnr = mean_of(view_decibels(views, fit.set, projection, kernels));
+  return row;
+}
+
+}  // namespace
+
+std::vector<SplatBoundRow> splat_bound_rows(const Scene& scene, const SplatErrorSettings& settings) {
+  KernelSettings kernels;
+  kernels.threads = settings.threads;
+  const SplatFitViews views =
+      load_fit_views(scene, fit_size(scene, settings.side), settings.held_out, kernels);
+  SplatFitOptions options;
+  options.density.most_gaussians = settings.gaussians.back();
+  options.steps = settings.steps.back();
+  SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name);
+  while (fit.step < options.steps) splat_fit_step(views.fitted, options, 0, kernels, fit);
+  ProjectionOptions exact = options.projection;
+  exact.faintest = exact.least_transmittance = kNoBound;
+  const std::vector<SplatImage> unbounded = drawn(fit, views.held_out, exact, kernels);
+  std::vector<SplatBoundRow> rows;
+  const auto add = [&](const ProjectionOptions& projection) {
+    rows.push_back(bound_row(fit, views.held_out, projection, unbounded, settings.repeats, kernels));
+    stop_if_interrupted(fmt::format("{} rows", rows.size()));
+  };
+  for (const double faintest : settings.faintest) {
+    ProjectionOptions projection = options.projection;
+    projection.faintest = faintest;
+    add(projection);
+  }
+  for (const double least : settings.least_transmittances) {
+    ProjectionOptions projection = options.projection;
+    projection.least_transmittance = least;
+    if (least != ProjectionOptions().least_transmittance) add(projection);
+  }
+  return rows;
+}
+
+Table splat_bound_table(const std::vector<SplatBoundRow>& rows) {
+  Table table({"faintest", "least_transmittance", "milliseconds", "error", "held_out_psnr"});
+  for (const SplatBoundRow& row : rows)
+    table.add_row({row.faintest, row.least_transmittance, row.milliseconds, row.error, row.held_out_psnr});
+  return table;
+}
+
 std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatErrorSettings& settings) {
   KernelSettings kernels;
   kernels.threads = settings.threads;
@@ -188,8 +270,8 @@ std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatE
   solve.ridge = settings.ridge;
   solve.tolerance = kSolved;
   solve.most_iterations = kMostIterations;
-  const std::vector<SplatImage> expected = pictures_of(
-      problem, solve_features(problem.views, problem.set, solve, kernels).features, kernels);
+  const std::vector<SplatImage> expected =
+      pictures_of(problem, solve_features(problem.views, problem.set, solve, kernels).features, kernels);
   std::vector<SplatFeatureRow> rows;
   for (const int64_t iterations : settings.iterations) {
     solve.tolerance = FeatureSolveOptions().tolerance;

@@ -97,8 +97,8 @@ TEST(SplatBenchmark, WritesSpeedAndErrors) {
   SplatBenchmarkOptions options = small();
   options.out = (folder.path() / "run").string();
   EXPECT_EQ(run_splat_benchmark(options), 0);
-  for (const char* name :
-       {"splat_speed.csv", "splat_fits.csv", "splat_features.csv", "splat.md", "splat.png"})
+  for (const char* name : {"splat_speed.csv", "splat_fits.csv", "splat_bounds.csv", "splat_features.csv",
+                           "splat.md", "splat.png"})
     EXPECT_TRUE(std::filesystem::exists(folder.path() / "run" / name)) << name;
   const auto report = nlohmann::json::parse(read_file(folder.path() / "run" / "report.json"));
   EXPECT_TRUE(report.contains("measured_with"));
@@ -129,6 +129,14 @@ TEST(SplatBenchmark, RowsSayWhatIsTrue) {
     EXPECT_GT(fits[first + 1].fitted_psnr, fits[first].fitted_psnr);
     EXPECT_GT(fits[first + 1].seconds, fits[first].seconds);
   }
+  // The looser a bound, the larger its error; as tight as it can be, there is none but of the other bound.
+  const auto bounds = splat_bound_rows(scene, options.errors);
+  ASSERT_EQ(bounds.size(), 7U);
+  for (const size_t i : {size_t{1}, size_t{2}, size_t{3}}) EXPECT_GT(bounds[i].error, bounds[i - 1].error);
+  EXPECT_LT(bounds[4].error, bounds[5].error);
+  EXPECT_LT(bounds[5].error, bounds[6].error);
+  EXPECT_NEAR(bounds[4].error, bounds[1].error, 0.01 * bounds[1].error);
+  EXPECT_GT(bounds[6].error, 1e-3);
   const auto features = splat_feature_rows(scene, options.errors);
   ASSERT_EQ(features.size(), 4U);
   // Conjugate gradients never go away from the optimum; they end at it.
