@@ -69,8 +69,10 @@ FeatureProblem feature_problem(const Scene& scene, const SplatErrorSettings& set
                                const KernelSettings& kernels) {
   const SplatFitViews views = load_fit_views(scene, fit_size(scene, settings.feature_side), 0, kernels);
   const SceneReach reach = scene_reach(views.pictures, scene.points_in_world);
+  SplatStartOptions start;
+  start.from = SplatStartFrom::kDepth;
   const GaussianSet set =
-      start_gaussians(views.pictures, scene.points_in_world, reach, gaussians, {}, scene.name);
+      start_gaussians(views.pictures, scene.points_in_world, reach, gaussians, start, scene.name);
   ProjectionOptions projection;
   projection.near = kNearShare * reach.extent;
   FeatureProblem problem;
@@ -159,7 +161,7 @@ std::vector<SplatFitRow> splat_fit_rows(const Scene& scene, const SplatErrorSett
     SplatFitOptions options;
     options.density.most_gaussians = most;
     options.steps = settings.steps.back();
-    SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name);
+    SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name, kernels);
     double seconds = 0;
     for (const int64_t steps : settings.steps) {
       seconds += seconds_of([&] {
@@ -232,7 +234,7 @@ std::vector<SplatBoundRow> splat_bound_rows(const Scene& scene, const SplatError
   SplatFitOptions options;
   options.density.most_gaussians = settings.gaussians.back();
   options.steps = settings.steps.back();
-  SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name);
+  SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name, kernels);
   while (fit.step < options.steps) splat_fit_step(views.fitted, options, 0, kernels, fit);
   ProjectionOptions exact = options.projection;
   exact.faintest = exact.least_transmittance = kNoBound;

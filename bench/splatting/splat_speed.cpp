@@ -26,7 +26,8 @@ Started start(const Scene& scene, int64_t side, int64_t gaussians, const KernelS
   Started result;
   result.views = load_fit_views(scene, fit_size(scene, side), 0, settings);
   result.options.density.most_gaussians = gaussians;
-  result.fit = begin_splat_fit(result.views.pictures, scene.points_in_world, result.options, scene.name);
+  result.fit =
+      begin_splat_fit(result.views.pictures, scene.points_in_world, result.options, scene.name, settings);
   return result;
 }
 

@@ -59,6 +59,10 @@ SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held
   work.held_out = frames - work.views;
   work.width = size.width;
   work.height = size.height;
+  const bool depth = std::any_of(scene.frames.begin(), scene.frames.end(),
+                                 [](const Frame& frame) { return frame.has_depth(); });
+  work.sparse = options.start.from == SplatStartFrom::kPoints ||
+                (options.start.from == SplatStartFrom::kAuto && !depth && !scene.points_in_world.empty());
   work.gaussians = most_gaussians_of(work, options);
   return work;
 }
@@ -141,7 +145,7 @@ SceneFit fit_scene(const Scene& scene, const SceneFitOptions& options, const std
   check_without_latents(fit_options);
   SplatFitViews views = load_fit_views(scene, fit_size(scene, options.side), options.held_out, settings);
   SceneFit result;
-  result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, where);
+  result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, where, settings);
   views.pictures.clear();
   result.started_with = result.fit.set.size();
   result.views = static_cast<int64_t>(views.fitted.size());

@@ -42,7 +42,9 @@ int64_t padded(int64_t side) { return (side + kSplatTile - 1) / kSplatTile * kSp
 }  // namespace
 
 int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options) {
-  if (options.density.densify != Densification::kNone) return options.density.most_gaussians;
+  const Densification densify = options.density.densify;
+  if (densify == Densification::kPublished || (densify == Densification::kAuto && work.sparse))
+    return options.density.most_gaussians;
   return std::min(options.density.most_gaussians, work.views * work.width * work.height);
 }
 
@@ -77,8 +79,9 @@ double splat_fit_seconds(const SplatWork& work, const SplatFitOptions& options, 
   }
   SplatFitOptions probe = options;
   probe.density.most_gaussians = std::max<int64_t>(1, work.gaussians);
+  probe.start.from = SplatStartFrom::kDepth;  // which the wall has
   SplatFit fit;
-  const double start = seconds_of([&] { fit = begin_splat_fit(pictures, {}, probe, "a wall"); });
+  const double start = seconds_of([&] { fit = begin_splat_fit(pictures, {}, probe, "a wall", settings); });
   std::vector<double> seconds;
   for (int64_t step = 0; step < std::min(kSteps, options.steps); ++step)
     seconds.push_back(seconds_of([&] { splat_fit_step(fitted, probe, 0, settings, fit); }));

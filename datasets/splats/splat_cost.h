@@ -13,6 +13,7 @@ struct SplatWork {
   int64_t held_out = 0;           // views that are kept for comparison
   int64_t width = 0, height = 0;  // of a picture
   int64_t gaussians = 0;          // at most
+  bool sparse = false;            // it begins on sparse points
 };
 // Returns a Gaussian a pixel and view, under the cap; as many as the cap where some are added.
 int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options);

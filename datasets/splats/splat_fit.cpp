@@ -1,5 +1,6 @@
 #include "datasets/splats/splat_fit.h"
 
+#include "datasets/splats/matched_start.h"
 #include "gld/base/error.h"
 #include "gld/base/philox.h"
 #include "gld/splatting/feature_solve.h"
@@ -66,7 +67,7 @@ void SplatFitOptions::check() const {
   if (rates.last_mean > rates.mean) {
     fail({"--rates.last-mean", "at most --rates.mean", std::to_string(rates.last_mean), "make it smaller"});
   }
-  if (!moved_by_colours(geometry_from) && density.densify != Densification::kNone) {
+  if (!moved_by_colours(geometry_from) && density.densify == Densification::kPublished) {
     fail({"--densify", "none where colours do not move the geometry, by whose gradient Gaussians are added",
           "published", "leave it out, or add --geometry-from both"});
   }
@@ -81,15 +82,29 @@ void check_without_latents(const SplatFitOptions& options) {
 
 SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
                          const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
-                         const std::string& where) {
-  const SceneReach reach = scene_reach(pictures, points_in_world);
-  if (options.projection.near == 0) options.projection.near = kNearShare * reach.extent;
+                         const std::string& where, const KernelSettings& settings) {
+  SplatStartOptions start = options.start;
+  start.from = start_of(pictures, points_in_world, start.from, where);
+  const bool matches = start.from == SplatStartFrom::kMatch;
+  const std::vector<SplatPicture> matched =
+      matches ? with_matched_depth(pictures, points_in_world, settings) : std::vector<SplatPicture>();
+  const std::vector<SplatPicture>& begun_on = matches ? matched : pictures;
+  const SceneReach reach = scene_reach(begun_on, points_in_world);
   SplatFit fit;
   fit.extent = reach.extent;
-  fit.set =
-      start_gaussians(pictures, points_in_world, reach, options.density.most_gaussians, options.start, where);
+  fit.start = start.from;
+  fit.set = start_gaussians(begun_on, points_in_world, reach, options.density.most_gaussians, start, where);
   fit.moments = splat_moments(fit.set);
+  settle_fit_options(fit, options);
   return fit;
+}
+
+void settle_fit_options(const SplatFit& fit, SplatFitOptions& options) {
+  if (options.projection.near == 0) options.projection.near = kNearShare * fit.extent;
+  if (options.density.densify == Densification::kAuto) {
+    const bool grows = fit.start == SplatStartFrom::kPoints && moved_by_colours(options.geometry_from);
+    options.density.densify = grows ? Densification::kPublished : Densification::kNone;
+  }
 }
 
 void begin_features(const std::vector<FittedView>& views, const SplatFitOptions& options,
@@ -164,7 +179,7 @@ SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFit
     result.latent = add_latent_gradients(fit.set, shown.latent, options, settings, gradients.of_set);
     result.loss += result.latent;
   }
-  if (options.density.densify != Densification::kNone)
+  if (options.density.densify == Densification::kPublished)
     gather(view, gradients, fit.set.size(), fit.statistics);
   const double progress =
       static_cast<double>(fit.step) / static_cast<double>(std::max<int64_t>(1, options.steps));

@@ -56,13 +56,17 @@ struct SplatFit {
   DensityStatistics statistics;
   int64_t step = 0;  // done
   double extent = 1;
+  SplatStartFrom start = SplatStartFrom::kDepth;  // what it began on
 };
 
-// Begins a fit before its first step, on pictures with depth or on sparse points (start_gaussians). Sets
-// options.projection.near where none is named. where is the scene's name in errors.
+// Settles what options leave open, the near plane and whether Gaussians are added, for a fit that has begun.
+void settle_fit_options(const SplatFit& fit, SplatFitOptions& options);
+
+// Begins a fit before its first step, on what start_of() says, and settles options. where is the scene's name in errors.
+// The result does not depend on settings.threads.
 SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
                          const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
-                         const std::string& where);
+                         const std::string& where, const KernelSettings& settings);
 
 // Begins the features with which latents begin to move the geometry: those that show the views' latents best from the
 // Gaussians as they stand (solve_features). Where they do not move it, it does nothing.

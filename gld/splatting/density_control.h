@@ -12,11 +12,12 @@ namespace gld {
 enum class Densification {
   kNone,
   kPublished,  // 3DGS's
+  kAuto,       // as what a fit begins on wants it: to be settled before the first step, else none
 };
 
 // Where Gaussians are added and removed during a fit; the defaults are 3DGS's.
 struct DensityOptions : OptionsGroup {
-  Densification densify = Densification::kNone;
+  Densification densify = Densification::kAuto;
   int64_t most_gaussians = 100000;
   double gradient = 2e-4;      // mean length of d loss / d place in the picture, which is 2 wide and high
   double dense_scale = 0.01;   // of the scene's extent: what is larger is split, what is smaller copied

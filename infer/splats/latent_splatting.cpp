@@ -96,7 +96,7 @@ LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
   give_latents(latent_views(result.levels, result.cameras), views);
   result.seconds = seconds_of([&] {
     SplatFitOptions fit_options = options.fit;
-    result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name);
+    result.fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name, settings);
     begin_features(views.fitted, fit_options, settings, result.fit);
     while (result.fit.step < fit_options.steps) {
       stop_if_interrupted("in the fit of " + scene.name);

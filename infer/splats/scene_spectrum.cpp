@@ -84,7 +84,8 @@ SceneSpectrum scene_spectrum(const Scene& scene, const SpectrumSettings& setting
   require_memory_for_fit(scene_fit_work(scene, size, settings.held_out, fit_options), fit_options,
                          available_memory_bytes(), scene.name);
   const SplatFitViews views = load_fit_views(scene, size, settings.held_out, settings.kernels);
-  SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name);
+  SplatFit fit =
+      begin_splat_fit(views.pictures, scene.points_in_world, fit_options, scene.name, settings.kernels);
   while (fit.step < fit_options.steps)
     splat_fit_step(views.fitted, fit_options, static_cast<uint64_t>(settings.seed), settings.kernels, fit);
   SceneSpectrum result;

@@ -110,6 +110,7 @@ void write_splat_checkpoint(const std::filesystem::path& file, const SplatCheckp
   nlohmann::json state;
   state["step"] = fit.step;
   state["extent"] = bits_of(fit.extent);
+  state["start"] = splat_start_names().at(static_cast<size_t>(fit.start));
   for (int k = 0; k < 3; ++k) state["origin"].push_back(bits_of(fit.set.origin[k]));
   state["degree"] = fit.set.degree;
   state["channels"] = fit.set.channels;
@@ -167,6 +168,10 @@ SplatCheckpoint read_splat_checkpoint(const std::filesystem::path& file) {
     const nlohmann::json state = parse_json(text, file.string());
     fit.step = state.at("step").get<int64_t>();
     fit.extent = double_of(state.at("extent").get<uint64_t>());
+    const auto& starts = splat_start_names();
+    const auto start = std::find(starts.begin(), starts.end(), state.at("start").get<std::string>());
+    if (start == starts.end()) refuse(file);
+    fit.start = static_cast<SplatStartFrom>(start - starts.begin());
     for (int k = 0; k < 3; ++k)
       fit.set.origin[k] = double_of(state.at("origin").at(static_cast<size_t>(k)).get<uint64_t>());
     for (GaussianSet* set : {&fit.set, &fit.moments.first, &fit.moments.second}) {

@@ -132,7 +132,8 @@ class FitInSteps {
   void begin(const Scene& scene) {
     state_.views = fit_views_hash(all_views(views_));
     state_.seconds = seconds_of([&] {
-      state_.fit = begin_splat_fit(views_.pictures, scene.points_in_world, fit_options_, options_.where());
+      state_.fit =
+          begin_splat_fit(views_.pictures, scene.points_in_world, fit_options_, options_.where(), settings_);
       begin_features(views_.fitted, fit_options_, settings_, state_.fit);
     });
     state_.started_with = set().size();
@@ -140,7 +141,7 @@ class FitInSteps {
 
   void resume() {
     state_ = read_splat_checkpoint(checkpoint_file_);
-    if (fit_options_.projection.near == 0) fit_options_.projection.near = kNearShare * state_.fit.extent;
+    settle_fit_options(state_.fit, fit_options_);
     if (state_.views != fit_views_hash(all_views(views_))) {
       fail({checkpoint_file_.string(), "the pictures and cameras that the run began with",
             "others in " + options_.where(), "put those back, or begin anew with --overwrite"});
@@ -207,6 +208,7 @@ nlohmann::ordered_json fit_report(const FitInSteps& fit, const std::string& scen
   report["size"] = {views.fitted.front().camera.width, views.fitted.front().camera.height};
   report["steps"] = fit.state().fit.step;
   report["gaussians"] = {{"at_first", fit.state().started_with}, {"at_last", fit.set().size()}};
+  report["start"] = splat_start_names().at(static_cast<size_t>(fit.state().fit.start));
   report["extent"] = fit.state().fit.extent;
   report["near"] = fit.projection().near;
   report["seconds"] = fit.state().seconds;

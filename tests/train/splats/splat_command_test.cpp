@@ -4,6 +4,7 @@
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
+#include "datasets/splats/matched_start.h"
 #include "datasets/splats/splat_picture.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
@@ -245,15 +246,63 @@ TEST_F(FittedSplats, StartsFromSparsePointsWithoutDepth) {
   std::vector<SplatPicture> without = views.pictures;
   for (SplatPicture& picture : without) picture.depth = {};
   const SceneReach reach = scene_reach(without, points);
-  const GaussianSet set = start_gaussians(without, points, reach, 1000, {}, "scene");
+  SplatStartOptions start;
+  start.from = start_of(without, points, SplatStartFrom::kAuto, "scene");
+  EXPECT_EQ(start.from, SplatStartFrom::kPoints);
+  const GaussianSet set = start_gaussians(without, points, reach, 1000, start, "scene");
   EXPECT_EQ(set.size(), static_cast<int64_t>(points.size()));
   check_gaussians(set, "start");
-  EXPECT_LE(start_gaussians(without, points, reach, 10, {}, "scene").size(), 10);
+  EXPECT_LE(start_gaussians(without, points, reach, 10, start, "scene").size(), 10);
+  // Points may be wanted where there is depth as well.
+  EXPECT_EQ(start_of(views.pictures, points, SplatStartFrom::kAuto, "scene"), SplatStartFrom::kDepth);
+  EXPECT_EQ(start_of(views.pictures, points, SplatStartFrom::kPoints, "scene"), SplatStartFrom::kPoints);
+  const std::string cure =
+      "give the scene depth files or pictures that overlap, taken with steps to the side, reconstruct it with "
+      "COLMAP, or fit a run of gld sample --outputs image,depth.";
   EXPECT_EQ(
-      error_of([&] { start_gaussians(without, {}, reach, 1000, {}, "rooms/a"); }),
-      "rooms/a: expected measured or predicted depth, or sparse points, to start from, found neither; give the "
-      "scene depth files, reconstruct it with COLMAP, or fit a run of gld sample --outputs "
-      "image,depth.");
+      error_of([&] { start_of({without.front()}, {}, SplatStartFrom::kAuto, "rooms/a"); }),
+      "rooms/a: expected measured or predicted depth, sparse points, or several pictures to start from, "
+      "found none; " +
+          cure);
+  EXPECT_EQ(error_of([&] { start_of(without, points, SplatStartFrom::kDepth, "rooms/a"); }),
+            "rooms/a: expected pixels of known depth to start from, found none; " + cure);
+  EXPECT_EQ(error_of([&] { start_of(without, {}, SplatStartFrom::kPoints, "rooms/a"); }),
+            "rooms/a: expected sparse points to start from, found none; " + cure);
+  EXPECT_EQ(error_of([&] { start_of({without.front()}, points, SplatStartFrom::kMatch, "rooms/a"); }),
+            "rooms/a: expected several pictures to start from, found one; " + cure);
+}
+
+// Pictures alone, with their cameras: the start lies where the room does, and pictures that show one place from one
+// place tell nothing.
+TEST_F(FittedSplats, StartsFromWhatPicturesAgreeOn) {
+  const Scene scene = open_scene(this->scene());
+  const SplatFitViews views = load_fit_views(scene, fit_size(scene, 64), 0, {});
+  std::vector<SplatPicture> without = views.pictures;
+  for (SplatPicture& picture : without) picture.depth = {};
+  SplatFitOptions options;
+  const SplatFit fit = begin_splat_fit(without, {}, options, "scene", {});
+  EXPECT_EQ(fit.start, SplatStartFrom::kMatch);
+  EXPECT_GT(fit.set.size(), 1000);
+  const std::vector<SplatPicture> matched = with_matched_depth(without, {}, {});
+  std::vector<double> errors;
+  for (size_t i = 0; i < matched.size(); ++i) {
+    const DepthMap &found = matched[i].depth, &truth = views.pictures[i].depth;
+    ASSERT_EQ(found.width, truth.width);
+    for (size_t pixel = 0; pixel < found.metres.size(); ++pixel) {
+      if (is_known_depth(found.metres[pixel]) && is_known_depth(truth.metres[pixel]))
+        errors.push_back(std::abs(found.metres[pixel] / truth.metres[pixel] - 1));
+    }
+  }
+  ASSERT_GT(errors.size(), 1000U);
+  std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2),
+                   errors.end());
+  EXPECT_LT(errors[errors.size() / 2], 0.03);
+
+  SplatFitOptions never;
+  EXPECT_EQ(error_of([&] {
+              begin_splat_fit({without.front(), without.front()}, {}, never, "rooms/a", {});
+            }).substr(0, 69),
+            "rooms/a: expected pixels of known depth to start from, found none; gi");
 }
 
 // The depth is as gld sample --size photographs leaves it.
