@@ -29,8 +29,9 @@ constexpr int kCouldNotExecute = 127;  // the shell's convention
   ::dup2(log, STDOUT_FILENO);
   ::dup2(log, STDERR_FILENO);
   if (keep_open >= 0) ::fcntl(keep_open, F_SETFD, 0);
-  // Processes that train together ignore it, and what is ignored stays so behind exec.
+  // Processes that train together ignore the first, commands the second, and what is ignored stays so behind exec.
   ::signal(SIGPIPE, SIG_DFL);
+  ::signal(SIGXFSZ, SIG_DFL);
   ::execv(arguments[0], arguments);
   ::_exit(kCouldNotExecute);
 }

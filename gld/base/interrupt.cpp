@@ -111,6 +111,8 @@ void install_interrupt_handler(StopDeadline deadline) {
   has_deadline = deadline == StopDeadline::kOneSecond ? 1 : 0;
   std::signal(SIGINT, request);
   std::signal(SIGTERM, request);
+  // A file that may not grow any more is a write that fails, which says so, and not the end.
+  std::signal(SIGXFSZ, SIG_IGN);
 }
 
 bool interrupt_requested() { return requested != 0; }

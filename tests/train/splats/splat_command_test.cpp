@@ -23,6 +23,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -167,6 +168,64 @@ TEST_F(FittedSplats, KilledGoesOnToTheSameBytes) {
       out("killed").string() +
           ": expected a run that was stopped or killed, found one that is finished; choose another --out, or "
           "add --overwrite in the place of --resume.");
+}
+
+// Runs a fit in a process whose files can have so many bytes, as on a disk that is full: what it ends with.
+std::string said_with_files_of(int64_t bytes, const SplatCommandOptions& options) {
+  int pipe_ends[2];
+  EXPECT_EQ(::pipe(pipe_ends), 0);
+  const pid_t child = ::fork();
+  if (child == 0) {
+    ::signal(SIGXFSZ, SIG_IGN);
+    const rlimit limit{static_cast<rlim_t>(bytes), static_cast<rlim_t>(bytes)};
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+    const std::string said = error_of([&] { run_splat_fit(options); });
+    const bool written = ::write(pipe_ends[1], said.data(), said.size()) == static_cast<ssize_t>(said.size());
+    _exit(written ? 0 : 1);
+  }
+  ::close(pipe_ends[1]);
+  std::string said;
+  char buffer[4096];
+  for (ssize_t count = 0; (count = ::read(pipe_ends[0], buffer, sizeof(buffer))) > 0;)
+    said.append(buffer, static_cast<size_t>(count));
+  ::close(pipe_ends[0]);
+  int status = 0;
+  ::waitpid(child, &status, 0);
+  EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0) << status;
+  return said;
+}
+
+// A disk that is full ends a fit with a sentence that names the file, nothing is there by half, and with room again the
+// run goes on to the same bytes.
+TEST_F(FittedSplats, FullDiskLeavesWhatThereWasAndGoesOn) {
+  const SplatCommandOptions options = long_fit(scene(), out("full"));
+  const auto ply = out("full") / kSplatFile, checkpoint = out("full") / kSplatCheckpointFile;
+  const auto failed = [&](const std::filesystem::path& file, const std::string& said) {
+    EXPECT_EQ(said.find(file.string() + ": expected to write "), 0U) << said;
+    EXPECT_NE(said.find(" bytes, found an error: File too large; free some space or check the folder's "
+                        "permissions."),
+              std::string::npos)
+        << said;
+    for (const auto& entry : std::filesystem::directory_iterator(out("full")))
+      EXPECT_EQ(entry.path().filename().string().find(".partial-"), std::string::npos) << entry.path();
+  };
+  // Nothing as large as a checkpoint has room.
+  failed(checkpoint, said_with_files_of(50'000, options));
+  EXPECT_FALSE(std::filesystem::exists(checkpoint));
+  EXPECT_FALSE(std::filesystem::exists(ply));
+  // Harmonics of rising degree make a checkpoint larger: there is room at first, and then none any more.
+  SplatCommandOptions first = options;
+  first.overwrite = true;
+  first.checkpoint_every = 1;
+  failed(checkpoint, said_with_files_of(900'000, first));
+  const int64_t kept = read_splat_checkpoint(checkpoint).fit.step;
+  EXPECT_GT(kept, 0);
+  EXPECT_LT(kept, options.fit.steps);
+  SplatCommandOptions resumed = options;
+  resumed.resume = true;
+  run_splat_fit(resumed);
+  run_splat_fit(long_fit(scene(), out("whole")));
+  EXPECT_EQ(read_file(ply), read_file(out("whole") / kSplatFile));
 }
 
 TEST_F(FittedSplats, NoByteOfACheckpointCanChange) {
