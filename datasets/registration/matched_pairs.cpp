@@ -1,12 +1,13 @@
 #include "datasets/registration/matched_pairs.h"
 
+#include "gld/cameras/nearest_rotation.h"
+
 #include <algorithm>
 #include <numeric>
 #include <set>
 #include <utility>
 
 #include <Eigen/Core>
-#include <Eigen/SVD>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/core.hpp>
 
@@ -48,10 +49,7 @@ int64_t explained_by_turning(const Eigen::Matrix3Xd& first, const Eigen::Matrix3
   Eigen::VectorXd off(count);
   constexpr int kRounds = 8;
   for (int round = 0; round < kRounds; ++round) {
-    const Eigen::Matrix3d moment = second * weights.asDiagonal() * first.transpose();
-    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(moment, Eigen::ComputeFullU | Eigen::ComputeFullV);
-    const Eigen::Vector3d mirror(1, 1, (svd.matrixU() * svd.matrixV().transpose()).determinant());
-    const Eigen::Matrix3d turned = svd.matrixU() * mirror.asDiagonal() * svd.matrixV().transpose();
+    const Eigen::Matrix3d turned = nearest_rotation(second * weights.asDiagonal() * first.transpose());
     off = (turned * first - second).colwise().norm();
     std::vector<double> sorted(off.data(), off.data() + count);
     const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);

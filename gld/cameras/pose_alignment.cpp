@@ -2,13 +2,12 @@
 
 #include "gld/base/error.h"
 #include "gld/cameras/angles.h"
+#include "gld/cameras/nearest_rotation.h"
 
 #include <cmath>
 #include <string>
 
 #include <Eigen/Geometry>
-#include <Eigen/LU>
-#include <Eigen/SVD>
 
 namespace gld {
 namespace {
@@ -27,10 +26,7 @@ Eigen::Matrix3d mean_rotation(const std::vector<Camera>& in_a, const std::vector
   for (size_t i = 0; i < in_a.size(); ++i) {
     sum += in_b[i].world_from_camera.linear() * in_a[i].world_from_camera.linear().transpose();
   }
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(sum, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Eigen::Vector3d signs(1, 1, 1);
-  if ((svd.matrixU() * svd.matrixV().transpose()).determinant() < 0) signs[2] = -1;
-  return svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
+  return nearest_rotation(sum);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/cameras/angles.h"
+#include "gld/cameras/nearest_rotation.h"
 #include "gld/cameras/pose_alignment.h"
 #include "gld/metrics/metric.h"
 
@@ -9,7 +10,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include <Eigen/LU>
+#include <Eigen/QR>
 #include <Eigen/SVD>
 
 namespace gld {
@@ -37,13 +38,23 @@ struct CentredPoints {
   bool on_a_line = true;
 };
 
+// Returns the singular values of the points: those of the triangle of their QR decomposition, which is compiled in half
+// the time of Eigen's decomposition of a matrix of any length.
+Eigen::Vector3d extents_of(const Eigen::Matrix3Xd& points) {
+  const Eigen::HouseholderQR<Eigen::MatrixX3d> qr(points.transpose());
+  const Eigen::Index rows = std::min<Eigen::Index>(3, points.cols());
+  Eigen::Matrix3d triangle = Eigen::Matrix3d::Zero();
+  triangle.topRows(rows) = qr.matrixQR().topRows(rows).triangularView<Eigen::Upper>();
+  return Eigen::JacobiSVD<Eigen::Matrix3d>(triangle).singularValues();
+}
+
 CentredPoints centred(const Poses& poses) {
   CentredPoints result;
   result.points = centres_of(poses);
   result.mean = result.points.rowwise().mean();
   result.points.colwise() -= result.mean;
   result.squares = result.points.squaredNorm();
-  const Eigen::Vector3d extents = Eigen::JacobiSVD<Eigen::Matrix3Xd>(result.points).singularValues();
+  const Eigen::Vector3d extents = extents_of(result.points);
   // A place far from the origin is known to its rounding only.
   const double rounding = 1e-14 * (result.mean.norm() + extents[0]);
   result.on_a_line = !(extents[1] > std::max(kThinnestLine * extents[0], rounding));
@@ -52,13 +63,10 @@ CentredPoints centred(const Poses& poses) {
 
 // Returns b_from_a of the centres.
 Similarity umeyama(const CentredPoints& a, const CentredPoints& b) {
-  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(b.points * a.points.transpose(),
-                                              Eigen::ComputeFullU | Eigen::ComputeFullV);
-  Eigen::Vector3d signs(1, 1, 1);
-  if (svd.matrixU().determinant() * svd.matrixV().determinant() < 0) signs[2] = -1;
+  const Eigen::Matrix3d products = b.points * a.points.transpose();
   Similarity fit;
-  fit.rotation = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
-  fit.scale = svd.singularValues().dot(signs) / a.squares;
+  fit.rotation = nearest_rotation(products);
+  fit.scale = (fit.rotation.transpose() * products).trace() / a.squares;
   fit.translation = b.mean - fit.scale * fit.rotation * a.mean;
   return fit;
 }

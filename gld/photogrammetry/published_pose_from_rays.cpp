@@ -2,6 +2,7 @@
 
 #include "gld/base/error.h"
 #include "gld/base/mixed_bits.h"
+#include "gld/cameras/nearest_rotation.h"
 
 #include <algorithm>
 #include <cmath>
@@ -15,7 +16,6 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <Eigen/QR>
-#include <Eigen/SVD>
 
 namespace gld {
 namespace {
@@ -237,15 +237,11 @@ std::vector<Camera> cameras_from_rays_gld(const std::vector<RayGrid>& views, con
   intrinsics.row(1) *= static_cast<double>(size.height) / static_cast<double>(views.front().height);
   std::vector<Camera> cameras;
   for (size_t view = 0; view < views.size(); ++view) {
-    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(linear_fit(views[view], view) * first_inverse,
-                                                Eigen::ComputeFullU | Eigen::ComputeFullV);
-    Eigen::Vector3d signs(1, 1, 1);
-    if ((svd.matrixU() * svd.matrixV().transpose()).determinant() < 0) signs[2] = -1;
     Camera camera;
     camera.width = size.width;
     camera.height = size.height;
     camera.intrinsics = intrinsics;
-    camera.world_from_camera.linear() = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
+    camera.world_from_camera.linear() = nearest_rotation(linear_fit(views[view], view) * first_inverse);
     camera.world_from_camera.translation() = mean_origin(views[view], view);
     require_finite(camera, view);
     cameras.push_back(camera);

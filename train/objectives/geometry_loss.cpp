@@ -1,6 +1,7 @@
 #include "train/objectives/geometry_loss.h"
 
 #include "gld/cameras/angles.h"
+#include "gld/cameras/nearest_rotation.h"
 
 #include <cmath>
 #include <limits>
@@ -8,7 +9,6 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <Eigen/SVD>
 
 namespace gld {
 namespace {
@@ -147,10 +147,7 @@ RayErrors ray_errors(const torch::Tensor& predicted_rays, const GeometryTargets&
     const auto products =
         torch::matmul(to[view].reshape({-1, 3}).t(), from[view].reshape({-1, 3})).contiguous();
     const Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>> sum(products.data_ptr<double>());
-    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(Eigen::Matrix3d(sum),
-                                                Eigen::ComputeFullU | Eigen::ComputeFullV);
-    Eigen::Vector3d signs(1, 1, (svd.matrixU() * svd.matrixV().transpose()).determinant() < 0 ? -1 : 1);
-    return Eigen::Matrix3d(svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose());
+    return nearest_rotation(sum);
   };
   const auto centre_of = [](const torch::Tensor& rays, int64_t view) {
     const auto centre = rays[view].reshape({-1, 6}).narrow(1, 3, 3).mean(0);
