@@ -8,6 +8,7 @@
 #include "train/loop/checkpoint.h"
 #include "train/loop/training_loop.h"
 
+#include <cerrno>
 #include <chrono>
 #include <csignal>
 #include <thread>
@@ -149,6 +150,25 @@ std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
     said += read_file(child.said);
   }
   return said;
+}
+
+// A process of a team that writes to one that is gone is told so, and is not ended by the signal of it.
+TEST(DistributedTraining, AWriteToAProcessThatIsGoneSaysSo) {
+  const test::TemporaryFolder folder;
+  const int64_t port = free_port();
+  std::vector<Child> children;
+  for (int64_t rank = 0; rank < 2; ++rank) {
+    children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
+      const auto team = join_processes(placement(rank, 2, port));
+      int ends[2];
+      if (::socketpair(AF_UNIX, SOCK_STREAM, 0, ends) != 0) fail({"a test", "two sockets", "none", "look"});
+      ::close(ends[0]);
+      const ssize_t written = ::write(ends[1], "x", 1);
+      if (written != -1 || errno != EPIPE)
+        fail({"a write to nobody", "EPIPE", std::to_string(written), "look"});
+    }));
+  }
+  for (const Child& child : children) EXPECT_EQ(status_of(child), 0) << read_file(child.said);
 }
 
 TEST(DistributedTraining, MuonsMatricesAreNotCutIntoPieces) {
