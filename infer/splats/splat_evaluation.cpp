@@ -36,7 +36,7 @@ namespace {
 
 // Pictures of held-out views, each (views, 3, height, width); refined is undefined without a refiner.
 struct HeldOutPictures {
-  torch::Tensor truth, rgb, decoded, refined, autoencoded, nearest;
+  torch::Tensor truth, rgb, decoded, encoded_colours, refined, autoencoded, nearest;
 };
 
 struct EvaluatedScene {
@@ -46,12 +46,37 @@ struct EvaluatedScene {
 
 // Latents of held-out views, normalised, a tensor a level: (views, channels, height, width).
 struct HeldOutLatents {
-  std::vector<torch::Tensor> encoded, shown, refined;
+  std::vector<torch::Tensor> encoded, shown, of_colours, refined;
 };
 
-HeldOutLatents held_out_latents(const LatentSplats& splats, const DenoisingUnet* refiner, SplatScores& scores,
-                                const KernelSettings& settings) {
+torch::Tensor held_out_colours(const LatentSplats& splats, const KernelSettings& settings) {
+  std::vector<torch::Tensor> rgb;
+  for (int64_t view = splats.fitted; view < splats.views(); ++view) {
+    const Camera& camera = splats.cameras[static_cast<size_t>(view)];
+    rgb.push_back(tensor_of(splat_picture(splats.fit.set, camera, splats.projection, settings).image));
+  }
+  return torch::stack(rgb);
+}
+
+// Returns what pictures of the held-out views are encoded as beside the fitted ones, normalised as their latents are.
+std::vector<torch::Tensor> encoded_beside_fitted(const LatentSplats& splats, const ModelBundle& bundle,
+                                                 const torch::Tensor& pictures) {
+  const auto images = torch::cat({splats.images.slice(0, 0, splats.fitted), pictures.clamp(0, 1)});
+  const auto levels = encode_latent_pictures(bundle, images, decoded_levels(bundle.options()));
+  std::vector<torch::Tensor> encoded;
+  for (size_t level = 0; level < levels.size(); ++level) {
+    const auto raw =
+        raw_latents(levels[level].views(splats.fitted, splats.views()), levels[level].statistics);
+    encoded.push_back(normalised_latents(raw, splats.levels[level].statistics));
+  }
+  return encoded;
+}
+
+HeldOutLatents held_out_latents(const LatentSplats& splats, const ModelBundle& bundle,
+                                const torch::Tensor& colours, const DenoisingUnet* refiner,
+                                SplatScores& scores, const KernelSettings& settings) {
   HeldOutLatents latents;
+  latents.of_colours = encoded_beside_fitted(splats, bundle, colours);
   for (size_t level = 0; level < splats.fits.size(); ++level) {
     latents.encoded.push_back(splats.encoded(level, splats.fitted, splats.views()));
     latents.shown.push_back(splats.shown(level, settings));
@@ -78,21 +103,19 @@ torch::Tensor decoded(const std::vector<torch::Tensor>& latents, const LatentSpl
   return decoding(maps);
 }
 
-HeldOutPictures held_out_pictures(const LatentSplats& splats, const HeldOutLatents& latents,
-                                  const LatentDecoding& decoding, const KernelSettings& settings) {
+HeldOutPictures held_out_pictures(const LatentSplats& splats, const torch::Tensor& colours,
+                                  const HeldOutLatents& latents, const LatentDecoding& decoding) {
   HeldOutPictures pictures;
   pictures.truth = splats.images.slice(0, splats.fitted);
+  pictures.rgb = colours;
   Views cameras;
   cameras.cameras = splats.cameras;
   cameras.num_sources = splats.fitted;
-  std::vector<torch::Tensor> rgb, nearest;
-  for (int64_t view = splats.fitted; view < cameras.size(); ++view) {
-    const Camera& camera = splats.cameras[static_cast<size_t>(view)];
-    rgb.push_back(tensor_of(splat_picture(splats.fit.set, camera, splats.projection, settings).image));
+  std::vector<torch::Tensor> nearest;
+  for (int64_t view = splats.fitted; view < cameras.size(); ++view)
     nearest.push_back(splats.images[nearest_source(cameras, view)]);
-  }
-  pictures.rgb = torch::stack(rgb);
   pictures.nearest = torch::stack(nearest);
+  pictures.encoded_colours = decoded(latents.of_colours, splats, decoding);
   pictures.decoded = decoded(latents.shown, splats, decoding);
   pictures.autoencoded = decoded(latents.encoded, splats, decoding);
   if (!latents.refined.empty()) pictures.refined = decoded(latents.refined, splats, decoding);
@@ -136,10 +159,12 @@ EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const De
   scores.scene = scene.name;
   scores.seconds = splats.seconds;
   scores.gaussians = splats.fit.set.size();
-  const HeldOutLatents latents = held_out_latents(splats, refiner, scores, settings);
+  const auto colours = held_out_colours(splats, settings);
+  const HeldOutLatents latents = held_out_latents(splats, bundle, colours, refiner, scores, settings);
+  scores.encoded_colours_error = mean_error(latents.of_colours, latents.encoded);
   scores.latent_error = mean_error(latents.shown, latents.encoded);
   scores.high_band = high_band(latents.shown.front(), latents.encoded.front(), splats.levels.front());
-  result.pictures = held_out_pictures(splats, latents, LatentDecoding(bundle), settings);
+  result.pictures = held_out_pictures(splats, colours, latents, LatentDecoding(bundle));
   const HeldOutPictures& pictures = result.pictures;
   const auto& truth = pictures.truth;
   scores.rgb_psnr = mean_psnr(truth, pictures.rgb);
@@ -148,6 +173,8 @@ EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const De
   scores.decoded_psnr = mean_psnr(truth, pictures.decoded);
   scores.decoded_ssim = mean_ssim(truth, pictures.decoded);
   scores.decoded_sharpness = mean_sharpness(truth, pictures.decoded);
+  scores.encoded_colours_psnr = mean_psnr(truth, pictures.encoded_colours);
+  scores.encoded_colours_ssim = mean_ssim(truth, pictures.encoded_colours);
   scores.autoencoded_psnr = mean_psnr(truth, pictures.autoencoded);
   scores.autoencoded_ssim = mean_ssim(truth, pictures.autoencoded);
   scores.autoencoded_sharpness = mean_sharpness(truth, pictures.autoencoded);
@@ -178,6 +205,8 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
       {"decoded_psnr", "splatted latents, decoded, PSNR in dB", &SplatScores::decoded_psnr},
       {"refined_psnr", "splatted latents, repaired by the refiner and decoded, PSNR in dB",
        &SplatScores::refined_psnr, ScoreColumn::kRefined},
+      {"encoded_colours_psnr", "the Gaussians' colours, encoded and decoded, PSNR in dB",
+       &SplatScores::encoded_colours_psnr},
       {"autoencoded_psnr", "encoded latents, decoded: what can be reached, PSNR in dB",
        &SplatScores::autoencoded_psnr},
       {"nearest_psnr", "the nearest input view, PSNR in dB", &SplatScores::nearest_psnr},
@@ -185,6 +214,8 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
       {"decoded_ssim", "splatted latents, decoded, SSIM", &SplatScores::decoded_ssim},
       {"refined_ssim", "splatted latents, repaired and decoded, SSIM", &SplatScores::refined_ssim,
        ScoreColumn::kRefined},
+      {"encoded_colours_ssim", "the Gaussians' colours, encoded and decoded, SSIM",
+       &SplatScores::encoded_colours_ssim},
       {"autoencoded_ssim", "encoded latents, decoded, SSIM", &SplatScores::autoencoded_ssim},
       {"nearest_ssim", "the nearest input view, SSIM", &SplatScores::nearest_ssim},
       {"rgb_sharpness", "the Gaussians' colours, sharpness of the truth's", &SplatScores::rgb_sharpness},
@@ -196,6 +227,9 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
        &SplatScores::autoencoded_sharpness},
       {"latent_error", "splatted latents, distance from what is encoded over its spread",
        &SplatScores::latent_error},
+      {"encoded_colours_error",
+       "the Gaussians' colours, encoded: distance from what is encoded over its spread",
+       &SplatScores::encoded_colours_error},
       {"refined_error", "repaired latents, distance from what is encoded over its spread",
        &SplatScores::refined_error, ScoreColumn::kRefined},
       {"high_band", "splatted latents, high frequencies of the encoded ones'", &SplatScores::high_band,

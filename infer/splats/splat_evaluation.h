@@ -19,14 +19,17 @@ struct SplatScores {
   int64_t gaussians = 0;
   double rgb_psnr = 0, rgb_ssim = 0;          // of the Gaussians' colours
   double decoded_psnr = 0, decoded_ssim = 0;  // of latents as they show them, decoded
+  // Of the Gaussians' colours, encoded as pictures and decoded: the rival that needs no latents on Gaussians.
+  double encoded_colours_psnr = 0, encoded_colours_ssim = 0;
   double refined_psnr = 0, refined_ssim = 0;  // of those latents as the refiner repairs them, decoded
   double autoencoded_psnr = 0,
          autoencoded_ssim = 0;                // of latents as they are encoded, decoded: what can be reached
   double nearest_psnr = 0, nearest_ssim = 0;  // of the input view whose camera is nearest
   // Sharpness (gld/metrics), of the truth's.
   double rgb_sharpness = 0, decoded_sharpness = 0, refined_sharpness = 0, autoencoded_sharpness = 0;
-  double latent_error = 0;   // models/splats/latent_fit.h, mean over levels
-  double refined_error = 0;  // the same of what the refiner makes of them
+  double latent_error = 0;           // models/splats/latent_fit.h, mean over levels
+  double refined_error = 0;          // the same of what the refiner makes of them
+  double encoded_colours_error = 0;  // the same of colours that are encoded
   // Energy of the high frequencies of latents over that of the encoded ones (gld/metrics/latent_spectrum.h).
   double high_band = 0, refined_high_band = 0;
   double seconds = 0;          // of fit and solve

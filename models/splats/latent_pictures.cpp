@@ -62,8 +62,7 @@ LatentPictures normalised_pictures(const torch::Tensor& latents, LatentStatistic
   result.tag.channels = latents.size(1);
   result.tag.height = latents.size(2);
   result.tag.width = latents.size(3);
-  const auto normal =
-      result.statistics.normalise(latents.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+  const auto normal = normalised_latents(latents, result.statistics);
   for (int64_t view = 0; view < normal.size(0); ++view)
     result.pictures.push_back(splat_image_of(normal[view]));
   return result;
@@ -123,6 +122,10 @@ torch::Tensor LatentPictures::raw(const SplatImage& picture) const {
 
 torch::Tensor raw_latents(const torch::Tensor& normalised, const LatentStatistics& statistics) {
   return statistics.denormalise(normalised.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
+}
+
+torch::Tensor normalised_latents(const torch::Tensor& raw, const LatentStatistics& statistics) {
+  return statistics.normalise(raw.permute({0, 2, 3, 1})).permute({0, 3, 1, 2}).contiguous();
 }
 
 LatentStatistics statistics_of_pictures(const ModelBundle& bundle, int64_t level) {

@@ -48,6 +48,8 @@ struct LatentPictures {
 };
 // Returns normalised latents (views, channels, height, width) as they were before.
 torch::Tensor raw_latents(const torch::Tensor& normalised, const LatentStatistics& statistics);
+// Returns raw latents of that shape normalised.
+torch::Tensor normalised_latents(const torch::Tensor& raw, const LatentStatistics& statistics);
 
 // Returns the bundle's statistics of a level, of a channel of its pictures. Throws Error where it has none.
 LatentStatistics statistics_of_pictures(const ModelBundle& bundle, int64_t level);

@@ -50,9 +50,16 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
   EXPECT_LT(mean(all, "decoded_psnr"), mean(all, "autoencoded_psnr"));
   EXPECT_LT(mean(all, "decoded_ssim"), mean(all, "autoencoded_ssim"));
   EXPECT_GT(mean(all, "latent_error"), 0);
+  // Colours that are encoded lose what the model's decoder does, and less than latents that were splatted.
+  EXPECT_LT(mean(all, "encoded_colours_psnr"), mean(all, "autoencoded_psnr") + 0.1);
+  EXPECT_GT(mean(all, "encoded_colours_error"), 0);
+  EXPECT_LT(mean(all, "encoded_colours_error"), mean(all, "latent_error"));
   const std::string rows = read_file(folder.path() / "all" / "eval.csv");
   EXPECT_EQ(std::count(rows.begin(), rows.end(), '\n'), 3);
-  EXPECT_EQ(rows.rfind("scene,gaussians,rgb_psnr,decoded_psnr,autoencoded_psnr,nearest_psnr,", 0), 0U);
+  EXPECT_EQ(
+      rows.rfind("scene,gaussians,rgb_psnr,decoded_psnr,encoded_colours_psnr,autoencoded_psnr,nearest_psnr,",
+                 0),
+      0U);
   int pictures = 0;
   for (const auto& item : std::filesystem::directory_iterator(folder.path() / "all" / "pictures"))
     pictures += item.path().extension() == ".png" ? 1 : 0;
