@@ -68,8 +68,8 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
   const bool beyond = evidence.keeps_photographs && evidence.kept < kBeyond * mean.covered;
   if (beyond && promises(agree)) {
     return fmt::format(
-        "{:.0f} % of the target views come from no photograph: expect inventions there; of each other the photographs "
-        "tell {}",
+        "{:.0f} % of the target views come from no photograph: expect inventions there; ask for views between the "
+        "photographs or take some from there; of each other these tell {}",
         100 * (1 - evidence.kept), measured);
   }
   switch (agree) {
@@ -77,12 +77,13 @@ std::string photographs_sentence(PhotographsAgree agree, const PictureEvidence& 
       break;
     case PhotographsAgree::kHardly:
       return fmt::format(
-          "The photographs hardly overlap (the others show {:.0f} % of one): expect inventions{}",
+          "The photographs hardly overlap (the others show {:.0f} % of one): expect inventions{}; take some in between, each "
+          "with half of what the one beside it shows",
           100 * mean.covered, kept);
     case PhotographsAgree::kNot:
       return fmt::format(
           "The photographs hardly overlap, or do not fit their cameras (the others predict one to {:.0f} dB, as they are "
-          "they have {:.0f}): expect inventions{}",
+          "they have {:.0f}): expect inventions{}; take some in between, or look whether the cameras are theirs",
           mean.psnr, trivial, kept);
     case PhotographsAgree::kRoughly:
       return fmt::format("These pictures are rough, as the photographs' predictions of each other are ({}){}",
