@@ -159,6 +159,9 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
     throw SamplerError(problem);
   StageRecords stages;
   record_device(stages, prepared.device);
+  bool stopped = false;
+  const auto stop = [&] { return stopped = stopped || (callbacks.cancelled && callbacks.cancelled()); };
+  if (stop()) return std::nullopt;
   if (!prepared.photographs.empty()) estimate_cameras(prepared, options, stages);
   for (auto& note : mixed_parts(prepared.bundle, parts, options.allow_mixed)) {
     prepared.scene.warnings.push_back(std::move(note));
@@ -166,9 +169,9 @@ std::optional<SampleResult> sampled(const SampleRequest& request, const SampleCa
   const PlannedSampling planned =
       plan_of(prepared, options, PlanTiming::kPredicted, [&] { return prepared.bundle.content_hash(); });
   load_pixels(prepared, options);
+  if (stop()) return std::nullopt;
   PipelineRequest pipeline = pipeline_request(prepared, options, planned.settings);
-  bool stopped = false;
-  pipeline.stop_requested = [&] { return stopped; };
+  pipeline.stop_requested = stop;
   if (callbacks.progress) {
     pipeline.on_step = [&](const std::string& stage, const SolveProgress& solve) {
       stopped =

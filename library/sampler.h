@@ -74,6 +74,9 @@ struct SampleProgress {
 struct SampleCallbacks {
   // After each step of a flow. False stops: sample() gives nothing then. May be empty.
   std::function<bool(const SampleProgress&)> progress;
+  // Asked before each evaluation of the model, of which a step of some solvers has several, and before each stage; true
+  // stops as well. May be empty.
+  std::function<bool()> cancelled;
   // It gets after every so many evaluations of a flow the views that it would end with now, without what is kept of the
   // photographs. It takes the decoder's memory beside the flow's. It may be empty.
   std::function<void(const std::string& stage, const std::vector<Picture>& views)> preview;

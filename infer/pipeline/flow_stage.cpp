@@ -34,10 +34,6 @@ std::unique_ptr<DitField> make_field(const DitDh& model, DitScene scene, const F
   return std::make_unique<DitField>(model, std::move(scene));
 }
 
-bool stop_asked(const PipelineRequest& request) {
-  return interrupt_requested() || (request.stop_requested && request.stop_requested());
-}
-
 // Says after which steps a preview is due: the first and then every so many evaluations.
 class PreviewTimes {
  public:
@@ -68,9 +64,11 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   PreviewTimes previews(request.on_preview ? request.preview_every : 0);
   observer.on_step = [&](const SolveProgress& progress) {
     if (request.on_step) request.on_step(stage.name, progress);
-    if (stop_asked(request)) return SolveDecision::kStop;
     if (progress.time > 0 && previews.due(progress.evaluations)) preview(progress.predicted_data());
     return SolveDecision::kGoOn;
+  };
+  observer.before_evaluation = [&] {
+    return request.stop_asked() ? SolveDecision::kStop : SolveDecision::kGoOn;
   };
   if (request.on_step) {
     SolveProgress start;

@@ -243,7 +243,18 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
   });
 }
 
+// What there is when a stage is not begun.
+std::string done_before(const SamplingStage& stage) {
+  if (stage.kind == StageKind::kPropagation) return "the latents were generated; nothing was decoded";
+  if (stage.kind == StageKind::kGeometry) return "images were decoded; depth and rays were not";
+  return stage.name + " was not begun";
+}
+
 }  // namespace
+
+bool PipelineRequest::stop_asked() const {
+  return interrupt_requested() || (stop_requested && stop_requested());
+}
 
 StageRequest PipelineRequest::stage_request() const {
   StageRequest stages;
@@ -323,10 +334,10 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
   const StageKind last_image_stage = composes ? StageKind::kComposition : StageKind::kRgbDecoding;
   for (const auto& stage : planned) {
     if (!stage.runs) continue;
-    if (stage.kind == StageKind::kPropagation) {
-      stop_if_interrupted("the latents were generated; nothing was decoded");
-    } else if (stage.kind == StageKind::kGeometry) {
-      stop_if_interrupted("images were decoded; depth and rays were not");
+    if (request.stop_asked()) {
+      const std::string done = done_before(stage);
+      stop_if_interrupted(done);
+      throw Interrupted(done);
     }
     stages.run(stage.name, [&] { run(stage); });
     if (stage.kind == StageKind::kSourceDepth && may_leave_out) {

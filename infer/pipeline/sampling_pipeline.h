@@ -85,8 +85,10 @@ struct PipelineRequest {
   // for it. 0 stands for never.
   int64_t preview_every = 0;
   std::function<void(const std::string& stage, const torch::Tensor& images)> on_preview;
-  // Asked after each accepted step whether to stop, beside Ctrl-C; may be empty. Interrupted is thrown then.
+  // Asked before each evaluation of a flow and each stage whether to stop, beside Ctrl-C; may be empty. Interrupted is
+  // thrown then.
   std::function<bool()> stop_requested;
+  bool stop_asked() const;
   // These levels are there already, as PipelineResult::latents holds them: their flows are not run.
   std::map<int64_t, torch::Tensor> kept_latents;
   // Called when a flow has generated its level.

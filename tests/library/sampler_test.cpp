@@ -112,6 +112,51 @@ TEST(SamplerLibrary, StopsWithinAStepWhereItsCallerSaysSo) {
   EXPECT_THAT(steps, testing::ElementsAre(0, 1, 2, 3));
 }
 
+// A solver that evaluates the model several times a step, or rejects steps, is stopped before its next evaluation.
+TEST(SamplerLibrary, IsCancelledWithinAnEvaluation) {
+  const Scene scene = drawn_room();
+  for (const char* solver : {"rk4", "dp54"}) {
+    auto request = request_of(scene);
+    const bool adaptive = std::string(solver) == "dp54";
+    request.options[0] = adaptive ? std::pair<std::string, std::string>{"solver.tolerance", "1e-4"}
+                                  : std::pair<std::string, std::string>{"solver.evaluations", "12"};
+    request.options.push_back({"solver.solver", solver});
+    bool began = false;
+    int64_t asked = 0, steps = 0;
+    SampleCallbacks callbacks;
+    callbacks.progress = [&](const SampleProgress& progress) {
+      began = true;
+      steps = std::max(steps, progress.step);
+      return true;
+    };
+    callbacks.cancelled = [&] { return began && ++asked > 3; };
+    EXPECT_FALSE(sampler::sample(request, callbacks).has_value()) << solver;
+    EXPECT_EQ(asked, 4) << solver;
+    EXPECT_EQ(steps, 0) << solver << " had ended its first step";
+  }
+}
+
+TEST(SamplerLibrary, PrintsNothing) {
+  const Scene scene = drawn_room();
+  const test::TemporaryFolder folder;
+  SampleRequest of_photographs;
+  of_photographs.model = tiny_model();
+  of_photographs.path_views = 1;
+  of_photographs.options = {{"solver.evaluations", "1"}};
+  for (const size_t frame : {0, 1, 3}) {
+    const auto file = folder.path() / ("photograph" + std::to_string(frame) + ".png");
+    write_png(file, scene.frames[frame].image());
+    of_photographs.photographs.push_back(file.string());
+  }
+  testing::internal::CaptureStdout();
+  testing::internal::CaptureStderr();
+  sampler::sample(request_of(scene));
+  const std::string said = message_of(of_photographs);
+  EXPECT_EQ(testing::internal::GetCapturedStdout(), "");
+  EXPECT_EQ(testing::internal::GetCapturedStderr(), "");
+  EXPECT_EQ(said, "no error");
+}
+
 TEST(SamplerLibrary, ShowsWhatItWouldEndWith) {
   auto request = request_of(drawn_room());
   request.options[0].second = "4";

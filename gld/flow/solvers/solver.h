@@ -98,6 +98,8 @@ struct SolveObserver {
   std::string stage = "solver";  // named in errors, e.g. "level 1"
   // After each accepted step; may be empty. What it means that a solve was stopped, whoever calls it decides.
   std::function<SolveDecision(const SolveProgress&)> on_step;
+  // Before each evaluation, of which a step may have several and a rejected one is no step; may be empty.
+  std::function<SolveDecision()> before_evaluation = nullptr;
 };
 
 enum class SolveFailureKind { kNonFinite, kEvaluationLimit, kStepTooSmall };

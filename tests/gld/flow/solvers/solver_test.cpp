@@ -178,6 +178,30 @@ TEST(Solver, StopsWhereTheObserverSaysSo) {
   }
 }
 
+// And before the evaluation at which it is told so, be that in the middle of a step or in one that is rejected.
+TEST(Solver, StopsBeforeAnEvaluationWhereTheObserverSaysSo) {
+  for (size_t solver = 0; solver < solver_names().size(); ++solver) {
+    int64_t evaluated = 0;
+    FunctionField field([&](const torch::Tensor& x, double) {
+      ++evaluated;
+      return x;
+    });
+    SolverOptions options;
+    options.solver = static_cast<SolverKind>(solver);
+    options.evaluations = 40;
+    options.tolerance = 1e-9;
+    int64_t asked = 0;
+    SolveObserver observer{"level 1", {}, [&] {
+                             return ++asked > 3 ? SolveDecision::kStop : SolveDecision::kGoOn;
+                           }};
+    const auto report = solve(field, doubles({1}), options, observer);
+    EXPECT_TRUE(report.stopped) << solver_names()[solver];
+    EXPECT_FALSE(report.failure);
+    EXPECT_EQ(evaluated, 3) << solver_names()[solver];
+    EXPECT_EQ(report.evaluations, 3) << solver_names()[solver];
+  }
+}
+
 // A value that is not finite stops with stage, step and time.
 TEST(Solver, NamesWhereAValueIsNotFinite) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
