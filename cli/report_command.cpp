@@ -6,6 +6,13 @@
 #include "train/page/training_page.h"
 
 namespace gld {
+namespace {
+
+Page stopped_training_page(const std::filesystem::path& run) {
+  return unfinished_training_page(run, UnfinishedTraining::kStopped);
+}
+
+}  // namespace
 
 Command make_report_command() {
   auto options = std::make_shared<ReportOptions>();
@@ -21,7 +28,7 @@ Command make_report_command() {
   command.run = [options](const std::vector<std::string>& arguments) {
     report_run(arguments[0], {sample_page_maker(*options),
                               {"eval", evaluation_page},
-                              {"train", training_page},
+                              {"train", training_page, stopped_training_page},
                               {"ablate", ablation_page}});
     return 0;
   };

@@ -28,9 +28,12 @@ std::string known_command_of_run(const std::filesystem::path& run) {
   return command;
 }
 
-void require_report(const std::filesystem::path& run) {
+bool has_report(const std::filesystem::path& run) {
   std::error_code error;
-  if (std::filesystem::exists(run / "report.json", error)) return;
+  return std::filesystem::exists(run / "report.json", error);
+}
+
+[[noreturn]] void refuse_unfinished(const std::filesystem::path& run) {
   fail({run.string(), "a finished run, with report.json", "one that was stopped before",
         "finish it with --resume, or run the command again"});
 }
@@ -61,8 +64,9 @@ std::string megabytes(size_t bytes) {
 void report_run(const std::filesystem::path& run, const std::vector<PageMaker>& makers) {
   const PageMaker& maker = maker_of(run, makers);
   RunJournal::refuse_running(run);
-  require_report(run);
-  const Page page = maker.make(run);
+  const bool finished = has_report(run);
+  if (!finished && !maker.make_of_stopped) refuse_unfinished(run);
+  const Page page = finished ? maker.make(run) : maker.make_of_stopped(run);
   const std::string html = page_html(page);
   {
     // The journal is open so that a later run with --overwrite knows the page for a file of this one.

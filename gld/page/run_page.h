@@ -16,10 +16,13 @@ inline constexpr const char* kPageFile = "report.html";
 struct PageMaker {
   std::string command;  // "sample"; "train" is that of "train level" too
   std::function<Page(const std::filesystem::path& run)> make;
+  // Of a run without report.json, which was stopped or killed; may be empty.
+  std::function<Page(const std::filesystem::path& run)> make_of_stopped = nullptr;
 };
 
 // gld report: writes RUN/report.html, and prints where it is and what is doubtful about the run. Throws Error for a
-// folder that is no run of these commands, a run without report.json, and one that is still written.
+// folder that is no run of these commands, a run without report.json whose command has no page of it, and one that is
+// still written.
 void report_run(const std::filesystem::path& run, const std::vector<PageMaker>& makers);
 
 }  // namespace gld

@@ -112,6 +112,21 @@ TEST(TrainingPage, OfOneThatGoesOnSaysHowFarItIsAndLoadsItselfAgain) {
               HasSubstr("The training has begun."));
 }
 
+// What a training that was killed left says that it goes on; gld report says what is true.
+TEST(TrainingPage, OfOneThatWasKilledIsMadeByReport) {
+  test::TemporaryFolder run;
+  write_unfinished(run.path());
+  const auto stopped = [](const std::filesystem::path& of) {
+    return unfinished_training_page(of, UnfinishedTraining::kStopped);
+  };
+  testing::internal::CaptureStdout();
+  report_run(run.path(), {{"train", training_page, stopped}});
+  EXPECT_THAT(testing::internal::GetCapturedStdout(),
+              HasSubstr("The training ended before its last step; what it said last was at 40 of 100 steps. The same "
+                        "command with --resume goes on from its last checkpoint."));
+  EXPECT_THAT(read_file(run.path() / kPageFile), testing::Not(HasSubstr("http-equiv=\"refresh\"")));
+}
+
 TEST(LiveTrainingPage, IsOfARunThatGoesOnThenOfAStoppedOrFinishedOne) {
   test::TemporaryFolder run;
   const auto file = run.path() / kPageFile;
