@@ -201,8 +201,8 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
   visitor.texts({"outputs",
-                 "what to make: image, depth, rays, points, latents, splats (3D Gaussians, with image and "
-                 "depth), and page, which shows them"},
+                 "what to make: image, depth, rays, points, latents, splats, page (splats are 3D Gaussians, with image "
+                 "and depth; page shows all of them)"},
                 outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},

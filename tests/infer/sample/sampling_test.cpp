@@ -5,6 +5,7 @@
 #include "datasets/images/image_file.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/page/run_report.h"
 #include "gld/tensors/weight_tensors.h"
 #include "infer/export/ply_file.h"
@@ -15,8 +16,11 @@
 #include "tests/support/error_of.h"
 
 #include <algorithm>
+#include <atomic>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -240,6 +244,33 @@ TEST_F(Sampling, OnlyWhatIsAskedForRuns) {
               testing::ElementsAre("source encoding", "M1", "cascade", "hashing the model", "writing",
                                    "contact sheet"));
   EXPECT_FALSE(without_pictures.contains("verdict"));
+}
+
+// preview.png is there while the flows run, has the target views side by side, and goes when the pictures are there.
+TEST_F(Sampling, ThePreviewIsThereUntilThePicturesAre) {
+  auto asked = options("preview");
+  asked.preview = 1;
+  asked.solver.evaluations = 12;
+  const std::filesystem::path file = std::filesystem::path(asked.out) / "preview.png";
+  std::atomic<bool> ended{false};
+  Image seen;
+  std::thread watcher([&] {
+    while (!ended && seen.width == 0) {
+      try {
+        if (std::filesystem::exists(file)) seen = read_image(file);
+      } catch (const Error&) {
+        continue;  // gone between the two
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  });
+  const auto report = run(asked);
+  ended = true;
+  watcher.join();
+  EXPECT_EQ(seen.width, 2 * 112);
+  EXPECT_EQ(seen.height, 56);
+  EXPECT_FALSE(std::filesystem::exists(file));
+  EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "images" / "view_02.png"));
 }
 
 TEST_F(Sampling, TheSameCommandGivesTheSameBytes) {
