@@ -29,7 +29,8 @@ import pathlib
 import re
 import sys
 
-WHOLE = ["README.md", "docs/RESULTS.md", "docs/NUMBERS.md", "docs/TRAINING.md", "configs/tiny/README.md"]
+WHOLE = ["README.md", "docs/ABLATIONS.md", "docs/NUMBERS.md", "docs/PHOTOGRAPHS.md", "docs/RESULTS.md", "docs/SPLATS.md", "docs/TRAINING.md",
+         "configs/tiny/README.md"]
 NUMBER = r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 # The comment as a whole, headings, code: what is no text of a paragraph.
 COMMENT = re.compile(r"<!-- *((?:figures|given):.*?)-->", re.S)
