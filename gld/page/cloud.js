@@ -24,7 +24,7 @@ async function unpackedCloud(packed) {
   return cloud;
 }
 
-// Writes where point i is in the page's world into `point`.
+// Writes where point i of a cloud, or the centre of Gaussian i of splats, is in the page's world into `point`.
 function pointOf(cloud, i, point) {
   return point.set(
     cloud.low[0] + cloud.step[0] * cloud.positions[3 * i],
@@ -80,7 +80,8 @@ function makeCloudObject(cloud) {
   return points;
 }
 
-// The middle of the cloud: of each coordinate the median, so that few far points do not move it; null without a point.
+// The middle of a cloud's points or of the Gaussians' centres: of each coordinate the median, so that few far ones do not move it; null
+// without any.
 function middleOfCloud(cloud) {
   if (cloud === null || cloud.count === 0) return null;
   const stride = Math.max(1, Math.floor(cloud.count / 20000));
@@ -93,7 +94,7 @@ function middleOfCloud(cloud) {
   return new THREE.Vector3(...middle);
 }
 
-// The distances along a camera's axis of some points in the middle of its picture, sorted.
+// The distances along a camera's axis of some points (or centres of Gaussians) in the middle of its picture, sorted.
 function depthsInTheMiddle(cloud, view, camera_from_world) {
   const depths = [];
   const point = new THREE.Vector3();
@@ -109,15 +110,15 @@ function depthsInTheMiddle(cloud, view, camera_from_world) {
   return depths.sort((a, b) => a - b);
 }
 
-// The point under a place on the screen (in pixels from the middle of the screen, y down) that is nearest to the eye; null without one.
-function pointUnder(cloud, object, eye, x, y, width, height) {
+// The point (or the Gaussian's centre) under a place on the screen (in pixels from the middle of the screen, y down) that is nearest to
+// the eye, of those whose number `counts`; null without one.
+function pointUnder(cloud, counts, eye, x, y, width, height) {
   const screen_from_world = new THREE.Matrix4().multiplyMatrices(eye.projectionMatrix, eye.matrixWorldInverse);
-  const least = object.material.uniforms.least_rank.value;
   const point = new THREE.Vector3();
   const reach = 12;
   let best = null, best_distance = Infinity;
   for (let i = 0; i < cloud.count; ++i) {
-    if (cloud.ranks[i] < least) continue;
+    if (!counts(i)) continue;
     pointOf(cloud, i, point);
     const distance = point.distanceTo(eye.position);
     if (distance >= best_distance) continue;

@@ -11,10 +11,18 @@ async function unpackedSplats(packed) {
   let at = 0;
   for (let axis = 0; axis < 3; ++axis) at = takeDifferences16(bytes, at, count, positions, axis);
   for (let i = 0; i < 11; ++i) at = takeDifferences8(bytes, at, count, rest, 11, i);
-  const splats = {count, centres: new Float32Array(3 * count), covariances: new Float32Array(6 * count), colours: new Uint8Array(4 * count)};
-  const q = new THREE.Quaternion(), rotation = new THREE.Matrix4();
+  const splats = {
+    count,
+    low: packed.low,
+    step: packed.step,
+    positions,  // the centres as a cloud has its points (cloud.js), for what asks either of them where the scene is
+    centres: new Float32Array(3 * count),
+    covariances: new Float32Array(6 * count),
+    colours: new Uint8Array(4 * count),
+  };
+  const centre = new THREE.Vector3(), q = new THREE.Quaternion(), rotation = new THREE.Matrix4();
   for (let i = 0; i < count; ++i) {
-    for (let axis = 0; axis < 3; ++axis) splats.centres[3 * i + axis] = packed.low[axis] + packed.step[axis] * positions[3 * i + axis];
+    pointOf(splats, i, centre).toArray(splats.centres, 3 * i);
     const of = (k) => rest[11 * i + k];
     q.set(of(4) - 128, of(5) - 128, of(6) - 128, of(3) - 128).normalize();
     const e = rotation.makeRotationFromQuaternion(q).elements;  // column by column

@@ -6,6 +6,7 @@
 
 const kFlightSeconds = 0.9;
 const kReleaseSeconds = 0.4;
+const kSolidOpacity = 128;  // of 255: a Gaussian that is less opaque hides less than half of what is behind it
 
 class Viewer {
   // Throws a sentence where the browser has no WebGL. `cloud` and `splats` may be null; with both, one of them is shown.
@@ -14,6 +15,7 @@ class Viewer {
     this.views = views;
     this.cloud = cloud;
     this.splats = splats;
+    this.located = cloud || splats;  // what says where the scene is: points, in their absence the Gaussians' centres; null without both
     this.canvas = element("canvas", {tabIndex: 0, "aria-label": "The scene in 3D"});
     const attributes = {alpha: true, antialias: true, preserveDrawingBuffer: true};
     const context = this.canvas.getContext("webgl2", attributes) || this.canvas.getContext("webgl", attributes);
@@ -53,11 +55,12 @@ class Viewer {
     this.radius = 1e-12;
     for (const pose of this.poses) this.radius = Math.max(this.radius, pose.position.length());
     const point = new THREE.Vector3();
-    for (let i = 0; this.cloud && i < this.cloud.count; ++i) {
-      this.radius = Math.max(this.radius, pointOf(this.cloud, i, point).length());
+    // Of both where there are both: what lies beyond the far plane is not drawn.
+    for (const drawn of [this.cloud, this.splats]) {
+      for (let i = 0; drawn && i < drawn.count; ++i) this.radius = Math.max(this.radius, pointOf(drawn, i, point).length());
     }
     this.depths = this.views.map((view, i) => {
-      const depths = this.cloud ? depthsInTheMiddle(this.cloud, view, new THREE.Matrix4().getInverse(this.poses[i].matrix)) : [];
+      const depths = this.located ? depthsInTheMiddle(this.located, view, new THREE.Matrix4().getInverse(this.poses[i].matrix)) : [];
       return depths.length > 0 ? depths[depths.length >> 1] : this.radius;
     });
     const sorted = this.depths.slice().sort((a, b) => a - b);
@@ -238,7 +241,7 @@ class Viewer {
     let spread = 0;
     for (const pose of this.poses) spread = Math.max(spread, pose.position.distanceTo(eye));
     // Between the cameras and what they look at.
-    const seen = middleOfCloud(this.cloud) || eye.clone().addScaledVector(forward, this.depth);
+    const seen = middleOfCloud(this.located) || eye.clone().addScaledVector(forward, this.depth);
     const target = eye.clone().lerp(seen, 0.75);
     const position = eye.clone().addScaledVector(forward, -0.95 * this.depth - 1.3 * spread).addScaledVector(up, 0.55 * this.depth);
     const camera = new THREE.PerspectiveCamera();
@@ -253,6 +256,14 @@ class Viewer {
       this.controls.update();
       this.held = null;
     });
+  }
+
+  // The point under a place on the screen that a reader can mean: none that is hidden, and no Gaussian that one sees through.
+  pivotUnder(x, y, width, height) {
+    if (!this.located) return null;
+    const least = this.points ? this.points.material.uniforms.least_rank.value : 0;
+    const counts = this.cloud ? (i) => this.cloud.ranks[i] >= least : (i) => this.splats.colours[4 * i + 3] >= kSolidOpacity;
+    return pointUnder(this.located, counts, this.eye, x, y, width, height);
   }
 
   // About which the eye turns.

@@ -18,9 +18,9 @@ function listenToCanvas(viewer) {
     return hits.length > 0 ? viewer.frusta.findIndex((frustum) => frustum.picture === hits[0].object) : -1;
   };
   const setPivotAt = (event) => {
-    if (!viewer.cloud || frustumUnder(event) >= 0) return;
+    if (frustumUnder(event) >= 0) return;
     const {x, y, width, height} = placeOf(event);
-    const point = pointUnder(viewer.cloud, viewer.points, viewer.eye, x, y, width, height);
+    const point = viewer.pivotUnder(x, y, width, height);
     if (point !== null) viewer.setPivot(point);
   };
   // The wheel turns the page until the scene was touched.

@@ -226,8 +226,10 @@ Json stages_json(const Json& report) {
   return stages;
 }
 
-// Returns the middle of cameras and cloud, which becomes the page's 0: floats of a browser hold no scene far from it.
-Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& cloud) {
+// Returns the middle of cameras and cloud, or without a cloud of cameras and Gaussians, which becomes the page's 0: floats
+// of a browser hold no scene far from it. A Gaussian astray may lie anywhere, so that a cloud is asked first.
+Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& cloud,
+                          const std::optional<GaussianSet>& splats) {
   std::optional<Eigen::Vector3d> low, high;
   const auto add = [&](const Eigen::Vector3d& x) {
     low = low ? low->cwiseMin(x) : x;
@@ -235,6 +237,9 @@ Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& 
   };
   for (const PageView& view : views) add(view.record.camera.world_from_camera.translation());
   for (const Eigen::Vector3d& point : cloud.x_in_world) add(point);
+  if (splats && cloud.x_in_world.empty()) {
+    for (size_t i = 0; i < static_cast<size_t>(splats->size()); ++i) add(mean_in_world(*splats, i));
+  }
   return low ? (*low + *high) / 2 : Eigen::Vector3d(Eigen::Vector3d::Zero());
 }
 
@@ -259,6 +264,10 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   PointCloud cloud;
   const bool has_cloud = parts.has("points.ply");
   if (has_cloud) parts.read("points.ply", [&](const auto& file) { cloud = read_ply(file).cloud; });
+  std::optional<GaussianSet> splats;  // none where the file is missing, damaged or left out
+  if (parts.has(kSplatFile) && options.page_points > 0) {
+    parts.read(kSplatFile, [&](const auto& file) { splats = read_splat_ply(file); });
+  }
 
   std::vector<SeenDepth> seen;
   std::vector<DepthMap> depths;
@@ -269,7 +278,7 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   const bool has_depth =
       std::any_of(depths.begin(), depths.end(), [](const DepthMap& depth) { return !depth.empty(); });
   const DepthRange range = robust_depth_range(depths);
-  const Eigen::Vector3d origin = middle_of(views, cloud);
+  const Eigen::Vector3d origin = middle_of(views, cloud, splats);
 
   Page page;
   page.title = "gld sample, " + report_text_at(report, "/scene/name");
@@ -285,11 +294,7 @@ Page sample_page(const std::filesystem::path& run, const PageOptions& options) {
   page.data["origin"] = {origin.x(), origin.y(), origin.z()};
   page.data["cloud_note"] = cloud_note(report, cloud, has_cloud, options);
   page.data["cloud"] = page_cloud(std::move(cloud), seen, origin, options.page_points);
-  if (parts.has(kSplatFile) && options.page_points > 0) {
-    parts.read(kSplatFile, [&](const auto& file) {
-      page.data["splats"] = page_splats(read_splat_ply(file), origin, options.page_points);
-    });
-  }
+  if (splats) page.data["splats"] = page_splats(*splats, origin, options.page_points);
   page.data["facts"] = facts_json(report);
   page.data["stages"] = stages_json(report);
   page.data["command"] = report_text_at(report, "/command_line");

@@ -263,6 +263,40 @@ def test_splats(browser, run):
     check_noticed(browser, run, [more_opaque, mirror_splats])
 
 
+def check_double_click(browser):
+    """Sets what the view turns about, from the overview and with no camera in the way; returns the new pivot."""
+    browser.run("gldPage.viewer.show('source', false); gldPage.viewer.show('generated', false); gldPage.viewer.overview()")
+    browser.settle()
+    canvas = browser.driver.find_element(By.CSS_SELECTOR, ".viewer canvas")
+    browser.run("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    target = browser.run("return gldPage.viewer.controls.target.toArray()")
+    ActionChains(browser.driver).move_to_element_with_offset(canvas, 40, 30).double_click().perform()
+    browser.wait("return gldPage.viewer.settled && gldPage.viewer.controls.target.toArray().join() !== arguments[0].join()"
+                 .replace("arguments[0]", json.dumps(target)))
+    return browser.run("return gldPage.viewer.controls.target.toArray()")
+
+
+def test_splats_without_points(browser, run):
+    """A run with Gaussians and no cloud: they alone say how far things are."""
+    check(not (run / "points.ply").exists(), "expected a run without points.ply")
+    browser.open(run / "report.html")
+    check(browser.run("return page.cloud.count") == 0, "expected a page without points")
+    browser.settle()
+    covered = browser.covered()
+    check(covered > 0.05, f"expected an overview that shows the Gaussians, found {covered:.1%} of it covered")
+    found = at_sources(browser, run)
+    print("Gaussians without points at the source cameras:", ", ".join(f"{one['psnr']:.1f} dB of {one['covered']:.0%}" for one in found))
+    check(equals(found), f"expected the photographs with {LEAST_PSNR} dB over {LEAST_COVERED:.0%}, found {found}")
+    pivot = check_double_click(browser)
+    away = browser.run("""
+        const [x, y, z] = arguments[0], {centres, count} = gldPage.viewer.splats;
+        let least = Infinity;
+        for (let i = 0; i < count; ++i) least = Math.min(least, Math.hypot(centres[3 * i] - x, centres[3 * i + 1] - y, centres[3 * i + 2] - z));
+        return least / gldPage.viewer.depth;""", pivot)
+    check(away < 1e-4, f"expected a pivot at a Gaussian, found one {away} of the scene's depth away from the nearest")
+    browser.check_silence()
+
+
 def test_moving(browser, run):
     browser.open(run / "report.html")
     browser.settle()
@@ -297,12 +331,7 @@ def test_moving(browser, run):
     canvas.send_keys("n")
     browser.wait("return gldPage.viewer.settled && gldPage.viewer.at >= 0")
     # A double click sets what the view turns about, on a point of the cloud.
-    browser.run("gldPage.viewer.show('source', false); gldPage.viewer.show('generated', false); gldPage.viewer.overview()")
-    browser.settle()
-    target = browser.run("return gldPage.viewer.controls.target.toArray()")
-    ActionChains(browser.driver).move_to_element_with_offset(canvas, 40, 30).double_click().perform()
-    browser.wait("return gldPage.viewer.settled && gldPage.viewer.controls.target.toArray().join() !== arguments[0].join()"
-                 .replace("arguments[0]", json.dumps(target)))
+    check_double_click(browser)
     # Sliders: fewer and larger points.
     browser.settle()
     all_points = browser.covered()
@@ -453,10 +482,10 @@ def main():
     program, result_pages, scratch = sys.argv[1], sys.argv[2], pathlib.Path(sys.argv[3])
     shutil.rmtree(scratch, ignore_errors=True)
     runs = {}
-    for name in ["plain", "odd", "splats"]:
+    for name in ["plain", "odd", "splats", "splats_without_points"]:
         runs[name] = scratch / name
-        size = {"plain": "112x112", "odd": "128x70", "splats": "84x84"}[name]
-        views = "2" if name == "splats" else "3"  # a renderer in software draws few Gaussians a second
+        size = {"plain": "112x112", "odd": "128x70"}.get(name, "84x84")
+        views = "2" if name.startswith("splats") else "3"  # a renderer in software draws few Gaussians a second
         subprocess.run([program, runs[name], size, views, views, name, HOSTILE, HOSTILE], check=True)
     root = pathlib.Path(__file__).resolve().parents[2]
     subprocess.run([result_pages, root, scratch / "results"], check=True)
@@ -464,6 +493,7 @@ def main():
         test_cameras(browser, runs["plain"], odd=False)
         test_cameras(browser, runs["odd"], odd=True)
         test_splats(browser, runs["splats"])
+        test_splats_without_points(browser, runs["splats_without_points"])
         test_moving(browser, runs["plain"])
         test_pictures(browser, runs["plain"])
         test_names(browser, runs["plain"])

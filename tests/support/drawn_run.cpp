@@ -130,7 +130,9 @@ void write_drawn_run(const std::filesystem::path& folder, const DrawnRun& drawn)
   write_cameras_json(folder / "cameras.json", list);
   PointCloudOptions all;
   all.confidence_quantile = 0;
-  if (drawn.depth) export_ply(folder / "points.ply", build_point_cloud(lifted, 1, all), provenance);
+  if (drawn.depth && drawn.points) {
+    export_ply(folder / "points.ply", build_point_cloud(lifted, 1, all), provenance);
+  }
   const nlohmann::ordered_json report{
       {"command", "sample"},
       {"verdict",

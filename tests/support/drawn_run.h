@@ -16,6 +16,7 @@ struct DrawnRun {
   // the middle, and pixels are twice as high as wide.
   bool odd_pixels = false;
   bool depth = true;
+  bool points = true;   // points.ply, where there is depth to lift it by
   bool splats = false;  // Gaussians fitted to it
   std::string scene_name = "room";
   std::string first_name;  // of the first frame; empty: as the room has it

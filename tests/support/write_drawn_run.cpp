@@ -1,5 +1,5 @@
-// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd|splats SCENE_NAME FRAME_NAME] writes a run folder of a
-// drawn room with its page, for the test in a browser.
+// write_drawn_run FOLDER [WIDTHxHEIGHT SOURCES TARGETS plain|odd|splats|splats_without_points SCENE_NAME FRAME_NAME]
+// writes a run folder of a drawn room with its page, for the test in a browser.
 #include "gld/base/error.h"
 #include "infer/page/report_command.h"
 #include "tests/support/drawn_run.h"
@@ -23,8 +23,12 @@ int main(int count, char** words) {
     }
     if (count > 3) drawn.sources = std::stol(words[3]);
     if (count > 4) drawn.targets = std::stol(words[4]);
-    if (count > 5) drawn.odd_pixels = std::string(words[5]) == "odd";
-    if (count > 5) drawn.splats = std::string(words[5]) == "splats";
+    if (count > 5) {
+      const std::string kind = words[5];
+      drawn.odd_pixels = kind == "odd";
+      drawn.points = kind != "splats_without_points";
+      drawn.splats = kind == "splats" || kind == "splats_without_points";
+    }
     if (count > 6) drawn.scene_name = words[6];
     if (count > 7) drawn.first_name = words[7];
     std::filesystem::create_directories(words[1]);

@@ -2,12 +2,14 @@
 
 #include "gld/base/atomic_file.h"
 #include "gld/base/json_text.h"
+#include "gld/splatting/splat_ply.h"
 #include "tests/support/drawn_run.h"
 #include "tests/support/temporary_folder.h"
 
 #include <filesystem>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -88,6 +90,29 @@ TEST_F(SamplePage, TheSameRunGivesTheSameBytes) {
   const Page thinned = page(fewer);
   EXPECT_LE(thinned.data.at("cloud").at("count").get<int>(), 500);
   EXPECT_NE(page_html(thinned), html);
+}
+
+// Returns Gaussians of which only the means matter.
+GaussianSet gaussians_at(const std::vector<Eigen::Vector3f>& means) {
+  GaussianSet set = zero_gaussians(static_cast<int64_t>(means.size()), 0);
+  for (size_t i = 0; i < means.size(); ++i) {
+    for (size_t axis = 0; axis < 3; ++axis) set.means[3 * i + axis] = means[i][static_cast<int>(axis)];
+    set.rotations[4 * i] = 1;
+  }
+  return set;
+}
+
+TEST_F(SamplePage, GaussiansCountForTheMiddle) {
+  auto without_points = small_run(40);
+  without_points.points = false;
+  write(without_points);
+  // A box around all cameras of the drawn room, which is some units long.
+  write_splat_ply(run() / kSplatFile, gaussians_at({{-100, -200, -300}, {300, 200, 100}}), {});
+  const Page made = page();
+  EXPECT_EQ(made.data.at("splats").at("count"), 2);
+  // The means are floats, which hold these numbers exactly.
+  EXPECT_EQ(made.data.at("origin"), nlohmann::ordered_json({100.0, 0.0, -100.0}));
+  EXPECT_EQ(made.data.at("splats").at("low"), nlohmann::ordered_json({-200.0, -200.0, -200.0}));
 }
 
 TEST_F(SamplePage, SaysWhatIsMissingAndShowsTheRest) {
