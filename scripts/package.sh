@@ -38,6 +38,7 @@ mkdir -p "$root/lib/gld"
 mv "$root/bin/gld" "$root/lib/gld/gld"
 mv "$root"/share/doc/gld/* "$root/"
 rm -r "$root/share/doc"
+ln -sfn share/gld/configs "$root/configs"
 
 # notice_of FILE: the copyright file of the Debian package that FILE is of, which may list it below /lib instead of /usr/lib.
 mkdir -p "$root/share/gld"

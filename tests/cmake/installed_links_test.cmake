@@ -1,0 +1,68 @@
+# Every relative link of the Markdown that is installed leads to a file that is installed, too.
+# cmake -DBUILD=folder -DSCRATCH=folder -P installed_links_test.cmake
+function(dead_links result folder)
+  set(dead "")
+  set(count 0)
+  file(GLOB_RECURSE pages ${folder}/*.md)
+  foreach(page IN LISTS pages)
+    get_filename_component(beside ${page} DIRECTORY)
+    file(READ ${page} text)
+    string(REPLACE "](" "<link>" text "${text}")  # a list of CMake's may not hold half a bracket
+    string(REGEX MATCHALL "<link>[^)]*\\)" links "${text}")
+    foreach(link IN LISTS links)
+      string(REGEX REPLACE "^<link>(.*)\\)$" "\\1" target "${link}")
+      string(REGEX REPLACE "#.*$" "" target "${target}")
+      if(target STREQUAL "" OR target MATCHES "^[a-z]+:")
+        continue()
+      endif()
+      math(EXPR count "${count} + 1")
+      if(NOT EXISTS ${beside}/${target} OR IS_DIRECTORY ${beside}/${target})
+        file(RELATIVE_PATH name ${folder} ${page})
+        list(APPEND dead "${name}: ${target}")
+      endif()
+    endforeach()
+    # Links that would not be looked at.
+    if(text MATCHES "\n *\\[[^\n]+\\]: |(src|href)=")
+      list(APPEND dead "${page}: a link of another kind")
+    endif()
+  endforeach()
+  set(${result} "${dead}" PARENT_SCOPE)
+  set(${result}_of ${count} PARENT_SCOPE)
+endfunction()
+
+file(REMOVE_RECURSE ${SCRATCH})
+# The second time over what is there.
+foreach(time first second)
+  execute_process(COMMAND ${CMAKE_COMMAND} -E env --unset=DESTDIR ${CMAKE_COMMAND} --install ${BUILD} --prefix ${SCRATCH}/prefix
+    RESULT_VARIABLE status ERROR_VARIABLE errors OUTPUT_QUIET)
+  if(status)
+    message(FATAL_ERROR "expected an installation, found: ${errors}")
+  endif()
+  dead_links(dead ${SCRATCH}/prefix)
+  if(dead)
+    list(JOIN dead "\n  " text)
+    message(FATAL_ERROR "expected links to what is installed, found\n  ${text}\nInstall it (CMakeLists.txt), or see cmake/unlink_missing.cmake.")
+  endif()
+  # Some hundred stay: what takes all of them away is no remedy.
+  if(dead_of LESS 100)
+    message(FATAL_ERROR "expected more than 100 links in installed pages, found ${dead_of}")
+  endif()
+endforeach()
+message(STATUS "${dead_of} links lead to what is installed")
+
+# What is not there is found; of a link its text stays, of a picture its description.
+file(WRITE ${SCRATCH}/pages/docs/HERE.md "# Here\n")
+file(WRITE ${SCRATCH}/pages/README.md "See [here](docs/HERE.md#here); [a run; it](docs/run/report.json), a folder ([docs](docs)):\n"
+  "![two\nlines](docs/no.png) [page](https://example.org/a) [up](#top) [a](b.md)[a](b.md)\n")
+dead_links(dead ${SCRATCH}/pages)
+if(NOT dead STREQUAL "README.md: docs/run/report.json;README.md: docs;README.md: docs/no.png;README.md: b.md;README.md: b.md")
+  message(FATAL_ERROR "expected five dead links, found ${dead}")
+endif()
+execute_process(COMMAND ${CMAKE_COMMAND} -E env --unset=DESTDIR ${CMAKE_COMMAND} -DGLD_PAGES=pages -DCMAKE_INSTALL_PREFIX=${SCRATCH}
+  -P ${CMAKE_CURRENT_LIST_DIR}/../../cmake/unlink_missing.cmake RESULT_VARIABLE status ERROR_VARIABLE errors)
+file(READ ${SCRATCH}/pages/README.md text)
+set(expected "See [here](docs/HERE.md#here); a run; it, a folder (docs):\ntwo\nlines [page](https://example.org/a) [up](#top) aa\n")
+if(status OR NOT text STREQUAL expected)
+  message(FATAL_ERROR "expected ${expected}, found ${text}${errors}")
+endif()
+file(REMOVE_RECURSE ${SCRATCH}/prefix)
