@@ -15,8 +15,9 @@ Command make_fit_command() {
   command.name = "splat fit";
   command.summary = "Fit 3D Gaussians to the pictures of a scene, or to a run of gld sample";
   command.description =
-      "Example: gld splat fit --scene rooms/scenes/room_0000 --held-out 5 --out runs/splats\n"
-      "It starts from measured or predicted depth, else from sparse points; splats.ply opens in public viewers.";
+      "Example: gld splat fit --scene my_scene --held-out 5 --out runs/splats\n"
+      "It starts from depth, else from sparse points, else from what the pictures agree on; splats.ply opens in "
+      "public viewers.";
   command.options = options;
   command.usual = {
       {"Scene", {"scene", "run", "side", "held_out"}},

@@ -23,7 +23,7 @@ torch::Tensor render_block(const DenseSplats& splats, const torch::Tensor& pixel
   const auto power = dx * (dx * (-0.5 * splats.conics.select(1, 0)) - dy * splats.conics.select(1, 1)) -
                      dy * dy * (0.5 * splats.conics.select(1, 2));
   const auto value = splats.opacities * power.exp();
-  const auto faint = value.detach() < splats.faintest;
+  const auto faint = value.detach() < splats.least_alpha;
   auto alpha = value.clamp_max(kDensestAlpha).masked_fill(faint, 0);
   const auto logarithms = torch::log1p(-alpha);
   const auto left = logarithms.cumsum(1);
@@ -42,7 +42,7 @@ DenseSplats dense_splats(const GaussianSet& set, const SplatView& view, const Sp
                     torch::empty({count, features.channels}, real),
                     view.camera.width,
                     view.camera.height,
-                    view.camera.faintest,
+                    view.camera.least_alpha,
                     static_cast<double>(view.camera.least_transmittance)};
   for (int64_t i = 0; i < count; ++i) {
     const VisibleSplat& splat = view.splats[static_cast<size_t>(i)];

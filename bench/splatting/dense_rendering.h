@@ -15,7 +15,7 @@ struct DenseSplats {
   torch::Tensor opacities;  // (splats)
   torch::Tensor features;   // (splats, channels)
   int64_t width = 0, height = 0;
-  double faintest = 0, least_transmittance = 0;  // ProjectionOptions
+  double least_alpha = 0, least_transmittance = 0;  // ProjectionOptions
 };
 DenseSplats dense_splats(const GaussianSet& set, const SplatView& view, const SplatFeatures& features);
 

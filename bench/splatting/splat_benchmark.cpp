@@ -66,7 +66,7 @@ void SplatBenchmarkOptions::visit(FieldVisitor& visitor) {
                    {1, 1'000'000});
   visitor.integer({"fit_side", "pixels a side of the pictures that are fitted"}, errors.side, {16, 4096});
   visitor.integer({"held_out", "views that are compared with"}, errors.held_out, {1, 1000});
-  visitor.reals({"faintest", "alpha from which a Gaussian reaches a pixel, in turn"}, errors.faintest,
+  visitor.reals({"least_alphas", "alpha from which a Gaussian reaches a pixel, in turn"}, errors.least_alphas,
                 {1e-9, 0.5});
   visitor.reals({"least_transmittances", "what has to be left behind a Gaussian that is drawn, in turn"},
                 errors.least_transmittances, {1e-9, 0.5});

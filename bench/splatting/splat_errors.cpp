@@ -216,7 +216,7 @@ SplatBoundRow bound_row(const SplatFit& fit, const std::vector<FittedView>& view
     seconds.push_back(seconds_of([&] { pictures = drawn(fit, views, projection, kernels); }));
   std::sort(seconds.begin(), seconds.end());
   SplatBoundRow row;
-  row.faintest = projection.faintest;
+  row.least_alpha = projection.least_alpha;
   row.least_transmittance = projection.least_transmittance;
   row.milliseconds = 1e3 * seconds[seconds.size() / 2] / static_cast<double>(views.size());
   row.error = difference_of(pictures, unbounded);
@@ -237,16 +237,16 @@ std::vector<SplatBoundRow> splat_bound_rows(const Scene& scene, const SplatError
   SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name, kernels);
   while (fit.step < options.steps) splat_fit_step(views.fitted, options, 0, kernels, fit);
   ProjectionOptions exact = options.projection;
-  exact.faintest = exact.least_transmittance = kNoBound;
+  exact.least_alpha = exact.least_transmittance = kNoBound;
   const std::vector<SplatImage> unbounded = drawn(fit, views.held_out, exact, kernels);
   std::vector<SplatBoundRow> rows;
   const auto add = [&](const ProjectionOptions& projection) {
     rows.push_back(bound_row(fit, views.held_out, projection, unbounded, settings.repeats, kernels));
     stop_if_interrupted(fmt::format("{} rows", rows.size()));
   };
-  for (const double faintest : settings.faintest) {
+  for (const double least_alpha : settings.least_alphas) {
     ProjectionOptions projection = options.projection;
-    projection.faintest = faintest;
+    projection.least_alpha = least_alpha;
     add(projection);
   }
   for (const double least : settings.least_transmittances) {
@@ -258,9 +258,9 @@ std::vector<SplatBoundRow> splat_bound_rows(const Scene& scene, const SplatError
 }
 
 Table splat_bound_table(const std::vector<SplatBoundRow>& rows) {
-  Table table({"faintest", "least_transmittance", "milliseconds", "error", "held_out_psnr"});
+  Table table({"least_alpha", "least_transmittance", "milliseconds", "error", "held_out_psnr"});
   for (const SplatBoundRow& row : rows)
-    table.add_row({row.faintest, row.least_transmittance, row.milliseconds, row.error, row.held_out_psnr});
+    table.add_row({row.least_alpha, row.least_transmittance, row.milliseconds, row.error, row.held_out_psnr});
   return table;
 }
 

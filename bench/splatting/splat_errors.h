@@ -21,7 +21,7 @@ struct SplatErrorSettings {
   std::vector<int64_t> adam_steps{50, 200, 800};
   std::vector<double> adam_rates{0.02, 0.1};  // at first; at last a hundredth
   // Bounds of what is drawn, one at a time, the other as ProjectionOptions has it.
-  std::vector<double> faintest{1.0 / 4080, 1.0 / 255, 1.0 / 64, 1.0 / 16};
+  std::vector<double> least_alphas{1.0 / 4080, 1.0 / 255, 1.0 / 64, 1.0 / 16};
   std::vector<double> least_transmittances{1e-6, 1e-4, 1e-2, 1e-1};
   int64_t repeats = 7;  // of a picture whose time is measured
   int threads = 1;
@@ -39,8 +39,8 @@ Table splat_fit_table(const std::vector<SplatFitRow>& rows);
 
 // A finished fit, drawn with bounds of its own.
 struct SplatBoundRow {
-  double faintest = 0, least_transmittance = 0;  // ProjectionOptions
-  double milliseconds = 0;                       // a picture of held-out views, median
+  double least_alpha = 0, least_transmittance = 0;  // ProjectionOptions
+  double milliseconds = 0;                          // a picture of held-out views, median
   double error = 0;          // root mean square of what differs from the picture without bounds
   double held_out_psnr = 0;  // dB
 };

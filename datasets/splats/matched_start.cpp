@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace gld {
 namespace {
@@ -18,8 +19,12 @@ PicturedView pictured_view(const SplatPicture& picture) {
   view.rgb.reserve(static_cast<size_t>(3 * view.width * view.height));
   for (int64_t y = 0; y < view.height; ++y) {
     for (int64_t x = 0; x < view.width; ++x) {
-      for (int64_t c = 0; c < 3; ++c)
-        view.rgb.push_back(static_cast<float>(picture.image.pixel(x, y)[c]) / 255);
+      // What is masked has no colour to be matched.
+      const bool valid = picture.valid.empty() || picture.valid[static_cast<size_t>(y * view.width + x)] != 0;
+      for (int64_t c = 0; c < 3; ++c) {
+        view.rgb.push_back(valid ? static_cast<float>(picture.image.pixel(x, y)[c]) / 255
+                                 : std::numeric_limits<float>::quiet_NaN());
+      }
     }
   }
   return view;
@@ -35,10 +40,12 @@ SplatPicture matched_picture(const PicturedView& photograph, const StereoDepth& 
     for (int64_t x = 0; x < photograph.width; ++x) {
       const auto pixel = static_cast<size_t>(y * photograph.width + x);
       for (size_t c = 0; c < 3; ++c) {
-        const float value = std::clamp(photograph.rgb[3 * pixel + c], 0.0F, 1.0F);
-        picture.image.pixel(x, y)[c] = static_cast<uint8_t>(std::lround(255 * value));
+        const float value = photograph.rgb[3 * pixel + c];
+        picture.image.pixel(x, y)[c] =
+            std::isfinite(value) ? static_cast<uint8_t>(std::lround(255 * std::clamp(value, 0.0F, 1.0F))) : 0;
       }
-      if (matched.confidence.values[pixel] >= kConfidentStereo)
+      const bool seen = std::isfinite(photograph.rgb[3 * pixel]);
+      if (seen && matched.confidence.values[pixel] >= kConfidentStereo)
         picture.depth.at(x, y) = matched.depth.values[pixel];
     }
   }

@@ -61,8 +61,7 @@ SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held
   work.height = size.height;
   const bool depth = std::any_of(scene.frames.begin(), scene.frames.end(),
                                  [](const Frame& frame) { return frame.has_depth(); });
-  work.sparse = options.start.from == SplatStartFrom::kPoints ||
-                (options.start.from == SplatStartFrom::kAuto && !depth && !scene.points_in_world.empty());
+  work.start = settled_start(options.start.from, depth, !scene.points_in_world.empty());
   work.gaussians = most_gaussians_of(work, options);
   return work;
 }
@@ -90,7 +89,7 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
       views.held_out.push_back(std::move(view));
       continue;
     }
-    views.pictures.push_back({sized.camera, sized.image, sized.depth});
+    views.pictures.push_back({sized.camera, sized.image, sized.depth, sized.validity.valid});
     views.fitted.push_back(std::move(view));
   }
   return views;

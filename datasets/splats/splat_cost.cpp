@@ -4,6 +4,7 @@
 #include "gld/base/error.h"
 #include "gld/base/philox.h"
 #include "gld/machine/timing.h"
+#include "gld/photogrammetry/plane_sweep_stereo.h"
 
 #include <algorithm>
 #include <cmath>
@@ -42,8 +43,7 @@ int64_t padded(int64_t side) { return (side + kSplatTile - 1) / kSplatTile * kSp
 }  // namespace
 
 int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options) {
-  const Densification densify = options.density.densify;
-  if (densify == Densification::kPublished || (densify == Densification::kAuto && work.sparse))
+  if (settled_densification(options, work.start) == Densification::kPublished)
     return options.density.most_gaussians;
   return std::min(options.density.most_gaussians, work.views * work.width * work.height);
 }
@@ -55,7 +55,10 @@ int64_t splat_fit_bytes(const SplatWork& work, const SplatFitOptions& options) {
   const int64_t pictures = pixels * (3 + 4 + 1) + planes * 3 * 3 * 4;
   // Before the first step there are places, and their order by voxel twice while it is sorted anew.
   constexpr int64_t kSurfacePoint = 48, kVoxelled = 16;
-  const int64_t start = pixels * (kSurfacePoint + 2 * kVoxelled + 8);
+  // Pictures that are matched are floats, twice, beside the volumes of the match.
+  const int64_t match =
+      work.start == SplatStartFrom::kMatch ? pixels * 2 * 3 * 4 + (StereoOptions().memory_limit << 20) : 0;
+  const int64_t start = std::max(match, pixels * (kSurfacePoint + 2 * kVoxelled + 8));
   const int64_t numbers = 14 + 3 * (harmonic_coefficients(options.degree) - 1);
   // Parameters, two moments, gradients; then the lists of a view, the records of its tiles and their sums.
   constexpr int64_t kRecords = 10, kRecord = static_cast<int64_t>(sizeof(SplatRow)) + 8 + 4 + 4;

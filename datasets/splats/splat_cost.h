@@ -10,10 +10,10 @@ namespace gld {
 // What a fit of Gaussians works on.
 struct SplatWork {
   int64_t views = 0;
-  int64_t held_out = 0;           // views that are kept for comparison
-  int64_t width = 0, height = 0;  // of a picture
-  int64_t gaussians = 0;          // at most
-  bool sparse = false;            // it begins on sparse points
+  int64_t held_out = 0;                           // views that are kept for comparison
+  int64_t width = 0, height = 0;                  // of a picture
+  int64_t gaussians = 0;                          // at most
+  SplatStartFrom start = SplatStartFrom::kDepth;  // what it begins on
 };
 // Returns a Gaussian a pixel and view, under the cap; as many as the cap where some are added.
 int64_t most_gaussians_of(const SplatWork& work, const SplatFitOptions& options);

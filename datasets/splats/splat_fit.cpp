@@ -58,6 +58,11 @@ void SplatFitOptions::visit(FieldVisitor& visitor) {
        "fixed, nothing: they stay where depth puts them"},
       geometry_from, {"rgb", "latent", "both", "fixed"});
   visitor.group({"projection", "how Gaussians are drawn"}, projection);
+  visit_choice(
+      visitor,
+      {"held_alpha_gradient",
+       "what reaches a Gaussian where its alpha is held at 0.99: none, or published, as if it were not"},
+      held_alpha_gradient, {"none", "published"});
   visitor.group({"start", "where the fit begins"}, start);
   visitor.group({"rates", "Adam's learning rates"}, rates);
   visitor.group({"density", "how many Gaussians there are"}, density);
@@ -101,10 +106,13 @@ SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
 
 void settle_fit_options(const SplatFit& fit, SplatFitOptions& options) {
   if (options.projection.near == 0) options.projection.near = kNearShare * fit.extent;
-  if (options.density.densify == Densification::kAuto) {
-    const bool grows = fit.start == SplatStartFrom::kPoints && moved_by_colours(options.geometry_from);
-    options.density.densify = grows ? Densification::kPublished : Densification::kNone;
-  }
+  options.density.densify = settled_densification(options, fit.start);
+}
+
+Densification settled_densification(const SplatFitOptions& options, SplatStartFrom start) {
+  if (options.density.densify != Densification::kAuto) return options.density.densify;
+  const bool grows = start == SplatStartFrom::kPoints && moved_by_colours(options.geometry_from);
+  return grows ? Densification::kPublished : Densification::kNone;
 }
 
 void begin_features(const std::vector<FittedView>& views, const SplatFitOptions& options,
@@ -125,11 +133,18 @@ void begin_features(const std::vector<FittedView>& views, const SplatFitOptions&
 
 namespace {
 
+// Returns a camera whose picture is composited backward.
+SplatCamera fitted_camera(const Camera& camera, const Eigen::Vector3d& origin,
+                          const SplatFitOptions& options) {
+  SplatCamera fitted = splat_camera(camera, origin, options.projection);
+  fitted.held_alpha_gradient = options.held_alpha_gradient;
+  return fitted;
+}
+
 // Returns the mean absolute difference of a view's latent, whose gradients are added to of_set.
 double add_latent_gradients(const GaussianSet& set, const LatentView& latent, const SplatFitOptions& options,
                             const KernelSettings& settings, GaussianSet& of_set) {
-  const SplatView view =
-      view_of_splats(set, splat_camera(latent.camera, set.origin, options.projection), settings);
+  const SplatView view = view_of_splats(set, fitted_camera(latent.camera, set.origin, options), settings);
   const SplatImage shown = render_features(set, view, settings).image;
   SplatImage gradient(shown.channels, shown.width, shown.height);
   const auto numbers = static_cast<double>(shown.channels * shown.width * shown.height);
@@ -160,7 +175,7 @@ SplatFitStep splat_fit_step(const std::vector<FittedView>& views, const SplatFit
   const FittedView& shown = views[view_of_step(fit.step, views.size(), seed)];
   ++fit.step;
   const SplatView view =
-      view_of_splats(fit.set, splat_camera(shown.camera, fit.set.origin, options.projection), settings);
+      view_of_splats(fit.set, fitted_camera(shown.camera, fit.set.origin, options), settings);
   const std::vector<float> colours = view_colours(fit.set, view, settings);
   SplatFeatures features;
   features.values = colours.data();

@@ -30,6 +30,7 @@ struct SplatFitOptions : OptionsGroup {
   double dissimilarity = 0.2;   // weight of 1 - SSIM beside the absolute difference
   SplatGeometryFrom geometry_from = SplatGeometryFrom::kRgb;
   ProjectionOptions projection;
+  HeldAlphaGradient held_alpha_gradient = HeldAlphaGradient::kNone;
   SplatStartOptions start;
   SplatRates rates;
   DensityOptions density;
@@ -59,6 +60,8 @@ struct SplatFit {
   SplatStartFrom start = SplatStartFrom::kDepth;  // what it began on
 };
 
+// Returns whether Gaussians are added during a fit that begins on that.
+Densification settled_densification(const SplatFitOptions& options, SplatStartFrom start);
 // Settles what options leave open, the near plane and whether Gaussians are added, for a fit that has begun.
 void settle_fit_options(const SplatFit& fit, SplatFitOptions& options);
 

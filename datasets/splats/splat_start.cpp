@@ -268,23 +268,20 @@ SplatStartFrom start_of(const std::vector<SplatPicture>& pictures,
                         const std::vector<Eigen::Vector3d>& points_in_world, SplatStartFrom from,
                         const std::string& where) {
   const bool depth = have_depth(pictures), points = !points_in_world.empty(), match = pictures.size() > 1;
-  switch (from) {
-    case SplatStartFrom::kAuto:
-      if (depth) return SplatStartFrom::kDepth;
-      if (points) return SplatStartFrom::kPoints;
-      if (match) return SplatStartFrom::kMatch;
-      fail_without_start(where, "measured or predicted depth, sparse points, or several pictures", "none");
-    case SplatStartFrom::kDepth:
-      if (!depth) fail_without_start(where, "pixels of known depth", "none");
-      break;
-    case SplatStartFrom::kMatch:
-      if (!match) fail_without_start(where, "several pictures", "one");
-      break;
-    case SplatStartFrom::kPoints:
-      if (!points) fail_without_start(where, "sparse points", "none");
-      break;
+  const SplatStartFrom start = settled_start(from, depth, points);
+  if (start == SplatStartFrom::kDepth && !depth) fail_without_start(where, "pixels of known depth", "none");
+  if (start == SplatStartFrom::kPoints && !points) fail_without_start(where, "sparse points", "none");
+  if (start == SplatStartFrom::kMatch && !match) {
+    if (from == SplatStartFrom::kMatch) fail_without_start(where, "several pictures", "one");
+    fail_without_start(where, "measured or predicted depth, sparse points, or several pictures", "none");
   }
-  return from;
+  return start;
+}
+
+SplatStartFrom settled_start(SplatStartFrom from, bool has_depth, bool has_points) {
+  if (from != SplatStartFrom::kAuto) return from;
+  if (has_depth) return SplatStartFrom::kDepth;
+  return has_points ? SplatStartFrom::kPoints : SplatStartFrom::kMatch;
 }
 
 GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
@@ -296,7 +293,12 @@ GaussianSet start_gaussians(const std::vector<SplatPicture>& pictures,
     set = start_from_points(pictures, points_in_world, reach, most_gaussians, options);
   } else {
     const std::vector<SurfacePoint> surface = surface_points(pictures, reach.middle);
-    if (surface.empty()) fail_without_start(where, "pixels of known depth", "none");
+    if (surface.empty()) {
+      fail_without_start(where,
+                         options.from == SplatStartFrom::kMatch ? "pixels whose depth the pictures agree on"
+                                                                : "pixels of known depth",
+                         "none");
+    }
     set = start_from_depth(surface, most_gaussians, options);
   }
   set.origin = reach.middle;

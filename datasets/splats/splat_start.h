@@ -14,8 +14,8 @@
 namespace gld {
 
 // What Gaussians begin on: measured or predicted depth of the pictures; sparse points, which are few, but grow by density
-// control; the depth that the pictures agree on. kAuto is the first of these that there is: of the Lund door's three
-// held-out views points that grow show 34.6 dB after 2000 steps, what pictures agree on 31.4.
+// control; the depth that the pictures agree on. kAuto is the first of these that there is (docs/SPLATS.md has what each is
+// worth).
 enum class SplatStartFrom { kAuto, kDepth, kMatch, kPoints };
 inline const std::vector<std::string>& splat_start_names() {
   static const std::vector<std::string> names{"auto", "depth", "match", "points"};
@@ -37,6 +37,8 @@ struct SplatPicture {
   Camera camera;
   Image image;
   DepthMap depth;
+  std::vector<uint8_t>
+      valid;  // (height, width) 0 where the picture says nothing; empty where it does everywhere
 };
 
 // The middle of the cameras, and how far the scene reaches as 3DGS counts it: 1.1 times the largest distance of a
@@ -48,6 +50,8 @@ struct SceneReach {
 SceneReach scene_reach(const std::vector<SplatPicture>& pictures,
                        const std::vector<Eigen::Vector3d>& points_in_world);
 
+// Returns what a fit begins on that asks for `from` and has depth, sparse points or neither.
+SplatStartFrom settled_start(SplatStartFrom from, bool has_depth, bool has_points);
 // Returns what a fit of these pictures begins on. Throws Error, named by `where`, where there is nothing, or not what
 // was asked for.
 SplatStartFrom start_of(const std::vector<SplatPicture>& pictures,

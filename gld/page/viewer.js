@@ -55,9 +55,14 @@ class Viewer {
     this.radius = 1e-12;
     for (const pose of this.poses) this.radius = Math.max(this.radius, pose.position.length());
     const point = new THREE.Vector3();
-    // Of both where there are both: what lies beyond the far plane is not drawn.
-    for (const drawn of [this.cloud, this.splats]) {
-      for (let i = 0; drawn && i < drawn.count; ++i) this.radius = Math.max(this.radius, pointOf(drawn, i, point).length());
+    for (let i = 0; this.cloud && i < this.cloud.count; ++i) this.radius = Math.max(this.radius, pointOf(this.cloud, i, point).length());
+    // Gaussians as well, since what lies beyond the far plane is not drawn; but the outermost hundredth may have gone astray anywhere, and
+    // the near plane moves with the far one.
+    if (this.splats && this.splats.count > 0) {
+      const lengths = new Float32Array(this.splats.count);
+      for (let i = 0; i < lengths.length; ++i) lengths[i] = pointOf(this.splats, i, point).length();
+      lengths.sort();
+      this.radius = Math.max(this.radius, lengths[lengths.length - 1 - Math.floor(lengths.length / 100)]);
     }
     this.depths = this.views.map((view, i) => {
       const depths = this.located ? depthsInTheMiddle(this.located, view, new THREE.Matrix4().getInverse(this.poses[i].matrix)) : [];

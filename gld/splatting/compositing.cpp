@@ -52,7 +52,7 @@ int64_t weigh(const Tile& tile, const TileRecords& records, const Strip& strip, 
   }
   const SplatCamera& camera = tile.view->camera;
   return kernels.splat_weights({records.rows.data(), records.strip_records.data() + strip.first, strip.count,
-                                camera.faintest_power, camera.least_transmittance, scratch.alpha.data(),
+                                camera.least_alpha_power, camera.least_transmittance, scratch.alpha.data(),
                                 scratch.weight.data(), transmittance});
 }
 

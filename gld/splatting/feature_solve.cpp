@@ -362,16 +362,16 @@ void FeatureSolveOptions::visit(FieldVisitor& visitor) {
   visitor.real({"ridge", "weight of the distance from each Gaussian's mean, beside its total weight"}, ridge,
                {0, 1});
   visitor.integer(
-      {"degree",
+      {"feature_degree",
        "of features' spherical harmonics: 0, the same from everywhere; Splatent's published code has 2"},
-      degree, {0, kMostHarmonicDegree});
+      feature_degree, {0, kMostHarmonicDegree});
 }
 
 SolvedFeatures solve_features(const std::vector<FeatureView>& views, const GaussianSet& set,
                               const FeatureSolveOptions& options, const KernelSettings& settings) {
   check_views(views);
   const int64_t channels = views.front().picture.channels;
-  const Problem problem(views, set, options.degree, settings);
+  const Problem problem(views, set, options.feature_degree, settings);
   SolvedFeatures result;
   result.features.resize(static_cast<size_t>(problem.unknowns() * channels));
   constexpr int64_t kTogether = 64;

@@ -19,8 +19,8 @@ struct FeatureSolveOptions : OptionsGroup {
   double tolerance =
       1e-6;  // of the residual of that problem's normal equations, relative to their right side
   int64_t most_iterations = 1000;
-  double ridge = 1e-2;  // of t
-  int64_t degree = 0;   // of features' spherical harmonics; the published code of Splatent has 2
+  double ridge = 1e-2;         // of t
+  int64_t feature_degree = 0;  // of features' spherical harmonics; the published code of Splatent has 2
 
   void visit(FieldVisitor& visitor) override;
 };

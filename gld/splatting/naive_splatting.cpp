@@ -42,8 +42,8 @@ double look_through(const NaiveScene& scene, const std::vector<size_t>& order, i
                      splat.determinant;
     const double value = splat.opacity * std::exp(-0.5 * q);
     to_jump = std::min(
-        {to_jump, relative_distance(value, scene.options.faintest), relative_distance(value, kDensest)});
-    if (value < scene.options.faintest) continue;
+        {to_jump, relative_distance(value, scene.options.least_alpha), relative_distance(value, kDensest)});
+    if (value < scene.options.least_alpha) continue;
     one.alpha = std::min(kDensest, value);
     one.value = value;
     one.before = left;
@@ -120,7 +120,7 @@ NaiveGradients render_naively_backward(const NaiveScene& scene, const std::vecto
       }
       const double of_alpha = one.before * q - behind / (1 - one.alpha);
       behind += one.alpha * one.before * q;
-      if (one.value >= kDensest && scene.options.held_alpha_gradient == HeldAlphaGradient::kNone) continue;
+      if (one.value >= kDensest && scene.held_alpha_gradient == HeldAlphaGradient::kNone) continue;
       const double a = one.value * of_alpha;
       NaiveSplat& sum = gradients.splats[one.splat];
       sum.opacity += a;

@@ -23,13 +23,14 @@ struct NaiveScene {
   std::vector<double> features;    // (splats, channels)
   std::vector<double> background;  // (channels)
   int64_t width = 0, height = 0;
-  ProjectionOptions options;  // of which the thresholds count, and the gradient of what is held
+  ProjectionOptions options;  // of which the bounds count
+  HeldAlphaGradient held_alpha_gradient = HeldAlphaGradient::kNone;
 };
 
 struct NaiveImage {
   std::vector<double> values;         // (channels, height, width)
   std::vector<double> transmittance;  // (height, width)
-  // (height, width): how near a pixel is to a place where the formulas jump (alpha at the faintest or .99, transmittance at
+  // (height, width): how near a pixel is to a place where the formulas jump (alpha at the least or .99, transmittance at
   // the least), as the least relative distance.
   std::vector<double> to_jump;
 };

@@ -69,14 +69,9 @@ void ProjectionOptions::visit(FieldVisitor& visitor) {
       {0, 1e30});
   visitor.boolean({"antialias", "Gaussians smaller than a pixel become fainter, not larger (Mip-Splatting)"},
                   antialias);
-  visitor.real({"faintest", "alpha from which a Gaussian reaches a pixel"}, faintest, {1e-9, 0.5});
+  visitor.real({"least_alpha", "alpha from which a Gaussian reaches a pixel"}, least_alpha, {1e-9, 0.5});
   visitor.real({"least_transmittance", "what has to be left of a pixel behind a Gaussian for it to be drawn"},
                least_transmittance, {1e-9, 0.5});
-  visit_choice(
-      visitor,
-      {"held_alpha_gradient",
-       "what reaches a Gaussian where its alpha is held at 0.99: none, or published, as if it were not"},
-      held_alpha_gradient, {"none", "published"});
 }
 
 SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
@@ -96,10 +91,9 @@ SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
   result.offset = origin - camera.world_from_camera.translation();
   result.near = options.near;
   result.antialias = options.antialias;
-  result.faintest = options.faintest;
-  result.faintest_power = static_cast<float>(std::log2(options.faintest));
+  result.least_alpha = options.least_alpha;
+  result.least_alpha_power = static_cast<float>(std::log2(options.least_alpha));
   result.least_transmittance = static_cast<float>(options.least_transmittance);
-  result.held_alpha_gradient = options.held_alpha_gradient;
   return result;
 }
 
@@ -119,7 +113,7 @@ bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, Pro
   const Eigen::Vector3d t = camera.camera_from_world_rotation * projected.from_camera;
   if (!(t[2] > camera.near)) return false;
   projected.opacity = sigmoid(shape.logit_opacity);
-  if (projected.opacity < camera.faintest) return false;
+  if (projected.opacity < camera.least_alpha) return false;
   projected.x_in_camera = t;
   for (int axis = 0; axis < 2; ++axis)
     projected.mean[axis] = camera.focal[axis] * t[axis] / t[2] + camera.principal[axis];
@@ -138,7 +132,7 @@ bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, Pro
       projected.plain_determinant + kPixelVariance * (xx + yy) + kPixelVariance * kPixelVariance;
   if (!std::isfinite(projected.determinant) || !projected.mean.allFinite()) return false;
   if (camera.antialias) projected.opacity *= std::sqrt(projected.plain_determinant / projected.determinant);
-  return projected.opacity >= camera.faintest;
+  return projected.opacity >= camera.least_alpha;
 }
 
 void project_gaussian_backward(const GaussianShape& shape, const SplatCamera& camera,

@@ -17,9 +17,8 @@ constexpr double kNearShare = 0.01;
 struct ProjectionOptions : OptionsGroup {
   double near = 0.01;      // nearest depth that is drawn, in the unit of the poses
   bool antialias = false;  // a Gaussian smaller than a pixel becomes fainter and not brighter (Mip-Splatting)
-  double faintest = 1.0 / 255;        // alpha from which a Gaussian reaches a pixel
+  double least_alpha = 1.0 / 255;     // from which a Gaussian reaches a pixel
   double least_transmittance = 1e-4;  // a Gaussian that would leave less ends its pixel, and is not in it
-  HeldAlphaGradient held_alpha_gradient = HeldAlphaGradient::kNone;
 
   void visit(FieldVisitor& visitor) override;
 };
@@ -36,10 +35,10 @@ struct SplatCamera {
   double low[2] = {0, 0}, high[2] = {0, 0};  // of x/z and y/z, beyond which the Jacobian is held
   double near = 0;
   bool antialias = false;
-  double faintest = 0;       // alpha
-  float faintest_power = 0;  // log2 of it
+  double least_alpha = 0;
+  float least_alpha_power = 0;  // log2 of it
   float least_transmittance = 0;
-  HeldAlphaGradient held_alpha_gradient = HeldAlphaGradient::kNone;
+  HeldAlphaGradient held_alpha_gradient = HeldAlphaGradient::kNone;  // of what is composited backward
 };
 // origin is that of the set.
 SplatCamera splat_camera(const Camera& camera, const Eigen::Vector3d& origin,
@@ -70,7 +69,7 @@ struct ProjectedGaussian {
   double plain_determinant;                    // of M M^T
   double opacity;                              // after antialiasing
 };
-// Returns false where nothing is drawn: before the near plane, fainter than the camera's faintest, or not finite in
+// Returns false where nothing is drawn: before the near plane, fainter than the camera's least alpha, or not finite in
 // double.
 bool project_gaussian(const GaussianShape& shape, const SplatCamera& camera, ProjectedGaussian& projected);
 

@@ -24,8 +24,8 @@ bool visible_splat(const GaussianSet& set, int64_t i, const SplatCamera& camera,
   ProjectedGaussian projected;
   if (!project_gaussian(gaussian_shape(set, i), camera, projected)) return false;
   const double height = std::log2(projected.opacity);
-  // alpha is at least the faintest up to q = d^T S2^-1 d = 2 ln(opacity / faintest).
-  const double q = (height - static_cast<double>(camera.faintest_power)) / kExponentUnit;
+  // alpha is at least the least up to q = d^T S2^-1 d = 2 ln(opacity / least).
+  const double q = (height - static_cast<double>(camera.least_alpha_power)) / kExponentUnit;
   const double xx = projected.covariance[0], xy = projected.covariance[1], yy = projected.covariance[2];
   covered_pixels(projected.mean[0], std::sqrt(std::max(0.0, q) * xx), camera.width, splat.first_column,
                  splat.end_column);

@@ -57,7 +57,7 @@ void list_records(const SplatView& view, const ListedTile& tile, RecordScratch& 
     for (int64_t y = first_row; y < end_row; ++y) {
       const double dy = static_cast<double>(y) + 0.5 - splat.mean[1], across = splat.across_y * dy;
       const double height = splat.height - across * across;
-      const double room = height - static_cast<double>(view.camera.faintest_power);
+      const double room = height - static_cast<double>(view.camera.least_alpha_power);
       if (room < 0) continue;
       // u of the tile's first pixel, and the pixels from it for which u^2 <= room.
       const double shift = splat.along_x * begin_x + splat.along_y * dy;

@@ -153,6 +153,10 @@ void SplatOutputOptions::visit(FieldVisitor& visitor) {
 void SplatOutputOptions::check() const {
   fit.check();
   check_without_latents(fit);
+  if (fit.start.from == SplatStartFrom::kPoints) {
+    fail({"--splats.start.from", "auto, depth or match: a run has no sparse points", "points",
+          "leave it out, or fit the scene itself with gld splat fit --scene"});
+  }
 }
 
 SceneFitOptions SplatOutputOptions::scene_fit(int64_t seed) const {
@@ -200,10 +204,11 @@ void SampleOptions::visit(FieldVisitor& visitor) {
       size);
   visitor.group({"photograph_use", "what is made of the photographs beside showing them to the model"},
                 photograph_use);
-  visitor.texts({"outputs",
-                 "what to make: image, depth, rays, points, latents, splats, page (splats are 3D Gaussians, with image "
-                 "and depth; page shows all of them)"},
-                outputs);
+  visitor.texts(
+      {"outputs",
+       "what to make: image, depth, rays, points, latents, splats, page (splats are 3D Gaussians, with image "
+       "and depth; page shows all of them)"},
+      outputs);
   visitor.text({"geometry_model",
                 "bundle that takes depth, rays and points off the generated images; empty: the model's own"},
                geometry_model);

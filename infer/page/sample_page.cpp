@@ -226,6 +226,22 @@ Json stages_json(const Json& report) {
   return stages;
 }
 
+// Returns two corners of the box of Gaussians' means without the outermost hundredth on each side.
+std::vector<Eigen::Vector3d> usual_corners(const GaussianSet& set) {
+  const auto count = static_cast<size_t>(set.size());
+  if (count == 0) return {};
+  std::vector<Eigen::Vector3d> corners(2);
+  const auto outermost = static_cast<std::ptrdiff_t>(count / 100);
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values(count);
+    for (size_t i = 0; i < count; ++i) values[i] = mean_in_world(set, i)[axis];
+    std::sort(values.begin(), values.end());
+    corners[0][axis] = values[static_cast<size_t>(outermost)];
+    corners[1][axis] = *(values.end() - 1 - outermost);
+  }
+  return corners;
+}
+
 // Returns the middle of cameras and cloud, or without a cloud of cameras and Gaussians, which becomes the page's 0: floats
 // of a browser hold no scene far from it. A Gaussian astray may lie anywhere, so that a cloud is asked first.
 Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& cloud,
@@ -238,7 +254,7 @@ Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& 
   for (const PageView& view : views) add(view.record.camera.world_from_camera.translation());
   for (const Eigen::Vector3d& point : cloud.x_in_world) add(point);
   if (splats && cloud.x_in_world.empty()) {
-    for (size_t i = 0; i < static_cast<size_t>(splats->size()); ++i) add(mean_in_world(*splats, i));
+    for (const Eigen::Vector3d& corner : usual_corners(*splats)) add(corner);
   }
   return low ? (*low + *high) / 2 : Eigen::Vector3d(Eigen::Vector3d::Zero());
 }

@@ -64,6 +64,7 @@ torch::Tensor run_flow(const DitDh& model, DitScene scene, const FlowStage& stag
   PreviewTimes previews(request.on_preview ? request.preview_every : 0);
   observer.on_step = [&](const SolveProgress& progress) {
     if (request.on_step) request.on_step(stage.name, progress);
+    if (request.stop_asked()) return SolveDecision::kStop;  // before a preview is decoded
     if (progress.time > 0 && previews.due(progress.evaluations)) preview(progress.predicted_data());
     return SolveDecision::kGoOn;
   };

@@ -243,13 +243,6 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
   });
 }
 
-// What there is when a stage is not begun.
-std::string done_before(const SamplingStage& stage) {
-  if (stage.kind == StageKind::kPropagation) return "the latents were generated; nothing was decoded";
-  if (stage.kind == StageKind::kGeometry) return "images were decoded; depth and rays were not";
-  return stage.name + " was not begun";
-}
-
 }  // namespace
 
 bool PipelineRequest::stop_asked() const {
@@ -334,11 +327,13 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
   const StageKind last_image_stage = composes ? StageKind::kComposition : StageKind::kRgbDecoding;
   for (const auto& stage : planned) {
     if (!stage.runs) continue;
-    if (request.stop_asked()) {
-      const std::string done = done_before(stage);
-      stop_if_interrupted(done);
-      throw Interrupted(done);
+    if (stage.kind == StageKind::kPropagation) {
+      stop_if_interrupted("the latents were generated; nothing was decoded");
+    } else if (stage.kind == StageKind::kGeometry) {
+      stop_if_interrupted("images were decoded; depth and rays were not");
     }
+    // Ctrl-C waits for pictures that are decoded to be laid together and written; who asks in the program gets nothing.
+    if (request.stop_requested && request.stop_requested()) throw Interrupted(stage.name + " was not begun");
     stages.run(stage.name, [&] { run(stage); });
     if (stage.kind == StageKind::kSourceDepth && may_leave_out) {
       const auto complete = complete_targets(request.views, photographs_of(request, state), *state.depth);

@@ -285,7 +285,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
       "of held-out views under Hann's window as features show them over what is encoded of them, mean over rings {} to "
       "{}; low and high: 95 % by bootstrap over scenes. plain_ratio: without a window, as Splatent has it. fitted_ratio: of views that features were fitted to. held_out_error: distance over the latents' spread.\n\n{}",
       scenes.size(), scenes.size() == 1 ? "" : "s", options.held_out, options.latent_side,
-      options.latent_side, options.solve.degree, options.solve.ridge, band.first, band.last,
+      options.latent_side, options.solve.feature_degree, options.solve.ridge, band.first, band.last,
       table.markdown());
   write_file_atomically(run.path() / "spaces.csv", table.csv());
   write_file_atomically(run.path() / "spectrum.md", text);
@@ -294,7 +294,7 @@ void run_splat_spectrum(const SplatSpectrumOptions& options) {
   write_png(figure, run.path() / "spectrum.png");
   nlohmann::ordered_json report = report_of(scenes, spaces, band);
   report["ridge"] = options.solve.ridge;
-  report["degree"] = options.solve.degree;
+  report["degree"] = options.solve.feature_degree;
   report["seconds"] = seconds;
   report["threads"] = settings.kernels.threads;
   run.write_report(report);

@@ -113,7 +113,7 @@ torch::Tensor noise_picture(const WorldNoise& noise, const StillGaussians& gauss
     for (int64_t c = 0; c < noise.channels; ++c)
       values[c * places + place] = 1 + size * sum_of_waves(noise, c, at);
   }
-  const auto rows = low_pass(latent_side).to(torch::kFloat64);
+  const auto rows = low_pass(latent_side);
   return rows.matmul(fine).matmul(rows.t()).to(torch::kFloat32);
 }
 

@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/sha256.h"
+#include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
 #include "gld/splatting/feature_harmonics.h"
 #include "gld/tensors/weight_tensors.h"
@@ -65,8 +66,32 @@ torch::Tensor feature_tensor(const std::vector<float>& values, int64_t channels)
   return torch::from_blob(const_cast<float*>(values.data()), {rows, channels}, torch::kFloat32).clone();
 }
 
+namespace {
+
+// Throws Error where the solve would not fit into memory: four tables of 64 channels, and the features twice.
+void require_memory_for_solve(int64_t gaussians, const LatentPictures& latents,
+                              const FeatureSolveOptions& options) {
+  constexpr double kGigabyte = 1e9;
+  constexpr int64_t kTables = 4, kTogether = 64, kCopies = 2;
+  const int64_t unknowns = gaussians * harmonic_coefficients(options.feature_degree);
+  const int64_t needed =
+      unknowns * static_cast<int64_t>(sizeof(float)) *
+      (kTables * std::min(kTogether, latents.tag.channels) + kCopies * latents.tag.channels);
+  const int64_t free_bytes = available_memory_bytes();
+  if (free_bytes <= 0 || needed <= free_bytes) return;
+  fail({fmt::format("features of level {}", latents.tag.level),
+        fmt::format("{:.1f} GB of memory for {} Gaussians, {} channels and harmonics of degree {}",
+                    static_cast<double>(needed) / kGigabyte, gaussians, latents.tag.channels,
+                    options.feature_degree),
+        fmt::format("{:.1f} GB that are free", static_cast<double>(free_bytes) / kGigabyte),
+        "make --most-gaussians or --feature-degree smaller"});
+}
+
+}  // namespace
+
 LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& latents,
                       const FeatureSolveOptions& options, const KernelSettings& settings) {
+  require_memory_for_solve(gaussians.set.size(), latents, options);
   LatentFit fit;
   fit.tag = latents.tag;
   fit.statistics = latents.statistics;
@@ -82,8 +107,9 @@ LatentFit fit_latents(const StillGaussians& gaussians, const LatentPictures& lat
     }
     const SolvedFeatures solved = solve_features(views, gaussians.set, options, settings);
     fit.features = feature_tensor(solved.features, latents.tag.channels);
-    if (options.degree > 0) {
-      fit.features = fit.features.reshape({gaussians.set.size(), harmonic_coefficients(options.degree), -1});
+    if (options.feature_degree > 0) {
+      fit.features =
+          fit.features.reshape({gaussians.set.size(), harmonic_coefficients(options.feature_degree), -1});
     }
     fit.iterations = solved.iterations();
     fit.residual = solved.residuals.back();

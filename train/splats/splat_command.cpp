@@ -69,9 +69,8 @@ class FitInSteps {
     const ImageSize size = fit_size(scene, options.side);
     work_ = scene_fit_work(scene, size, options.held_out, fit_options_);
     require_memory_for_fit(work_, fit_options_, available_memory_bytes(), options.where());
-    // This comes before the fit has memory of its own: it makes one beside it. A fit that goes on knows its speed.
-    if (!resumes && fit_options_.steps > 0)
-      whole_seconds_ = splat_fit_seconds(work_, fit_options_, settings_.threads);
+    // This comes before the fit has memory of its own: it makes one beside it.
+    if (fit_options_.steps > 0) whole_seconds_ = splat_fit_seconds(work_, fit_options_, settings_.threads);
     views_ = load_fit_views(scene, size, options.held_out, settings_);
     if (moved_by_latents(options.fit.geometry_from)) latents.before(scene, views_);
     processor_at_first_ = processor_seconds();
@@ -131,6 +130,9 @@ class FitInSteps {
 
  private:
   void begin(const Scene& scene) {
+    if (work_.start == SplatStartFrom::kMatch)
+      std::cout << fmt::format("matching {} pictures, where Gaussians are to begin\n", work_.views)
+                << std::flush;
     state_.views = fit_views_hash(all_views(views_));
     state_.seconds = seconds_of([&] {
       state_.fit =
@@ -143,8 +145,6 @@ class FitInSteps {
   void resume() {
     state_ = read_splat_checkpoint(checkpoint_file_);
     settle_fit_options(state_.fit, fit_options_);
-    whole_seconds_ = state_.seconds * static_cast<double>(fit_options_.steps) /
-                     static_cast<double>(std::max<int64_t>(1, state_.fit.step));
     if (state_.views != fit_views_hash(all_views(views_))) {
       fail({checkpoint_file_.string(), "the pictures and cameras that the run began with",
             "others in " + options_.where(), "put those back, or begin anew with --overwrite"});

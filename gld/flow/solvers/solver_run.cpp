@@ -13,7 +13,8 @@ torch::Tensor SolverRun::velocity(const torch::Tensor& state, double time) {
   if ((is_adaptive(options_.solver)) && report_.evaluations >= options_.max_evaluations) {
     give_up(SolveFailureKind::kEvaluationLimit, "evaluations", time);
   }
-  if (observer_.before_evaluation && observer_.before_evaluation() == SolveDecision::kStop) throw SolveStopped{};
+  if (observer_.before_evaluation && observer_.before_evaluation() == SolveDecision::kStop)
+    throw SolveStopped{};
   auto result = field_.velocity(state, time);
   ++report_.evaluations;
   if (!all_finite(result)) give_up(SolveFailureKind::kNonFinite, "velocity", time);

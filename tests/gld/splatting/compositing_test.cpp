@@ -194,21 +194,24 @@ TEST_P(Compositing, GradientsAreTheNaiveOnes) {
   wanted.degree = 3;
   struct Drawn {
     ProjectionOptions projection;
+    HeldAlphaGradient held = HeldAlphaGradient::kNone;
     float more_opaque = 0;  // in logits
   };
   std::vector<Drawn> variants(4);
   variants[1].projection.antialias = true;
-  variants[2].projection.held_alpha_gradient = HeldAlphaGradient::kPublished;
-  variants[3].projection.faintest = 0.03;
+  variants[2].held = HeldAlphaGradient::kPublished;
+  variants[3].projection.least_alpha = 0.03;
   variants[3].projection.least_transmittance = 0.02;
   for (const size_t opaque : {size_t{2}, size_t{3}}) variants[opaque].more_opaque = 4;
   for (const Drawn& drawn : variants) {
     const ProjectionOptions& projection = drawn.projection;
     GaussianSet set = random_gaussians(wanted);
     for (float& logit : set.logit_opacities) logit += drawn.more_opaque;
-    const SplatCamera camera = splat_camera(splat_test_camera(45, 33), set.origin, projection);
+    SplatCamera camera = splat_camera(splat_test_camera(45, 33), set.origin, projection);
+    camera.held_alpha_gradient = drawn.held;
     NaiveView naive = naive_view(shapes_of(set), camera);
     naive.scene.options = projection;
+    naive.scene.held_alpha_gradient = drawn.held;
     naive.scene.channels = 3;
     std::vector<SeenColour> colours(naive.index.size());
     for (size_t k = 0; k < naive.index.size(); ++k) {

@@ -425,15 +425,15 @@ TEST(FeatureSolve, FeaturesThatDependOnTheDirectionNeedTheirDegree) {
   options.ridge = 1e-6;
   options.most_iterations = 3000;
   std::vector<double> errors;
-  for (options.degree = 0; options.degree <= 2; ++options.degree) {
+  for (options.feature_degree = 0; options.feature_degree <= 2; ++options.feature_degree) {
     const SolvedFeatures solved = solve_features(views, problem.set, options, {});
-    ASSERT_EQ(solved.features.size(),
-              static_cast<size_t>(wanted.count * problem.channels * harmonic_coefficients(options.degree)));
+    ASSERT_EQ(solved.features.size(), static_cast<size_t>(wanted.count * problem.channels *
+                                                          harmonic_coefficients(options.feature_degree)));
     double worst = 0;
     for (const FeatureView& view : views)
-      worst = std::max(worst, problem.error_of(view, solved.features, options.degree));
+      worst = std::max(worst, problem.error_of(view, solved.features, options.feature_degree));
     errors.push_back(worst);
-    if (options.degree < 2) continue;
+    if (options.feature_degree < 2) continue;
     // Between the views that were fitted as well.
     for (const Camera& camera : cameras_about({-0.4, 0.5}, 0.5))
       EXPECT_LT(problem.error_of(problem.view_of(camera), solved.features, 2), 0.1);

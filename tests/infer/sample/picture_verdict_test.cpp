@@ -51,8 +51,10 @@ TEST(PictureVerdict, IsOneSentenceWithItsFigures) {
       "These pictures are as good as the photographs' predictions of each other are (30 dB where they show the "
       "same, 30 dB in all, 93 % shown); 84 % of the target views come from them.");
   const std::string bad = verdict_of(evidence_of(left_out(0.12, 18, 12.7, 11.2))).sentence;
-  EXPECT_THAT(bad, HasSubstr("hardly overlap (the others show 12 % of one): expect inventions; 84 % of the target views "
-                             "come from them; take some in between, each with half of what the one beside it shows."));
+  EXPECT_THAT(
+      bad,
+      HasSubstr("hardly overlap (the others show 12 % of one): expect inventions; 84 % of the target views "
+                "come from them; take some in between, each with half of what the one beside it shows."));
   const std::string apart = verdict_of(evidence_of(left_out(0.42, 10.9, 12.2, 13.1))).sentence;
   EXPECT_THAT(apart, HasSubstr("; take some in between, or look whether the cameras are theirs."));
   PictureEvidence one;

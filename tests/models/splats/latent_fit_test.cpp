@@ -135,11 +135,11 @@ TEST(LatentFit, KeepsFeaturesOfADegree) {
   LatentPictures latents =
       latent_pictures_of(torch::randn({2, 5, 24, 24}, at::detail::createCPUGenerator(8)), {});
   FeatureSolveOptions options;
-  options.degree = 1;
+  options.feature_degree = 1;
   const LatentFit fit = fit_latents(gaussians, latents, options, {});
   EXPECT_EQ(fit.features.sizes(), (std::vector<int64_t>{40, 4, 5}));
   const double error = latent_error(gaussians, fit, latents, 0, 2, {});
-  options.degree = 0;
+  options.feature_degree = 0;
   EXPECT_LT(error, latent_error(gaussians, fit_latents(gaussians, latents, options, {}), latents, 0, 2, {}));
 
   const test::TemporaryFolder folder;

@@ -121,9 +121,10 @@ TEST(TrainingPage, OfOneThatWasKilledIsMadeByReport) {
   };
   testing::internal::CaptureStdout();
   report_run(run.path(), {{"train", training_page, stopped}});
-  EXPECT_THAT(testing::internal::GetCapturedStdout(),
-              HasSubstr("The training ended before its last step; what it said last was at 40 of 100 steps. The same "
-                        "command with --resume goes on from its last checkpoint."));
+  EXPECT_THAT(
+      testing::internal::GetCapturedStdout(),
+      HasSubstr("The training ended before its last step; what it said last was at 40 of 100 steps. The same "
+                "command with --resume goes on from its last checkpoint."));
   EXPECT_THAT(read_file(run.path() / kPageFile), testing::Not(HasSubstr("http-equiv=\"refresh\"")));
 }
 

@@ -8,6 +8,7 @@
 #include "datasets/splats/splat_picture.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/base/interrupt.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/splatting/splat_ply.h"
 #include "tests/support/error_of.h"
@@ -176,7 +177,8 @@ std::string said_with_files_of(int64_t bytes, const SplatCommandOptions& options
   EXPECT_EQ(::pipe(pipe_ends), 0);
   const pid_t child = ::fork();
   if (child == 0) {
-    ::signal(SIGXFSZ, SIG_IGN);
+    install_interrupt_handler(
+        StopDeadline::kSafePoint);  // as commands do: a file that may not grow is no end
     const rlimit limit{static_cast<rlim_t>(bytes), static_cast<rlim_t>(bytes)};
     ::setrlimit(RLIMIT_FSIZE, &limit);
     const std::string said = error_of([&] { run_splat_fit(options); });
@@ -358,10 +360,13 @@ TEST_F(FittedSplats, StartsFromWhatPicturesAgreeOn) {
   EXPECT_LT(errors[errors.size() / 2], 0.03);
 
   SplatFitOptions never;
-  EXPECT_EQ(error_of([&] {
-              begin_splat_fit({without.front(), without.front()}, {}, never, "rooms/a", {});
-            }).substr(0, 69),
-            "rooms/a: expected pixels of known depth to start from, found none; gi");
+  EXPECT_EQ(
+      error_of([&] {
+        begin_splat_fit({without.front(), without.front()}, {}, never, "rooms/a", {});
+      }),
+      "rooms/a: expected pixels whose depth the pictures agree on to start from, found none; give the scene depth "
+      "files or pictures that overlap, taken with steps to the side, reconstruct it with COLMAP, or fit a run of "
+      "gld sample --outputs image,depth.");
 }
 
 // The depth is as gld sample --size photographs leaves it.

@@ -191,9 +191,8 @@ TEST(Solver, StopsBeforeAnEvaluationWhereTheObserverSaysSo) {
     options.evaluations = 40;
     options.tolerance = 1e-9;
     int64_t asked = 0;
-    SolveObserver observer{"level 1", {}, [&] {
-                             return ++asked > 3 ? SolveDecision::kStop : SolveDecision::kGoOn;
-                           }};
+    SolveObserver observer{
+        "level 1", {}, [&] { return ++asked > 3 ? SolveDecision::kStop : SolveDecision::kGoOn; }};
     const auto report = solve(field, doubles({1}), options, observer);
     EXPECT_TRUE(report.stopped) << solver_names()[solver];
     EXPECT_FALSE(report.failure);
