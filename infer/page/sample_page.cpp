@@ -242,8 +242,8 @@ std::vector<Eigen::Vector3d> usual_corners(const GaussianSet& set) {
   return corners;
 }
 
-// Returns the middle of cameras and cloud, or without a cloud of cameras and Gaussians, which becomes the page's 0: floats
-// of a browser hold no scene far from it. A Gaussian astray may lie anywhere, so that a cloud is asked first.
+// Returns the middle of cameras and cloud, or without a cloud of cameras and Gaussians, which becomes the page's 0:
+// floats of a browser hold no scene far from it. A Gaussian astray may lie anywhere, so that a cloud is asked first.
 Eigen::Vector3d middle_of(const std::vector<PageView>& views, const PointCloud& cloud,
                           const std::optional<GaussianSet>& splats) {
   std::optional<Eigen::Vector3d> low, high;

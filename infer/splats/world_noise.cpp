@@ -27,7 +27,8 @@ double sum_of_waves(const WorldNoise& noise, int64_t channel, const Eigen::Vecto
   return sum;
 }
 
-// Returns the weights of places in latent pixels along one side, (latent_side, latent_side kPlacesAside), rows of sum 1.
+// Returns the weights of places in latent pixels along one side, (latent_side, latent_side kPlacesAside), rows of
+// sum 1.
 torch::Tensor low_pass(int64_t latent_side) {
   const auto pixels = torch::arange(latent_side, torch::kFloat64) + 0.5;
   const auto places = (torch::arange(latent_side * kPlacesAside, torch::kFloat64) + 0.5) / kPlacesAside;

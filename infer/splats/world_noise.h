@@ -30,11 +30,11 @@ SplatImage seen_places(const StillGaussians& gaussians, const Camera& camera, co
 // Returns the median over views of what a pixel of a latent with so many a side covers of what it sees.
 double typical_pixel(const StillGaussians& gaussians, int64_t latent_side, const KernelSettings& settings);
 
-// Returns the texture at the places that a view sees, (channels, latent_side, latent_side), 0 far from what is
-// seen, through the low pass that a splatter draws through: a Gaussian of kPixelVariance about each latent pixel, over four by
-// four places a pixel. A mean over the pixel's square would let frequencies beyond its own through, which are aliased in
-// each view otherwise: the texture would not be the same from everywhere, and what the features cannot show of it would
-// be taken for the blur of splatting.
+// Returns the texture at the places that a view sees, (channels, latent_side, latent_side), 0 far from what is seen,
+// through the low pass that a splatter draws through: a Gaussian of kPixelVariance about each latent pixel, over four
+// by four places a pixel. A mean over the pixel's square would let frequencies beyond its own through, which are
+// aliased in each view otherwise: the texture would not be the same from everywhere, and what the features cannot show
+// of it would be taken for the blur of splatting.
 torch::Tensor noise_picture(const WorldNoise& noise, const StillGaussians& gaussians, const Camera& camera,
                             int64_t latent_side, const KernelSettings& settings);
 
