@@ -65,8 +65,8 @@ Densification settled_densification(const SplatFitOptions& options, SplatStartFr
 // Settles what options leave open, the near plane and whether Gaussians are added, for a fit that has begun.
 void settle_fit_options(const SplatFit& fit, SplatFitOptions& options);
 
-// Begins a fit before its first step, on what start_of() says, and settles options. where is the scene's name in errors.
-// The result does not depend on settings.threads.
+// Begins a fit before its first step, on what start_of() says, and settles options. where is the scene's name in
+// errors. The result does not depend on settings.threads.
 SplatFit begin_splat_fit(const std::vector<SplatPicture>& pictures,
                          const std::vector<Eigen::Vector3d>& points_in_world, SplatFitOptions& options,
                          const std::string& where, const KernelSettings& settings);

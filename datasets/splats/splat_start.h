@@ -13,9 +13,9 @@
 
 namespace gld {
 
-// What Gaussians begin on: measured or predicted depth of the pictures; sparse points, which are few, but grow by density
-// control; the depth that the pictures agree on. kAuto is the first of these that there is (docs/SPLATS.md has what each is
-// worth).
+// What Gaussians begin on: measured or predicted depth of the pictures; sparse points, which are few, but grow by
+// density control; the depth that the pictures agree on. kAuto is the first of these that there is (docs/SPLATS.md has
+// what each is worth).
 enum class SplatStartFrom { kAuto, kDepth, kMatch, kPoints };
 inline const std::vector<std::string>& splat_start_names() {
   static const std::vector<std::string> names{"auto", "depth", "match", "points"};

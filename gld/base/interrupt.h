@@ -17,7 +17,8 @@ enum class StopDeadline {
   kSafePoint,
 };
 
-// Also has a write beyond the largest size of a file fail, which says so, in the place of SIGXFSZ, which ends a process.
+// Also has a write beyond the largest size of a file fail, which says so, in the place of SIGXFSZ, which ends a
+// process.
 void install_interrupt_handler(StopDeadline deadline);
 bool interrupt_requested();
 

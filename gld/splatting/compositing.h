@@ -24,8 +24,8 @@ struct SplatImage {
 };
 
 // What is composited, front to back: w_i = alpha_i prod_{j < i} (1 - alpha_j), a channel is the sum of w_i f_i and
-// of the background through what is left. alpha is at most .99; a Gaussian that would leave less than the camera's least
-// transmittance ends its pixel, and is not in it.
+// of the background through what is left. alpha is at most .99; a Gaussian that would leave less than the camera's
+// least transmittance ends its pixel, and is not in it.
 struct SplatFeatures {
   const float* values = nullptr;  // (rows, channels)
   int64_t channels = 0;
@@ -52,8 +52,8 @@ CompositedView composite(const SplatView& view, const SplatFeatures& features, c
 // equal to the bit whatever settings.threads is.
 struct CompositingGradients {
   std::vector<float> features;  // (splats, channels)
-  // (splats, kSplatMoments): sums of a = alpha d loss / d alpha, where alpha is held as the camera says, times 1, u, v, u u, u v, v v
-  // (u and v of VisibleSplat). Empty where only features were asked for.
+  // (splats, kSplatMoments): sums of a = alpha d loss / d alpha, where alpha is held as the camera says, times 1, u, v,
+  // u u, u v, v v (u and v of VisibleSplat). Empty where only features were asked for.
   std::vector<float> moments;
 };
 enum class SplatGradients { kFeatures, kFeaturesAndShapes };

@@ -57,7 +57,8 @@ Sparse transposed(const Sparse& from, int64_t columns) {
   return to;
 }
 
-// Adds the weights of a view's pixels, and of each harmonic of its Gaussians: their columns are (gaussian, coefficient).
+// Adds the weights of a view's pixels, and of each harmonic of its Gaussians: their columns are (gaussian,
+// coefficient).
 void add_rows(const SplatView& view, const GaussianSet& set, int64_t degree, const KernelSettings& settings,
               Sparse& rows) {
   const PixelWeights weights = pixel_weights(view, settings);

@@ -12,9 +12,9 @@ namespace gld {
 // t = W^T W 1, each Gaussian's total weight, minimise
 //   |W f - pictures|^2 + ridge sum over Gaussians t |f - m|^2,
 // m being the mean of what the pictures show of the Gaussian, by weight. Gaussians closer than a pixel are nearly equal
-// columns of W, which the pictures do not tell apart: what they leave open is decided by the ridge. Features that depend
-// on the direction of view (feature_harmonics.h) have a column for each of their coefficients, W b_k; m and t are those
-// of b_0, and the m of the others is 0.
+// columns of W, which the pictures do not tell apart: what they leave open is decided by the ridge. Features that
+// depend on the direction of view (feature_harmonics.h) have a column for each of their coefficients, W b_k; m and t
+// are those of b_0, and the m of the others is 0.
 struct FeatureSolveOptions : OptionsGroup {
   double tolerance =
       1e-6;  // of the residual of that problem's normal equations, relative to their right side
