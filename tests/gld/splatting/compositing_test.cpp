@@ -1,7 +1,7 @@
 #include "gld/splatting/compositing.h"
 
 #include "gld/kernels/kernel_table.h"
-#include "gld/splatting/naive_splatting.h"
+#include "tests/gld/splatting/naive_view.h"
 #include "tests/gld/splatting/random_gaussians.h"
 #include "tests/support/error_of.h"
 
@@ -27,40 +27,6 @@ std::vector<float> random_values(size_t count, unsigned seed) {
   std::vector<float> values(count);
   for (float& value : values) value = distribution(engine);
   return values;
-}
-
-// All Gaussians of a set that project, in double.
-struct NaiveView {
-  NaiveScene scene;
-  std::vector<int64_t> index;
-  std::vector<ProjectedGaussian> projected;
-};
-NaiveView naive_view(const std::vector<GaussianShape>& shapes, const SplatCamera& camera) {
-  NaiveView view;
-  view.scene.width = camera.width;
-  view.scene.height = camera.height;
-  for (size_t i = 0; i < shapes.size(); ++i) {
-    ProjectedGaussian projected;
-    if (!project_gaussian(shapes[i], camera, projected)) continue;
-    view.index.push_back(static_cast<int64_t>(i));
-    view.projected.push_back(projected);
-    view.scene.splats.push_back(naive_splat(projected));
-  }
-  return view;
-}
-std::vector<GaussianShape> shapes_of(const GaussianSet& set) {
-  std::vector<GaussianShape> shapes;
-  for (int64_t i = 0; i < set.size(); ++i) shapes.push_back(gaussian_shape(set, i));
-  return shapes;
-}
-
-void give_features(NaiveView& view, const std::vector<float>& features, int64_t channels) {
-  view.scene.channels = channels;
-  view.scene.features.clear();
-  for (const int64_t i : view.index) {
-    for (int64_t c = 0; c < channels; ++c)
-      view.scene.features.push_back(features[static_cast<size_t>(i * channels + c)]);
-  }
 }
 
 // What float32 may change of a picture, whatever a vector's width, u = 2^-24. alpha = 2^(height - a^2) with
