@@ -40,6 +40,10 @@ struct GaussianSet {
 
   int64_t size() const { return static_cast<int64_t>(logit_opacities.size()); }
   int64_t harmonics_each() const { return 3 * (harmonic_coefficients(degree) - 1); }
+  // Returns where Gaussian i lies in the world.
+  Eigen::Vector3d mean_in_world(size_t i) const {
+    return origin + Eigen::Vector3d(means[3 * i], means[3 * i + 1], means[3 * i + 2]);
+  }
 };
 
 // One of a set's arrays: its name as messages say it and its numbers a Gaussian.

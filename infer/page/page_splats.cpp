@@ -55,10 +55,6 @@ std::array<double, 4> unit_rotation(const GaussianSet& set, size_t i) {
 
 }  // namespace
 
-Eigen::Vector3d mean_in_world(const GaussianSet& set, size_t i) {
-  return set.origin + Eigen::Vector3d(set.means[3 * i], set.means[3 * i + 1], set.means[3 * i + 2]);
-}
-
 nlohmann::ordered_json page_splats(const GaussianSet& set, const Eigen::Vector3d& origin, int64_t most) {
   nlohmann::ordered_json json{{"count", 0}, {"of", set.size()}};
   const std::vector<size_t> chosen = chosen_gaussians(set, most);
@@ -67,7 +63,7 @@ nlohmann::ordered_json page_splats(const GaussianSet& set, const Eigen::Vector3d
   std::vector<Eigen::Vector3d> means;
   double low = set.log_scales[3 * chosen.front()], high = low;
   for (const size_t i : chosen) {
-    means.push_back(mean_in_world(set, i));
+    means.push_back(set.mean_in_world(i));
     for (size_t axis = 0; axis < 3; ++axis) {
       low = std::min<double>(low, set.log_scales[3 * i + axis]);
       high = std::max<double>(high, set.log_scales[3 * i + axis]);

@@ -2,16 +2,12 @@
 
 #include "gld/splatting/gaussian_set.h"
 
-#include <cstddef>
 #include <cstdint>
 
 #include <Eigen/Core>
 #include <nlohmann/json.hpp>
 
 namespace gld {
-
-// Returns where Gaussian i lies in the world.
-Eigen::Vector3d mean_in_world(const GaussianSet& set, size_t i);
 
 // Returns 3D Gaussians as the page's script splats.js takes them apart and draws them: at most so many, those that
 // cover most (opacity times the two longest axes). Each has its mean in 16 bits of the box around all, the logarithms

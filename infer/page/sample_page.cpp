@@ -234,7 +234,7 @@ std::vector<Eigen::Vector3d> usual_corners(const GaussianSet& set) {
   const auto outermost = static_cast<std::ptrdiff_t>(count / 100);
   for (int axis = 0; axis < 3; ++axis) {
     std::vector<double> values(count);
-    for (size_t i = 0; i < count; ++i) values[i] = mean_in_world(set, i)[axis];
+    for (size_t i = 0; i < count; ++i) values[i] = set.mean_in_world(i)[axis];
     std::sort(values.begin(), values.end());
     corners[0][axis] = values[static_cast<size_t>(outermost)];
     corners[1][axis] = *(values.end() - 1 - outermost);
