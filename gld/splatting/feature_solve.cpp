@@ -65,17 +65,10 @@ void add_rows(const SplatView& view, const GaussianSet& set, int64_t degree, con
   const int64_t before = rows.first.back(), each = harmonic_coefficients(degree);
   for (size_t pixel = 1; pixel < weights.first.size(); ++pixel)
     rows.first.push_back(before + each * weights.first[pixel]);
-  if (each == 1) {
-    rows.columns.insert(rows.columns.end(), weights.columns.begin(), weights.columns.end());
-    rows.values.insert(rows.values.end(), weights.values.begin(), weights.values.end());
-    return;
-  }
   const std::vector<float> harmonics = feature_harmonics(set, view, degree, settings);
   std::vector<int32_t> splat_of(static_cast<size_t>(set.size()), -1);
   for (int64_t i = 0; i < view.size(); ++i)
     splat_of[static_cast<size_t>(view.splats[static_cast<size_t>(i)].index)] = static_cast<int32_t>(i);
-  rows.columns.reserve(rows.columns.size() + static_cast<size_t>(each) * weights.columns.size());
-  rows.values.reserve(rows.columns.capacity());
   for (size_t entry = 0; entry < weights.columns.size(); ++entry) {
     const int32_t gaussian = weights.columns[entry];
     const float* const of_splat = harmonics.data() + splat_of[static_cast<size_t>(gaussian)] * each;
