@@ -246,7 +246,7 @@ struct LeastCost {
 
 // A Gaussian in a strip: KernelTable::splat_strip pixels of a row, the i-th of which it covers with
 // alpha = min(kDensestAlpha, 2^(height - (slope i + shift)^2)), or not at all where that power of 2 is below
-// 2^faintest. All finite.
+// 2^least_alpha_power. All finite.
 struct SplatRow {
   float slope;
   float shift;
@@ -261,7 +261,7 @@ struct SplatWeights {
   const SplatRow* rows;    // of a tile
   const int32_t* records;  // (count) those of the strip, front to back
   int64_t count;
-  float faintest;  // log2 of the alpha from which a Gaussian is there
+  float least_alpha_power;  // log2 of the alpha from which a Gaussian is there
   float least_transmittance;
   float* alpha;   // (count, splat_strip) set, before kDensestAlpha holds it; 0 where the pixel was done
   float* weight;  // (count, splat_strip) set

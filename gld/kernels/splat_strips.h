@@ -45,7 +45,8 @@ GLD_INLINE Vector lane_numbers() {
 
 int64_t weigh_splats(const SplatWeights& strip) {
   const Vector lane = lane_numbers(), one = Simd::broadcast(1.0f), zero = Simd::zero();
-  const Vector faintest = Simd::broadcast(strip.faintest), dense = Simd::broadcast(kDensestAlpha);
+  const Vector least_alpha_power = Simd::broadcast(strip.least_alpha_power),
+               dense = Simd::broadcast(kDensestAlpha);
   // A pixel that is done has a stop that nothing reaches.
   constexpr float kNever = 2.0f;
   Vector left = one, stop = Simd::broadcast(strip.least_transmittance);
@@ -56,7 +57,7 @@ int64_t weigh_splats(const SplatWeights& strip) {
     const Vector power = Simd::subtract(Simd::broadcast(row.height), Simd::multiply(along, along));
     const Vector value = Simd::exp2(power);
     // There cannot be NaN: rows are finite.
-    const Vector there = where_at_least(power, faintest, value, zero);
+    const Vector there = where_at_least(power, least_alpha_power, value, zero);
     const Vector alpha = where_at_least(there, dense, dense, there);
     const Vector after = Simd::subtract(left, Simd::multiply(left, alpha));
     Simd::store(strip.alpha + i * Simd::lanes, where_at_least(after, stop, there, zero));

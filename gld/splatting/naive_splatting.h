@@ -30,8 +30,8 @@ struct NaiveScene {
 struct NaiveImage {
   std::vector<double> values;         // (channels, height, width)
   std::vector<double> transmittance;  // (height, width)
-  // (height, width): how near a pixel is to a place where the formulas jump (alpha at the least or .99, transmittance
-  // at the least), as the least relative distance.
+  // (height, width): how near a pixel is to a place where the formulas jump (alpha at least_alpha or .99,
+  // transmittance at least_transmittance), as the least relative distance.
   std::vector<double> to_jump;
 };
 NaiveImage render_naively(const NaiveScene& scene);

@@ -24,7 +24,7 @@ bool visible_splat(const GaussianSet& set, int64_t i, const SplatCamera& camera,
   ProjectedGaussian projected;
   if (!project_gaussian(gaussian_shape(set, i), camera, projected)) return false;
   const double height = std::log2(projected.opacity);
-  // alpha is at least the least up to q = d^T S2^-1 d = 2 ln(opacity / least).
+  // alpha >= least_alpha up to q = d^T S2^-1 d = 2 ln(opacity / least_alpha).
   const double q = (height - static_cast<double>(camera.least_alpha_power)) / kExponentUnit;
   const double xx = projected.covariance[0], xy = projected.covariance[1], yy = projected.covariance[2];
   covered_pixels(projected.mean[0], std::sqrt(std::max(0.0, q) * xx), camera.width, splat.first_column,

@@ -23,7 +23,7 @@ struct VisibleSplat {
   double mean[2];  // pixels
   double along_x, along_y, across_y;
   double height;                                         // log2 of the opacity
-  int32_t first_column, end_column, first_row, end_row;  // pixels that it may cover: alpha >= the least
+  int32_t first_column, end_column, first_row, end_row;  // pixels that it may cover: alpha >= least_alpha
 };
 
 // Fetches a splat that is read soon, and lies anywhere.
