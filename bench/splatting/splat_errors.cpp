@@ -149,19 +149,41 @@ std::vector<float> fit_by_adam(const FeatureProblem& problem, int64_t steps, dou
   return values;
 }
 
+KernelSettings kernels_of(const SplatErrorSettings& settings) {
+  KernelSettings kernels;
+  kernels.threads = settings.threads;
+  return kernels;
+}
+
+SplatFitViews views_of(const Scene& scene, const SplatErrorSettings& settings) {
+  return load_fit_views(scene, fit_size(scene, settings.side), settings.held_out, kernels_of(settings));
+}
+
+// A fit in colours before its first step, with at most so many Gaussians.
+struct BegunFit {
+  SplatFitOptions options;
+  SplatFit fit;
+};
+BegunFit begun_fit(const Scene& scene, const SplatFitViews& views, int64_t most_gaussians,
+                   const SplatErrorSettings& settings) {
+  BegunFit begun;
+  begun.options.density.most_gaussians = most_gaussians;
+  begun.options.steps = settings.steps.back();
+  begun.fit =
+      begin_splat_fit(views.pictures, scene.points_in_world, begun.options, scene.name, kernels_of(settings));
+  return begun;
+}
+
 }  // namespace
 
 std::vector<SplatFitRow> splat_fit_rows(const Scene& scene, const SplatErrorSettings& settings) {
-  KernelSettings kernels;
-  kernels.threads = settings.threads;
-  const SplatFitViews views =
-      load_fit_views(scene, fit_size(scene, settings.side), settings.held_out, kernels);
+  const KernelSettings kernels = kernels_of(settings);
+  const SplatFitViews views = views_of(scene, settings);
   std::vector<SplatFitRow> rows;
   for (const int64_t most : settings.gaussians) {
-    SplatFitOptions options;
-    options.density.most_gaussians = most;
-    options.steps = settings.steps.back();
-    SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name, kernels);
+    BegunFit begun = begun_fit(scene, views, most, settings);
+    const SplatFitOptions& options = begun.options;
+    SplatFit& fit = begun.fit;
     double seconds = 0;
     for (const int64_t steps : settings.steps) {
       seconds += seconds_of([&] {
@@ -227,14 +249,11 @@ SplatBoundRow bound_row(const SplatFit& fit, const std::vector<FittedView>& view
 }  // namespace
 
 std::vector<SplatBoundRow> splat_bound_rows(const Scene& scene, const SplatErrorSettings& settings) {
-  KernelSettings kernels;
-  kernels.threads = settings.threads;
-  const SplatFitViews views =
-      load_fit_views(scene, fit_size(scene, settings.side), settings.held_out, kernels);
-  SplatFitOptions options;
-  options.density.most_gaussians = settings.gaussians.back();
-  options.steps = settings.steps.back();
-  SplatFit fit = begin_splat_fit(views.pictures, scene.points_in_world, options, scene.name, kernels);
+  const KernelSettings kernels = kernels_of(settings);
+  const SplatFitViews views = views_of(scene, settings);
+  BegunFit begun = begun_fit(scene, views, settings.gaussians.back(), settings);
+  const SplatFitOptions& options = begun.options;
+  SplatFit& fit = begun.fit;
   while (fit.step < options.steps) splat_fit_step(views.fitted, options, 0, kernels, fit);
   ProjectionOptions exact = options.projection;
   exact.least_alpha = exact.least_transmittance = kNoBound;
@@ -265,8 +284,7 @@ Table splat_bound_table(const std::vector<SplatBoundRow>& rows) {
 }
 
 std::vector<SplatFeatureRow> splat_feature_rows(const Scene& scene, const SplatErrorSettings& settings) {
-  KernelSettings kernels;
-  kernels.threads = settings.threads;
+  const KernelSettings kernels = kernels_of(settings);
   const FeatureProblem problem = feature_problem(scene, settings, settings.gaussians.back(), kernels);
   FeatureSolveOptions solve;
   solve.ridge = settings.ridge;
