@@ -11,6 +11,8 @@
 #include <cerrno>
 #include <chrono>
 #include <csignal>
+#include <filesystem>
+#include <functional>
 #include <thread>
 
 #include <arpa/inet.h>
@@ -133,17 +135,26 @@ TEST(DistributedTraining, AnOptimiserInPiecesGivesTheSameBits) {
   expect_same_checkpoint(one.path(), four.path());
 }
 
-// Returns what two processes say together that cannot train with these options; whoever says it first ends the other.
-std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
-  const test::TemporaryFolder folder;
+// Starts two processes that work together, each in the folder with a team.
+std::vector<Child> start_two(const std::filesystem::path& folder,
+                             const std::function<void(ProcessTeam&)>& work) {
   const int64_t port = free_port();
   std::vector<Child> children;
   for (int64_t rank = 0; rank < 2; ++rank) {
-    children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
+    children.push_back(start(folder, "rank" + std::to_string(rank), [&] {
       const auto team = join_processes(placement(rank, 2, port));
-      train_toy(folder.path(), options, TrainingStart::kFresh, team.get());
+      work(*team);
     }));
   }
+  return children;
+}
+
+// Returns what two processes say together that cannot train with these options; whoever says it first ends the other.
+std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
+  const test::TemporaryFolder folder;
+  const auto children = start_two(folder.path(), [&](ProcessTeam& team) {
+    train_toy(folder.path(), options, TrainingStart::kFresh, &team);
+  });
   std::string said;
   for (const Child& child : children) {
     EXPECT_EQ(status_of(child), 1);
@@ -155,19 +166,14 @@ std::string said_by_two_that_refuse(const TrainingLoopOptions& options) {
 // A process of a team that writes to one that is gone is told so, and is not ended by the signal of it.
 TEST(DistributedTraining, AWriteToAProcessThatIsGoneSaysSo) {
   const test::TemporaryFolder folder;
-  const int64_t port = free_port();
-  std::vector<Child> children;
-  for (int64_t rank = 0; rank < 2; ++rank) {
-    children.push_back(start(folder.path(), "rank" + std::to_string(rank), [&] {
-      const auto team = join_processes(placement(rank, 2, port));
-      int ends[2];
-      if (::socketpair(AF_UNIX, SOCK_STREAM, 0, ends) != 0) fail({"a test", "two sockets", "none", "look"});
-      ::close(ends[0]);
-      const ssize_t written = ::write(ends[1], "x", 1);
-      if (written != -1 || errno != EPIPE)
-        fail({"a write to nobody", "EPIPE", std::to_string(written), "look"});
-    }));
-  }
+  const auto children = start_two(folder.path(), [](ProcessTeam&) {
+    int ends[2];
+    if (::socketpair(AF_UNIX, SOCK_STREAM, 0, ends) != 0) fail({"a test", "two sockets", "none", "look"});
+    ::close(ends[0]);
+    const ssize_t written = ::write(ends[1], "x", 1);
+    if (written != -1 || errno != EPIPE)
+      fail({"a write to nobody", "EPIPE", std::to_string(written), "look"});
+  });
   for (const Child& child : children) EXPECT_EQ(status_of(child), 0) << read_file(child.said);
 }
 
