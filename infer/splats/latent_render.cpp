@@ -2,6 +2,7 @@
 
 #include "datasets/formats/cameras_json.h"
 #include "datasets/loading/batching.h"
+#include "datasets/splats/splat_picture.h"
 #include "gld/base/error.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/report/report_text.h"
@@ -29,14 +30,27 @@ struct LatentDrawing {
   std::vector<LatentFit> fits;
   std::shared_ptr<const DenoisingUnet> refiner;
   std::unique_ptr<LatentRefining> refining;
+  std::unique_ptr<LatentEncoding> encoding;  // of refiners of colours that are encoded
+
+  // Returns what is shown of a level, (channels, height, width), normalised.
+  torch::Tensor latents_of(const LatentFit& fit, const Camera& camera) const {
+    if (encoding) {
+      const ImageSize size = image_size_of_latents(encoding->model(), fit.tag.width, fit.tag.height);
+      const Camera over = resized_camera(camera, size.width, size.height);
+      const auto colours =
+          tensor_of(splat_picture(splats.set, over, splats.projection, splats.settings).image);
+      return (*encoding)(colours.clamp(0, 1).unsqueeze(0), {fit.tag.level}).front().views(0, 1)[0];
+    }
+    const StillGaussians still{splats.set, splats.projection, {}, 0};
+    const Camera over = resized_camera(camera, fit.tag.width, fit.tag.height);
+    return tensor_of(rendered_features(still, fit.features, over, splats.settings));
+  }
 
   Image operator()(Camera& camera) const {
     const torch::NoGradGuard no_grad;
-    const StillGaussians still{splats.set, splats.projection, {}, 0};
     std::vector<torch::Tensor> maps;
     for (const LatentFit& fit : fits) {
-      const Camera over = resized_camera(camera, fit.tag.width, fit.tag.height);
-      auto latents = tensor_of(rendered_features(still, fit.features, over, splats.settings));
+      auto latents = latents_of(fit, camera);
       if (refining) latents = (*refining)(camera, latents);
       maps.push_back(raw_latents(latents.unsqueeze(0), fit.statistics));
     }
@@ -86,8 +100,8 @@ DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& 
   use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  const auto drawing = std::make_shared<LatentDrawing>(
-      LatentDrawing{splats, LatentDecoding(bundle), fits_of(options, splats, bundle), nullptr, nullptr});
+  const auto drawing = std::make_shared<LatentDrawing>(LatentDrawing{
+      splats, LatentDecoding(bundle), fits_of(options, splats, bundle), nullptr, nullptr, nullptr});
   if (options.show == SplatShown::kRefined) {
     if (!has_refiner(bundle)) {
       fail({options.model, "a refiner with weights", "none",
@@ -107,6 +121,8 @@ DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& 
     }
     drawing->refiner = bundle.load_refiner();
     drawing->refining = std::make_unique<LatentRefining>(*drawing->refiner, fitted, fit.encoded);
+    if (bundle.options().refiner.degraded == DegradedLatents::kColours)
+      drawing->encoding = std::make_unique<LatentEncoding>(bundle);
   }
   return [drawing](Camera& camera) { return (*drawing)(camera); };
 }

@@ -1,5 +1,6 @@
 #include "infer/splats/latent_splatting.h"
 
+#include "datasets/splats/splat_picture.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
@@ -76,9 +77,30 @@ torch::Tensor LatentSplats::encoded(size_t level, int64_t first, int64_t end) co
   return levels[level].views(first, end);
 }
 
-LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
+torch::Tensor LatentSplats::colours(const KernelSettings& settings) const {
+  std::vector<torch::Tensor> pictures;
+  for (int64_t view = fitted; view < views(); ++view) {
+    const Camera& camera = cameras[static_cast<size_t>(view)];
+    pictures.push_back(tensor_of(splat_picture(fit.set, camera, projection, settings).image));
+  }
+  return torch::stack(pictures);
+}
+
+std::vector<torch::Tensor> LatentSplats::encoded_colours(const torch::Tensor& colours,
+                                                         const LatentEncoding& encoding) const {
+  const auto pictures = torch::cat({images.slice(0, 0, fitted), colours.clamp(0, 1)});
+  const auto of_levels = encoding(pictures, decoded_levels(encoding.model()));
+  std::vector<torch::Tensor> encoded;
+  for (size_t level = 0; level < of_levels.size(); ++level) {
+    const auto raw = raw_latents(of_levels[level].views(fitted, views()), of_levels[level].statistics);
+    encoded.push_back(normalised_latents(raw, levels[level].statistics));
+  }
+  return encoded;
+}
+
+LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
                            const LatentSplattingOptions& options, const KernelSettings& settings) {
-  const ImageSize size = latent_image_size(bundle.options(), fit_size(scene, options.side));
+  const ImageSize size = latent_image_size(encoding.model(), fit_size(scene, options.side));
   require_memory_for_fit(scene_fit_work(scene, size, options.held_out, options.fit), options.fit,
                          available_memory_bytes(), scene.name);
   SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
@@ -92,7 +114,7 @@ LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
     result.cameras.push_back(view->camera);
   }
   result.images = torch::stack(images);
-  result.levels = encode_latent_pictures(bundle, result.images, decoded_levels(bundle.options()));
+  result.levels = encoding(result.images, decoded_levels(encoding.model()));
   give_latents(latent_views(result.levels, result.cameras), views);
   result.seconds = seconds_of([&] {
     SplatFitOptions fit_options = options.fit;

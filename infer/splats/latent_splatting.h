@@ -64,9 +64,16 @@ struct LatentSplats {
   torch::Tensor shown(size_t level, const KernelSettings& settings) const;
   // Returns them as they are encoded, of views `first` to `end`.
   torch::Tensor encoded(size_t level, int64_t first, int64_t end) const;
+  // Returns the held-out views as the Gaussians' colours show them, (views - fitted, 3, height, width), RGB in about
+  // [0, 1].
+  torch::Tensor colours(const KernelSettings& settings) const;
+  // Returns what such pictures are encoded as beside the fitted views, normalised as `levels` are, a tensor a level as
+  // `shown` has it.
+  std::vector<torch::Tensor> encoded_colours(const torch::Tensor& colours,
+                                             const LatentEncoding& encoding) const;
 };
 
-LatentSplats splat_latents(const Scene& scene, const ModelBundle& bundle,
+LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
                            const LatentSplattingOptions& options, const KernelSettings& settings);
 
 // Throws Error where the bundle lacks the weights of a backbone or of what decodes images.

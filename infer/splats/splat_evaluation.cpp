@@ -1,7 +1,6 @@
 #include "infer/splats/splat_evaluation.h"
 
 #include "datasets/loading/batching.h"
-#include "datasets/splats/splat_picture.h"
 #include "gld/base/atomic_file.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -34,6 +33,13 @@
 namespace gld {
 namespace {
 
+// What encodes, decodes and, where the model can, repairs; read once for all scenes.
+struct EvaluatedModel {
+  LatentEncoding encoding;
+  LatentDecoding decoding;
+  std::shared_ptr<const DenoisingUnet> refiner;
+};
+
 // Pictures of held-out views, each (views, 3, height, width); refined is undefined without a refiner.
 struct HeldOutPictures {
   torch::Tensor truth, rgb, decoded, encoded_colours, refined, autoencoded, nearest;
@@ -49,45 +55,24 @@ struct HeldOutLatents {
   std::vector<torch::Tensor> encoded, shown, of_colours, refined;
 };
 
-torch::Tensor held_out_colours(const LatentSplats& splats, const KernelSettings& settings) {
-  std::vector<torch::Tensor> rgb;
-  for (int64_t view = splats.fitted; view < splats.views(); ++view) {
-    const Camera& camera = splats.cameras[static_cast<size_t>(view)];
-    rgb.push_back(tensor_of(splat_picture(splats.fit.set, camera, splats.projection, settings).image));
-  }
-  return torch::stack(rgb);
-}
-
-// Returns what pictures of the held-out views are encoded as beside the fitted ones, normalised as their latents are.
-std::vector<torch::Tensor> encoded_beside_fitted(const LatentSplats& splats, const ModelBundle& bundle,
-                                                 const torch::Tensor& pictures) {
-  const auto images = torch::cat({splats.images.slice(0, 0, splats.fitted), pictures.clamp(0, 1)});
-  const auto levels = encode_latent_pictures(bundle, images, decoded_levels(bundle.options()));
-  std::vector<torch::Tensor> encoded;
-  for (size_t level = 0; level < levels.size(); ++level) {
-    const auto raw =
-        raw_latents(levels[level].views(splats.fitted, splats.views()), levels[level].statistics);
-    encoded.push_back(normalised_latents(raw, splats.levels[level].statistics));
-  }
-  return encoded;
-}
-
-HeldOutLatents held_out_latents(const LatentSplats& splats, const ModelBundle& bundle,
-                                const torch::Tensor& colours, const DenoisingUnet* refiner,
-                                SplatScores& scores, const KernelSettings& settings) {
+HeldOutLatents held_out_latents(const LatentSplats& splats, const torch::Tensor& colours,
+                                const EvaluatedModel& model, SplatScores& scores,
+                                const KernelSettings& settings) {
   HeldOutLatents latents;
-  latents.of_colours = encoded_beside_fitted(splats, bundle, colours);
+  latents.of_colours = splats.encoded_colours(colours, model.encoding);
   for (size_t level = 0; level < splats.fits.size(); ++level) {
     latents.encoded.push_back(splats.encoded(level, splats.fitted, splats.views()));
     latents.shown.push_back(splats.shown(level, settings));
   }
-  if (refiner == nullptr) return latents;
-  const LatentRefining refining(*refiner, splats.fitted_cameras(), splats.encoded(0, 0, splats.fitted));
+  if (!model.refiner) return latents;
+  const auto& degraded =
+      (model.refiner->options().degraded == DegradedLatents::kColours ? latents.of_colours : latents.shown)
+          .front();
+  const LatentRefining refining(*model.refiner, splats.fitted_cameras(), splats.encoded(0, 0, splats.fitted));
   std::vector<torch::Tensor> refined;
   scores.refined_seconds = seconds_of([&] {
     for (int64_t view = splats.fitted; view < splats.views(); ++view) {
-      refined.push_back(
-          refining(splats.cameras[static_cast<size_t>(view)], latents.shown.front()[view - splats.fitted]));
+      refined.push_back(refining(splats.cameras[static_cast<size_t>(view)], degraded[view - splats.fitted]));
     }
   });
   scores.refined_seconds /= static_cast<double>(refined.size());
@@ -151,20 +136,20 @@ double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, con
   return band_ratio(amplitudes(latents), amplitudes(encoded), side / 4, last);
 }
 
-EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const DenoisingUnet* refiner,
+EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
                          const SplatEvaluationOptions& options, const KernelSettings& settings) {
-  const LatentSplats splats = splat_latents(scene, bundle, options, settings);
+  const LatentSplats splats = splat_latents(scene, model.encoding, options, settings);
   EvaluatedScene result;
   SplatScores& scores = result.scores;
   scores.scene = scene.name;
   scores.seconds = splats.seconds;
   scores.gaussians = splats.fit.set.size();
-  const auto colours = held_out_colours(splats, settings);
-  const HeldOutLatents latents = held_out_latents(splats, bundle, colours, refiner, scores, settings);
+  const auto colours = splats.colours(settings);
+  const HeldOutLatents latents = held_out_latents(splats, colours, model, scores, settings);
   scores.encoded_colours_error = mean_error(latents.of_colours, latents.encoded);
   scores.latent_error = mean_error(latents.shown, latents.encoded);
   scores.high_band = high_band(latents.shown.front(), latents.encoded.front(), splats.levels.front());
-  result.pictures = held_out_pictures(splats, colours, latents, LatentDecoding(bundle));
+  result.pictures = held_out_pictures(splats, colours, latents, model.decoding);
   const HeldOutPictures& pictures = result.pictures;
   const auto& truth = pictures.truth;
   scores.rgb_psnr = mean_psnr(truth, pictures.rgb);
@@ -180,7 +165,7 @@ EvaluatedScene evaluated(const Scene& scene, const ModelBundle& bundle, const De
   scores.autoencoded_sharpness = mean_sharpness(truth, pictures.autoencoded);
   scores.nearest_psnr = mean_psnr(truth, pictures.nearest);
   scores.nearest_ssim = mean_ssim(truth, pictures.nearest);
-  if (refiner != nullptr) {
+  if (model.refiner) {
     scores.refined_error = mean_error(latents.refined, latents.encoded);
     scores.refined_high_band =
         high_band(latents.refined.front(), latents.encoded.front(), splats.levels.front());
@@ -281,10 +266,10 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  std::shared_ptr<const DenoisingUnet> refiner;
+  EvaluatedModel model{LatentEncoding(bundle), LatentDecoding(bundle), nullptr};
   if (has_refiner(bundle)) {
     print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
-    refiner = bundle.load_refiner();
+    model.refiner = bundle.load_refiner();
   }
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
@@ -295,7 +280,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   Progress progress({"scenes", dataset->size(), 0, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
-    const EvaluatedScene scene = evaluated(dataset->scene(index), bundle, refiner.get(), options, settings);
+    const EvaluatedScene scene = evaluated(dataset->scene(index), model, options, settings);
     write_pictures(run, scene, names.of(scene.scores.scene), provenance);
     scenes.push_back(scene.scores);
     progress.update(index + 1);
@@ -303,7 +288,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   progress.finish();
   const bool square =
       std::all_of(scenes.begin(), scenes.end(), [](const SplatScores& of) { return of.high_band > 0; });
-  const auto columns = score_columns(refiner != nullptr, square);
+  const auto columns = score_columns(model.refiner != nullptr, square);
   nlohmann::ordered_json report;
   report["scenes"] = scenes.size();
   report["threads"] = settings.threads;

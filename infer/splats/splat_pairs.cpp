@@ -23,9 +23,9 @@ namespace {
 
 constexpr const char* kPairsFolder = "pairs";
 
-SplattedScene splatted_scene(const Scene& scene, const ModelBundle& bundle, const SplatPairsOptions& options,
-                             const KernelSettings& settings) {
-  const LatentSplats splats = splat_latents(scene, bundle, options, settings);
+SplattedScene splatted_scene(const Scene& scene, const LatentEncoding& encoding,
+                             const SplatPairsOptions& options, const KernelSettings& settings) {
+  const LatentSplats splats = splat_latents(scene, encoding, options, settings);
   SplattedScene result;
   result.name = scene.name;
   result.tag = splats.levels.front().tag;
@@ -34,11 +34,17 @@ SplattedScene splatted_scene(const Scene& scene, const ModelBundle& bundle, cons
   result.pictures = (splats.images * 255).round().clamp(0, 255).to(torch::kUInt8);
   result.encoded = splats.encoded(0, 0, splats.views());
   result.splatted = splats.shown(0, settings);
+  result.colours = splats.encoded_colours(splats.colours(settings), encoding).front();
   return result;
 }
 
-double error_of(const SplattedScene& scene) {
-  return relative_latent_error(scene.splatted, scene.encoded.slice(0, scene.fitted));
+double error_of(const torch::Tensor& latents, const SplattedScene& scene) {
+  return relative_latent_error(latents, scene.encoded.slice(0, scene.fitted));
+}
+
+nlohmann::ordered_json mean_json(const std::vector<double>& values) {
+  const SceneStatistics statistics = statistics_over_scenes(values);
+  return {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}};
 }
 
 }  // namespace
@@ -80,8 +86,9 @@ void run_splat_pairs(const SplatPairsOptions& options) {
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder run(options.out, "splat pairs", options, earlier);
   const auto folder = run.subfolder(kPairsFolder);
-  Table table({"scene", "fitted_views", "held_out_views", "latent_error"});
-  std::vector<double> errors;
+  const LatentEncoding encoding(bundle);
+  Table table({"scene", "fitted_views", "held_out_views", "latent_error", "encoded_colours_error"});
+  std::vector<double> errors, of_colours;
   int64_t made = 0;
   for (const auto& entry : std::filesystem::directory_iterator(folder)) {
     if (options.resume && entry.path().extension() == ".safetensors") ++made;
@@ -94,23 +101,22 @@ void run_splat_pairs(const SplatPairsOptions& options) {
     // Names of scenes in several folders may be the same.
     const auto file = folder / fmt::format("{:06}_{}.safetensors", index, drawn.name);
     if (!options.resume || !std::filesystem::is_regular_file(file)) {
-      save_splatted_scene(file, splatted_scene(drawn, bundle, options, settings));
+      save_splatted_scene(file, splatted_scene(drawn, encoding, options, settings));
       ++made;
     }
     const SplattedScene scene = read_splatted_scene(file);
     require_same_normalisation(scene.tag, bundle, file.string());
-    errors.push_back(error_of(scene));
-    table.add_row({scene.name, scene.fitted, scene.held_out(), errors.back()});
+    errors.push_back(error_of(scene.splatted, scene));
+    of_colours.push_back(error_of(scene.colours, scene));
+    table.add_row({scene.name, scene.fitted, scene.held_out(), errors.back(), of_colours.back()});
     progress.update(made);
   }
   progress.finish();
   write_file_atomically(run.path() / "pairs.csv", table.csv());
-  const SceneStatistics statistics = statistics_over_scenes(errors);
-  run.write_report(
-      {{"scenes", errors.size()},
-       {"latent_error",
-        {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}}},
-       {"threads", settings.threads}});
+  run.write_report({{"scenes", errors.size()},
+                    {"latent_error", mean_json(errors)},
+                    {"encoded_colours_error", mean_json(of_colours)},
+                    {"threads", settings.threads}});
   run.note("pairs", kPairsFolder);
   run.note("errors", "pairs.csv");
   run.note("report", "report.json");

@@ -33,6 +33,8 @@ void RefinerOptions::visit(FieldVisitor& visitor) {
       form, {"identity", "published"});
   visit_choice(visitor, {"attention", "how views see each other: grid, self or cross"}, attention,
                {"grid", "self", "cross"});
+  visit_choice(visitor, {"degraded", "what is repaired: splatted latents, or the colours of splats, encoded"},
+               degraded, {"splatted", "colours"});
   visitor.integer({"references", "views beside the degraded one"}, references, {0, 63});
   visit_choice(visitor,
                {"reference_unit",

@@ -20,6 +20,12 @@ enum class OneStepForm {
   kPublished,  // (z - sqrt(1 - a) e) / sqrt(a), of checkpoints of Stable Diffusion's shape
 };
 
+// What a refiner repairs of a view that nothing was fitted to.
+enum class DegradedLatents {
+  kSplatted,  // latents as features of Gaussians show them (Splatent)
+  kColours,   // what the Gaussians' colours show, encoded (Difix3D+, arXiv 2503.01774)
+};
+
 // What distances between cameras are measured in when references are chosen (reference_views.h).
 enum class ReferenceUnit {
   kSpacing,  // the mean distance of a camera from the one nearest to it: the same for a scene of any unit
@@ -41,6 +47,7 @@ struct RefinerOptions : OptionsGroup {
   OneStepForm form = OneStepForm::kIdentity;
   ViewAttention attention = ViewAttention::kGrid;
 
+  DegradedLatents degraded = DegradedLatents::kSplatted;
   int64_t references = 3;  // views beside the degraded one
   ReferenceUnit reference_unit = ReferenceUnit::kSpacing;
 

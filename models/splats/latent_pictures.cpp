@@ -164,14 +164,14 @@ ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about)
   return {nearest_whole_patches(about.width, side) * side, nearest_whole_patches(about.height, side) * side};
 }
 
-ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side) {
+ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t width, int64_t height) {
   const int64_t pixels = bundle.backbone.architecture().latent_pixels();
-  if (side % pixels != 0) {
+  const auto image_side = [&](int64_t side) {
+    if (side % pixels == 0) return side / pixels * bundle.backbone.patch_side();
     fail({"latents of " + bundle.name, fmt::format("a side in whole tokens of {} latent pixels", pixels),
           std::to_string(side), "choose another"});
-  }
-  const int64_t image = side / pixels * bundle.backbone.patch_side();
-  return {image, image};
+  };
+  return {image_side(width), image_side(height)};
 }
 
 LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag) {
@@ -179,38 +179,41 @@ LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag) {
   return normalised_pictures(latents, of_views(latents), std::move(tag));
 }
 
-std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
-                                                   const std::vector<int64_t>& levels) {
+LatentEncoding::LatentEncoding(const ModelBundle& bundle)
+    : bundle_(bundle),
+      backbone_(bundle.load_backbone()),
+      backbone_hash_(sha256_of_file(bundle.file(BundlePart::backbone()))) {}
+
+std::vector<LatentPictures> LatentEncoding::operator()(const torch::Tensor& images,
+                                                       const std::vector<int64_t>& levels) const {
   const at::NoGradGuard no_gradients;
   std::vector<LatentPictures> result;
   if (levels.empty()) return result;
-  const BundleOptions& options = bundle.options();
-  const std::shared_ptr<Backbone> backbone = bundle.load_backbone();
-  const auto& architecture = backbone->architecture();
+  const BundleOptions& options = model();
+  const auto& architecture = backbone_->architecture();
   const LatentGrid grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
   const int64_t token_pixels = architecture.latent_pixels();
   require_memory(architecture, grid, levels.back());
-  const auto encoded = backbone->encode(images, levels.back());
-  const std::string hash = sha256_of_file(bundle.file(BundlePart::backbone()));
+  const auto encoded = backbone_->encode(images, levels.back());
   for (const int64_t level : levels) {
     const auto tokens =
-        backbone->patches_of(encoded.at(static_cast<size_t>(level))).to(torch::kFloat32).contiguous();
+        backbone_->patches_of(encoded.at(static_cast<size_t>(level))).to(torch::kFloat32).contiguous();
     const auto latents = latents_of_tokens(tokens, grid, token_pixels);
     if (!latents.isfinite().all().item<bool>()) {
       fail({"encoding views with " + options.name, "finite latents",
             fmt::format("NaN or infinity at level {}", level), "check the backbone with gld inspect"});
     }
     const LevelGenerator* generator = generator_of(options, level);
-    const bool of_model = generator != nullptr && bundle.has(BundlePart::statistics(level));
+    const bool of_model = generator != nullptr && bundle_.has(BundlePart::statistics(level));
     LatentTag tag;
     tag.model = options.name;
     tag.backbone = architecture.kind();
-    tag.backbone_hash = hash;
+    tag.backbone_hash = backbone_hash_;
     tag.level = level;
     tag.statistics = of_model ? "of the model" : "of the views";
-    if (of_model) tag.statistics_hash = sha256_of_file(bundle.file(BundlePart::statistics(level)));
+    if (of_model) tag.statistics_hash = sha256_of_file(bundle_.file(BundlePart::statistics(level)));
     result.push_back(normalised_pictures(
-        latents, of_model ? statistics_of_pictures(bundle, level) : of_views(latents), std::move(tag)));
+        latents, of_model ? statistics_of_pictures(bundle_, level) : of_views(latents), std::move(tag)));
   }
   return result;
 }

@@ -61,20 +61,30 @@ std::vector<int64_t> latent_levels(const std::vector<std::string>& names, const 
 
 // Returns the size of pictures of about this size as the bundle's backbone takes them: sides are whole patches of it.
 ImageSize latent_image_size(const BundleOptions& bundle, const ImageSize& about);
-// Returns the image size of a view whose latent has so many pixels a side. Throws Error where an autoencoder's tokens
-// do not divide them.
-ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t side);
+// Returns the image size of a view whose latent has so many pixels. Throws Error where an autoencoder's tokens do not
+// divide them.
+ImageSize image_size_of_latents(const BundleOptions& bundle, int64_t width, int64_t height);
 
 // Returns latents of whatever kind, (views, channels, height, width), raw, normalised by their own mean and variance;
 // of tag the model is taken.
 LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag);
 
-// images are (views, 3, height, width), RGB in [0, 1], sides whole patches, on the CPU; they are encoded together, the
-// first one as the reference view of backbones that have one. Levels with statistics in the bundle are normalised by
-// those, others by the mean and variance of what is encoded here. Of the bundle only the backbone and the statistics
-// are read.
-std::vector<LatentPictures> encode_latent_pictures(const ModelBundle& bundle, const torch::Tensor& images,
-                                                   const std::vector<int64_t>& levels);
+// Makes pictures of levels of images (views, 3, height, width), RGB in [0, 1], sides whole patches, on the CPU; they
+// are encoded together, the first one as the reference view of backbones that have one. Levels with statistics in the
+// bundle are normalised by those, others by the mean and variance of what is encoded in the call. Of the bundle only
+// the backbone, once, and the statistics are read.
+class LatentEncoding {
+ public:
+  explicit LatentEncoding(const ModelBundle& bundle);
+  const BundleOptions& model() const { return bundle_.options(); }
+  std::vector<LatentPictures> operator()(const torch::Tensor& images,
+                                         const std::vector<int64_t>& levels) const;
+
+ private:
+  ModelBundle bundle_;
+  std::shared_ptr<Backbone> backbone_;
+  std::string backbone_hash_;
+};
 
 // Returns the latent views of images with these cameras, the channels of all levels behind each other. Levels are of
 // one grid, at least one.

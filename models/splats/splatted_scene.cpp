@@ -78,6 +78,7 @@ void save_splatted_scene(const std::filesystem::path& file, const SplattedScene&
   const std::map<std::string, torch::Tensor> tensors = {{"pictures", scene.pictures},
                                                         {"encoded", scene.encoded.to(torch::kFloat16)},
                                                         {"splatted", scene.splatted.to(torch::kFloat16)},
+                                                        {"colours", scene.colours.to(torch::kFloat16)},
                                                         {"intrinsics", torch::stack(intrinsics)},
                                                         {"world_from_camera", torch::stack(poses)}};
   save_safetensors(file, tensors,
@@ -94,6 +95,7 @@ SplattedScene read_splatted_scene(const std::filesystem::path& file) {
   scene.pictures = tensor_like(*weights, "pictures", torch::kUInt8, 4);
   scene.encoded = tensor_like(*weights, "encoded", torch::kFloat16, 4);
   scene.splatted = tensor_like(*weights, "splatted", torch::kFloat16, 4);
+  scene.colours = tensor_like(*weights, "colours", torch::kFloat16, 4);
   const auto intrinsics = tensor_like(*weights, "intrinsics", torch::kFloat64, 3);
   const auto poses = tensor_like(*weights, "world_from_camera", torch::kFloat64, 3);
   const int64_t views = scene.pictures.size(0);
@@ -118,8 +120,12 @@ SplattedScene read_splatted_scene(const std::filesystem::path& file) {
     fail_at(file, fmt::format("{} fitted views, those that are not splatted", scene.fitted),
             required_note(*weights, kFittedKey) + " in gld:fitted");
   }
-  if (!scene.encoded.isfinite().all().item<bool>() || !scene.splatted.isfinite().all().item<bool>())
-    fail_at(file, "finite latents", "NaN or infinity");
+  expect(scene.colours.sizes().equals(scene.splatted.sizes()),
+         "colours of the shape of splatted latents, " + c10::str(scene.splatted.sizes()),
+         scene.colours.sizes());
+  for (const auto& latents : {scene.encoded, scene.splatted, scene.colours}) {
+    if (!latents.isfinite().all().item<bool>()) fail_at(file, "finite latents", "NaN or infinity");
+  }
   for (int64_t view = 0; view < views; ++view) {
     Camera camera;
     camera.width = scene.pictures.size(3);

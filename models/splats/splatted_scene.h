@@ -2,6 +2,7 @@
 
 #include "gld/cameras/camera.h"
 #include "models/bundle/bundle.h"
+#include "models/refiner/refiner_options.h"
 #include "models/splats/latent_pictures.h"
 
 #include <cstdint>
@@ -22,14 +23,20 @@ struct SplattedScene {
   int64_t fitted = 0;           // of these
   torch::Tensor pictures;       // (views, 3, height, width), 8-bit RGB
   torch::Tensor encoded;        // (views, channels, height', width')
-  torch::Tensor splatted;       // (views - fitted, channels, height', width')
+  // Of the other views, (views - fitted, channels, height', width'): what the Gaussians' features show of latents, and
+  // what their colours show, encoded.
+  torch::Tensor splatted, colours;
 
   int64_t views() const { return static_cast<int64_t>(cameras.size()); }
   int64_t held_out() const { return views() - fitted; }
+  // Returns those that a refiner is given.
+  const torch::Tensor& degraded(DegradedLatents which) const {
+    return which == DegradedLatents::kColours ? colours : splatted;
+  }
   std::vector<Camera> fitted_cameras() const { return {cameras.begin(), cameras.begin() + fitted}; }
 };
 
-// Writes one safetensors file: "pictures", "encoded" and "splatted" in float16, "intrinsics" (views, 3, 3) and
+// Writes one safetensors file: "pictures", "encoded", "splatted" and "colours" in float16, "intrinsics" (views, 3, 3) and
 // "world_from_camera" (views, 4, 4) in float64; metadata "gld:scene", "gld:fitted" and "gld:latent_space". It is
 // written whole or not at all.
 void save_splatted_scene(const std::filesystem::path& file, const SplattedScene& scene);

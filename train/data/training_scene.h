@@ -18,14 +18,14 @@ struct TrainingScene {
   torch::Tensor depth;  // (views, height, width), planar, unit of the poses, 0 = not known; undefined without
   // Of scenes whose latents were splatted (models/splats/splatted_scene.h), normalised; undefined of others.
   torch::Tensor encoded;   // (views, channels, height', width')
-  torch::Tensor splatted;  // the target views' as Gaussians show them, (targets, channels, height', width')
+  torch::Tensor degraded;  // the target views' as Gaussians show them, (targets, channels, height', width')
   bool metric = false;     // poses and depth are in metres
 
   int64_t height() const { return images.size(2); }
   int64_t width() const { return images.size(3); }
   TrainingScene to(torch::Device device) const {
     const auto there = [&](const torch::Tensor& part) { return part.defined() ? part.to(device) : part; };
-    return {name, views, images.to(device), there(depth), there(encoded), there(splatted), metric};
+    return {name, views, images.to(device), there(depth), there(encoded), there(degraded), metric};
   }
 };
 

@@ -362,7 +362,7 @@ void Session::save_offending_batch() const {
     tensors[prefix + "images"] = scene.images;
     if (scene.depth.defined()) tensors[prefix + "depth"] = scene.depth;
     if (scene.encoded.defined()) tensors[prefix + "encoded"] = scene.encoded;
-    if (scene.splatted.defined()) tensors[prefix + "splatted"] = scene.splatted;
+    if (scene.degraded.defined()) tensors[prefix + "degraded"] = scene.degraded;
     const auto views = static_cast<int64_t>(scene.views.cameras.size());
     torch::Tensor poses = torch::zeros({views, 4, 4}, torch::kFloat64);
     torch::Tensor intrinsics = torch::zeros({views, 3, 3}, torch::kFloat64);

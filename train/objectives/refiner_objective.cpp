@@ -26,7 +26,7 @@ RefinerBatch batch_of(const std::vector<TrainingScene>& scenes, torch::Device de
   std::vector<torch::Tensor> views, truth, images;
   for (const TrainingScene& scene : scenes) {
     const int64_t target = scene.views.num_sources;
-    views.push_back(torch::cat({scene.splatted, scene.encoded.slice(0, 0, target)}));
+    views.push_back(torch::cat({scene.degraded, scene.encoded.slice(0, 0, target)}));
     truth.push_back(scene.encoded[target]);
     images.push_back(scene.images[target]);
   }
@@ -136,36 +136,36 @@ Losses RefinerObjective::losses(const TrainingBatch& batch, const StepContext& c
 
 Validation RefinerObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double latent = 0, splatted_latent = 0, psnr = 0, splatted_psnr = 0, autoencoded_psnr = 0, sharpness = 0;
+  double latent = 0, degraded_latent = 0, psnr = 0, degraded_psnr = 0, autoencoded_psnr = 0, sharpness = 0;
   for (const TrainingScene& scene : scenes) {
     const RefinerBatch given = batch_of({scene}, placement_.device);
-    const auto splatted = given.views.select(1, 0);
+    const auto degraded = given.views.select(1, 0);
     const auto refined = refined_latents(*unet_, given.views);
     latent += relative_latent_error(refined, given.truth);
-    splatted_latent += relative_latent_error(splatted, given.truth);
-    const auto picture = decoded(refined).clamp(0, 1), before = decoded(splatted).clamp(0, 1),
+    degraded_latent += relative_latent_error(degraded, given.truth);
+    const auto picture = decoded(refined).clamp(0, 1), before = decoded(degraded).clamp(0, 1),
                best = decoded(given.truth).clamp(0, 1);
     const auto psnr_of = [&](const torch::Tensor& image) {
       return measure_images(metric_named("psnr"), given.images, image).mean();
     };
     psnr += psnr_of(picture);
-    splatted_psnr += psnr_of(before);
+    degraded_psnr += psnr_of(before);
     autoencoded_psnr += psnr_of(best);
     sharpness += measure_images(metric_named("sharpness"), best, picture).mean();
     if (validation.rows.size() >= 4) continue;
     PictureRow row;
     row.name = scene.name;
     row.pictures = {{"truth", given.images[0].to(torch::kCPU)},
-                    {"splatted", before[0].to(torch::kCPU)},
+                    {"degraded", before[0].to(torch::kCPU)},
                     {"refined", picture[0].to(torch::kCPU)},
                     {"encoded and decoded", best[0].to(torch::kCPU)}};
     validation.rows.push_back(std::move(row));
   }
   const auto count = static_cast<double>(scenes.size());
   validation.values = {{"latent_error", latent / count},
-                       {"splatted_latent_error", splatted_latent / count},
+                       {"degraded_latent_error", degraded_latent / count},
                        {"psnr", psnr / count},
-                       {"splatted_psnr", splatted_psnr / count},
+                       {"degraded_psnr", degraded_psnr / count},
                        {"autoencoded_psnr", autoencoded_psnr / count},
                        {"sharpness", sharpness / count}};
   return validation;

@@ -103,7 +103,7 @@ TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t hel
   take(target);
   result.images = torch::stack(pictures).to(torch::kFloat32) / 255;
   result.encoded = torch::stack(encoded).to(torch::kFloat32);
-  result.splatted = scene.splatted.narrow(0, held_out, 1).to(torch::kFloat32);
+  result.degraded = scene.degraded(refiner_.degraded).narrow(0, held_out, 1).to(torch::kFloat32);
   return result;
 }
 

@@ -36,7 +36,7 @@ EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scen
     images.push_back(tensor_of(view->target.image));
   }
   result.refined = has_refiner(bundle);
-  result.levels = encode_latent_pictures(bundle, torch::stack(images),
+  result.levels = LatentEncoding(bundle)(torch::stack(images),
                                          latent_levels(options.features, bundle.options(), "--features"));
   return result;
 }

@@ -1,6 +1,7 @@
 #include "infer/splats/splat_pairs.h"
 
 #include "datasets/images/image_file.h"
+#include "datasets/splats/splat_picture.h"
 #include "datasets/synthetic/synth.h"
 #include "gld/base/atomic_file.h"
 #include "gld/latents/latent_statistics.h"
@@ -60,6 +61,15 @@ class SplatPairs : public testing::Test {
     const std::string number = "00000" + std::to_string(scene);
     return folder_.path() / "run" / "pairs" / (number + "_synthetic_0_" + number + ".safetensors");
   }
+  // Makes the refiner's network predict 0.
+  void silence_refiner() const {
+    const auto file = bundle_.file(BundlePart::refiner());
+    const auto notes = WeightFile::open(file)->metadata();
+    auto tensors = read_all(file);
+    for (const char* name : {"conv_out.weight", "conv_out.bias"})
+      tensors.at(name) = torch::zeros_like(tensors.at(name));
+    save_safetensors(file, tensors, notes);
+  }
   TemporaryFolder folder_;
   ModelBundle bundle_;
   SplatPairsOptions options_;
@@ -75,9 +85,13 @@ TEST_F(SplatPairs, KeepWhatGaussiansShowBesideTheTruth) {
   EXPECT_EQ(scene.tag.statistics, "of the model");
   // What is encoded is the pictures' own latent.
   const auto again =
-      encode_latent_pictures(bundle_, scene.pictures.to(torch::kFloat32) / 255, {0}).front().pictures[8];
+      LatentEncoding(bundle_)(scene.pictures.to(torch::kFloat32) / 255, {0}).front().pictures[8];
   EXPECT_LT((tensor_of(again) - scene.encoded[8].to(torch::kFloat32)).abs().max().item<double>(), 0.05);
+  // Colours are encoded, not splatted latents, and lose something.
+  EXPECT_FALSE(scene.colours.equal(scene.splatted));
+  EXPECT_FALSE(scene.colours.equal(scene.encoded.slice(0, 7)));
   const auto report = nlohmann::json::parse(read_file(folder_.path() / "run/report.json"));
+  EXPECT_GT(report.at("encoded_colours_error").at("mean").get<double>(), 0);
   const double error = report.at("latent_error").at("mean").get<double>();
   EXPECT_GT(error, 0);
   EXPECT_LT(error, 1.5);
@@ -135,6 +149,20 @@ TEST_F(SplatPairs, AnEvaluationMeasuresWhatTheRefinerMakes) {
     EXPECT_GT(with.at(column).at("mean").get<double>(), 0) << column;
   // Random weights change latents.
   EXPECT_NE(with.at("refined_error").at("mean"), with.at("latent_error").at("mean"));
+  // Where the network says nothing, what was given is what is made.
+  silence_refiner();
+  evaluation.out = (folder_.path() / "silent").string();
+  quietly([&] { run_splat_evaluation(evaluation); });
+  const auto silent = nlohmann::json::parse(read_file(folder_.path() / "silent/report.json")).at("means");
+  EXPECT_EQ(silent.at("refined_error"), silent.at("latent_error"));
+  EXPECT_EQ(silent.at("refined_psnr"), silent.at("decoded_psnr"));
+  test::repair_colours(bundle_);
+  evaluation.out = (folder_.path() / "colours").string();
+  quietly([&] { run_splat_evaluation(evaluation); });
+  const auto colours = nlohmann::json::parse(read_file(folder_.path() / "colours/report.json")).at("means");
+  EXPECT_EQ(colours.at("refined_error"), colours.at("encoded_colours_error"));
+  EXPECT_EQ(colours.at("refined_psnr"), colours.at("encoded_colours_psnr"));
+  EXPECT_NE(colours.at("refined_psnr"), colours.at("decoded_psnr"));
   std::filesystem::remove(bundle_.file(BundlePart::refiner()));
   evaluation.out = (folder_.path() / "without").string();
   quietly([&] { run_splat_evaluation(evaluation); });
@@ -179,6 +207,18 @@ TEST_F(SplatPairs, RendersShowLatentsAndWhatTheRefinerMakesOfThem) {
   EXPECT_EQ(latents.width, colours.width);
   EXPECT_NE(latents.rgb, colours.rgb);
   EXPECT_NE(refined.rgb, latents.rgb);
+  silence_refiner();
+  EXPECT_EQ(picture(SplatShown::kRefined, "silent").rgb, latents.rgb);
+  test::repair_colours(bundle_);
+  const Image repaired = picture(SplatShown::kRefined, "repaired");
+  // The colours of the picture, through the autoencoder, whose random layers amplify the rounding to 8 bits.
+  const auto encoded = LatentEncoding(bundle_)(tensor_of(splat_image_of(colours)).unsqueeze(0), {0}).front();
+  const auto decoded = LatentDecoding(bundle_)({encoded.raw(encoded.pictures.front()).unsqueeze(0)})[0];
+  const auto away_from = [&](const torch::Tensor& picture) {
+    return (tensor_of(splat_image_of(repaired)) - picture.clamp(0, 1)).abs().mean().item<double>();
+  };
+  EXPECT_LT(away_from(decoded), 0.03);
+  EXPECT_GT(away_from(tensor_of(splat_image_of(latents))), 0.2);
 
   render.out = (folder_.path() / "no").string();
   std::filesystem::remove(bundle_.file(BundlePart::refiner()));

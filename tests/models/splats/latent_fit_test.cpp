@@ -28,7 +28,7 @@ torch::Tensor random_pictures(int64_t views, int64_t side) {
 TEST(LatentPictures, AreTheNormalisedTokensOfALevel) {
   const ModelBundle bundle = ModelBundle::open(test::source_root() / "configs" / "tiny");
   const auto images = random_pictures(2, 112);
-  const auto levels = encode_latent_pictures(bundle, images, {0, 3});
+  const auto levels = LatentEncoding(bundle)(images, {0, 3});
   ASSERT_EQ(levels.size(), 2U);
   const auto backbone = bundle.load_backbone();
   const at::NoGradGuard no_grad;
@@ -61,13 +61,13 @@ TEST(LatentPictures, OfAutoencodersLieOnTheirPixels) {
   load_yaml(options, test::source_root() / "configs/ablations/latents/vae/model.yaml");
   write_random_bundle(folder.path() / "vae", options, 5);
   const ModelBundle bundle = ModelBundle::open(folder.path() / "vae");
-  EXPECT_EQ(image_size_of_latents(bundle.options(), 8).width, 64);
+  EXPECT_EQ(image_size_of_latents(bundle.options(), 8, 8).width, 64);
   EXPECT_EQ(
-      error_of([&] { image_size_of_latents(bundle.options(), 7); }),
+      error_of([&] { image_size_of_latents(bundle.options(), 8, 7); }),
       "latents of ablation latent vae: expected a side in whole tokens of 2 latent pixels, found 7; choose "
       "another.");
   const auto images = random_pictures(2, 64);
-  const auto levels = encode_latent_pictures(bundle, images, {0});
+  const auto levels = LatentEncoding(bundle)(images, {0});
   EXPECT_EQ(levels[0].tag.channels, 32);
   EXPECT_EQ(levels[0].tag.width, 8);
   const auto backbone = bundle.load_backbone();

@@ -45,14 +45,22 @@ inline ModelBundle write_small_autoencoder(const std::filesystem::path& folder, 
   return bundle;
 }
 
+// Makes the bundle's refiner one of colours that are encoded; who opens the folder again sees it.
+inline void repair_colours(const ModelBundle& bundle) {
+  BundleOptions model = bundle.options();
+  model.refiner.degraded = DegradedLatents::kColours;
+  std::filesystem::remove(bundle.folder() / "model.yaml");
+  save_bundle_options(bundle.folder(), model);
+}
+
 // Returns six views of 32x32 beside each other, two of them held out, whose splatted latents are half of the encoded
-// ones.
+// ones and whose colours three quarters.
 inline SplattedScene half_splatted_scene(const ModelBundle& bundle, uint64_t seed) {
   SplattedScene scene;
   scene.name = "scene_" + std::to_string(seed);
   auto generator = at::detail::createCPUGenerator(seed);
   const auto images = torch::rand({6, 3, 32, 32}, generator, torch::kFloat32);
-  const auto levels = encode_latent_pictures(bundle, images, {0});
+  const auto levels = LatentEncoding(bundle)(images, {0});
   scene.tag = levels.front().tag;
   std::vector<torch::Tensor> encoded;
   for (int64_t view = 0; view < 6; ++view) {
@@ -67,6 +75,7 @@ inline SplattedScene half_splatted_scene(const ModelBundle& bundle, uint64_t see
   scene.pictures = (images * 255).round().to(torch::kUInt8);
   scene.encoded = torch::stack(encoded);
   scene.splatted = scene.encoded.slice(0, 4) / 2;
+  scene.colours = scene.encoded.slice(0, 4) * 0.75;
   return scene;
 }
 

@@ -49,6 +49,8 @@ TEST_F(SplattedScenes, AreReadAsTheyWereWritten) {
   EXPECT_TRUE(read.pictures.equal(written.pictures));
   EXPECT_TRUE(read.encoded.equal(written.encoded.to(torch::kFloat16)));
   EXPECT_TRUE(read.splatted.equal(written.splatted.to(torch::kFloat16)));
+  EXPECT_TRUE(read.degraded(DegradedLatents::kSplatted).equal(read.splatted));
+  EXPECT_TRUE(read.degraded(DegradedLatents::kColours).equal(written.colours.to(torch::kFloat16)));
   for (size_t view = 0; view < 6; ++view) {
     EXPECT_EQ(read.cameras[view].intrinsics, written.cameras[view].intrinsics);
     EXPECT_EQ(read.cameras[view].world_from_camera.matrix(),
@@ -69,6 +71,12 @@ TEST_F(SplattedScenes, SayWhatIsWrongWithThem) {
       HasSubstr("expected encoded latents of 6 views, 4 channels and 4x4 pixels, found [5, 4, 4, 4]" + made));
   EXPECT_THAT(error_with("encoded", (scene.encoded / 0).to(torch::kFloat16)),
               HasSubstr("expected finite latents, found NaN or infinity" + made));
+  EXPECT_THAT(error_with("colours", (scene.colours / 0).to(torch::kFloat16)),
+              HasSubstr("expected finite latents, found NaN or infinity" + made));
+  EXPECT_THAT(
+      error_with("colours", scene.colours.slice(0, 1).to(torch::kFloat16)),
+      HasSubstr("expected colours of the shape of splatted latents, [2, 4, 4, 4], found [1, 4, 4, 4]" +
+                made));
   EXPECT_THAT(error_with("intrinsics", torch::zeros({5, 3, 3}, torch::kFloat64)),
               HasSubstr("expected intrinsics of 6 views, found [5, 3, 3]" + made));
   EXPECT_THAT(

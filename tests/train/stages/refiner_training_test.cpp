@@ -55,7 +55,7 @@ TEST_F(RefinerStage, LearnsToGiveBackWhatSplattingLost) {
   training.loop.learning_rate.peak = 3e-3;
   training.loop.optimiser.ema_decay = 0.5;
   train_refiner(training, {});
-  const double lost = series("run", "validation_splatted_latent_error").back().second;
+  const double lost = series("run", "validation_degraded_latent_error").back().second;
   EXPECT_GT(lost, 0.4);
   EXPECT_LT(series("run", "validation_latent_error").back().second, 0.75 * lost);
   EXPECT_GT(series("run", "picture").front().second, 0);
@@ -63,6 +63,21 @@ TEST_F(RefinerStage, LearnsToGiveBackWhatSplattingLost) {
   const auto trained = ModelBundle::open(folder_.path() / "run/model");
   EXPECT_TRUE(trained.has(BundlePart::refiner()));
   EXPECT_EQ(read_file(trained.file(BundlePart::backbone())), read_file(bundle_.file(BundlePart::backbone())));
+}
+
+TEST_F(RefinerStage, RepairsColoursThatAreEncodedWhereTheModelSaysSo) {
+  auto training = options("splatted");
+  training.loop.learning_rate.peak = training.loop.learning_rate.final = 1e-9;
+  train_refiner(training, {});
+  test::repair_colours(bundle_);
+  training.out = (folder_.path() / "colours").string();
+  train_refiner(training, {});
+  const auto given = [&](const char* run) {
+    return series(run, "validation_degraded_latent_error").back().second;
+  };
+  // Half of the encoded latents is twice as far away as three quarters of them.
+  EXPECT_NEAR(given("splatted") / given("colours"), 2, 0.02);
+  EXPECT_NEAR(series("colours", "validation_latent_error").back().second, given("colours"), 1e-3);
 }
 
 TEST_F(RefinerStage, FirstLearnsToSeeThroughNoise) {
