@@ -87,6 +87,7 @@ SplatFitViews load_fit_views(const Scene& scene, const ImageSize& size, int64_t 
     if (next_held_out < held_out && i == (2 * next_held_out + 1) * count / (2 * held_out)) {
       ++next_held_out;
       views.held_out.push_back(std::move(view));
+      views.held_out_depth.push_back(sized.depth);
       continue;
     }
     views.pictures.push_back({sized.camera, sized.image, sized.depth, sized.validity.valid});

@@ -62,27 +62,6 @@ torch::Tensor through_decoder(const EvaluationModels& models, const torch::Tenso
       .narrow(0, source_images.size(0), images.size(0));
 }
 
-// Makes (views, channels, rows, columns) of (views, tokens, channels).
-torch::Tensor as_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
-  return tokens.transpose(1, 2)
-      .reshape({tokens.size(0), tokens.size(2), grid.height, grid.width})
-      .to(torch::kCPU);
-}
-
-// Returns the deepest level of each picture, encoded alone: nothing that views tell each other goes in.
-torch::Tensor features_of_each(const EvaluationModels& models, const torch::Tensor& images) {
-  const auto backbone = models.models.backbone();
-  const auto& architecture = backbone->architecture();
-  std::vector<torch::Tensor> features;
-  for (int64_t view = 0; view < images.size(0); ++view) {
-    const auto levels =
-        backbone->encode(images.narrow(0, view, 1).to(models.device), architecture.levels() - 1);
-    features.push_back(as_maps(backbone->decodable(levels.back()).patches,
-                               architecture.grid_of(1, images.size(2), images.size(3))));
-  }
-  return torch::cat(features);
-}
-
 // The result is undefined unless every target view has a picture.
 torch::Tensor true_images(const SamplingScene& scene) {
   const auto& images = scene.true_images;
@@ -175,8 +154,9 @@ class SceneMetrics {
     }
     if (truth_.true_images.defined()) {
       pictures_ = encoded(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
-      truth_.true_features = features_of_each(models, pictures_.images);
-      for (const auto& level : pictures_.levels) truth_.true_levels.push_back(as_maps(level, pictures_.grid));
+      truth_.true_features = models.models.backbone()->features_of_each(pictures_.images.to(models.device));
+      for (const auto& level : pictures_.levels)
+        truth_.true_levels.push_back(token_maps(level, pictures_.grid));
       if (models.bundle.geometry_head.predicts_rays()) {
         set_what_the_head_says_of_true_pictures(geometry_of_pictures(
             models.models, pictures_.images, GeometryMaps::kDepthAndRays, models.device));
@@ -221,7 +201,7 @@ class SceneMetrics {
     MetricInputs inputs = truth_;
     const Views& views = truth_.views;
     inputs.view_images = torch::cat({stacked(scene_.source_images), sample.images}).clamp(0, 1);
-    inputs.view_features = features_of_each(models_, inputs.view_images);
+    inputs.view_features = models_.models.backbone()->features_of_each(inputs.view_images.to(models_.device));
     set_estimated_cameras(geometry, inputs);
     if (!geometry.depth.defined()) {
       for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays,

@@ -1,5 +1,6 @@
 #include "infer/splats/latent_splatting.h"
 
+#include "datasets/loading/batching.h"
 #include "datasets/splats/splat_picture.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
@@ -23,6 +24,17 @@ void thin_out(std::vector<View>& views, int64_t wanted) {
     kept.push_back(std::move(views[static_cast<size_t>(from)]));
   }
   views = std::move(kept);
+}
+
+// Returns depth of all views, fitted ones first; undefined where one has none.
+torch::Tensor depth_of(const SplatFitViews& views) {
+  std::vector<torch::Tensor> maps;
+  const auto take = [&maps](const DepthMap& depth) {
+    if (!depth.empty()) maps.push_back(to_tensor(depth));
+  };
+  for (const SplatPicture& picture : views.pictures) take(picture.depth);
+  for (const DepthMap& depth : views.held_out_depth) take(depth);
+  return maps.size() == views.fitted.size() + views.held_out.size() ? torch::stack(maps) : torch::Tensor();
 }
 
 }  // namespace
@@ -114,6 +126,7 @@ LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
     result.cameras.push_back(view->camera);
   }
   result.images = torch::stack(images);
+  result.depth = depth_of(views);
   result.levels = encoding(result.images, decoded_levels(encoding.model()));
   give_latents(latent_views(result.levels, result.cameras), views);
   result.seconds = seconds_of([&] {

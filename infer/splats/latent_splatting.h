@@ -48,6 +48,7 @@ struct ScenesSplattingOptions : LatentSplattingOptions {
 // fitted ones first.
 struct LatentSplats {
   torch::Tensor images;  // (views, 3, height, width), RGB in [0, 1]
+  torch::Tensor depth;   // (views, height, width), planar, 0 where unknown; undefined where a view has none
   SplatFit fit;
   std::vector<Camera> cameras;
   int64_t fitted = 0;

@@ -10,6 +10,7 @@
 #include "gld/metrics/image_metrics.h"
 #include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"
+#include "gld/metrics/metric_list.h"
 #include "gld/metrics/sharpness.h"
 #include "gld/report/distinct_names.h"
 #include "gld/report/progress.h"
@@ -27,6 +28,9 @@
 #include <iostream>
 #include <limits>
 #include <memory>
+#include <set>
+
+#include <torch/autograd.h>
 
 #include <fmt/format.h>
 
@@ -38,6 +42,8 @@ struct EvaluatedModel {
   LatentEncoding encoding;
   LatentDecoding decoding;
   std::shared_ptr<const DenoisingUnet> refiner;
+  std::shared_ptr<const Backbone> consistency;  // what looks at pictures; null: nothing does
+  BundleOptions consistency_options;
 };
 
 // Pictures of held-out views, each (views, 3, height, width); refined is undefined without a refiner.
@@ -136,6 +142,49 @@ double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, con
   return band_ratio(amplitudes(latents), amplitudes(encoded), side / 4, last);
 }
 
+// Measures how alike places look in held-out views, shown by such pictures, and in the view nearest to each.
+class HeldOutConsistency {
+ public:
+  HeldOutConsistency(const LatentSplats& splats, const EvaluatedModel& model)
+      : model_(model), metric_(metric_named("met3r_like_true_geometry")) {
+    inputs_.views.cameras = splats.cameras;
+    inputs_.views.num_sources = splats.fitted;
+    inputs_.all_true_depth = splats.depth;
+    fitted_ = features_of(splats.images.slice(0, 0, splats.fitted));
+  }
+  // pictures are (views - fitted, 3, height, width); NaN where no view covers another one.
+  double of(const torch::Tensor& pictures) {
+    inputs_.view_features = torch::cat({fitted_, features_of(pictures.clamp(0, 1))});
+    return measure(metric_, inputs_).mean();
+  }
+
+ private:
+  // Pictures are resized to whole patches: features cover them evenly whatever their size is.
+  torch::Tensor features_of(const torch::Tensor& pictures) const {
+    const torch::NoGradGuard no_grad;
+    const ImageSize size =
+        latent_image_size(model_.consistency_options, {pictures.size(3), pictures.size(2)});
+    return model_.consistency->features_of_each(
+        torch::upsample_bilinear2d(pictures, {size.height, size.width}, /*align_corners=*/false));
+  }
+
+  const EvaluatedModel& model_;
+  Metric metric_;
+  MetricInputs inputs_;
+  torch::Tensor fitted_;
+};
+
+void measure_consistency(const LatentSplats& splats, const HeldOutPictures& pictures,
+                         const EvaluatedModel& model, SplatScores& scores) {
+  HeldOutConsistency consistency(splats, model);
+  scores.true_met3r_like = consistency.of(pictures.truth);
+  scores.rgb_met3r_like = consistency.of(pictures.rgb);
+  scores.decoded_met3r_like = consistency.of(pictures.decoded);
+  scores.encoded_colours_met3r_like = consistency.of(pictures.encoded_colours);
+  scores.autoencoded_met3r_like = consistency.of(pictures.autoencoded);
+  if (pictures.refined.defined()) scores.refined_met3r_like = consistency.of(pictures.refined);
+}
+
 EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
                          const SplatEvaluationOptions& options, const KernelSettings& settings) {
   const LatentSplats splats = splat_latents(scene, model.encoding, options, settings);
@@ -173,23 +222,33 @@ EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
     scores.refined_ssim = mean_ssim(truth, pictures.refined);
     scores.refined_sharpness = mean_sharpness(truth, pictures.refined);
   }
+  if (model.consistency) {
+    if (!splats.depth.defined()) {
+      fail({"--consistency-model", "scenes with depth in every view", scene.name + " without",
+            "leave it out, or measure scenes with depth"});
+    }
+    measure_consistency(splats, pictures, model, scores);
+  }
   return result;
 }
 
+enum class ScoreNeed { kRefiner, kSquareLatents, kConsistencyModel };
 // A column of eval.csv and a row of splat_eval.md.
 struct ScoreColumn {
   const char* name;
   const char* says;
   double SplatScores::*value;
-  enum Of { kAll, kRefined, kSquare, kRefinedSquare } of = kAll;
+  std::set<ScoreNeed> needs = {};
 };
-// Returns what every scene has.
-std::vector<ScoreColumn> score_columns(bool refined, bool square) {
+// Returns those of which every scene has what they need.
+std::vector<ScoreColumn> score_columns(const std::set<ScoreNeed>& had) {
   const std::vector<ScoreColumn> columns{
       {"rgb_psnr", "the Gaussians' colours, PSNR in dB", &SplatScores::rgb_psnr},
       {"decoded_psnr", "splatted latents, decoded, PSNR in dB", &SplatScores::decoded_psnr},
-      {"refined_psnr", "splatted latents, repaired by the refiner and decoded, PSNR in dB",
-       &SplatScores::refined_psnr, ScoreColumn::kRefined},
+      {"refined_psnr",
+       "what the refiner makes of its input, decoded, PSNR in dB",
+       &SplatScores::refined_psnr,
+       {ScoreNeed::kRefiner}},
       {"encoded_colours_psnr", "the Gaussians' colours, encoded and decoded, PSNR in dB",
        &SplatScores::encoded_colours_psnr},
       {"autoencoded_psnr", "encoded latents, decoded: what can be reached, PSNR in dB",
@@ -197,8 +256,7 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
       {"nearest_psnr", "the nearest input view, PSNR in dB", &SplatScores::nearest_psnr},
       {"rgb_ssim", "the Gaussians' colours, SSIM", &SplatScores::rgb_ssim},
       {"decoded_ssim", "splatted latents, decoded, SSIM", &SplatScores::decoded_ssim},
-      {"refined_ssim", "splatted latents, repaired and decoded, SSIM", &SplatScores::refined_ssim,
-       ScoreColumn::kRefined},
+      {"refined_ssim", "repaired and decoded, SSIM", &SplatScores::refined_ssim, {ScoreNeed::kRefiner}},
       {"encoded_colours_ssim", "the Gaussians' colours, encoded and decoded, SSIM",
        &SplatScores::encoded_colours_ssim},
       {"autoencoded_ssim", "encoded latents, decoded, SSIM", &SplatScores::autoencoded_ssim},
@@ -206,8 +264,10 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
       {"rgb_sharpness", "the Gaussians' colours, sharpness of the truth's", &SplatScores::rgb_sharpness},
       {"decoded_sharpness", "splatted latents, decoded, sharpness of the truth's",
        &SplatScores::decoded_sharpness},
-      {"refined_sharpness", "splatted latents, repaired and decoded, sharpness of the truth's",
-       &SplatScores::refined_sharpness, ScoreColumn::kRefined},
+      {"refined_sharpness",
+       "repaired and decoded, sharpness of the truth's",
+       &SplatScores::refined_sharpness,
+       {ScoreNeed::kRefiner}},
       {"autoencoded_sharpness", "encoded latents, decoded, sharpness of the truth's",
        &SplatScores::autoencoded_sharpness},
       {"latent_error", "splatted latents, distance from what is encoded over its spread",
@@ -215,22 +275,53 @@ std::vector<ScoreColumn> score_columns(bool refined, bool square) {
       {"encoded_colours_error",
        "the Gaussians' colours, encoded: distance from what is encoded over its spread",
        &SplatScores::encoded_colours_error},
-      {"refined_error", "repaired latents, distance from what is encoded over its spread",
-       &SplatScores::refined_error, ScoreColumn::kRefined},
-      {"high_band", "splatted latents, high frequencies of the encoded ones'", &SplatScores::high_band,
-       ScoreColumn::kSquare},
-      {"refined_high_band", "repaired latents, high frequencies of the encoded ones'",
-       &SplatScores::refined_high_band, ScoreColumn::kRefinedSquare},
+      {"refined_error",
+       "repaired latents, distance from what is encoded over its spread",
+       &SplatScores::refined_error,
+       {ScoreNeed::kRefiner}},
+      {"high_band",
+       "splatted latents, high frequencies of the encoded ones'",
+       &SplatScores::high_band,
+       {ScoreNeed::kSquareLatents}},
+      {"refined_high_band",
+       "repaired latents, high frequencies of the encoded ones'",
+       &SplatScores::refined_high_band,
+       {ScoreNeed::kRefiner, ScoreNeed::kSquareLatents}},
+      {"true_met3r_like",
+       "the truth, features of one place in two views apart (met3r_like_true_geometry)",
+       &SplatScores::true_met3r_like,
+       {ScoreNeed::kConsistencyModel}},
+      {"rgb_met3r_like",
+       "the Gaussians' colours, the same",
+       &SplatScores::rgb_met3r_like,
+       {ScoreNeed::kConsistencyModel}},
+      {"decoded_met3r_like",
+       "splatted latents, decoded, the same",
+       &SplatScores::decoded_met3r_like,
+       {ScoreNeed::kConsistencyModel}},
+      {"encoded_colours_met3r_like",
+       "the Gaussians' colours, encoded and decoded, the same",
+       &SplatScores::encoded_colours_met3r_like,
+       {ScoreNeed::kConsistencyModel}},
+      {"refined_met3r_like",
+       "repaired and decoded, the same",
+       &SplatScores::refined_met3r_like,
+       {ScoreNeed::kRefiner, ScoreNeed::kConsistencyModel}},
+      {"autoencoded_met3r_like",
+       "encoded latents, decoded, the same",
+       &SplatScores::autoencoded_met3r_like,
+       {ScoreNeed::kConsistencyModel}},
       {"seconds", "seconds of fit and solve", &SplatScores::seconds},
-      {"refined_seconds", "seconds of the refiner, a view", &SplatScores::refined_seconds,
-       ScoreColumn::kRefined}};
-  std::vector<ScoreColumn> had;
+      {"refined_seconds",
+       "seconds of the refiner, a view",
+       &SplatScores::refined_seconds,
+       {ScoreNeed::kRefiner}}};
+  std::vector<ScoreColumn> shown;
   for (const ScoreColumn& column : columns) {
-    const bool of_refined = column.of == ScoreColumn::kRefined || column.of == ScoreColumn::kRefinedSquare;
-    const bool of_square = column.of == ScoreColumn::kSquare || column.of == ScoreColumn::kRefinedSquare;
-    if ((!of_refined || refined) && (!of_square || square)) had.push_back(column);
+    if (std::includes(had.begin(), had.end(), column.needs.begin(), column.needs.end()))
+      shown.push_back(column);
   }
-  return had;
+  return shown;
 }
 
 Table scene_table(const std::vector<SplatScores>& scenes, const std::vector<ScoreColumn>& columns) {
@@ -259,6 +350,14 @@ void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const std
 
 }  // namespace
 
+void SplatEvaluationOptions::visit(FieldVisitor& visitor) {
+  visitor.text({"consistency_model",
+                "of scenes with depth: the model bundle whose backbone tells how alike a place looks in two "
+                "views, such as configs/tiny; empty: not measured"},
+               consistency_model);
+  ScenesSplattingOptions::visit(visitor);
+}
+
 void run_splat_evaluation(const SplatEvaluationOptions& options) {
   options.check();
   check_run_folder(options.out, "splat eval", earlier_run(options.overwrite));
@@ -266,7 +365,12 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  EvaluatedModel model{LatentEncoding(bundle), LatentDecoding(bundle), nullptr};
+  EvaluatedModel model{LatentEncoding(bundle), LatentDecoding(bundle), nullptr, nullptr, {}};
+  if (!options.consistency_model.empty()) {
+    const ModelBundle looking = ModelBundle::open(options.consistency_model);
+    model.consistency = looking.load_backbone();
+    model.consistency_options = looking.options();
+  }
   if (has_refiner(bundle)) {
     print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
     model.refiner = bundle.load_refiner();
@@ -286,9 +390,12 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
     progress.update(index + 1);
   }
   progress.finish();
-  const bool square =
-      std::all_of(scenes.begin(), scenes.end(), [](const SplatScores& of) { return of.high_band > 0; });
-  const auto columns = score_columns(model.refiner != nullptr, square);
+  std::set<ScoreNeed> had;
+  if (model.refiner) had.insert(ScoreNeed::kRefiner);
+  if (model.consistency) had.insert(ScoreNeed::kConsistencyModel);
+  if (std::all_of(scenes.begin(), scenes.end(), [](const SplatScores& of) { return of.high_band > 0; }))
+    had.insert(ScoreNeed::kSquareLatents);
+  const auto columns = score_columns(had);
   nlohmann::ordered_json report;
   report["scenes"] = scenes.size();
   report["threads"] = settings.threads;

@@ -11,7 +11,13 @@ namespace gld {
 // gld splat eval measures what Gaussians show of views that they were not fitted to, in colours and in a model's
 // latents that its image decoder turns into pictures, as they are shown and, where the bundle has a refiner, as that
 // repairs them (Splatent, arXiv 2512.09923, table 1).
-struct SplatEvaluationOptions : ScenesSplattingOptions {};
+struct SplatEvaluationOptions : ScenesSplattingOptions {
+  // The model bundle whose backbone says how alike one place looks in two views, of scenes with depth; empty: that is
+  // not measured.
+  std::string consistency_model;
+
+  void visit(FieldVisitor& visitor) override;
+};
 
 // Means over the held-out views of a scene. PSNR in dB, SSIM.
 struct SplatScores {
@@ -32,6 +38,10 @@ struct SplatScores {
   double encoded_colours_error = 0;  // the same of colours that are encoded
   // Energy of the high frequencies of latents over that of the encoded ones (gld/metrics/latent_spectrum.h).
   double high_band = 0, refined_high_band = 0;
+  // met3r_like_true_geometry (gld/metrics/feature_consistency.h) of held-out views beside the view nearest to each, the
+  // fitted ones being true pictures.
+  double true_met3r_like = 0, rgb_met3r_like = 0, decoded_met3r_like = 0, encoded_colours_met3r_like = 0,
+         refined_met3r_like = 0, autoencoded_met3r_like = 0;
   double seconds = 0;          // of fit and solve
   double refined_seconds = 0;  // of the refiner, a view
 };

@@ -54,6 +54,22 @@ std::vector<torch::Tensor> Backbone::encode_with_cameras(const torch::Tensor& /*
         "use a model that has one, or let it find the cameras itself"});
 }
 
+torch::Tensor token_maps(const torch::Tensor& tokens, const LatentGrid& grid) {
+  return tokens.transpose(1, 2)
+      .reshape({tokens.size(0), tokens.size(2), grid.height, grid.width})
+      .to(torch::kCPU);
+}
+
+torch::Tensor Backbone::features_of_each(const torch::Tensor& images) const {
+  const LatentGrid grid = architecture().grid_of(1, images.size(2), images.size(3));
+  std::vector<torch::Tensor> features;
+  for (int64_t view = 0; view < images.size(0); ++view) {
+    const auto levels = encode(images.narrow(0, view, 1), architecture().levels() - 1);
+    features.push_back(token_maps(decodable(levels.back()).patches, grid));
+  }
+  return torch::cat(features);
+}
+
 torch::Tensor Backbone::leading_for_propagation(const torch::Tensor& first_source, int64_t level) const {
   const auto levels = encode(first_source, level);
   return levels.at(static_cast<size_t>(level)).narrow(1, 0, architecture().leading_tokens()).contiguous();

@@ -80,6 +80,9 @@ struct DecodableLevel {
   torch::Tensor patches;  // (views, tokens, C)
 };
 
+// Makes maps (views, channels, rows, columns) on the CPU of tokens (views, tokens, channels) of that grid.
+torch::Tensor token_maps(const torch::Tensor& tokens, const LatentGrid& grid);
+
 // Images through both halves of an autoencoder, with gradients.
 struct Autoencoding {
   torch::Tensor images;      // (views, 3, height, width), RGB in about [0, 1]
@@ -137,6 +140,9 @@ class Backbone : public torch::nn::Module {
   DecodableLevel decodable(const torch::Tensor& level) const;
   // Returns the patch tokens of a raw level.
   torch::Tensor patches_of(const torch::Tensor& level) const;
+  // Returns the deepest level of each image, encoded alone, so that nothing that views tell each other goes in: maps
+  // (views, C, rows, columns) on the CPU. images are as encode() takes them.
+  torch::Tensor features_of_each(const torch::Tensor& images) const;
 
   // Draws random weights to train from.
   virtual void initialise(const torch::Generator& generator) = 0;
