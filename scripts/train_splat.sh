@@ -57,10 +57,10 @@ stage autoencoder backbone "$runs/untrained"
 if [ ! -f "$runs/stats/report.json" ]; then
   "$gld" stats --config "$recipe/stats.yaml" --model "$runs/autoencoder/model" --out "$runs/stats" --overwrite
 fi
-for pairs in pairs pairs_few; do
+for pairs in pairs pairs_few pairs_lifted; do
   [ -f "$runs/$pairs/report.json" ] && continue
   how=--overwrite
   if [ -d "$runs/$pairs/pairs" ]; then how=--resume; fi
   "$gld" splat pairs --config "$recipe/$pairs.yaml" --model "$runs/stats/model" --out "$runs/$pairs" "$how"
 done
-stage refiner refiner "$runs/stats/model" --pairs "$runs/pairs/pairs" "$runs/pairs_few/pairs"
+stage refiner refiner "$runs/stats/model" --pairs "$runs/pairs/pairs" "$runs/pairs_few/pairs" "$runs/pairs_lifted/pairs"
