@@ -119,6 +119,9 @@ double mean_psnr(const torch::Tensor& truth, const torch::Tensor& pictures) {
 double mean_ssim(const torch::Tensor& truth, const torch::Tensor& pictures) {
   return ssim(truth, pictures).mean().item<double>();
 }
+double mean_random_features(const torch::Tensor& truth, const torch::Tensor& pictures) {
+  return measure_images(metric_named("random_features"), truth, pictures).mean();
+}
 double mean_sharpness(const torch::Tensor& truth, const torch::Tensor& pictures) {
   return sharpness(truth, pictures.clamp(0, 1)).mean().item<double>();
 }
@@ -212,6 +215,10 @@ EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
   scores.autoencoded_psnr = mean_psnr(truth, pictures.autoencoded);
   scores.autoencoded_ssim = mean_ssim(truth, pictures.autoencoded);
   scores.autoencoded_sharpness = mean_sharpness(truth, pictures.autoencoded);
+  scores.rgb_random_features = mean_random_features(truth, pictures.rgb);
+  scores.decoded_random_features = mean_random_features(truth, pictures.decoded);
+  scores.encoded_colours_random_features = mean_random_features(truth, pictures.encoded_colours);
+  scores.autoencoded_random_features = mean_random_features(truth, pictures.autoencoded);
   scores.nearest_psnr = mean_psnr(truth, pictures.nearest);
   scores.nearest_ssim = mean_ssim(truth, pictures.nearest);
   if (model.refiner) {
@@ -221,6 +228,7 @@ EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
     scores.refined_psnr = mean_psnr(truth, pictures.refined);
     scores.refined_ssim = mean_ssim(truth, pictures.refined);
     scores.refined_sharpness = mean_sharpness(truth, pictures.refined);
+    scores.refined_random_features = mean_random_features(truth, pictures.refined);
   }
   if (model.consistency) {
     if (!splats.depth.defined()) {
@@ -270,6 +278,15 @@ std::vector<ScoreColumn> score_columns(const std::set<ScoreNeed>& had) {
        {ScoreNeed::kRefiner}},
       {"autoencoded_sharpness", "encoded latents, decoded, sharpness of the truth's",
        &SplatScores::autoencoded_sharpness},
+      {"rgb_random_features", "the Gaussians' colours, distance of random features from the truth",
+       &SplatScores::rgb_random_features},
+      {"decoded_random_features", "splatted latents, decoded, the same", &SplatScores::decoded_random_features},
+      {"refined_random_features", "repaired and decoded, the same", &SplatScores::refined_random_features,
+       {ScoreNeed::kRefiner}},
+      {"encoded_colours_random_features", "the Gaussians' colours, encoded and decoded, the same",
+       &SplatScores::encoded_colours_random_features},
+      {"autoencoded_random_features", "encoded latents, decoded, the same",
+       &SplatScores::autoencoded_random_features},
       {"latent_error", "splatted latents, distance from what is encoded over its spread",
        &SplatScores::latent_error},
       {"encoded_colours_error",

@@ -33,6 +33,9 @@ struct SplatScores {
   double nearest_psnr = 0, nearest_ssim = 0;  // of the input view whose camera is nearest
   // Sharpness (gld/metrics), of the truth's.
   double rgb_sharpness = 0, decoded_sharpness = 0, refined_sharpness = 0, autoencoded_sharpness = 0;
+  // Distance of random features (gld/metrics/random_features.h) from the truth.
+  double rgb_random_features = 0, decoded_random_features = 0, encoded_colours_random_features = 0,
+         refined_random_features = 0, autoencoded_random_features = 0;
   double latent_error = 0;           // models/splats/latent_fit.h, mean over levels
   double refined_error = 0;          // the same of what the refiner makes of them
   double encoded_colours_error = 0;  // the same of colours that are encoded

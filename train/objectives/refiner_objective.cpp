@@ -55,6 +55,8 @@ void RefinerObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.integer(
       {"denoising_steps", "first steps in which encoded latents are seen through noise of random timesteps"},
       denoising_steps, {0, 1'000'000'000});
+  visitor.integer({"latent_steps", "steps behind these in which latents alone count, not decoded pictures"},
+                  latent_steps, {0, 1'000'000'000});
 }
 
 RefinerObjective::RefinerObjective(const BundleOptions& model, const RefinerObjectiveOptions& options,
@@ -116,7 +118,8 @@ Losses RefinerObjective::losses(const TrainingBatch& batch, const StepContext& c
   losses.parts = {{"latent", latent.detach()}};
   const double perceptual_weight =
       context.step < options_.perceptual.start ? 0.0 : options_.perceptual.weight;
-  if (options_.picture_weight == 0 && perceptual_weight == 0) return losses;
+  const bool latents_alone = context.step < options_.denoising_steps + options_.latent_steps;
+  if (latents_alone || (options_.picture_weight == 0 && perceptual_weight == 0)) return losses;
   torch::Tensor truth = given.images;
   if (options_.truth == RefinerTruth::kDecoded) {
     const torch::NoGradGuard no_grad;

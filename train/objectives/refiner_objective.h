@@ -31,6 +31,8 @@ struct RefinerObjectiveOptions : OptionsGroup {
   // First steps in which the network learns to see through noise, of encoded latents at random timesteps, beside the
   // same references: what a checkpoint of Stable Diffusion brings.
   int64_t denoising_steps = 0;
+  // So many steps behind these in which latents alone count: decoded pictures take half of a step's time.
+  int64_t latent_steps = 0;
 
   RefinerObjectiveOptions();
   void visit(FieldVisitor& visitor) override;

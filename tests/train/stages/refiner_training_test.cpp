@@ -82,11 +82,14 @@ TEST_F(RefinerStage, RepairsColoursThatAreEncodedWhereTheModelSaysSo) {
 
 TEST_F(RefinerStage, FirstLearnsToSeeThroughNoise) {
   auto training = options("run");
-  training.loop.steps = 4;
+  training.loop.steps = 5;
   training.objective.denoising_steps = 2;
+  training.objective.latent_steps = 2;
   train_refiner(training, {});
   EXPECT_EQ(series("run", "noise").size(), 2U);
-  EXPECT_EQ(series("run", "latent").size(), 2U);
+  EXPECT_EQ(series("run", "latent").size(), 3U);
+  EXPECT_EQ(series("run", "picture").size(), 1U);
+  EXPECT_EQ(series("run", "perceptual").size(), 1U);
   // An untrained network predicts no noise at all, whose mean square is 1.
   EXPECT_NEAR(series("run", "noise").front().second, 1, 0.4);
 }
