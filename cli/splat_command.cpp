@@ -84,10 +84,11 @@ Command make_pairs_command() {
   auto options = std::make_shared<SplatPairsOptions>();
   Command command;
   command.name = "splat pairs";
-  command.summary = "Splat latents of views that nothing is fitted to, for gld train refiner";
+  command.summary = "What Gaussians show of views that nothing is fitted to, for gld train refiner";
   command.description =
       "Example: gld splat pairs --synthetic 400 --input-views 30 --model configs/splat --out runs/pairs\n"
-      "A file a scene: latents as Gaussians show them beside those of the truth, and the views around them.";
+      "A file a scene: latents as features of Gaussians show them and as their colours do, encoded, beside those of the\n"
+      "truth, and the views around them.";
   command.options = options;
   command.usual = {{"Scenes", {"scenes", "synthetic", "synthetic_seed", "held_out", "input_views"}},
                    {"Fit", {"model", "side", "fit.steps", "fit.density.most_gaussians"}}};

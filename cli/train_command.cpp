@@ -65,7 +65,8 @@ Command make_train_command() {
       stage_command("cascade", "a cascade, which generates a level from a deeper one", train_cascade,
                     {"objective.flow.start"}),
       stage_command(
-          "refiner", "The network that repairs splatted latents beside the nearest views in one call",
+          "refiner",
+          "The network that repairs what Gaussians show of latents, beside the nearest views, in one call",
           train_refiner, {"objective.start"}, {"data.pairs", "data.validation_pairs", "data.batch_size"})};
   return command;
 }

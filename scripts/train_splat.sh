@@ -29,6 +29,13 @@ if [ "$action" = keep ]; then
     echo "train_splat: expected a finished stage in $runs, found none; train first." >&2
     exit 1
   fi
+  # Weights of a refiner say nothing of what they repair: model.yaml does.
+  repairs() { sed -n 's/^ *degraded: *//p' "$1/model.yaml"; }
+  if [ -f "$latest/refiner.safetensors" ] && [ "$(repairs "$latest")" != "$(repairs "$recipe")" ]; then
+    echo "train_splat: expected weights for the degraded: $(repairs "$recipe") of $recipe/model.yaml, found those of" \
+      "$(repairs "$latest"); change it there, or train with it." >&2
+    exit 1
+  fi
   cp "$latest"/*.safetensors "$recipe/"
   cp "$runs/stats/model/seen_scenes.json" "$recipe/"
   exit 0

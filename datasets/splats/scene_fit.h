@@ -31,7 +31,7 @@ void visit_side(FieldVisitor& visitor, int64_t& side);
 struct SplatFitViews {
   std::vector<SplatPicture> pictures;  // of those that are fitted, for the start
   std::vector<FittedView> fitted, held_out;
-  std::vector<DepthMap> held_out_depth;  // empty maps where it is not known
+  std::vector<DepthMap> held_out_depth;  // one for each of held_out, empty where it is not known
 };
 // Returns what load_fit_views() will give to a fit of such options, without reading a picture.
 SplatWork scene_fit_work(const Scene& scene, const ImageSize& size, int64_t held_out,

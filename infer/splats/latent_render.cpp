@@ -35,7 +35,7 @@ struct LatentDrawing {
   // Returns what is shown of a level, (channels, height, width), normalised.
   torch::Tensor latents_of(const LatentFit& fit, const Camera& camera) const {
     if (encoding) {
-      const ImageSize size = image_size_of_latents(encoding->model(), fit.tag.width, fit.tag.height);
+      const ImageSize size = image_size_of_latents(encoding->options(), fit.tag.width, fit.tag.height);
       const Camera over = resized_camera(camera, size.width, size.height);
       const auto colours =
           tensor_of(splat_picture(splats.set, over, splats.projection, splats.settings).image);

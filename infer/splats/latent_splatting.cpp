@@ -100,11 +100,14 @@ torch::Tensor LatentSplats::colours(const KernelSettings& settings) const {
 
 std::vector<torch::Tensor> LatentSplats::encoded_colours(const torch::Tensor& colours,
                                                          const LatentEncoding& encoding) const {
-  const auto pictures = torch::cat({images.slice(0, 0, fitted), colours.clamp(0, 1)});
-  const auto of_levels = encoding(pictures, decoded_levels(encoding.model()));
+  const int64_t beside = encoding.encodes_alone() ? 0 : fitted;
+  const auto pictures = torch::cat({images.slice(0, 0, beside), colours.clamp(0, 1)});
+  const auto of_levels = encoding(pictures, decoded_levels(encoding.options()));
   std::vector<torch::Tensor> encoded;
   for (size_t level = 0; level < of_levels.size(); ++level) {
-    const auto raw = raw_latents(of_levels[level].views(fitted, views()), of_levels[level].statistics);
+    // Levels without statistics in the model are normalised by those of the views, which are others here.
+    const LatentPictures& of_colours = of_levels[level];
+    const auto raw = raw_latents(of_colours.views(beside, beside + colours.size(0)), of_colours.statistics);
     encoded.push_back(normalised_latents(raw, levels[level].statistics));
   }
   return encoded;
@@ -112,7 +115,7 @@ std::vector<torch::Tensor> LatentSplats::encoded_colours(const torch::Tensor& co
 
 LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
                            const LatentSplattingOptions& options, const KernelSettings& settings) {
-  const ImageSize size = latent_image_size(encoding.model(), fit_size(scene, options.side));
+  const ImageSize size = latent_image_size(encoding.options(), fit_size(scene, options.side));
   require_memory_for_fit(scene_fit_work(scene, size, options.held_out, options.fit), options.fit,
                          available_memory_bytes(), scene.name);
   SplatFitViews views = load_fit_views(scene, size, options.held_out, settings);
@@ -127,7 +130,7 @@ LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
   }
   result.images = torch::stack(images);
   result.depth = depth_of(views);
-  result.levels = encoding(result.images, decoded_levels(encoding.model()));
+  result.levels = encoding(result.images, decoded_levels(encoding.options()));
   give_latents(latent_views(result.levels, result.cameras), views);
   result.seconds = seconds_of([&] {
     SplatFitOptions fit_options = options.fit;

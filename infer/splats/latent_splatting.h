@@ -68,8 +68,8 @@ struct LatentSplats {
   // Returns the held-out views as the Gaussians' colours show them, (views - fitted, 3, height, width), RGB in about
   // [0, 1].
   torch::Tensor colours(const KernelSettings& settings) const;
-  // Returns what such pictures are encoded as beside the fitted views, normalised as `levels` are, a tensor a level as
-  // `shown` has it.
+  // Returns what such pictures are encoded as, by backbones that see views together beside the fitted ones; normalised
+  // as `levels` are, a tensor a level as `shown` has it.
   std::vector<torch::Tensor> encoded_colours(const torch::Tensor& colours,
                                              const LatentEncoding& encoding) const;
 };

@@ -112,13 +112,13 @@ SceneSpectrum scene_spectrum(const Scene& scene, const SpectrumSettings& setting
   result.spaces.push_back(space_spectrum(
       kNoiseSpace, gaussians, latent_pictures_of(torch::stack(textures), tag_of(kNoiseSpace)), settings));
 
-  for (const LatentEncoding& model : settings.models) {
-    const BundleOptions& options = model.model();
+  for (const ModelBundle& model : settings.models) {
+    const BundleOptions& options = model.options();
     const SizedViews sized = sized_views(
         scene, image_size_of_latents(options, settings.latent_side, settings.latent_side).width, settings);
     gaussians.cameras = sized.cameras;
     for (const LatentPictures& latents :
-         model(sized.images, latent_levels(settings.levels, options, "--levels"))) {
+         LatentEncoding(model)(sized.images, latent_levels(settings.levels, options, "--levels"))) {
       const std::string name = options.backbone.levels() == 1
                                    ? options.name
                                    : fmt::format("{}, level {}", options.name, latents.tag.level);

@@ -18,7 +18,7 @@ struct SpectrumSettings {
   int64_t seed = 0;
   SplatFitOptions fit;
   FeatureSolveOptions solve;
-  std::vector<LatentEncoding> models;
+  std::vector<ModelBundle> models;
   std::vector<std::string> levels{"all"};
   KernelSettings kernels;
 };

@@ -7,11 +7,9 @@
 #include "gld/base/interrupt.h"
 #include "gld/cameras/relative_cameras.h"
 #include "gld/machine/timing.h"
-#include "gld/metrics/image_metrics.h"
 #include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"
 #include "gld/metrics/metric_list.h"
-#include "gld/metrics/sharpness.h"
 #include "gld/report/distinct_names.h"
 #include "gld/report/progress.h"
 #include "gld/report/report_text.h"
@@ -26,9 +24,12 @@
 
 #include <algorithm>
 #include <iostream>
-#include <limits>
 #include <memory>
-#include <set>
+#include <optional>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <torch/autograd.h>
 
@@ -37,53 +38,62 @@
 namespace gld {
 namespace {
 
+// What looks at pictures, to tell how alike a place is in two views.
+struct PlaceFeatures {
+  std::shared_ptr<const Backbone> backbone;
+  BundleOptions options;
+
+  // Pictures are resized to whole patches: features cover them evenly whatever their size is.
+  torch::Tensor operator()(const torch::Tensor& pictures) const {
+    const torch::NoGradGuard no_grad;
+    const ImageSize size = latent_image_size(options, {pictures.size(3), pictures.size(2)});
+    return backbone->features_of_each(
+        torch::upsample_bilinear2d(pictures, {size.height, size.width}, /*align_corners=*/false));
+  }
+};
+
 // What encodes, decodes and, where the model can, repairs; read once for all scenes.
 struct EvaluatedModel {
   LatentEncoding encoding;
   LatentDecoding decoding;
-  std::shared_ptr<const DenoisingUnet> refiner;
-  std::shared_ptr<const Backbone> consistency;  // what looks at pictures; null: nothing does
-  BundleOptions consistency_options;
+  std::shared_ptr<const DenoisingUnet> refiner;  // null: nothing does
+  std::optional<PlaceFeatures> places;
+
+  bool repairs_colours() const { return refiner->options().degraded == DegradedLatents::kColours; }
 };
 
-// Pictures of held-out views, each (views, 3, height, width); refined is undefined without a refiner.
-struct HeldOutPictures {
-  torch::Tensor truth, rgb, decoded, encoded_colours, refined, autoencoded, nearest;
+// One way to show the held-out views.
+struct ShownViews {
+  std::string name, says;  // "rgb", "the Gaussians' colours"
+  std::vector<torch::Tensor>
+      latents;             // normalised, (views, channels, height, width) a level; none of pictures
+  torch::Tensor pictures;  // (views, 3, height, width)
+};
+
+// A column of eval.csv and a row of splat_eval.md, and its mean over the held-out views of a scene.
+struct Score {
+  std::string name, says;
+  double value = 0;
 };
 
 struct EvaluatedScene {
-  SplatScores scores;
-  HeldOutPictures pictures;
+  std::string name;
+  int64_t gaussians = 0;
+  std::vector<Score> scores;
+  torch::Tensor sheet;  // (3, height, width): the first held-out view
 };
 
-// Latents of held-out views, normalised, a tensor a level: (views, channels, height, width).
-struct HeldOutLatents {
-  std::vector<torch::Tensor> encoded, shown, of_colours, refined;
-};
-
-HeldOutLatents held_out_latents(const LatentSplats& splats, const torch::Tensor& colours,
-                                const EvaluatedModel& model, SplatScores& scores,
-                                const KernelSettings& settings) {
-  HeldOutLatents latents;
-  latents.of_colours = splats.encoded_colours(colours, model.encoding);
-  for (size_t level = 0; level < splats.fits.size(); ++level) {
-    latents.encoded.push_back(splats.encoded(level, splats.fitted, splats.views()));
-    latents.shown.push_back(splats.shown(level, settings));
-  }
-  if (!model.refiner) return latents;
-  const auto& degraded =
-      (model.refiner->options().degraded == DegradedLatents::kColours ? latents.of_colours : latents.shown)
-          .front();
-  const LatentRefining refining(*model.refiner, splats.fitted_cameras(), splats.encoded(0, 0, splats.fitted));
+// Returns what the refiner makes of degraded latents, and the seconds that a view took.
+std::pair<torch::Tensor, double> refined_views(const LatentSplats& splats, const torch::Tensor& degraded,
+                                               const DenoisingUnet& refiner) {
+  const LatentRefining refining(refiner, splats.fitted_cameras(), splats.encoded(0, 0, splats.fitted));
   std::vector<torch::Tensor> refined;
-  scores.refined_seconds = seconds_of([&] {
+  const double seconds = seconds_of([&] {
     for (int64_t view = splats.fitted; view < splats.views(); ++view) {
       refined.push_back(refining(splats.cameras[static_cast<size_t>(view)], degraded[view - splats.fitted]));
     }
   });
-  scores.refined_seconds /= static_cast<double>(refined.size());
-  latents.refined = {torch::stack(refined)};
-  return latents;
+  return {torch::stack(refined), seconds / static_cast<double>(refined.size())};
 }
 
 torch::Tensor decoded(const std::vector<torch::Tensor>& latents, const LatentSplats& splats,
@@ -94,36 +104,14 @@ torch::Tensor decoded(const std::vector<torch::Tensor>& latents, const LatentSpl
   return decoding(maps);
 }
 
-HeldOutPictures held_out_pictures(const LatentSplats& splats, const torch::Tensor& colours,
-                                  const HeldOutLatents& latents, const LatentDecoding& decoding) {
-  HeldOutPictures pictures;
-  pictures.truth = splats.images.slice(0, splats.fitted);
-  pictures.rgb = colours;
+torch::Tensor nearest_views(const LatentSplats& splats) {
   Views cameras;
   cameras.cameras = splats.cameras;
   cameras.num_sources = splats.fitted;
   std::vector<torch::Tensor> nearest;
   for (int64_t view = splats.fitted; view < cameras.size(); ++view)
     nearest.push_back(splats.images[nearest_source(cameras, view)]);
-  pictures.nearest = torch::stack(nearest);
-  pictures.encoded_colours = decoded(latents.of_colours, splats, decoding);
-  pictures.decoded = decoded(latents.shown, splats, decoding);
-  pictures.autoencoded = decoded(latents.encoded, splats, decoding);
-  if (!latents.refined.empty()) pictures.refined = decoded(latents.refined, splats, decoding);
-  return pictures;
-}
-
-double mean_psnr(const torch::Tensor& truth, const torch::Tensor& pictures) {
-  return psnr(truth, pictures).mean().item<double>();
-}
-double mean_ssim(const torch::Tensor& truth, const torch::Tensor& pictures) {
-  return ssim(truth, pictures).mean().item<double>();
-}
-double mean_random_features(const torch::Tensor& truth, const torch::Tensor& pictures) {
-  return measure_images(metric_named("random_features"), truth, pictures).mean();
-}
-double mean_sharpness(const torch::Tensor& truth, const torch::Tensor& pictures) {
-  return sharpness(truth, pictures.clamp(0, 1)).mean().item<double>();
+  return torch::stack(nearest);
 }
 
 // Returns |latents - encoded| over |encoded - its mean|, as a mean over levels.
@@ -134,10 +122,12 @@ double mean_error(const std::vector<torch::Tensor>& latents, const std::vector<t
   return sum / static_cast<double>(latents.size());
 }
 
-// Of the first level's raw latents; NaN where they are not square.
-double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, const LatentPictures& of) {
+// Returns the energy of the high frequencies of the first level's raw latents over that of the encoded ones
+// (gld/metrics/latent_spectrum.h); none where they are not square, or too small.
+std::optional<double> high_band(const torch::Tensor& latents, const torch::Tensor& encoded,
+                                const LatentPictures& of) {
   const int64_t side = encoded.size(2);
-  if (encoded.size(3) != side || side < 8) return std::numeric_limits<double>::quiet_NaN();
+  if (encoded.size(3) != side || side < 8) return std::nullopt;
   const int64_t last = last_whole_ring(side);
   const auto amplitudes = [&](const torch::Tensor& views) {
     return ring_amplitudes(raw_latents(views, of.statistics), last, SpectrumWindow::kHann);
@@ -145,224 +135,149 @@ double high_band(const torch::Tensor& latents, const torch::Tensor& encoded, con
   return band_ratio(amplitudes(latents), amplitudes(encoded), side / 4, last);
 }
 
-// Measures how alike places look in held-out views, shown by such pictures, and in the view nearest to each.
-class HeldOutConsistency {
- public:
-  HeldOutConsistency(const LatentSplats& splats, const EvaluatedModel& model)
-      : model_(model), metric_(metric_named("met3r_like_true_geometry")) {
-    inputs_.views.cameras = splats.cameras;
-    inputs_.views.num_sources = splats.fitted;
-    inputs_.all_true_depth = splats.depth;
-    fitted_ = features_of(splats.images.slice(0, 0, splats.fitted));
+// Adds the metrics of pictures against the true ones.
+void score_pictures(const std::vector<ShownViews>& shown, const torch::Tensor& truth,
+                    std::vector<Score>& scores) {
+  struct PictureMetric {
+    const char* name;
+    const char* says;
+  };
+  constexpr PictureMetric kMetrics[] = {{"psnr", "PSNR in dB"},
+                                        {"ssim", "SSIM"},
+                                        {"sharpness", "sharpness of the truth's"},
+                                        {"random_features", "distance of random features from the truth"}};
+  for (const PictureMetric& metric : kMetrics) {
+    for (const ShownViews& views : shown) {
+      scores.push_back({views.name + "_" + metric.name, views.says + ", " + metric.says,
+                        measure_images(metric_named(metric.name), truth, views.pictures).mean()});
+    }
   }
-  // pictures are (views - fitted, 3, height, width); NaN where no view covers another one.
-  double of(const torch::Tensor& pictures) {
-    inputs_.view_features = torch::cat({fitted_, features_of(pictures.clamp(0, 1))});
-    return measure(metric_, inputs_).mean();
+}
+
+// Adds those of latents against the encoded ones. Columns of splatted latents have no prefix.
+void score_latents(const std::vector<ShownViews>& shown, const ShownViews& encoded,
+                   const LatentSplats& splats, std::vector<Score>& scores) {
+  const auto scored = [&](const ShownViews& views) {
+    return !views.latents.empty() && views.name != encoded.name;
+  };
+  for (const ShownViews& views : shown) {
+    if (!scored(views)) continue;
+    scores.push_back({views.name == "decoded" ? "latent_error" : views.name + "_error",
+                      views.says + ": distance of latents from what is encoded over its spread",
+                      mean_error(views.latents, encoded.latents)});
   }
-
- private:
-  // Pictures are resized to whole patches: features cover them evenly whatever their size is.
-  torch::Tensor features_of(const torch::Tensor& pictures) const {
-    const torch::NoGradGuard no_grad;
-    const ImageSize size =
-        latent_image_size(model_.consistency_options, {pictures.size(3), pictures.size(2)});
-    return model_.consistency->features_of_each(
-        torch::upsample_bilinear2d(pictures, {size.height, size.width}, /*align_corners=*/false));
+  for (const ShownViews& views : shown) {
+    if (!scored(views)) continue;
+    const auto band = high_band(views.latents.front(), encoded.latents.front(), splats.levels.front());
+    if (!band) continue;
+    scores.push_back({views.name == "decoded" ? "high_band" : views.name + "_high_band",
+                      views.says + ": high frequencies of latents over those of the encoded ones", *band});
   }
+}
 
-  const EvaluatedModel& model_;
-  Metric metric_;
-  MetricInputs inputs_;
-  torch::Tensor fitted_;
-};
+// Adds how unlike places look in held-out views and in the view nearest to each, nearly always a fitted one, which is a
+// true picture: met3r_like_true_geometry (gld/metrics/feature_consistency.h).
+void score_places(const std::vector<ShownViews>& shown, const LatentSplats& splats,
+                  const PlaceFeatures& places, std::vector<Score>& scores) {
+  const Metric metric = metric_named("met3r_like_true_geometry");
+  MetricInputs inputs;
+  inputs.views.cameras = splats.cameras;
+  inputs.views.num_sources = splats.fitted;
+  inputs.all_true_depth = splats.depth;
+  const auto fitted = places(splats.images.slice(0, 0, splats.fitted));
+  const auto score = [&](const std::string& name, const std::string& says, const torch::Tensor& pictures) {
+    inputs.view_features = torch::cat({fitted, places(pictures.clamp(0, 1))});
+    scores.push_back({name + "_met3r_like", says + ", one place in two views: distance of features",
+                      measure(metric, inputs).mean()});
+  };
+  score("true", "the truth", splats.images.slice(0, splats.fitted));
+  for (const ShownViews& views : shown) score(views.name, views.says, views.pictures);
+}
 
-void measure_consistency(const LatentSplats& splats, const HeldOutPictures& pictures,
-                         const EvaluatedModel& model, SplatScores& scores) {
-  HeldOutConsistency consistency(splats, model);
-  scores.true_met3r_like = consistency.of(pictures.truth);
-  scores.rgb_met3r_like = consistency.of(pictures.rgb);
-  scores.decoded_met3r_like = consistency.of(pictures.decoded);
-  scores.encoded_colours_met3r_like = consistency.of(pictures.encoded_colours);
-  scores.autoencoded_met3r_like = consistency.of(pictures.autoencoded);
-  if (pictures.refined.defined()) scores.refined_met3r_like = consistency.of(pictures.refined);
+void require_depth(const Scene& scene) {
+  for (const Frame& frame : scene.frames) {
+    if (frame.has_image() && !frame.has_depth()) {
+      fail({"--consistency-model", "scenes with depth in every view",
+            fmt::format("none in view {} of {}", frame.name, scene.name),
+            "leave it out, or measure scenes with depth"});
+    }
+  }
 }
 
 EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
                          const SplatEvaluationOptions& options, const KernelSettings& settings) {
+  if (model.places) require_depth(scene);
   const LatentSplats splats = splat_latents(scene, model.encoding, options, settings);
-  EvaluatedScene result;
-  SplatScores& scores = result.scores;
-  scores.scene = scene.name;
-  scores.seconds = splats.seconds;
-  scores.gaussians = splats.fit.set.size();
-  const auto colours = splats.colours(settings);
-  const HeldOutLatents latents = held_out_latents(splats, colours, model, scores, settings);
-  scores.encoded_colours_error = mean_error(latents.of_colours, latents.encoded);
-  scores.latent_error = mean_error(latents.shown, latents.encoded);
-  scores.high_band = high_band(latents.shown.front(), latents.encoded.front(), splats.levels.front());
-  result.pictures = held_out_pictures(splats, colours, latents, model.decoding);
-  const HeldOutPictures& pictures = result.pictures;
-  const auto& truth = pictures.truth;
-  scores.rgb_psnr = mean_psnr(truth, pictures.rgb);
-  scores.rgb_ssim = mean_ssim(truth, pictures.rgb);
-  scores.rgb_sharpness = mean_sharpness(truth, pictures.rgb);
-  scores.decoded_psnr = mean_psnr(truth, pictures.decoded);
-  scores.decoded_ssim = mean_ssim(truth, pictures.decoded);
-  scores.decoded_sharpness = mean_sharpness(truth, pictures.decoded);
-  scores.encoded_colours_psnr = mean_psnr(truth, pictures.encoded_colours);
-  scores.encoded_colours_ssim = mean_ssim(truth, pictures.encoded_colours);
-  scores.autoencoded_psnr = mean_psnr(truth, pictures.autoencoded);
-  scores.autoencoded_ssim = mean_ssim(truth, pictures.autoencoded);
-  scores.autoencoded_sharpness = mean_sharpness(truth, pictures.autoencoded);
-  scores.rgb_random_features = mean_random_features(truth, pictures.rgb);
-  scores.decoded_random_features = mean_random_features(truth, pictures.decoded);
-  scores.encoded_colours_random_features = mean_random_features(truth, pictures.encoded_colours);
-  scores.autoencoded_random_features = mean_random_features(truth, pictures.autoencoded);
-  scores.nearest_psnr = mean_psnr(truth, pictures.nearest);
-  scores.nearest_ssim = mean_ssim(truth, pictures.nearest);
+  ShownViews rgb{"rgb", "the Gaussians' colours", {}, splats.colours(settings)};
+  ShownViews splatted{"decoded", "splatted latents, decoded", {}, {}};
+  ShownViews colours{"encoded_colours",
+                     "the Gaussians' colours, encoded and decoded",
+                     splats.encoded_colours(rgb.pictures, model.encoding),
+                     {}};
+  ShownViews encoded{"autoencoded", "encoded latents, decoded: what can be reached", {}, {}};
+  for (size_t level = 0; level < splats.fits.size(); ++level) {
+    encoded.latents.push_back(splats.encoded(level, splats.fitted, splats.views()));
+    splatted.latents.push_back(splats.shown(level, settings));
+  }
+  std::vector<ShownViews> shown = {rgb, splatted};
+  double refined_seconds = 0;
   if (model.refiner) {
-    scores.refined_error = mean_error(latents.refined, latents.encoded);
-    scores.refined_high_band =
-        high_band(latents.refined.front(), latents.encoded.front(), splats.levels.front());
-    scores.refined_psnr = mean_psnr(truth, pictures.refined);
-    scores.refined_ssim = mean_ssim(truth, pictures.refined);
-    scores.refined_sharpness = mean_sharpness(truth, pictures.refined);
-    scores.refined_random_features = mean_random_features(truth, pictures.refined);
+    const auto& degraded = (model.repairs_colours() ? colours : splatted).latents.front();
+    ShownViews refined{"refined", "what the refiner makes of its input, decoded", {}, {}};
+    refined.latents.resize(1);
+    std::tie(refined.latents.front(), refined_seconds) = refined_views(splats, degraded, *model.refiner);
+    shown.push_back(refined);
   }
-  if (model.consistency) {
-    if (!splats.depth.defined()) {
-      fail({"--consistency-model", "scenes with depth in every view", scene.name + " without",
-            "leave it out, or measure scenes with depth"});
-    }
-    measure_consistency(splats, pictures, model, scores);
+  shown.insert(shown.end(), {colours, encoded});
+  std::vector<torch::Tensor> sheet = {splats.images[splats.fitted]};
+  for (ShownViews& views : shown) {
+    if (!views.latents.empty()) views.pictures = decoded(views.latents, splats, model.decoding);
+    sheet.push_back(views.pictures[0]);
   }
+  shown.push_back({"nearest", "the nearest input view", {}, nearest_views(splats)});
+
+  EvaluatedScene result;
+  result.name = scene.name;
+  result.gaussians = splats.fit.set.size();
+  result.sheet = torch::cat(sheet, 2).clamp(0, 1);
+  score_pictures(shown, splats.images.slice(0, splats.fitted), result.scores);
+  score_latents(shown, encoded, splats, result.scores);
+  if (model.places) score_places(shown, splats, *model.places, result.scores);
+  result.scores.push_back({"seconds", "seconds of fit and solve", splats.seconds});
+  if (model.refiner)
+    result.scores.push_back({"refined_seconds", "seconds of the refiner, a view", refined_seconds});
   return result;
 }
 
-enum class ScoreNeed { kRefiner, kSquareLatents, kConsistencyModel };
-// A column of eval.csv and a row of splat_eval.md.
-struct ScoreColumn {
-  const char* name;
-  const char* says;
-  double SplatScores::*value;
-  std::set<ScoreNeed> needs = {};
-};
-// Returns those of which every scene has what they need.
-std::vector<ScoreColumn> score_columns(const std::set<ScoreNeed>& had) {
-  const std::vector<ScoreColumn> columns{
-      {"rgb_psnr", "the Gaussians' colours, PSNR in dB", &SplatScores::rgb_psnr},
-      {"decoded_psnr", "splatted latents, decoded, PSNR in dB", &SplatScores::decoded_psnr},
-      {"refined_psnr",
-       "what the refiner makes of its input, decoded, PSNR in dB",
-       &SplatScores::refined_psnr,
-       {ScoreNeed::kRefiner}},
-      {"encoded_colours_psnr", "the Gaussians' colours, encoded and decoded, PSNR in dB",
-       &SplatScores::encoded_colours_psnr},
-      {"autoencoded_psnr", "encoded latents, decoded: what can be reached, PSNR in dB",
-       &SplatScores::autoencoded_psnr},
-      {"nearest_psnr", "the nearest input view, PSNR in dB", &SplatScores::nearest_psnr},
-      {"rgb_ssim", "the Gaussians' colours, SSIM", &SplatScores::rgb_ssim},
-      {"decoded_ssim", "splatted latents, decoded, SSIM", &SplatScores::decoded_ssim},
-      {"refined_ssim", "repaired and decoded, SSIM", &SplatScores::refined_ssim, {ScoreNeed::kRefiner}},
-      {"encoded_colours_ssim", "the Gaussians' colours, encoded and decoded, SSIM",
-       &SplatScores::encoded_colours_ssim},
-      {"autoencoded_ssim", "encoded latents, decoded, SSIM", &SplatScores::autoencoded_ssim},
-      {"nearest_ssim", "the nearest input view, SSIM", &SplatScores::nearest_ssim},
-      {"rgb_sharpness", "the Gaussians' colours, sharpness of the truth's", &SplatScores::rgb_sharpness},
-      {"decoded_sharpness", "splatted latents, decoded, sharpness of the truth's",
-       &SplatScores::decoded_sharpness},
-      {"refined_sharpness",
-       "repaired and decoded, sharpness of the truth's",
-       &SplatScores::refined_sharpness,
-       {ScoreNeed::kRefiner}},
-      {"autoencoded_sharpness", "encoded latents, decoded, sharpness of the truth's",
-       &SplatScores::autoencoded_sharpness},
-      {"rgb_random_features", "the Gaussians' colours, distance of random features from the truth",
-       &SplatScores::rgb_random_features},
-      {"decoded_random_features", "splatted latents, decoded, the same", &SplatScores::decoded_random_features},
-      {"refined_random_features", "repaired and decoded, the same", &SplatScores::refined_random_features,
-       {ScoreNeed::kRefiner}},
-      {"encoded_colours_random_features", "the Gaussians' colours, encoded and decoded, the same",
-       &SplatScores::encoded_colours_random_features},
-      {"autoencoded_random_features", "encoded latents, decoded, the same",
-       &SplatScores::autoencoded_random_features},
-      {"latent_error", "splatted latents, distance from what is encoded over its spread",
-       &SplatScores::latent_error},
-      {"encoded_colours_error",
-       "the Gaussians' colours, encoded: distance from what is encoded over its spread",
-       &SplatScores::encoded_colours_error},
-      {"refined_error",
-       "repaired latents, distance from what is encoded over its spread",
-       &SplatScores::refined_error,
-       {ScoreNeed::kRefiner}},
-      {"high_band",
-       "splatted latents, high frequencies of the encoded ones'",
-       &SplatScores::high_band,
-       {ScoreNeed::kSquareLatents}},
-      {"refined_high_band",
-       "repaired latents, high frequencies of the encoded ones'",
-       &SplatScores::refined_high_band,
-       {ScoreNeed::kRefiner, ScoreNeed::kSquareLatents}},
-      {"true_met3r_like",
-       "the truth, features of one place in two views apart (met3r_like_true_geometry)",
-       &SplatScores::true_met3r_like,
-       {ScoreNeed::kConsistencyModel}},
-      {"rgb_met3r_like",
-       "the Gaussians' colours, the same",
-       &SplatScores::rgb_met3r_like,
-       {ScoreNeed::kConsistencyModel}},
-      {"decoded_met3r_like",
-       "splatted latents, decoded, the same",
-       &SplatScores::decoded_met3r_like,
-       {ScoreNeed::kConsistencyModel}},
-      {"encoded_colours_met3r_like",
-       "the Gaussians' colours, encoded and decoded, the same",
-       &SplatScores::encoded_colours_met3r_like,
-       {ScoreNeed::kConsistencyModel}},
-      {"refined_met3r_like",
-       "repaired and decoded, the same",
-       &SplatScores::refined_met3r_like,
-       {ScoreNeed::kRefiner, ScoreNeed::kConsistencyModel}},
-      {"autoencoded_met3r_like",
-       "encoded latents, decoded, the same",
-       &SplatScores::autoencoded_met3r_like,
-       {ScoreNeed::kConsistencyModel}},
-      {"seconds", "seconds of fit and solve", &SplatScores::seconds},
-      {"refined_seconds",
-       "seconds of the refiner, a view",
-       &SplatScores::refined_seconds,
-       {ScoreNeed::kRefiner}}};
-  std::vector<ScoreColumn> shown;
-  for (const ScoreColumn& column : columns) {
-    if (std::includes(had.begin(), had.end(), column.needs.begin(), column.needs.end()))
-      shown.push_back(column);
+// Returns the value of a scene's score, or none: latents of some scenes may not be square.
+std::optional<double> score_of(const EvaluatedScene& scene, const std::string& name) {
+  for (const Score& score : scene.scores) {
+    if (score.name == name) return score.value;
   }
-  return shown;
+  return std::nullopt;
 }
 
-Table scene_table(const std::vector<SplatScores>& scenes, const std::vector<ScoreColumn>& columns) {
+// Returns those that every scene has, without values.
+std::vector<Score> common_scores(const std::vector<EvaluatedScene>& scenes) {
+  std::vector<Score> common;
+  if (scenes.empty()) return common;
+  for (const Score& score : scenes.front().scores) {
+    const auto has = [&](const EvaluatedScene& scene) { return score_of(scene, score.name).has_value(); };
+    if (std::all_of(scenes.begin(), scenes.end(), has)) common.push_back(score);
+  }
+  return common;
+}
+
+Table scene_table(const std::vector<EvaluatedScene>& scenes, const std::vector<Score>& columns) {
   std::vector<std::string> names{"scene", "gaussians"};
-  for (const ScoreColumn& column : columns) names.emplace_back(column.name);
+  for (const Score& column : columns) names.push_back(column.name);
   Table table(names);
-  for (const SplatScores& scene : scenes) {
-    std::vector<TableCell> row{scene.scene, scene.gaussians};
-    for (const ScoreColumn& column : columns) row.emplace_back(scene.*column.value);
+  for (const EvaluatedScene& scene : scenes) {
+    std::vector<TableCell> row{scene.name, scene.gaussians};
+    for (const Score& column : columns) row.emplace_back(*score_of(scene, column.name));
     table.add_row(row);
   }
   return table;
-}
-
-// Writes the first held-out view: truth, colours, decoded latents, what the refiner makes of them where there is one,
-// and what decoding alone loses.
-void write_pictures(const RunFolder& run, const EvaluatedScene& scene, const std::string& name,
-                    const Provenance& provenance) {
-  const HeldOutPictures& pictures = scene.pictures;
-  std::vector<torch::Tensor> row = {pictures.truth[0], pictures.rgb[0], pictures.decoded[0]};
-  if (pictures.refined.defined()) row.push_back(pictures.refined[0]);
-  row.push_back(pictures.autoencoded[0]);
-  export_image(run.subfolder("pictures") / (name + ".png"), to_image(torch::cat(row, 2).clamp(0, 1)),
-               provenance);
 }
 
 }  // namespace
@@ -382,11 +297,10 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
   settings.threads = use_threads(options.threads);
   const ModelBundle bundle = ModelBundle::open(options.model);
   require_encoder_and_decoder(bundle, options.model);
-  EvaluatedModel model{LatentEncoding(bundle), LatentDecoding(bundle), nullptr, nullptr, {}};
+  EvaluatedModel model{LatentEncoding(bundle), LatentDecoding(bundle), nullptr, std::nullopt};
   if (!options.consistency_model.empty()) {
     const ModelBundle looking = ModelBundle::open(options.consistency_model);
-    model.consistency = looking.load_backbone();
-    model.consistency_options = looking.options();
+    model.places = PlaceFeatures{looking.load_backbone(), looking.options()};
   }
   if (has_refiner(bundle)) {
     print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
@@ -396,36 +310,32 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
   RunFolder run(options.out, "splat eval", options, earlier_run(options.overwrite));
   const Provenance provenance = make_provenance("splat eval", options);
-  std::vector<SplatScores> scenes;
+  std::vector<EvaluatedScene> scenes;
   DistinctNames names;
   Progress progress({"scenes", dataset->size(), 0, run.path()});
   for (int64_t index = 0; index < dataset->size(); ++index) {
     stop_if_interrupted(fmt::format("{} of {} scenes were done", index, dataset->size()));
-    const EvaluatedScene scene = evaluated(dataset->scene(index), model, options, settings);
-    write_pictures(run, scene, names.of(scene.scores.scene), provenance);
-    scenes.push_back(scene.scores);
+    scenes.push_back(evaluated(dataset->scene(index), model, options, settings));
+    export_image(run.subfolder("pictures") / (names.of(scenes.back().name) + ".png"),
+                 to_image(scenes.back().sheet), provenance);
+    scenes.back().sheet.reset();
     progress.update(index + 1);
   }
   progress.finish();
-  std::set<ScoreNeed> had;
-  if (model.refiner) had.insert(ScoreNeed::kRefiner);
-  if (model.consistency) had.insert(ScoreNeed::kConsistencyModel);
-  if (std::all_of(scenes.begin(), scenes.end(), [](const SplatScores& of) { return of.high_band > 0; }))
-    had.insert(ScoreNeed::kSquareLatents);
-  const auto columns = score_columns(had);
+  const std::vector<Score> columns = common_scores(scenes);
   nlohmann::ordered_json report;
   report["scenes"] = scenes.size();
   report["threads"] = settings.threads;
   Table means({"what", "mean", "low", "high"});
-  for (const ScoreColumn& column : columns) {
+  for (const Score& column : columns) {
     std::vector<double> values;
     values.reserve(scenes.size());
-    for (const SplatScores& scene : scenes) values.push_back(scene.*column.value);
+    for (const EvaluatedScene& scene : scenes) values.push_back(*score_of(scene, column.name));
     const SceneStatistics statistics = statistics_over_scenes(values);
     const Interval& interval = statistics.interval;
     report["means"][column.name] = {{"mean", statistics.mean},
                                     {"interval_95", {interval.low, interval.high}}};
-    means.add_row({std::string(column.says), statistics.mean, interval.low, interval.high});
+    means.add_row({column.says, statistics.mean, interval.low, interval.high});
   }
   const std::string text = fmt::format(
       "# Splats against views that they were not fitted to\n\n{} scene{}, {} held-out views of each; means over scenes, "

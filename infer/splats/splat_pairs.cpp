@@ -47,6 +47,18 @@ nlohmann::ordered_json mean_json(const std::vector<double>& values) {
   return {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}};
 }
 
+// A run that goes on cannot make a file again that it takes for its own.
+SplattedScene kept_scene(const std::filesystem::path& file, bool resumed) {
+  try {
+    return read_splatted_scene(file);
+  } catch (const Error& error) {
+    if (!resumed) throw;
+    ErrorParts parts = error.parts();
+    parts.remedy = "delete the file and go on with --resume, or make all anew with --overwrite";
+    fail(parts);
+  }
+}
+
 }  // namespace
 
 SplatPairsOptions::SplatPairsOptions() {
@@ -84,9 +96,10 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   }
   const auto dataset =
       held_out_dataset(options.scenes, options.generator, options.synthetic_seed, options.synthetic);
+  // Before an earlier run is removed.
+  const LatentEncoding encoding(bundle);
   RunFolder run(options.out, "splat pairs", options, earlier);
   const auto folder = run.subfolder(kPairsFolder);
-  const LatentEncoding encoding(bundle);
   Table table({"scene", "fitted_views", "held_out_views", "latent_error", "encoded_colours_error"});
   std::vector<double> errors, of_colours;
   int64_t made = 0;
@@ -104,7 +117,7 @@ void run_splat_pairs(const SplatPairsOptions& options) {
       save_splatted_scene(file, splatted_scene(drawn, encoding, options, settings));
       ++made;
     }
-    const SplattedScene scene = read_splatted_scene(file);
+    const SplattedScene scene = kept_scene(file, options.resume);
     require_same_normalisation(scene.tag, bundle, file.string());
     errors.push_back(error_of(scene.splatted, scene));
     of_colours.push_back(error_of(scene.colours, scene));

@@ -5,7 +5,8 @@
 namespace gld {
 
 // gld splat pairs makes what a refiner is trained on. Of each scene Gaussians are fitted to some views and show the
-// latents of the others, which are kept beside the encoded ones (models/splats/splatted_scene.h).
+// others, by features of latents and by colours that are encoded, which are kept beside the encoded ones
+// (models/splats/splatted_scene.h).
 struct SplatPairsOptions : ScenesSplattingOptions {
   bool resume = false;
 

@@ -55,7 +55,7 @@ void SplatRenderOptions::visit(FieldVisitor& visitor) {
   visit_choice(
       visitor,
       {"show",
-       "colours, latents of gld splat fit --features decoded, or those repaired by the refiner before"},
+       "colours, latents of gld splat fit --features decoded, or what the refiner makes of these or of colours"},
       show, {"colours", "latents", "refined"});
   visitor.text({"model", "of latents: the model bundle that they were encoded with"}, model);
   visitor.group({"path", "where the cameras go"}, path);

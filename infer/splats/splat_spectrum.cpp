@@ -41,13 +41,13 @@ SpectrumSettings settings_of(const SplatSpectrumOptions& options) {
   settings.levels = options.levels;
   settings.kernels.threads = use_threads(options.threads);
   for (const std::string& folder : options.models) {
-    const ModelBundle model = ModelBundle::open(folder);
+    ModelBundle model = ModelBundle::open(folder);
     latent_levels(options.levels, model.options(), "--levels");
     image_size_of_latents(model.options(), options.latent_side, options.latent_side);
     if (!model.has(BundlePart::backbone())) {
       fail({folder, "a backbone with weights", "none", "add it with gld convert or gld train"});
     }
-    settings.models.emplace_back(model);
+    settings.models.push_back(std::move(model));
   }
   return settings;
 }

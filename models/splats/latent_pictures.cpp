@@ -182,14 +182,27 @@ LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag) {
 LatentEncoding::LatentEncoding(const ModelBundle& bundle)
     : bundle_(bundle),
       backbone_(bundle.load_backbone()),
-      backbone_hash_(sha256_of_file(bundle.file(BundlePart::backbone()))) {}
+      backbone_hash_(sha256_of_file(bundle.file(BundlePart::backbone()))) {
+  for (int64_t level = 0; level < options().backbone.levels(); ++level) {
+    if (generator_of(options(), level) == nullptr || !bundle.has(BundlePart::statistics(level))) continue;
+    statistics_[level] = {statistics_of_pictures(bundle, level),
+                          sha256_of_file(bundle.file(BundlePart::statistics(level)))};
+  }
+}
+
+bool LatentEncoding::encodes_alone() const {
+  const auto& architecture = backbone_->architecture();
+  for (int64_t block = 0; block < architecture.blocks(); ++block) {
+    if (architecture.attends_over_views(block)) return false;
+  }
+  return true;
+}
 
 std::vector<LatentPictures> LatentEncoding::operator()(const torch::Tensor& images,
                                                        const std::vector<int64_t>& levels) const {
   const at::NoGradGuard no_gradients;
   std::vector<LatentPictures> result;
   if (levels.empty()) return result;
-  const BundleOptions& options = model();
   const auto& architecture = backbone_->architecture();
   const LatentGrid grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
   const int64_t token_pixels = architecture.latent_pixels();
@@ -200,20 +213,20 @@ std::vector<LatentPictures> LatentEncoding::operator()(const torch::Tensor& imag
         backbone_->patches_of(encoded.at(static_cast<size_t>(level))).to(torch::kFloat32).contiguous();
     const auto latents = latents_of_tokens(tokens, grid, token_pixels);
     if (!latents.isfinite().all().item<bool>()) {
-      fail({"encoding views with " + options.name, "finite latents",
+      fail({"encoding views with " + options().name, "finite latents",
             fmt::format("NaN or infinity at level {}", level), "check the backbone with gld inspect"});
     }
-    const LevelGenerator* generator = generator_of(options, level);
-    const bool of_model = generator != nullptr && bundle_.has(BundlePart::statistics(level));
+    const auto of_model = statistics_.find(level);
+    const bool known = of_model != statistics_.end();
     LatentTag tag;
-    tag.model = options.name;
+    tag.model = options().name;
     tag.backbone = architecture.kind();
     tag.backbone_hash = backbone_hash_;
     tag.level = level;
-    tag.statistics = of_model ? "of the model" : "of the views";
-    if (of_model) tag.statistics_hash = sha256_of_file(bundle_.file(BundlePart::statistics(level)));
-    result.push_back(normalised_pictures(
-        latents, of_model ? statistics_of_pictures(bundle_, level) : of_views(latents), std::move(tag)));
+    tag.statistics = known ? "of the model" : "of the views";
+    if (known) tag.statistics_hash = of_model->second.hash;
+    result.push_back(
+        normalised_pictures(latents, known ? of_model->second.values : of_views(latents), std::move(tag)));
   }
   return result;
 }

@@ -6,6 +6,7 @@
 #include "models/bundle/bundle.h"
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -76,7 +77,9 @@ LatentPictures latent_pictures_of(const torch::Tensor& latents, LatentTag tag);
 class LatentEncoding {
  public:
   explicit LatentEncoding(const ModelBundle& bundle);
-  const BundleOptions& model() const { return bundle_.options(); }
+  const BundleOptions& options() const { return bundle_.options(); }
+  // Returns whether pictures are encoded each alone, so that it does not matter which are given together.
+  bool encodes_alone() const;
   std::vector<LatentPictures> operator()(const torch::Tensor& images,
                                          const std::vector<int64_t>& levels) const;
 
@@ -84,6 +87,12 @@ class LatentEncoding {
   ModelBundle bundle_;
   std::shared_ptr<Backbone> backbone_;
   std::string backbone_hash_;
+  // Of levels whose statistics the bundle has: these, and their file's hash.
+  struct KeptStatistics {
+    LatentStatistics values;
+    std::string hash;
+  };
+  std::map<int64_t, KeptStatistics> statistics_;
 };
 
 // Returns the latent views of images with these cameras, the channels of all levels behind each other. Levels are of

@@ -15,7 +15,8 @@
 namespace gld {
 
 // The views of a scene as its autoencoder sees them, and some of them as Gaussians that were fitted to the others show
-// their latents: what a refiner is trained on and what it is given. Latents are normalised by the model's statistics.
+// them, by features and by colours: what a refiner is trained on and what it is given. Latents are normalised by the
+// model's statistics.
 struct SplattedScene {
   std::string name;
   LatentTag tag;
@@ -36,9 +37,9 @@ struct SplattedScene {
   std::vector<Camera> fitted_cameras() const { return {cameras.begin(), cameras.begin() + fitted}; }
 };
 
-// Writes one safetensors file: "pictures", "encoded", "splatted" and "colours" in float16, "intrinsics" (views, 3, 3) and
-// "world_from_camera" (views, 4, 4) in float64; metadata "gld:scene", "gld:fitted" and "gld:latent_space". It is
-// written whole or not at all.
+// Writes one safetensors file: "pictures", "encoded", "splatted" and "colours" in float16, "intrinsics"
+// (views, 3, 3) and "world_from_camera" (views, 4, 4) in float64; metadata "gld:scene", "gld:fitted" and
+// "gld:latent_space". It is written whole or not at all.
 void save_splatted_scene(const std::filesystem::path& file, const SplattedScene& scene);
 // The result shares the file's memory as far as types allow. Throws Error naming the file and what is wrong with it.
 SplattedScene read_splatted_scene(const std::filesystem::path& file);

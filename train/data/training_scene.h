@@ -18,7 +18,7 @@ struct TrainingScene {
   torch::Tensor depth;  // (views, height, width), planar, unit of the poses, 0 = not known; undefined without
   // Of scenes whose latents were splatted (models/splats/splatted_scene.h), normalised; undefined of others.
   torch::Tensor encoded;   // (views, channels, height', width')
-  torch::Tensor degraded;  // the target views' as Gaussians show them, (targets, channels, height', width')
+  torch::Tensor degraded;  // the target views', to be repaired, (targets, channels, height', width')
   bool metric = false;     // poses and depth are in metres
 
   int64_t height() const { return images.size(2); }

@@ -55,7 +55,8 @@ void RefinerObjectiveOptions::visit(FieldVisitor& visitor) {
   visitor.integer(
       {"denoising_steps", "first steps in which encoded latents are seen through noise of random timesteps"},
       denoising_steps, {0, 1'000'000'000});
-  visitor.integer({"latent_steps", "steps behind these in which latents alone count, not decoded pictures"},
+  visitor.integer({"latent_steps",
+                   "so many steps behind denoising_steps in which latents alone count, not decoded pictures"},
                   latent_steps, {0, 1'000'000'000});
 }
 

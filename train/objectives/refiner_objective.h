@@ -31,14 +31,14 @@ struct RefinerObjectiveOptions : OptionsGroup {
   // First steps in which the network learns to see through noise, of encoded latents at random timesteps, beside the
   // same references: what a checkpoint of Stable Diffusion brings.
   int64_t denoising_steps = 0;
-  // So many steps behind these in which latents alone count: decoded pictures take half of a step's time.
+  // So many steps behind denoising_steps in which latents alone count: decoded pictures take half of a step's time.
   int64_t latent_steps = 0;
 
   RefinerObjectiveOptions();
   void visit(FieldVisitor& visitor) override;
 };
 
-// Trains the one-step refiner (models/refiner) on splatted latents of views whose encoded latents are known, beside
+// Trains the one-step refiner (models/refiner) on degraded latents of views whose encoded latents are known, beside
 // their nearest views (Splatent, arXiv 2512.09923, section 4.3), by latent_weight MSE(z) + picture_weight MSE(D(z)) +
 // perceptual.weight perceptual(D(z)). Scenes have their references first and one target.
 class RefinerObjective : public Objective {

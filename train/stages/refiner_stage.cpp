@@ -3,6 +3,9 @@
 #include "gld/base/error.h"
 
 #include <iostream>
+#include <string>
+
+#include <fmt/format.h>
 
 namespace gld {
 TrainRefinerOptions::TrainRefinerOptions() {
@@ -24,6 +27,17 @@ void TrainRefinerOptions::visit_data(FieldVisitor& visitor) {
 void TrainRefinerOptions::check() const {
   StageOptions::check();
   data.check();
+  const bool decodes = objective.picture_weight > 0 || objective.perceptual.weight > 0;
+  const int64_t undecoded = objective.denoising_steps + objective.latent_steps;
+  // A network that only sees through noise is a beginning of its own.
+  if (objective.latent_steps > 0 && decodes && undecoded >= loop.steps) {
+    fail({"--objective.latent-steps",
+          fmt::format("with --objective.denoising-steps {} fewer than the {} steps of the training, behind "
+                      "which decoded pictures count",
+                      objective.denoising_steps, loop.steps),
+          std::to_string(objective.latent_steps),
+          "lower it, or set --objective.picture-weight and --objective.perceptual.weight to 0"});
+  }
 }
 
 std::string train_refiner(const TrainRefinerOptions& options, const DrawValidation& draw) {

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <filesystem>
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
@@ -62,6 +63,8 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
   EXPECT_GT(mean(all, "true_met3r_like"), 0);
   EXPECT_GT(mean(all, "decoded_met3r_like"), mean(all, "true_met3r_like"));
   EXPECT_GT(mean(all, "decoded_met3r_like"), mean(all, "autoencoded_met3r_like"));
+  EXPECT_LT(mean(all, "rgb_random_features"), mean(all, "nearest_random_features"));
+  EXPECT_LT(mean(all, "autoencoded_random_features"), mean(all, "decoded_random_features"));
   EXPECT_FALSE(all.contains("refined_met3r_like"));
   EXPECT_FALSE(two.contains("true_met3r_like"));
   const std::string rows = read_file(folder.path() / "all" / "eval.csv");
@@ -75,6 +78,16 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
     pictures += item.path().extension() == ".png" ? 1 : 0;
   EXPECT_EQ(pictures, 2);
 
+  // A scene without depth.
+  options.out = (folder.path() / "without").string();
+  options.consistency_model = options.model;
+  options.scenes = {(test::source_root() / "tests/data/scenes/gld_layout_5e040cd0758dcc96").string()};
+  EXPECT_THAT(
+      error_of([&] { run_splat_evaluation(options); }),
+      testing::MatchesRegex("--consistency-model: expected scenes with depth in every view, found none in "
+                            "view .* of .*; leave it out, or measure scenes with depth."));
+  options.consistency_model.clear();
+  options.scenes.clear();
   options.synthetic = 0;
   EXPECT_EQ(error_of([&] { run_splat_evaluation(options); }),
             "scenes: expected --scenes DIR or --synthetic N, found neither; give one of them.");

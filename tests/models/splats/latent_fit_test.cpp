@@ -61,7 +61,8 @@ TEST(LatentPictures, OfAutoencodersLieOnTheirPixels) {
   load_yaml(options, test::source_root() / "configs/ablations/latents/vae/model.yaml");
   write_random_bundle(folder.path() / "vae", options, 5);
   const ModelBundle bundle = ModelBundle::open(folder.path() / "vae");
-  EXPECT_EQ(image_size_of_latents(bundle.options(), 8, 8).width, 64);
+  EXPECT_EQ(image_size_of_latents(bundle.options(), 8, 6).width, 64);
+  EXPECT_EQ(image_size_of_latents(bundle.options(), 8, 6).height, 48);
   EXPECT_EQ(
       error_of([&] { image_size_of_latents(bundle.options(), 8, 7); }),
       "latents of ablation latent vae: expected a side in whole tokens of 2 latent pixels, found 7; choose "

@@ -144,6 +144,16 @@ TEST_F(RefinerStage, GoesOnWithTrainedWeightsAndComparesWithPhotographs) {
 }
 
 TEST_F(RefinerStage, SaysWhatItLacks) {
+  auto late = options("run");
+  late.objective.denoising_steps = 1;
+  late.objective.latent_steps = 1;
+  EXPECT_EQ(
+      error_of([&] { late.check(); }),
+      "--objective.latent-steps: expected with --objective.denoising-steps 1 fewer than the 2 steps of the "
+      "training, behind which decoded pictures count, found 1; lower it, or set --objective.picture-weight "
+      "and --objective.perceptual.weight to 0.");
+  late.objective.picture_weight = late.objective.perceptual.weight = 0;
+  EXPECT_NO_THROW(late.check());
   auto training = options("run");
   training.data.validation_scenes = 4;
   EXPECT_THAT(
