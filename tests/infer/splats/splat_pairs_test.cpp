@@ -115,7 +115,7 @@ TEST_F(SplatPairs, GoOnBehindTheScenesThatAreThere) {
   save_safetensors(file(1), tensors, notes);
   options_.resume = true;
   EXPECT_THAT(
-      error_of([&] { quietly([&] { run_splat_pairs(options_); }); }),
+      error_of([&] { run_splat_pairs(options_); }),
       HasSubstr("expected a tensor colours, found none; delete the file and go on with --resume, or make "
                 "all anew with --overwrite."));
   std::filesystem::remove(file(1));
