@@ -147,6 +147,10 @@ LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
   return result;
 }
 
+nlohmann::ordered_json mean_json(const SceneStatistics& statistics) {
+  return {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}};
+}
+
 void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where) {
   for (const BundlePart& part : {BundlePart::backbone(), bundle.image_decoder_part()}) {
     if (bundle.has(part)) continue;

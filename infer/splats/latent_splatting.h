@@ -2,6 +2,7 @@
 
 #include "datasets/splats/scene_fit.h"
 #include "datasets/synthetic/synthetic_scene.h"
+#include "gld/metrics/metric.h"
 #include "gld/splatting/feature_solve.h"
 #include "models/bundle/bundle.h"
 #include "models/splats/latent_fit.h"
@@ -11,6 +12,8 @@
 #include <vector>
 
 #include <torch/types.h>
+
+#include <nlohmann/json.hpp>
 
 namespace gld {
 
@@ -76,6 +79,9 @@ struct LatentSplats {
 
 LatentSplats splat_latents(const Scene& scene, const LatentEncoding& encoding,
                            const LatentSplattingOptions& options, const KernelSettings& settings);
+
+// Returns a mean over scenes as reports of these commands have it: "mean" and "interval_95".
+nlohmann::ordered_json mean_json(const SceneStatistics& statistics);
 
 // Throws Error where the bundle lacks the weights of a backbone or of what decodes images.
 void require_encoder_and_decoder(const ModelBundle& bundle, const std::string& where);

@@ -333,8 +333,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
     for (const EvaluatedScene& scene : scenes) values.push_back(*score_of(scene, column.name));
     const SceneStatistics statistics = statistics_over_scenes(values);
     const Interval& interval = statistics.interval;
-    report["means"][column.name] = {{"mean", statistics.mean},
-                                    {"interval_95", {interval.low, interval.high}}};
+    report["means"][column.name] = mean_json(statistics);
     means.add_row({column.says, statistics.mean, interval.low, interval.high});
   }
   const std::string text = fmt::format(

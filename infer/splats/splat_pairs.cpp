@@ -42,11 +42,6 @@ double error_of(const torch::Tensor& latents, const SplattedScene& scene) {
   return relative_latent_error(latents, scene.encoded.slice(0, scene.fitted));
 }
 
-nlohmann::ordered_json mean_json(const std::vector<double>& values) {
-  const SceneStatistics statistics = statistics_over_scenes(values);
-  return {{"mean", statistics.mean}, {"interval_95", {statistics.interval.low, statistics.interval.high}}};
-}
-
 // A run that goes on cannot make a file again that it takes for its own.
 SplattedScene kept_scene(const std::filesystem::path& file, bool resumed) {
   try {
@@ -127,8 +122,8 @@ void run_splat_pairs(const SplatPairsOptions& options) {
   progress.finish();
   write_file_atomically(run.path() / "pairs.csv", table.csv());
   run.write_report({{"scenes", errors.size()},
-                    {"latent_error", mean_json(errors)},
-                    {"encoded_colours_error", mean_json(of_colours)},
+                    {"latent_error", mean_json(statistics_over_scenes(errors))},
+                    {"encoded_colours_error", mean_json(statistics_over_scenes(of_colours))},
                     {"threads", settings.threads}});
   run.note("pairs", kPairsFolder);
   run.note("errors", "pairs.csv");
