@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Trains configs/splat from nothing: the autoencoder, statistics of its latents, pairs of splatted and encoded latents, and
-# the refiner. Every stage goes on where it was interrupted: run it again.
+# Trains configs/splat from nothing: the autoencoder, statistics of its latents, pairs of splatted and encoded latents, the
+# refiner's prior, and the refiner. Every stage goes on where it was interrupted: run it again.
 #   scripts/train_splat.sh [RUNS]       trains; Ctrl-C or SIGTERM writes checkpoints and stops
 #   scripts/train_splat.sh keep [RUNS]  copies weights, curves and reports of finished stages into configs/splat, for git
 # RUNS is runs/splat by default. GLD=PROGRAM takes another program than build/release's.
@@ -17,9 +17,10 @@ gld=${GLD:-build/release/cli/gld}
 
 if [ "$action" = keep ]; then
   latest=
-  for stage in autoencoder stats refiner; do
+  for stage in autoencoder stats prior refiner; do
     [ -f "$runs/$stage/report.json" ] || continue
-    latest=$runs/$stage/model
+    # A prior is no refiner yet.
+    if [ "$stage" != prior ]; then latest=$runs/$stage/model; fi
     mkdir -p "$recipe/training/$stage"
     for file in report.json config.yaml metrics.jsonl loss.png; do
       if [ -f "$runs/$stage/$file" ]; then cp "$runs/$stage/$file" "$recipe/training/$stage/"; fi
@@ -70,4 +71,6 @@ for pairs in pairs pairs_few pairs_lifted; do
   if [ -d "$runs/$pairs/pairs" ]; then how=--resume; fi
   "$gld" splat pairs --config "$recipe/$pairs.yaml" --model "$runs/stats/model" --out "$runs/$pairs" "$how"
 done
-stage refiner refiner "$runs/stats/model" --pairs "$runs/pairs/pairs" "$runs/pairs_few/pairs" "$runs/pairs_lifted/pairs"
+pairs=("$runs/pairs/pairs" "$runs/pairs_few/pairs" "$runs/pairs_lifted/pairs")
+stage prior refiner "$runs/stats/model" --pairs "${pairs[@]}"
+stage refiner refiner "$runs/prior/model" --pairs "${pairs[@]}"

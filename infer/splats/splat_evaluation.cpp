@@ -16,10 +16,12 @@
 #include "gld/report/run_folder.h"
 #include "gld/report/table.h"
 #include "gld/tensors/compute_threads.h"
+#include "gld/tensors/tensor_pictures.h"
 #include "infer/export/image_export.h"
 #include "infer/request/held_out_scenes.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/part_lineage.h"
+#include "models/scene_geometry/source_warp.h"
 #include "models/splats/latent_refining.h"
 
 #include <algorithm>
@@ -112,6 +114,20 @@ torch::Tensor nearest_views(const LatentSplats& splats) {
   for (int64_t view = splats.fitted; view < cameras.size(); ++view)
     nearest.push_back(splats.images[nearest_source(cameras, view)]);
   return torch::stack(nearest);
+}
+
+// Returns the held-out views as the fitted ones say, carried by the scene's own depth, with gaps filled: the rival of
+// whatever is made of the same views and depth. Undefined where a view has no depth.
+torch::Tensor carried_views(const LatentSplats& splats) {
+  if (!splats.depth.defined()) return {};
+  Views views;
+  views.cameras = splats.cameras;
+  views.num_sources = splats.fitted;
+  std::vector<PlanarDepth> depth;
+  for (int64_t view = 0; view < splats.fitted; ++view)
+    depth.push_back({splats.depth.size(2), splats.depth.size(1), numbers_of(splats.depth[view])});
+  return warp_sources(views, splats.images.slice(0, 0, splats.fitted), depth_of_scene(std::move(depth)), 0)
+      .completed;
 }
 
 // Returns |latents - encoded| over |encoded - its mean|, as a mean over levels.
@@ -229,6 +245,15 @@ EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
     shown.push_back(refined);
   }
   shown.insert(shown.end(), {colours, encoded});
+  const ShownViews carried{
+      "carried", "the input views carried by their depth, gaps filled", {}, carried_views(splats)};
+  if (carried.pictures.defined()) {
+    shown.push_back(carried);
+    shown.push_back({"encoded_carried",
+                     "the input views carried, encoded and decoded",
+                     splats.encoded_colours(carried.pictures, model.encoding),
+                     {}});
+  }
   std::vector<torch::Tensor> sheet = {splats.images[splats.fitted]};
   for (ShownViews& views : shown) {
     if (!views.latents.empty()) views.pictures = decoded(views.latents, splats, model.decoding);

@@ -8,6 +8,7 @@
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
@@ -15,6 +16,10 @@
 
 namespace gld {
 namespace {
+
+// How well noise is told from latents is measured at these timesteps, and with noise of this seed.
+constexpr int64_t kValidationTimesteps[] = {100, 300, 500, 700, 900};
+constexpr uint64_t kValidationNoiseSeed = 1;
 
 // Of scenes with as many references: what the network is given, (scenes, 1 + references, channels, height, width), and
 // what it is to make of the degraded view, (scenes, channels, height, width).
@@ -87,21 +92,26 @@ torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
   return autoencoder_->decode(autoencoder_->normalise_for_decoding(tokens_of_latents(raw, pixels)), grid);
 }
 
+torch::Tensor RefinerObjective::denoising_error(const torch::Tensor& views, const torch::Tensor& noise,
+                                                int64_t timestep) const {
+  const OneStepForm form = model_.refiner.form;
+  auto seen = views.clone();
+  seen.select(1, 0).copy_(noised_latent(views.select(1, 0), noise, timestep, form));
+  const auto prediction = unet_->forward(seen, timestep).select(1, 0);
+  const bool predicts_noise = one_step_gains(timestep, form).prediction < 0;
+  return squared(prediction, predicts_noise ? noise : -noise);
+}
+
 Losses RefinerObjective::denoising_losses(const torch::Tensor& views, const StepContext& context) const {
   torch::Generator generator = context.generator;
-  const RefinerOptions& refiner = model_.refiner;
   // The first timesteps are left out, at which nothing can be seen of the noise.
   constexpr int64_t kFirstTimestep = 20;
   const auto timestep =
       torch::randint(kFirstTimestep, kDiffusionSteps, {1}, generator, torch::kInt64).item<int64_t>();
   const auto clean = views.select(1, 0);
   const auto noise = torch::randn(clean.sizes(), generator, torch::kFloat32).to(clean.device());
-  auto seen = views.clone();
-  seen.select(1, 0).copy_(noised_latent(clean, noise, timestep, refiner.form));
-  const auto prediction = unet_->forward(seen, timestep).select(1, 0);
-  const bool predicts_noise = one_step_gains(timestep, refiner.form).prediction < 0;
   Losses losses;
-  losses.total = squared(prediction, predicts_noise ? noise : -noise);
+  losses.total = denoising_error(views, noise, timestep);
   losses.parts = {{"noise", losses.total.detach()}};
   return losses;
 }
@@ -140,13 +150,22 @@ Losses RefinerObjective::losses(const TrainingBatch& batch, const StepContext& c
 
 Validation RefinerObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double latent = 0, degraded_latent = 0, psnr = 0, degraded_psnr = 0, autoencoded_psnr = 0, sharpness = 0;
+  double latent = 0, degraded_latent = 0, psnr = 0, degraded_psnr = 0, autoencoded_psnr = 0, sharpness = 0,
+         denoising = 0;
+  // The same noise in every validation, so that its errors can be compared.
+  torch::Generator noises = at::detail::createCPUGenerator(kValidationNoiseSeed);
   for (const TrainingScene& scene : scenes) {
     const RefinerBatch given = batch_of({scene}, placement_.device);
     const auto degraded = given.views.select(1, 0);
     const auto refined = refined_latents(*unet_, given.views);
     latent += relative_latent_error(refined, given.truth);
     degraded_latent += relative_latent_error(degraded, given.truth);
+    const auto clean = torch::cat({given.truth.unsqueeze(1), given.views.slice(1, 1)}, 1);
+    const auto noise = torch::randn(given.truth.sizes(), noises, torch::kFloat32).to(placement_.device);
+    for (const int64_t timestep : kValidationTimesteps) {
+      denoising += denoising_error(clean, noise, timestep).item<double>() /
+                   static_cast<double>(std::size(kValidationTimesteps));
+    }
     const auto picture = decoded(refined).clamp(0, 1), before = decoded(degraded).clamp(0, 1),
                best = decoded(given.truth).clamp(0, 1);
     const auto psnr_of = [&](const torch::Tensor& image) {
@@ -166,12 +185,11 @@ Validation RefinerObjective::validate(const std::vector<TrainingScene>& scenes) 
     validation.rows.push_back(std::move(row));
   }
   const auto count = static_cast<double>(scenes.size());
-  validation.values = {{"latent_error", latent / count},
-                       {"degraded_latent_error", degraded_latent / count},
-                       {"psnr", psnr / count},
-                       {"degraded_psnr", degraded_psnr / count},
-                       {"autoencoded_psnr", autoencoded_psnr / count},
-                       {"sharpness", sharpness / count}};
+  validation.values = {
+      {"latent_error", latent / count},         {"degraded_latent_error", degraded_latent / count},
+      {"denoising_error", denoising / count},   {"psnr", psnr / count},
+      {"degraded_psnr", degraded_psnr / count}, {"autoencoded_psnr", autoencoded_psnr / count},
+      {"sharpness", sharpness / count}};
   return validation;
 }
 

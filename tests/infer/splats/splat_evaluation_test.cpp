@@ -50,6 +50,10 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
   EXPECT_GT(mean(all, "rgb_psnr"), mean(all, "nearest_psnr"));
   EXPECT_GT(mean(all, "rgb_psnr"), mean(two, "rgb_psnr"));
   EXPECT_GT(mean(all, "nearest_psnr"), mean(two, "nearest_psnr"));
+  // True depth carries views to where they belong, which shows more than leaving them where they are.
+  EXPECT_GT(mean(all, "carried_psnr"), mean(all, "nearest_psnr") + 3);
+  EXPECT_GT(mean(all, "carried_psnr"), mean(two, "carried_psnr"));
+  EXPECT_LT(mean(all, "encoded_carried_error"), mean(all, "latent_error"));
   // What splatting leaves of latents is decoded to less than the latents themselves.
   EXPECT_LT(mean(all, "decoded_psnr"), mean(all, "autoencoded_psnr"));
   EXPECT_LT(mean(all, "decoded_ssim"), mean(all, "autoencoded_ssim"));
@@ -70,7 +74,8 @@ TEST(SplatEvaluation, MeasuresColoursAndDecodedLatentsOfHeldOutViews) {
   const std::string rows = read_file(folder.path() / "all" / "eval.csv");
   EXPECT_EQ(std::count(rows.begin(), rows.end(), '\n'), 3);
   EXPECT_EQ(
-      rows.rfind("scene,gaussians,rgb_psnr,decoded_psnr,encoded_colours_psnr,autoencoded_psnr,nearest_psnr,",
+      rows.rfind("scene,gaussians,rgb_psnr,decoded_psnr,encoded_colours_psnr,autoencoded_psnr,carried_psnr,"
+                 "encoded_carried_psnr,nearest_psnr,",
                  0),
       0U);
   int pictures = 0;
