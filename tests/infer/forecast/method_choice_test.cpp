@@ -3,6 +3,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "models/bundle/random_bundle.h"
+#include "tests/support/data_folders.h"
 #include "tests/support/temporary_folder.h"
 
 #include <memory>
@@ -83,6 +84,13 @@ TEST_F(MethodChoice, ErrorsOfTheCpusPrecisionsSayNothingOfAGpu) {
   EXPECT_THAT(choice_text(choice), testing::HasSubstr("its error was not measured"));
   EXPECT_EQ(chosen(PrecisionChoice::kAutomatic, "cuda:0").method.precision, ComputePrecision::kFloat32);
   EXPECT_TRUE(chosen(PrecisionChoice::kFloat32, "cuda:0").errors.has_value());
+}
+
+// A table of other weights is refused by --tolerance and tells runs nothing: whoever changes configs/tiny measures anew,
+// by `gld bench sample --model configs/tiny --synthetic 16 --precisions bfloat16,int8 --write-table --out RUN`.
+TEST(ShippedModel, HasErrorsThatWereMeasuredWithItsWeights) {
+  const std::filesystem::path shipped = test::source_root() / "configs/tiny";
+  EXPECT_EQ(read_plan_errors(shipped / kPlanErrorsFile).model_hash, ModelBundle::open(shipped).content_hash());
 }
 
 }  // namespace
