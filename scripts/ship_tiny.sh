@@ -33,8 +33,7 @@ fi
 
 cp "$runs"/model/*.safetensors "$tiny/"
 # What it was trained on, as gld stats noted it.
-rm -f "$tiny/seen_scenes.json"
-if [ -f "$runs/model/seen_scenes.json" ]; then cp "$runs/model/seen_scenes.json" "$tiny/"; fi
+cp "$runs/model/seen_scenes.json" "$tiny/"
 rm -rf "$tiny/evaluation"
 mkdir -p "$tiny/training" "$tiny/evaluation"
 if [ "$recipe" != "$tiny" ]; then

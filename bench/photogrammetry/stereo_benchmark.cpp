@@ -209,11 +209,12 @@ int run_stereo_benchmark(const StereoBenchmarkOptions& options) {
   const std::string text = fmt::format(
       "# Depth that photographs agree on\n"
       "\n"
-      "{} photographs of {} x {}, {} planes; {} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s, and one "
+      "{} photographs of {} x {}, matched at {} pixels a side, {} planes; {} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s, and one "
       "thread copies memory at {:.1f} GB/s.\n"
       "\n"
       "{}",
-      options.photograph_count, options.side, options.side, options.stereo.planes,
+      options.photograph_count, options.side, options.side,
+      std::min(options.side, options.stereo.largest_side), options.stereo.planes,
       instruction_set_name(best_instruction_set()), threads, multiply_add * 1e-9, copy * 1e-9,
       table.markdown());
   BenchmarkResults results;

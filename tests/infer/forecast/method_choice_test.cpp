@@ -90,7 +90,8 @@ TEST_F(MethodChoice, ErrorsOfTheCpusPrecisionsSayNothingOfAGpu) {
 // by `gld bench sample --model configs/tiny --synthetic 16 --precisions bfloat16,int8 --write-table --out RUN`.
 TEST(ShippedModel, HasErrorsThatWereMeasuredWithItsWeights) {
   const std::filesystem::path shipped = test::source_root() / "configs/tiny";
-  EXPECT_EQ(read_plan_errors(shipped / kPlanErrorsFile).model_hash, ModelBundle::open(shipped).content_hash());
+  EXPECT_EQ(read_plan_errors(shipped / kPlanErrorsFile).model_hash,
+            ModelBundle::open(shipped).content_hash());
 }
 
 }  // namespace

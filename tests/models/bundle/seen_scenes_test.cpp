@@ -54,5 +54,16 @@ TEST(SeenScenes, BelongToTheirStatistics) {
               testing::HasSubstr("a key that is missing or has a value of another kind"));
 }
 
+// Without them no run says that its photographs are like nothing that the model has seen.
+TEST(SeenScenes, ShippedModelsHaveThem) {
+  for (const char* model : {"configs/tiny", "configs/splat"}) {
+    const ModelBundle bundle = ModelBundle::open(test::source_root() / model);
+    const auto seen = read_seen_scenes(bundle);
+    ASSERT_TRUE(seen.has_value()) << model;
+    EXPECT_TRUE(seen->drawn);
+    EXPECT_EQ(seen->levels.size(), bundle.options().generators.size());
+  }
+}
+
 }  // namespace
 }  // namespace gld
