@@ -4,7 +4,6 @@
 #include "gld/photogrammetry/depth_scale.h"
 #include "gld/photogrammetry/pose_from_rays.h"
 #include "infer/pipeline/sampling_pipeline.h"
-#include "models/decoders/dpt_head.h"
 
 #include <optional>
 #include <string>

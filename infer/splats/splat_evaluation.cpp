@@ -118,7 +118,7 @@ torch::Tensor nearest_views(const LatentSplats& splats) {
 
 // Returns the held-out views as the fitted ones say, carried by the scene's own depth, with gaps filled: the rival of
 // whatever is made of the same views and depth. Undefined where a view has no depth.
-torch::Tensor carried_views(const LatentSplats& splats) {
+torch::Tensor views_carried_by_depth(const LatentSplats& splats) {
   if (!splats.depth.defined()) return {};
   Views views;
   views.cameras = splats.cameras;
@@ -246,7 +246,7 @@ EvaluatedScene evaluated(const Scene& scene, const EvaluatedModel& model,
   }
   shown.insert(shown.end(), {colours, encoded});
   const ShownViews carried{
-      "carried", "the input views carried by their depth, gaps filled", {}, carried_views(splats)};
+      "carried", "the input views carried by their depth, gaps filled", {}, views_carried_by_depth(splats)};
   if (carried.pictures.defined()) {
     shown.push_back(carried);
     shown.push_back({"encoded_carried",

@@ -4,7 +4,6 @@
 #include "gld/cameras/camera.h"
 #include "gld/cameras/image_size.h"
 #include "models/backbones/backbone_registry.h"
-#include "models/decoders/dpt_head.h"
 #include "models/decoders/geometry_head_registry.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/dit/dit_options.h"

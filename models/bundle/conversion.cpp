@@ -9,6 +9,7 @@
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/published_backbones.h"
 #include "models/bundle/published_release.h"
+#include "models/decoders/dpt_head.h"
 #include "models/weights/weight_loading.h"
 
 #include <algorithm>

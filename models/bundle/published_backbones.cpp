@@ -7,6 +7,7 @@
 #include "models/backbones/dinov2_backbone.h"
 #include "models/backbones/tiny_autoencoder.h"
 #include "models/backbones/vggt_backbone.h"
+#include "models/decoders/dpt_head.h"
 #include "models/decoders/vggt_heads.h"
 
 #include <algorithm>

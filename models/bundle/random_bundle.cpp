@@ -2,6 +2,7 @@
 
 #include "gld/base/configuration.h"
 #include "gld/tensors/weight_tensors.h"
+#include "models/decoders/dpt_head.h"
 #include "models/weights/weight_loading.h"
 
 #include <cmath>

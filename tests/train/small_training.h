@@ -2,6 +2,7 @@
 
 #include "models/backbones/da3_backbone.h"
 #include "models/bundle/bundle_options.h"
+#include "models/decoders/dpt_head.h"
 #include "train/data/training_data.h"
 #include "train/loop/training_loop.h"
 

@@ -6,6 +6,7 @@
 #include "infer/forecast/sampling_plan.h"
 #include "infer/forecast/stage_speed.h"
 #include "models/backbones/da3_backbone.h"
+#include "models/decoders/dpt_head.h"
 
 #include <functional>
 #include <string>

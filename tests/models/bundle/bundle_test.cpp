@@ -4,6 +4,7 @@
 #include "gld/tensors/weight_tensors.h"
 #include "models/bundle/inspection.h"
 #include "models/bundle/random_bundle.h"
+#include "models/decoders/dpt_head.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"

@@ -6,6 +6,7 @@
 #include "models/backbones/da3_backbone.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/published_backbones.h"
+#include "models/decoders/dpt_head.h"
 #include "models/weights/weight_loading.h"
 #include "tests/support/data_folders.h"
 

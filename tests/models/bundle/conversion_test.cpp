@@ -7,6 +7,7 @@
 #include "models/backbones/da3_backbone.h"
 #include "models/bundle/published_backbones.h"
 #include "models/bundle/random_bundle.h"
+#include "models/decoders/dpt_head.h"
 #include "tests/models/bundle/renamed_tensors.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
