@@ -94,6 +94,19 @@ TEST_F(RefinerStage, FirstLearnsToSeeThroughNoise) {
   EXPECT_NEAR(series("run", "noise").front().second, 1, 0.4);
 }
 
+TEST_F(RefinerStage, PriorTellsNoiseFromLatents) {
+  auto training = options("run");
+  training.loop.steps = training.objective.denoising_steps = 100;
+  training.loop.validate_every = 50;
+  training.loop.learning_rate.peak = 3e-3;
+  training.loop.optimiser.ema_decay = 0.5;
+  train_refiner(training, {});
+  // Whoever takes nothing for noise is wrong by its variance, 1.
+  const auto errors = series("run", "validation_denoising_error");
+  EXPECT_LT(errors.front().second, 1);
+  EXPECT_LT(errors.back().second, 0.9 * errors.front().second);
+}
+
 TEST_F(RefinerStage, StepsInOneCallEqualStepsInSeveral) {
   auto whole = options("whole");
   whole.objective.denoising_steps = 1;
