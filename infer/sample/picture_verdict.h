@@ -58,8 +58,9 @@ struct PictureVerdict {
 // photographs show as much of a view as of each other, since they lie side by side where a view lies beyond them. There
 // is none where none was left out, or no photographs are kept. On 25 views of six real places this was off by 2.6 dB
 // (RMS; 1.3 too low on average, since photographs that are left out lie farther from the others), with a correlation of
-// .96 (docs/RESULTS.md, "What can be expected of a view"); since depth follows edges, on the 13 of them that choices were made on by
-// 4.5 dB, 2.3 too low (docs/HISTORY.md, "Views beyond the photographs"). It is that of pictures of the model's size.
+// .96 (docs/RESULTS.md, "What can be expected of a view"); since depth follows edges, on the 13 of them
+// that choices were made on by 4.5 dB, 2.3 too low (docs/HISTORY.md, "Views beyond the photographs"). It is that of
+// pictures of the model's size.
 std::vector<ExpectedView> expected_views(const PictureEvidence& evidence);
 
 // Returns one sentence for people.

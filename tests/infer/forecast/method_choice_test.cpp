@@ -86,8 +86,8 @@ TEST_F(MethodChoice, ErrorsOfTheCpusPrecisionsSayNothingOfAGpu) {
   EXPECT_TRUE(chosen(PrecisionChoice::kFloat32, "cuda:0").errors.has_value());
 }
 
-// A table of other weights is refused by --tolerance and tells runs nothing: whoever changes configs/tiny measures anew,
-// by `gld bench sample --model configs/tiny --synthetic 16 --precisions bfloat16,int8 --write-table --out RUN`.
+// A table of other weights is refused by --tolerance and tells runs nothing: whoever changes configs/tiny measures
+// anew, by `gld bench sample --model configs/tiny --synthetic 16 --precisions bfloat16,int8 --write-table --out RUN`.
 TEST(ShippedModel, HasErrorsThatWereMeasuredWithItsWeights) {
   const std::filesystem::path shipped = test::source_root() / "configs/tiny";
   EXPECT_EQ(read_plan_errors(shipped / kPlanErrorsFile).model_hash,
