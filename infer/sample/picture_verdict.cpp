@@ -11,8 +11,8 @@ namespace gld {
 namespace {
 
 // Means over the left-out photographs of scenes. Real ones, with the PSNR of target views between them: 30 dB of
-// what is covered (targets 37), 25 (32), 26 (28), 22 (27), 11 (15; 42 % covered), and nothing covered (12), as they were
-// when this was chosen.
+// what is covered (targets 37), 25 (32), 26 (28), 22 (27), 11 (15; 42 % covered), and nothing covered (12), as they
+// were when this was chosen.
 constexpr double kHardlyCovered = 0.3;
 constexpr double kWellCovered = 0.5;
 // dB of what is covered; carried photographs that fit have more than 20 even across a room's corner.
