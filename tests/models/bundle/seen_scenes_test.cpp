@@ -2,6 +2,7 @@
 
 #include "gld/base/atomic_file.h"
 #include "models/bundle/random_bundle.h"
+#include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
 
