@@ -92,36 +92,33 @@ torch::Tensor RefinerObjective::decoded(const torch::Tensor& latents) const {
   return autoencoder_->decode(autoencoder_->normalise_for_decoding(tokens_of_latents(raw, pixels)), grid);
 }
 
-torch::Tensor RefinerObjective::denoising_error(const torch::Tensor& views, const torch::Tensor& noise,
-                                                int64_t timestep) const {
+torch::Tensor RefinerObjective::denoising_error(const torch::Tensor& views, const torch::Tensor& truth,
+                                                const torch::Tensor& noise, int64_t timestep) const {
   const OneStepForm form = model_.refiner.form;
   auto seen = views.clone();
-  seen.select(1, 0).copy_(noised_latent(views.select(1, 0), noise, timestep, form));
+  seen.select(1, 0).copy_(noised_latent(truth, noise, timestep, form));
   const auto prediction = unet_->forward(seen, timestep).select(1, 0);
   const bool predicts_noise = one_step_gains(timestep, form).prediction < 0;
   return squared(prediction, predicts_noise ? noise : -noise);
 }
 
-Losses RefinerObjective::denoising_losses(const torch::Tensor& views, const StepContext& context) const {
+Losses RefinerObjective::denoising_losses(const torch::Tensor& views, const torch::Tensor& truth,
+                                          const StepContext& context) const {
   torch::Generator generator = context.generator;
   // The first timesteps are left out, at which nothing can be seen of the noise.
   constexpr int64_t kFirstTimestep = 20;
   const auto timestep =
       torch::randint(kFirstTimestep, kDiffusionSteps, {1}, generator, torch::kInt64).item<int64_t>();
-  const auto clean = views.select(1, 0);
-  const auto noise = torch::randn(clean.sizes(), generator, torch::kFloat32).to(clean.device());
+  const auto noise = torch::randn(truth.sizes(), generator, torch::kFloat32).to(truth.device());
   Losses losses;
-  losses.total = denoising_error(views, noise, timestep);
+  losses.total = denoising_error(views, truth, noise, timestep);
   losses.parts = {{"noise", losses.total.detach()}};
   return losses;
 }
 
 Losses RefinerObjective::losses(const TrainingBatch& batch, const StepContext& context) {
-  RefinerBatch given = batch_of(batch.scenes, placement_.device);
-  if (context.step < options_.denoising_steps) {
-    given.views.select(1, 0).copy_(given.truth);
-    return denoising_losses(given.views, context);
-  }
+  const RefinerBatch given = batch_of(batch.scenes, placement_.device);
+  if (context.step < options_.denoising_steps) return denoising_losses(given.views, given.truth, context);
   const auto refined = refined_latents(*unet_, given.views);
   Losses losses;
   const auto latent = squared(refined, given.truth);
@@ -160,10 +157,9 @@ Validation RefinerObjective::validate(const std::vector<TrainingScene>& scenes) 
     const auto refined = refined_latents(*unet_, given.views);
     latent += relative_latent_error(refined, given.truth);
     degraded_latent += relative_latent_error(degraded, given.truth);
-    const auto clean = torch::cat({given.truth.unsqueeze(1), given.views.slice(1, 1)}, 1);
     const auto noise = torch::randn(given.truth.sizes(), noises, torch::kFloat32).to(placement_.device);
     for (const int64_t timestep : kValidationTimesteps) {
-      denoising += denoising_error(clean, noise, timestep).item<double>() /
+      denoising += denoising_error(given.views, given.truth, noise, timestep).item<double>() /
                    static_cast<double>(std::size(kValidationTimesteps));
     }
     const auto picture = decoded(refined).clamp(0, 1), before = decoded(degraded).clamp(0, 1),

@@ -60,11 +60,13 @@ class RefinerObjective : public Objective {
   void export_model(const std::filesystem::path& folder, DType dtype) const override;
 
  private:
-  Losses denoising_losses(const torch::Tensor& views, const StepContext& context) const;
-  // Returns the mean squared error of what the network takes for the noise, of variance 1, in the first of `views`
-  // (scenes, views, channels, height, width), encoded latents; noise is of its shape.
-  torch::Tensor denoising_error(const torch::Tensor& views, const torch::Tensor& noise,
-                                int64_t timestep) const;
+  Losses denoising_losses(const torch::Tensor& views, const torch::Tensor& truth,
+                          const StepContext& context) const;
+  // Returns the mean squared error of what the network takes for the noise, of variance 1, where truth (scenes,
+  // channels, height, width), encoded latents, is seen through it in the place of the first of `views` (scenes, views,
+  // channels, height, width).
+  torch::Tensor denoising_error(const torch::Tensor& views, const torch::Tensor& truth,
+                                const torch::Tensor& noise, int64_t timestep) const;
   // Decodes normalised latents (views, channels, height, width) to images, RGB in about [0, 1].
   torch::Tensor decoded(const torch::Tensor& latents) const;
 
