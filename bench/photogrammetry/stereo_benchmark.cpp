@@ -209,8 +209,8 @@ int run_stereo_benchmark(const StereoBenchmarkOptions& options) {
   const std::string text = fmt::format(
       "# Depth that photographs agree on\n"
       "\n"
-      "{} photographs of {} x {}, matched at {} pixels a side, {} planes; {} vectors; with {} threads the multiply-add peak is {:.0f} GFLOP/s, and one "
-      "thread copies memory at {:.1f} GB/s.\n"
+      "{} photographs of {} x {}, matched at {} pixels a side, {} planes; {} vectors; with {} threads the "
+      "multiply-add peak is {:.0f} GFLOP/s, and one thread copies memory at {:.1f} GB/s.\n"
       "\n"
       "{}",
       options.photograph_count, options.side, options.side,

@@ -442,9 +442,9 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     MetricInputs generated = metrics.of_images(sample.generated_images);
     if (!sample.generated_images.defined()) {
       generated.missing[MetricNeed::kImages] =
-          sample.carried_only.empty()
-              ? "nothing of the photographs is kept in samples: they are generated"
-              : "nothing is generated of target views that photographs show whole; --photograph-use.generate-complete does it all the same";
+          sample.carried_only.empty() ? "nothing of the photographs is kept in samples: they are generated"
+                                      : "nothing is generated of target views that photographs show whole; "
+                                        "--photograph-use.generate-complete does it all the same";
     }
     set(Predictor::kGenerated, std::move(generated));
     samples.push_back(sample.images);
