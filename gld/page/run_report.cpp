@@ -51,14 +51,6 @@ std::vector<std::string> doubts_of_run(const nlohmann::ordered_json& report) {
       doubts.push_back(sentence);
     }
   };
-  const auto is_true = [&](const std::string& path) {
-    const auto& value = report_value(report, path);
-    return value.is_boolean() && value.get<bool>();
-  };
-  // Where the photographs are unlike what it has seen, the verdict says so.
-  if (is_true("/verdict/drawn_rooms_only") && !is_true("/verdict/unfamiliar")) {
-    add("The model has seen drawn rooms only: do not expect it to know what real places look like");
-  }
   const auto& warnings = report_value(report, "/warnings");
   if (!warnings.is_array()) return doubts;
   for (const auto& warning : warnings) {

@@ -29,9 +29,9 @@ TEST(RunReport, SaysEveryDoubtOnce) {
   EXPECT_THAT(
       doubts_of_run(report),
       ElementsAre(
-          "The model has seen drawn rooms only: do not expect it to know what real places look like.",
           "The cameras of the photographs are not sure: they turn only.",
           "How large the scene is is not known: depth, cloud and cameras are in the model's own unit."));
+  // Where photographs are unlike what a model has seen, the verdict says so; what is said of every run is no doubt.
   EXPECT_THAT(doubts_of_run({{"verdict", {{"drawn_rooms_only", true}, {"unfamiliar", true}}}}), IsEmpty());
   EXPECT_THAT(doubts_of_run(Json::object()), IsEmpty());
 }
