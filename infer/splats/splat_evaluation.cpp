@@ -21,7 +21,8 @@
 #include "infer/request/held_out_scenes.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/part_lineage.h"
-#include "models/scene_geometry/source_warp.h"
+#include "models/scene_geometry/composed_views.h"
+#include "models/scene_geometry/photograph_depth.h"
 #include "models/splats/latent_refining.h"
 
 #include <algorithm>
@@ -126,8 +127,8 @@ torch::Tensor views_carried_by_depth(const LatentSplats& splats) {
   std::vector<PlanarDepth> depth;
   for (int64_t view = 0; view < splats.fitted; ++view)
     depth.push_back({splats.depth.size(2), splats.depth.size(1), numbers_of(splats.depth[view])});
-  return warp_sources(views, splats.images.slice(0, 0, splats.fitted), depth_of_scene(std::move(depth)), 0)
-      .completed;
+  const torch::Tensor images = splats.images.slice(0, 0, splats.fitted);
+  return filled_views(views, photographs_of_images(views, images), depth_of_scene(std::move(depth))).images;
 }
 
 // Returns |latents - encoded| over |encoded - its mean|, as a mean over levels.
