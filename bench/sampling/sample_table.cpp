@@ -4,6 +4,7 @@
 #include "infer/method/plan_errors.h"
 
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <set>
 
@@ -13,9 +14,8 @@ namespace gld {
 namespace {
 
 constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
-constexpr double Sample::*kAveraged[] = {
-    &Sample::boundary_error, &Sample::shallowest_error, &Sample::precision_error, &Sample::psnr_to_reference,
-    &Sample::flop,           &Sample::seconds};
+constexpr double Sample::*kAveraged[] = {&Sample::precision_error, &Sample::psnr_to_reference, &Sample::flop,
+                                         &Sample::seconds};
 
 Sample mean_of(const std::vector<Sample>& samples) {
   Sample mean = samples.front();
@@ -23,9 +23,11 @@ Sample mean_of(const std::vector<Sample>& samples) {
   mean.scene = "mean";
   for (const auto value : kAveraged) mean.*value = 0;
   mean.quality.clear();
+  for (auto& [level, error] : mean.level_errors) error = 0;
   mean.evaluations = mean.unconditional = mean.non_finite = 0;
   for (const Sample& sample : samples) {
     for (const auto value : kAveraged) mean.*value += sample.*value / count;
+    for (auto& [level, error] : mean.level_errors) error += sample.level_errors.at(level) / count;
     mean.evaluations += sample.evaluations;
     mean.unconditional += sample.unconditional;
     mean.non_finite += sample.non_finite;
@@ -78,6 +80,29 @@ std::vector<TableCell> reference_cells(double guidance_scale) {
           std::string("float32")};
 }
 
+// Columns of all levels that any of the samples has, the boundary level's first: it is generated first.
+std::vector<int64_t> levels_of(const std::vector<MethodRow>& rows) {
+  std::set<int64_t, std::greater<>> levels;
+  for (const MethodRow& row : rows) {
+    for (const Sample& sample : row.samples) {
+      for (const auto& [level, error] : sample.level_errors) levels.insert(level);
+    }
+  }
+  return {levels.begin(), levels.end()};
+}
+
+void add_level_columns(std::vector<std::string>& columns, const std::vector<int64_t>& levels) {
+  for (const int64_t level : levels) columns.push_back(fmt::format("level{}_error", level));
+}
+
+void add_level_cells(std::vector<TableCell>& cells, const std::vector<int64_t>& levels,
+                     const Sample& sample) {
+  for (const int64_t level : levels) {
+    const auto found = sample.level_errors.find(level);
+    cells.push_back(measured(found == sample.level_errors.end() ? kNotMeasured : found->second));
+  }
+}
+
 void add_metric_columns(std::vector<std::string>& columns) {
   for (const Metric& metric : image_metric_list()) columns.push_back(metric.name);
 }
@@ -125,8 +150,12 @@ PlotPanel panel_of(const std::vector<MethodRow>& rows, double guidance_scale, Pl
 }  // namespace
 
 double Sample::error() const {
-  if (std::isnan(boundary_error) || std::isnan(shallowest_error)) return kNotMeasured;
-  return std::max(shallowest_error, boundary_error);
+  double worst = 0;
+  for (const auto& [level, error] : level_errors) {
+    if (std::isnan(error)) return kNotMeasured;
+    worst = std::max(worst, error);
+  }
+  return worst;
 }
 
 double Sample::quality_of(const std::string& metric) const {
@@ -182,8 +211,11 @@ Table sample_table(const std::vector<MethodRow>& rows,
                    const std::map<double, std::vector<Sample>>& references) {
   std::vector<std::string> columns{"scene"};
   for (auto& column : method_columns()) columns.push_back(std::move(column));
-  for (const char* name : {"evaluations", "unconditional", "level1_error", "level0_error", "precision_error"})
-    columns.emplace_back(name);
+  columns.emplace_back("evaluations");
+  columns.emplace_back("unconditional");
+  const std::vector<int64_t> levels = levels_of(rows);
+  add_level_columns(columns, levels);
+  columns.emplace_back("precision_error");
   add_metric_columns(columns);
   for (const char* name : {"psnr_to_reference", "gflop", "seconds", "peak_bytes", "non_finite"})
     columns.emplace_back(name);
@@ -192,9 +224,9 @@ Table sample_table(const std::vector<MethodRow>& rows,
     if (sample.scene.empty()) return;  // not there yet
     std::vector<TableCell> cells{sample.scene};
     cells.insert(cells.end(), names.begin(), names.end());
-    cells.insert(cells.end(), {TableCell(sample.evaluations), TableCell(sample.unconditional),
-                               measured(sample.boundary_error), measured(sample.shallowest_error),
-                               TableCell(sample.precision_error)});
+    cells.insert(cells.end(), {TableCell(sample.evaluations), TableCell(sample.unconditional)});
+    add_level_cells(cells, levels, sample);
+    cells.emplace_back(sample.precision_error);
     add_metric_cells(cells, sample);
     cells.insert(cells.end(),
                  {measured(sample.psnr_to_reference), TableCell(sample.flop / 1e9), TableCell(sample.seconds),
@@ -212,9 +244,10 @@ Table sample_table(const std::vector<MethodRow>& rows,
 
 Table method_table(const std::vector<MethodRow>& rows) {
   auto columns = method_columns();
-  for (const char* name :
-       {"gflop", "seconds", "peak_megabytes", "mean_error", "largest_error", "level1_error", "level0_error"})
+  for (const char* name : {"gflop", "seconds", "peak_megabytes", "mean_error", "largest_error"})
     columns.emplace_back(name);
+  const std::vector<int64_t> levels = levels_of(rows);
+  add_level_columns(columns, levels);
   add_metric_columns(columns);
   for (const char* name :
        {"psnr_difference", "psnr_to_reference", "non_finite", "error_at_equal_gflop", "wins_at_equal_gflop",
@@ -229,8 +262,8 @@ Table method_table(const std::vector<MethodRow>& rows) {
     auto cells = method_cells(row.compared);
     cells.insert(cells.end(), {TableCell(row.mean.flop / 1e9), TableCell(row.seconds),
                                TableCell(static_cast<double>(row.peak_bytes) / 1e6), measured(row.mean_error),
-                               measured(row.largest_error), measured(row.mean.boundary_error),
-                               measured(row.mean.shallowest_error)});
+                               measured(row.largest_error)});
+    add_level_cells(cells, levels, row.mean);
     add_metric_cells(cells, row.mean);
     const std::string front = row.on_error_front && row.on_quality_front ? "error and psnr"
                               : row.on_error_front                       ? "error"

@@ -18,12 +18,10 @@ struct Sample {
   std::string scene;
   int64_t evaluations = 0;    // of all flows together
   int64_t unconditional = 0;  // of them with the unconditional branch
-  // RMS of the latent's difference from the reference, over the reference's RMS, of the boundary level and of the
-  // shallowest one; in tables level1_error and level0_error, what they are of the published model. NaN where sampling
-  // stopped at a value that was not finite.
-  double boundary_error = 0;
-  double shallowest_error = 0;
-  double precision_error = 0;  // the worse of both against the same method in float32; 0 in float32
+  // By generated level: RMS of the latent's difference from the reference over the reference's RMS, in tables
+  // level1_error and so on; 0 of a reference, NaN where sampling stopped at a value that was not finite.
+  std::map<int64_t, double> level_errors;
+  double precision_error = 0;  // the worst level's against the same method in float32; 0 in float32
   // Every metric of images by its name, means over the target views; one that is absent is left out.
   std::map<std::string, double> quality;
   double psnr_to_reference = 0;  // of its images against the reference's, in dB
@@ -32,7 +30,7 @@ struct Sample {
   int64_t peak_bytes = 0;        // largest resident memory of a stage
   int64_t non_finite = 0;        // 1 where sampling stopped at a value that was not finite
 
-  double error() const;                                // the worse of both levels; NaN where either is
+  double error() const;                                // the worst level's; NaN where one is
   double quality_of(const std::string& metric) const;  // NaN where absent
 };
 

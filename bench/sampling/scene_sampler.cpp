@@ -24,6 +24,14 @@ double flop_of(const PipelineResult& result, const BundleOptions& bundle) {
   return flop;
 }
 
+// Returns the relative RMS of each generated level's latent against the exact one.
+std::map<int64_t, double> errors_by_level(const std::map<int64_t, torch::Tensor>& latents,
+                                          const std::map<int64_t, torch::Tensor>& exact) {
+  std::map<int64_t, double> errors;
+  for (const auto& [level, latent] : exact) errors[level] = relative_rms(latents.at(level), latent);
+  return errors;
+}
+
 }  // namespace
 
 SampledScene SceneSampler::run(const BenchmarkScene& scene, const ComparedMethod& compared) {
@@ -81,7 +89,9 @@ Sample SceneSampler::reference_sample(const BenchmarkScene& scene, const Sampled
     fail({"gld bench sample", "a reference of finite numbers", "none in scene " + scene.name,
           "verify the weights with gld verify"});
   }
-  return sample_of(scene, reference);
+  Sample sample = sample_of(scene, reference);
+  for (const auto& [level, latent] : reference.result.latents) sample.level_errors[level] = 0;
+  return sample;
 }
 
 Sample SceneSampler::measure(const BenchmarkScene& scene, const ComparedMethod& compared,
@@ -89,15 +99,13 @@ Sample SceneSampler::measure(const BenchmarkScene& scene, const ComparedMethod& 
   const SampledScene made = run(scene, compared);
   Sample sample = sample_of(scene, made);
   if (!made.finite) {
-    sample.boundary_error = sample.shallowest_error = sample.psnr_to_reference =
-        std::numeric_limits<double>::quiet_NaN();
+    sample.psnr_to_reference = std::numeric_limits<double>::quiet_NaN();
+    for (const auto& [level, exact] : reference.result.latents)
+      sample.level_errors[level] = sample.psnr_to_reference;
     return sample;
   }
-  // The boundary level, which is generated first, and the shallowest.
   const auto& latents = made.result.latents;
-  const auto& exact = reference.result.latents;
-  sample.boundary_error = relative_rms(latents.rbegin()->second, exact.rbegin()->second);
-  sample.shallowest_error = relative_rms(latents.begin()->second, exact.begin()->second);
+  sample.level_errors = errors_by_level(latents, reference.result.latents);
   sample.psnr_to_reference =
       measure_images(metric_named("psnr"), reference.result.images, made.result.images).mean();
   if (kept_scene_ != scene.name || kept_scale_ != compared.guidance_scale) plain_latents_.clear();
@@ -106,9 +114,8 @@ Sample SceneSampler::measure(const BenchmarkScene& scene, const ComparedMethod& 
   if (compared.is_fewer_evaluations()) {
     plain_latents_[compared.method.solver.evaluations] = latents;
   } else if (compared.method.precision != ComputePrecision::kFloat32) {
-    const Latents other = latents_in_float32(scene, compared);
-    sample.precision_error = std::max(relative_rms(latents.rbegin()->second, other.rbegin()->second),
-                                      relative_rms(latents.begin()->second, other.begin()->second));
+    for (const auto& [level, error] : errors_by_level(latents, latents_in_float32(scene, compared)))
+      sample.precision_error = std::max(sample.precision_error, error);
   }
   return sample;
 }

@@ -10,9 +10,6 @@ namespace gld {
 // images: (views, channels, height, width). Returns (views), float64; infinity where the images are equal.
 torch::Tensor psnr(const torch::Tensor& image, const torch::Tensor& prediction);
 
-// Of SSIM's window, in pixels.
-constexpr int64_t kSmallestSsimSide = 11;
-
 // Structural similarity (Wang et al. 2004) of each image with its prediction clamped to [0, 1]: Gaussian window
 // of 11 pixels and deviation 1.5, sample covariance, data range 1, mean over the pixels whose window lies inside
 // the image and over channels. images: (views, channels, height, width), sides of at least 11 pixels. Returns

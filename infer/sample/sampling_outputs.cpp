@@ -10,6 +10,8 @@
 #include "gld/base/interrupt.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/metrics/image_metrics.h"
+#include "gld/metrics/metric.h"
+#include "gld/metrics/metric_list.h"
 #include "gld/report/progress.h"
 #include "gld/tensors/tensor_pictures.h"
 #include "gld/tensors/torch_version.h"
@@ -68,7 +70,7 @@ std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptio
 void SamplingOutputs::write_images(const torch::Tensor& images,
                                    const std::optional<ComposedViews>& composed) {
   for (int64_t i = 0; i < images.size(0); ++i) images_.push_back(to_image(images[i]));
-  compare_with_truth();
+  compare_with_truth(composed);
   if (!requested_.image) return;
   const auto folder = run_.subfolder("images");
   const auto pictures = target_pictures(scene_, options_, images, composed);
@@ -79,18 +81,21 @@ void SamplingOutputs::write_images(const torch::Tensor& images,
   run_.note("images", "images");
 }
 
-void SamplingOutputs::compare_with_truth() {
+void SamplingOutputs::compare_with_truth(const std::optional<ComposedViews>& composed) {
   auto rows = nlohmann::ordered_json::array();
   for (size_t i = 0; i < images_.size(); ++i) {
     psnr_.push_back(std::numeric_limits<double>::quiet_NaN());
     if (scene_.true_images[i].empty()) continue;
-    const auto truth = to_tensor(scene_.true_images[i]).unsqueeze(0);
-    const auto made = to_tensor(images_[i]).unsqueeze(0);
-    psnr_.back() = psnr(truth, made).item<double>();
+    MetricInputs inputs;
+    inputs.true_images = to_tensor(scene_.true_images[i]).unsqueeze(0);
+    inputs.images = to_tensor(images_[i]).unsqueeze(0);
+    if (composed) inputs.shown = composed->shown.slice(0, i, i + 1) >= 0.5;
+    psnr_.back() = psnr(inputs.true_images, inputs.images).item<double>();
     nlohmann::ordered_json row{{"view", scene_.view_names[static_cast<size_t>(scene_.views.num_sources) + i]},
                                {"psnr", psnr_.back()}};
-    if (std::min(scene_.size.width, scene_.size.height) >= kSmallestSsimSide) {
-      row["ssim"] = ssim(truth, made).item<double>();
+    for (const char* name : {"psnr_seen", "psnr_unseen", "ssim"}) {
+      const MetricValue value = measure(metric_named(name), inputs);
+      if (value.absent.empty()) row[name] = value.mean();
     }
     rows.push_back(row);
   }

@@ -69,7 +69,8 @@ class SamplingOutputs {
   std::vector<Camera> geometry_cameras() const;
   // Returns "m" where depth is in metres.
   std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
-  void compare_with_truth();
+  // Apart for pixels of which at least half comes from photographs, and for the others.
+  void compare_with_truth(const std::optional<ComposedViews>& composed);
 
   RunFolder& run_;
   const SamplingScene& scene_;

@@ -187,7 +187,7 @@ MethodRow row_of(const std::string& family, const std::string& name, double cost
     Sample sample;
     sample.scene = "scene";
     sample.flop = cost;
-    sample.shallowest_error = error;
+    sample.level_errors = {{0, error}, {1, 0.0}};
     row.samples.push_back(sample);
   }
   return row;
@@ -213,6 +213,7 @@ TEST(SampleBenchmark, ErrorsAreComparedAtEqualCost) {
   EXPECT_NEAR(rows[3].error_at_equal_flop, 0.04, 1e-12);
   EXPECT_NEAR(rows[3].error_at_equal_seconds, 0.01, 1e-12);
   const auto table = method_table(rows).csv();
+  EXPECT_THAT(table, testing::HasSubstr(",largest_error,level1_error,level0_error,"));
   EXPECT_THAT(table, testing::ContainsRegex("better.*,this,[0-9.e-]*,this,error\n"));
   EXPECT_THAT(table, testing::ContainsRegex("slower.*,this,[0-9.e-]*,fewer evaluations,\n"));
   EXPECT_THAT(table, testing::ContainsRegex("worse.*,fewer evaluations,[0-9.e-]*,fewer evaluations,\n"));
@@ -225,10 +226,10 @@ TEST(SampleBenchmark, MeansAreOverScenes) {
   row.samples[1].quality["ssim"] = 0.75;
   row.samples[0].peak_bytes = 5;
   row.samples[1].peak_bytes = 7;
-  row.samples[1].boundary_error = 0.5;  // the worse of both levels counts
+  row.samples[1].level_errors[1] = 0.5;  // the worst level counts
   std::vector<MethodRow> rows{row};
   summarise(rows, {});
-  EXPECT_DOUBLE_EQ(rows[0].mean.shallowest_error, 0.2);
+  EXPECT_DOUBLE_EQ(rows[0].mean.level_errors[0], 0.2);
   EXPECT_DOUBLE_EQ(rows[0].mean_error, 0.3);
   EXPECT_DOUBLE_EQ(rows[0].largest_error, 0.5);
   EXPECT_DOUBLE_EQ(rows[0].mean.quality_of("ssim"), 0.5);

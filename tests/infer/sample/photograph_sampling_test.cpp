@@ -355,6 +355,12 @@ TEST_F(PhotographSampling, PhotographsAreBlendedByTheModelOrByRule) {
     return read_image(std::filesystem::path(of.out) / "images" / "view_02.png").rgb;
   };
   EXPECT_NE(picture(blended), picture(by_rule));
+  // What photographs show and what they do not, apart.
+  for (const auto& view : first.at("against_truth")) {
+    const double seen = view.at("psnr_seen"), unseen = view.at("psnr_unseen"), all = view.at("psnr");
+    EXPECT_GT(seen, unseen + 1);
+    EXPECT_TRUE(unseen < all && all < seen) << unseen << ' ' << all << ' ' << seen;
+  }
 }
 
 TEST_F(PhotographSampling, DepthIsMendedByTheModelOrAsPhotographsAndHeadSayIt) {
