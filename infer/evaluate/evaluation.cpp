@@ -152,18 +152,18 @@ void copy_file_atomically(const std::filesystem::path& from, const std::filesyst
 }
 
 nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const BundleOptions& bundle) {
-  const bool geometry = bundle.has_geometry();
+  const auto blind = no_geometry_of_samples(bundle);
   nlohmann::ordered_json protocol{
       {"samples", options.samples},
       {"poses", pose_estimator_names().at(static_cast<size_t>(options.poses))},
       {"poses_from", !options.pose_model.empty() ? options.pose_model
-                     : geometry                  ? "the model's own geometry head"
-                                                 : "nothing: the model has no geometry head"},
+                     : blind                     ? "nothing: " + *blind
+                                                 : "the model's own geometry head"},
       {"lpips", options.lpips.lpips_backbone.empty() ? nlohmann::ordered_json()
                                                      : nlohmann::ordered_json(options.lpips.lpips_backbone)},
       {"true_depth", "measured"},
-      {"pseudo_depth", geometry ? "of the model's own head on the true pictures"
-                                : "nothing: the model has no geometry head"}};
+      {"pseudo_depth", bundle.geometry_head.predicts_rays() ? "of the model's own head on the true pictures"
+                                : std::string("nothing: ") + kNoCameraHead}};
   if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
   return protocol;
 }

@@ -7,6 +7,7 @@
 
 #include <memory>
 #include <optional>
+#include <string>
 
 #include <torch/types.h>
 
@@ -14,6 +15,15 @@ namespace gld {
 
 // Why a model does not say where its pictures stand.
 constexpr const char* kNoCameraHead = "the model has no geometry head that sees cameras";
+// Nor that of what it generates.
+constexpr const char* kNotAllLevels = "the model does not generate all levels, which its geometry head takes";
+
+// Returns why a model's own geometry head says nothing of its samples; none where it does.
+inline std::optional<std::string> no_geometry_of_samples(const BundleOptions& model) {
+  if (!model.geometry_head.predicts_rays()) return kNoCameraHead;
+  if (!model.has_geometry()) return kNotAllLevels;
+  return std::nullopt;
+}
 
 // All scenes of an evaluation share these.
 struct EvaluationModels {

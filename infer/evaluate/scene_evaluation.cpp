@@ -206,7 +206,7 @@ class SceneMetrics {
     if (!geometry.depth.defined()) {
       for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays,
                                     MetricNeed::kCameraScale, MetricNeed::kPseudoDepth}) {
-        inputs.missing[need] = kNoCameraHead;
+        inputs.missing[need] = no_geometry_of_samples(models_.bundle).value();
       }
       return inputs;
     }
@@ -275,7 +275,7 @@ class SceneMetrics {
       inputs.missing[MetricNeed::kEstimatedCameras] = inputs.missing[MetricNeed::kViewGeometry] = reason;
     };
     if (models_.poses == PoseEstimator::kNone) return missing("no poses were asked for (--poses none)");
-    if (!models_.pose_model && !own.rays.defined()) return missing(kNoCameraHead);
+    if (!models_.pose_model && !own.rays.defined()) return missing(no_geometry_of_samples(models_.bundle).value());
     const GeometryOutput geometry = models_.pose_model
                                         ? geometry_of_pictures(*models_.pose_model, inputs.view_images,
                                                                GeometryMaps::kDepthAndRays, models_.device)
@@ -437,7 +437,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   for (const int64_t seed : noise_seeds) {
     PipelineResult sample =
         run(models, scene, sampling, models.photographs, seed,
-            models.bundle.geometry_head.predicts_rays() ? DecodedViews::kAll : DecodedViews::kNone);
+            no_geometry_of_samples(models.bundle) ? DecodedViews::kNone : DecodedViews::kAll);
     set(Predictor::kSample, metrics.of_images(sample.images));
     MetricInputs generated = metrics.of_images(sample.generated_images);
     if (!sample.generated_images.defined()) {

@@ -11,6 +11,7 @@
 #include <filesystem>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -79,21 +80,46 @@ TEST_F(ShippedAblations, ArePlannedWhereWeightsAndScenesAreGiven) {
   }
 }
 
+std::set<std::string> keys_of(const AblationPlan& plan, const std::string& stage) {
+  std::set<std::string> keys;
+  for (const StageTask& task : plan.tasks) {
+    if (task.stage == stage) keys.insert(task.key);
+  }
+  return keys;
+}
+
 // Tables 2 and 8 are of the same M0 and M1: these take hours, and are trained once where both have one --cache.
 TEST_F(ShippedAblations, BoundaryAndCascadeShareTheirTrainings) {
-  const auto keys_of = [](const AblationPlan& plan, const std::string& stage) {
-    std::set<std::string> keys;
-    for (const StageTask& task : plan.tasks) {
-      if (task.stage == stage) keys.insert(task.key);
-    }
-    return keys;
-  };
   const AblationPlan boundary = plan("configs/ablations/boundary.yaml"),
                      cascade = plan("configs/ablations/cascade.yaml");
   EXPECT_EQ(keys_of(boundary, "statistics"), keys_of(cascade, "statistics"));
   for (const char* stage : {"m0", "m1"}) {
     EXPECT_EQ(keys_of(boundary, stage).size(), 3U) << stage;  // one a seed
     EXPECT_EQ(keys_of(boundary, stage), keys_of(cascade, stage)) << stage;
+  }
+}
+
+// So are the latent spaces of Tables 3, 7 and 13, of Figure 1c, and of ours that train a DiT in DA3's.
+TEST_F(ShippedAblations, TablesOfLatentSpacesShareTheirTrainings) {
+  const AblationPlan latents = plan("configs/ablations/latents.yaml");
+  EXPECT_EQ(keys_of(latents, "backbone").size(), 9U);  // of three spaces, one a seed
+  EXPECT_EQ(keys_of(latents, "autoencoder").size(), 3U);
+  const std::vector<std::pair<std::string, size_t>> others{
+      {"convergence", 6}, {"decoders", 6}, {"conventions", 3}, {"regression", 3}, {"warping", 3}};
+  for (const auto& [name, backbones] : others) {
+    SCOPED_TRACE(name);
+    const AblationPlan other = plan("configs/ablations/" + name + ".yaml");
+    const auto within = [&](const std::string& stage) {
+      const auto all = keys_of(latents, stage), some = keys_of(other, stage);
+      return std::includes(all.begin(), all.end(), some.begin(), some.end());
+    };
+    EXPECT_EQ(keys_of(other, "backbone").size(), backbones);
+    EXPECT_TRUE(within("backbone"));
+    EXPECT_TRUE(within("autoencoder"));
+    if (name != "decoders") {
+      EXPECT_EQ(keys_of(other, "decoder").size(), backbones);
+      EXPECT_TRUE(within("decoder"));
+    }
   }
 }
 

@@ -39,12 +39,19 @@ std::filesystem::path description(const std::string& latent) {
   return test::source_root() / "configs/ablations/latents" / latent / "model.yaml";
 }
 
-// VGGT with its camera and register tokens generated beside the patches, as the release has it.
-const std::string kJoint = "vggt_joint";
+// The geometric ones with level 0 generated, so that their heads have all levels; and VGGT with its camera and register
+// tokens generated beside the patches, as the release has it.
+const std::string kWholeDa3 = "da3_whole", kWholeVggt = "vggt_whole", kJoint = "vggt_joint";
 
 BundleOptions described(const std::string& latent) {
   BundleOptions options;
-  load_yaml(options, description(latent == kJoint ? "vggt" : latent));
+  load_yaml(options, description(latent.substr(0, latent.find('_'))));
+  if (latent == kWholeDa3 || latent == kWholeVggt || latent == kJoint) {
+    options.generators.front().generator = level_model(0);
+    options.boundary_level = 0;
+    options.decoded_levels.clear();
+    options.rgb_decoder.in_channels = 4 * options.backbone.level_channels();
+  }
   if (latent == kJoint) {
     DitOptions& dit = options.generators.front().dit;
     dit.num_special_tokens = options.backbone.leading_tokens();
@@ -92,7 +99,7 @@ class LatentSpaces : public testing::TestWithParam<std::string> {
 TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   const BundleOptions model = described(GetParam());
   const bool geometry = model.has_geometry();
-  const bool vggt = model.backbone.architecture().kind() == "vggt";
+  const bool vggt = geometry && model.backbone.architecture().kind() == "vggt";
   save_bundle_options(path("empty"), model);
   auto backbone = stage<TrainBackboneOptions>("empty", "backbone");
   backbone.objective.pixel_weights = {1.0};
@@ -117,7 +124,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   stats.data.synthetic.width = stats.data.synthetic.height = 112;
   compute_statistics(stats);
   auto level = stage<TrainLevelOptions>("stats/model", "level");
-  level.level = 0;
+  level.level = model.level_set().boundary;
   train_level(level, {});
   const auto bundle = ModelBundle::open(path("level/model"));
   for (const BundlePart& part : bundle_parts(bundle.options()))
@@ -138,9 +145,11 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   asked.out = path("sample").string();
   if (!geometry) {
     EXPECT_EQ(test::error_of([&] { sample(asked); }),
-              "--outputs: expected image or latents of a model without a geometry head, found depth, rays or "
-              "points of " +
-                  asked.model +
+              std::string("--outputs: expected image or latents of a model ") +
+                  (model.geometry_head.exists()
+                       ? "that does not generate all levels, which its geometry head takes"
+                       : "without a geometry head") +
+                  ", found depth, rays or points of " + asked.model +
                   "; add --outputs image, or --geometry-model DIR to have a geometry model look at the "
                   "generated images.");
     write_random_bundle(path("geometry"), small_bundle_options(), 3);
@@ -196,7 +205,10 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   const auto evaluated = nlohmann::json::parse(read_file(path("eval/report.json")));
   EXPECT_EQ(evaluated["means"]["sample_psnr"]["scenes"], 2);
   EXPECT_EQ(evaluated["protocol"]["poses_from"],
-            geometry ? "the model's own geometry head" : "nothing: the model has no geometry head");
+            geometry ? "the model's own geometry head"
+            : model.geometry_head.exists()
+                ? "nothing: the model does not generate all levels, which its geometry head takes"
+                : "nothing: the model has no geometry head that sees cameras");
 
   DoctorOptions doctor;
   doctor.model = asked.model;
@@ -206,7 +218,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces,
-                         testing::Values("da3", "vggt", kJoint, "dinov2", "vae", "taef2"));
+                         testing::Values("da3", kWholeDa3, "vggt", kWholeVggt, kJoint, "dinov2", "vae", "taef2"));
 
 TEST(LatentSpaceConfigurations, HaveEqualDits) {
   const BundleOptions first = described("da3");

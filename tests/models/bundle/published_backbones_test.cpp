@@ -60,10 +60,10 @@ TEST_F(PublishedBackbones, VggtGivesBackboneAndHeads) {
   }
   // Another part into the same folder needs no description.
   ConversionOptions more;
-  more.statistics_level0 = vggt.file(BundlePart::statistics(0));
+  more.statistics_level1 = vggt.file(BundlePart::statistics(1));
   more.out = options.out;
   convert(more);
-  EXPECT_TRUE(ModelBundle::open(options.out).has(BundlePart::statistics(0)));
+  EXPECT_TRUE(ModelBundle::open(options.out).has(BundlePart::statistics(1)));
 
   Tensors headless;
   for (const auto& [name, tensor] : file) {
