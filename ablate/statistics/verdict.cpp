@@ -25,18 +25,20 @@ double deviations_of(double p) {
   return low;
 }
 
-// Returns what would decide an undecided claim.
-std::string what_would_decide(const Comparison& claim) {
+// Returns what would decide an undecided claim. Holm's factor of it stays as it is: `factor`.
+std::string what_would_decide(const Comparison& claim, size_t factor) {
   constexpr double kMost = 1000;
-  // Holm's factor stays.
-  const double times = times_as_much(claim.p_value, kVerdictLevel * claim.p_value / claim.holm_p_value);
+  const double times = times_as_much(claim.p_value, kVerdictLevel / static_cast<double>(factor));
   const std::string number = !(times < kMost) ? fmt::format("more than {:.0f}", kMost)
                              : times < 10     ? fmt::format("about {:.1f}", std::max(times, 1.1))
                                               : fmt::format("about {:.0f}", times);
   return fmt::format("; {} times as many scenes and seeds would decide, if the mean stays", number);
 }
 
-void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
+void judge_one(Comparison& claim, int64_t fewest_seeds, const std::vector<double>& p_values) {
+  // Holm multiplies a p-value by how many are not smaller.
+  const auto factor = static_cast<size_t>(
+      std::count_if(p_values.begin(), p_values.end(), [&](double p) { return p >= claim.p_value; }));
   if (claim.scenes < kFewestVerdictScenes) {
     claim.reason = fmt::format("{} scene{}, a verdict needs {}", claim.scenes, claim.scenes == 1 ? "" : "s",
                                kFewestVerdictScenes);
@@ -46,16 +48,16 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, size_t claims) {
   } else if (claim.seeds_are_equal) {
     claim.reason = "all seeds gave the same numbers, which counts as one seed";
   } else if (!(claim.interval.low > 0) && !(claim.interval.high < 0)) {
-    claim.reason = "the interval contains 0" + what_would_decide(claim);
+    claim.reason = "the interval contains 0" + what_would_decide(claim, factor);
   } else if (!(claim.holm_p_value < kVerdictLevel)) {
     claim.reason =
         claim.p_value < kVerdictLevel
             ? fmt::format(
                   "clear of 0 alone, not among {} claims: p {:.2g}, by Holm {:.2g}, a verdict needs "
                   "less than {}",
-                  claims, claim.p_value, claim.holm_p_value, kVerdictLevel)
+                  p_values.size(), claim.p_value, claim.holm_p_value, kVerdictLevel)
             : fmt::format("p {:.2g}, a verdict needs less than {}", claim.p_value, kVerdictLevel);
-    claim.reason += what_would_decide(claim);
+    claim.reason += what_would_decide(claim, factor);
   } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
     claim.verdict = Verdict::kHolds;
   } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {
@@ -115,7 +117,7 @@ void judge(std::vector<Comparison>& claims, SeedsOf seeds) {
   const std::vector<double> corrected = holm_p_values(p_values);
   for (size_t i = 0; i < claims.size(); ++i) {
     claims[i].holm_p_value = corrected[i];
-    if (claims[i].reason.empty()) judge_one(claims[i], fewest_verdict_seeds(seeds), claims.size());
+    if (claims[i].reason.empty()) judge_one(claims[i], fewest_verdict_seeds(seeds), p_values);
   }
 }
 

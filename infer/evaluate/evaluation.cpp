@@ -163,7 +163,7 @@ nlohmann::ordered_json protocol_json(const EvaluationOptions& options, const Bun
                                                      : nlohmann::ordered_json(options.lpips.lpips_backbone)},
       {"true_depth", "measured"},
       {"pseudo_depth", bundle.geometry_head.predicts_rays() ? "of the model's own head on the true pictures"
-                                : std::string("nothing: ") + kNoCameraHead}};
+                                                            : std::string("nothing: ") + kNoCameraHead}};
   if (!options.source_counts.empty()) protocol["source_counts"] = options.source_counts;
   return protocol;
 }

@@ -275,7 +275,8 @@ class SceneMetrics {
       inputs.missing[MetricNeed::kEstimatedCameras] = inputs.missing[MetricNeed::kViewGeometry] = reason;
     };
     if (models_.poses == PoseEstimator::kNone) return missing("no poses were asked for (--poses none)");
-    if (!models_.pose_model && !own.rays.defined()) return missing(no_geometry_of_samples(models_.bundle).value());
+    if (!models_.pose_model && !own.rays.defined())
+      return missing(no_geometry_of_samples(models_.bundle).value());
     const GeometryOutput geometry = models_.pose_model
                                         ? geometry_of_pictures(*models_.pose_model, inputs.view_images,
                                                                GeometryMaps::kDepthAndRays, models_.device)

@@ -144,14 +144,14 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
   asked.threads = 1;
   asked.out = path("sample").string();
   if (!geometry) {
-    EXPECT_EQ(test::error_of([&] { sample(asked); }),
-              std::string("--outputs: expected image or latents of a model ") +
-                  (model.geometry_head.exists()
-                       ? "that does not generate all levels, which its geometry head takes"
-                       : "without a geometry head") +
-                  ", found depth, rays or points of " + asked.model +
-                  "; add --outputs image, or --geometry-model DIR to have a geometry model look at the "
-                  "generated images.");
+    EXPECT_EQ(
+        test::error_of([&] { sample(asked); }),
+        std::string("--outputs: expected image or latents of a model ") +
+            (model.geometry_head.exists() ? "that does not generate all levels, which its geometry head takes"
+                                          : "without a geometry head") +
+            ", found depth, rays or points of " + asked.model +
+            "; add --outputs image, or --geometry-model DIR to have a geometry model look at the "
+            "generated images.");
     write_random_bundle(path("geometry"), small_bundle_options(), 3);
     asked.geometry_model = path("geometry").string();
   }
@@ -218,7 +218,8 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces,
-                         testing::Values("da3", kWholeDa3, "vggt", kWholeVggt, kJoint, "dinov2", "vae", "taef2"));
+                         testing::Values("da3", kWholeDa3, "vggt", kWholeVggt, kJoint, "dinov2", "vae",
+                                         "taef2"));
 
 TEST(LatentSpaceConfigurations, HaveEqualDits) {
   const BundleOptions first = described("da3");
