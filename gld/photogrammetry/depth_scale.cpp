@@ -11,11 +11,12 @@
 namespace gld {
 namespace {
 
-// Of the 64 drawn rooms of seed 900000 these limits leave 2 without a scale; 59 are within 10 % of the truth. With a
+// Of the 64 drawn rooms of seed 900000 these limits leave 3 without a scale; 59 are within 10 % of the truth. With a
 // residual of 0.3 and a factor of 2 it was 5 and 57: two photographs of which a third matches wrongly still agree on
-// one scale where its interval is narrow.
+// one scale where its interval is narrow. With a factor of 2.5, in the interval's present width, 4 of 62 drawn rooms
+// (seed 555000) lose a scale that is within 8 %.
 constexpr double kLargestResidual = 0.4;
-constexpr double kLargestFactor = 2.5;  // between the ends of the interval
+constexpr double kLargestFactor = 4;  // between the ends of the interval
 constexpr double kSmallestLogDeviation =
     1e-6;  // of the logarithm; keeps exact estimates from dividing by zero
 // A network's errors of camera centres have one cause: what it does not know of a baseline makes all of them shorter.

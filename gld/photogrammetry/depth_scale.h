@@ -29,7 +29,7 @@ std::optional<DepthScale> depth_scale_from_poses(const PoseAlignment& world_from
 DepthScale with_log_deviation(DepthScale estimate, double log_deviation);
 
 // Returns why an estimate does not tell the scale, as a phrase: its fit leaves more than 0.4 of what it is fitted to,
-// or its interval is wider than a factor of 2.5. The phrase is empty where it tells it.
+// or its interval is wider than a factor of 4. The phrase is empty where it tells it.
 std::string doubt_about(const DepthScale& estimate);
 
 // Returns what the estimates without doubt say together: the one with the narrowest interval, and with it all whose

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <set>
+#include <utility>
 
 namespace gld {
 namespace {
@@ -41,18 +42,21 @@ ObservedPart part_of(size_t view, double right, double down) {
 // to be independent: an error of a network's depth is one of a wall, or of a half of the picture.
 constexpr double kIndependentPlaces = 2;
 
-DepthScale widened_by_shape(DepthScale estimate, const std::vector<Ratio>& ratios) {
-  std::set<size_t> views;
-  for (const Ratio& ratio : ratios) views.insert(ratio.part.view);
+// seen is the share of the views in which depth is known. The mean of k of K independent places of deviation s is off
+// that of all by s sqrt(1 / k - 1 / K), with k = seen K: s sqrt((1 / seen - 1) / K). Where half and more is known it
+// counts as half: what is known is known by texture, which is no fair draw.
+DepthScale widened_by_shape(DepthScale estimate, size_t views, double seen) {
+  const double places = kIndependentPlaces * static_cast<double>(views);
   // 1.4826 times the median distance is the deviation of a normal distribution.
-  const double log_deviation =
-      1.4826 * estimate.residual / std::sqrt(kIndependentPlaces * static_cast<double>(views.size()));
+  const double log_deviation = 1.4826 * estimate.residual * std::sqrt((1 / std::min(seen, 0.5) - 1) / places);
   estimate.low = std::min(estimate.low, estimate.scale * std::exp(-2 * log_deviation));
   estimate.high = std::max(estimate.high, estimate.scale * std::exp(2 * log_deviation));
   return estimate;
 }
 
-std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, const std::string& estimator) {
+// views and seen are as above.
+std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, size_t views, double seen,
+                                 const std::string& estimator) {
   if (ratios.empty()) return std::nullopt;
   std::vector<double> sorted;
   sorted.reserve(ratios.size());
@@ -65,7 +69,7 @@ std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, const std::st
   for (const Ratio& ratio : ratios) consensus.add_ratio(ratio.value, ratio.part);
   const auto estimate = consensus.estimate(estimator, kKnownDepthDeviation);
   if (!estimate) return std::nullopt;
-  return widened_by_shape(*estimate, ratios);
+  return widened_by_shape(*estimate, views, seen);
 }
 
 }  // namespace
@@ -87,15 +91,26 @@ std::optional<DepthScale> scale_from_sparse_points(const std::vector<DepthView>&
       if (depth > 0) ratios.push_back({projected.z() / depth, part_of(view, right, down)});
     }
   }
-  return agreed(ratios, "sparse_points");
+  // Points stand for the part of the picture that they are in.
+  std::set<std::pair<size_t, size_t>> parts;
+  std::set<size_t> seeing;
+  for (const Ratio& ratio : ratios) {
+    parts.emplace(ratio.part.view, ratio.part.block);
+    seeing.insert(ratio.part.view);
+  }
+  const double seen =
+      static_cast<double>(parts.size()) / static_cast<double>(seeing.size() * kBlocksASide * kBlocksASide);
+  return agreed(ratios, seeing.size(), seen, "sparse_points");
 }
 
 std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>& views,
                                                     const std::vector<PlanarDepth>& measured,
                                                     const std::string& estimator) {
   std::vector<Ratio> ratios;
+  size_t known_views = 0;
   for (size_t view = 0; view < std::min(views.size(), measured.size()); ++view) {
     if (measured[view].values.empty()) continue;
+    ++known_views;
     for (int64_t y = 0; y < kSamplesASide; ++y) {
       for (int64_t x = 0; x < kSamplesASide; ++x) {
         const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(kSamplesASide);
@@ -108,7 +123,9 @@ std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>
       }
     }
   }
-  return agreed(ratios, estimator);
+  const double seen =
+      static_cast<double>(ratios.size()) / static_cast<double>(known_views * kSamplesASide * kSamplesASide);
+  return agreed(ratios, known_views, seen, estimator);
 }
 
 }  // namespace gld

@@ -83,16 +83,16 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
     return geometry_model;
   }
   check_lifting(options, bundle);
+  const bool head = bundle.options().geometry_head.exists();
+  if (head) check_rays(options, bundle, "--outputs");
   if (options.requested().needs_geometry() && !bundle.options().has_geometry()) {
     fail(
         {"--outputs",
-         bundle.options().geometry_head.exists()
-             ? "image or latents of a model that does not generate all levels, which its geometry head takes"
-             : "image or latents of a model without a geometry head",
+         head ? "image or latents of a model that does not generate all levels, which its geometry head takes"
+              : "image or latents of a model without a geometry head",
          "depth, rays or points of " + options.model,
          "add --outputs image, or --geometry-model DIR to have a geometry model look at the generated images"});
   }
-  check_rays(options, bundle, "--outputs");
   return std::nullopt;
 }
 

@@ -135,10 +135,10 @@ TEST(DepthScale, AnEstimateInDoubtIsNoScale) {
   EXPECT_EQ(doubt_about(open), "it may be anything from 1 to 5");
   EXPECT_EQ(doubt_about(estimate("photographs", 2, 2.2)), "");
   // Where the limits lie.
-  EXPECT_EQ(doubt_about(estimate("photographs", 2, 4.9, 0.39)), "");
-  EXPECT_EQ(doubt_about(estimate("photographs", 2, 4.9, 0.41)),
+  EXPECT_EQ(doubt_about(estimate("photographs", 2, 7.9, 0.39)), "");
+  EXPECT_EQ(doubt_about(estimate("photographs", 2, 7.9, 0.41)),
             "its fit leaves 41 % of what it is fitted to");
-  EXPECT_EQ(doubt_about(estimate("photographs", 2, 5.1, 0.39)), "it may be anything from 2 to 5.1");
+  EXPECT_EQ(doubt_about(estimate("photographs", 2, 8.1, 0.39)), "it may be anything from 2 to 8.1");
   EXPECT_FALSE(combined_depth_scale({unexplained, open}).has_value());
 }
 

@@ -75,5 +75,31 @@ TEST(ScaleFromKnownDepth, TheIntervalHoldsWherePredictedDepthHasAnotherShape) {
   EXPECT_GE(scale->high, kKnownUnit);
 }
 
+// What is known in the left quarter alone says less of the whole than what is known in half of it.
+TEST(ScaleFromKnownDepth, TheIntervalIsWiderTheLessIsKnown) {
+  const test::TexturedPlane plane;
+  const auto estimate_where_known = [&](double known) {
+    auto views = depth_of_plane(plane);
+    PlanarDepth measured = plane.seen_by(views[0].camera, 1, false).depth;
+    for (int64_t y = 0; y < measured.height; ++y) {
+      for (int64_t x = 0; x < measured.width; ++x) {
+        const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(measured.width);
+        const auto pixel = static_cast<size_t>(y * measured.width + x);
+        views[0].depth.values[pixel] *= static_cast<float>(std::exp(0.4 * (right - 0.5) + 0.1 * (y % 2)));
+        if (right > known) measured.values[pixel] = 0;
+      }
+    }
+    return scale_from_measured_depth({views[0]}, {measured}, "photographs");
+  };
+  const auto quarter = estimate_where_known(0.25), half = estimate_where_known(0.5);
+  ASSERT_TRUE(quarter && half);
+  const auto width = [](const DepthScale& scale) {
+    return std::log(scale.high / scale.low) / scale.residual;
+  };
+  // 4 deviations of sqrt((1 / seen - 1) / 2) times what the fit leaves.
+  EXPECT_NEAR(width(*quarter), 4 * 1.4826 * std::sqrt(3 / 2.0), 1e-6);
+  EXPECT_NEAR(width(*half), 4 * 1.4826 * std::sqrt(1 / 2.0), 1e-6);
+}
+
 }  // namespace
 }  // namespace gld
