@@ -25,10 +25,17 @@ double deviations_of(double p) {
   return low;
 }
 
-// Returns what would decide an undecided claim. Holm's factor of it stays as it is: `factor`.
-std::string what_would_decide(const Comparison& claim, size_t factor) {
+// Returns what would decide an undecided claim among those of these p-values. Holm multiplies each by how many are not
+// smaller, and goes up to the first that fails: all that are smaller have to pass as well.
+std::string what_would_decide(double p, const std::vector<double>& p_values) {
   constexpr double kMost = 1000;
-  const double times = times_as_much(claim.p_value, kVerdictLevel / static_cast<double>(factor));
+  double times = 0;
+  for (const double before : p_values) {
+    if (before > p) continue;
+    const auto factor =
+        std::count_if(p_values.begin(), p_values.end(), [&](double other) { return other >= before; });
+    times = std::max(times, times_as_much(before, kVerdictLevel / static_cast<double>(factor)));
+  }
   const std::string number = !(times < kMost) ? fmt::format("more than {:.0f}", kMost)
                              : times < 10     ? fmt::format("about {:.1f}", std::max(times, 1.1))
                                               : fmt::format("about {:.0f}", times);
@@ -36,9 +43,6 @@ std::string what_would_decide(const Comparison& claim, size_t factor) {
 }
 
 void judge_one(Comparison& claim, int64_t fewest_seeds, const std::vector<double>& p_values) {
-  // Holm multiplies a p-value by how many are not smaller.
-  const auto factor = static_cast<size_t>(
-      std::count_if(p_values.begin(), p_values.end(), [&](double p) { return p >= claim.p_value; }));
   if (claim.scenes < kFewestVerdictScenes) {
     claim.reason = fmt::format("{} scene{}, a verdict needs {}", claim.scenes, claim.scenes == 1 ? "" : "s",
                                kFewestVerdictScenes);
@@ -48,7 +52,7 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, const std::vector<double
   } else if (claim.seeds_are_equal) {
     claim.reason = "all seeds gave the same numbers, which counts as one seed";
   } else if (!(claim.interval.low > 0) && !(claim.interval.high < 0)) {
-    claim.reason = "the interval contains 0" + what_would_decide(claim, factor);
+    claim.reason = "the interval contains 0" + what_would_decide(claim.p_value, p_values);
   } else if (!(claim.holm_p_value < kVerdictLevel)) {
     claim.reason =
         claim.p_value < kVerdictLevel
@@ -57,7 +61,7 @@ void judge_one(Comparison& claim, int64_t fewest_seeds, const std::vector<double
                   "less than {}",
                   p_values.size(), claim.p_value, claim.holm_p_value, kVerdictLevel)
             : fmt::format("p {:.2g}, a verdict needs less than {}", claim.p_value, kVerdictLevel);
-    claim.reason += what_would_decide(claim, factor);
+    claim.reason += what_would_decide(claim.p_value, p_values);
   } else if (claim.interval.low > 0 && claim.seeds_in_favour == claim.seeds) {
     claim.verdict = Verdict::kHolds;
   } else if (claim.interval.high < 0 && claim.seeds_against == claim.seeds) {

@@ -80,7 +80,7 @@ std::vector<TableCell> reference_cells(double guidance_scale) {
           std::string("float32")};
 }
 
-// Columns of all levels that any of the samples has, the boundary level's first: it is generated first.
+// Returns the levels that any sample has, the boundary level first: it is generated first.
 std::vector<int64_t> levels_of(const std::vector<MethodRow>& rows) {
   std::set<int64_t, std::greater<>> levels;
   for (const MethodRow& row : rows) {
@@ -149,7 +149,7 @@ PlotPanel panel_of(const std::vector<MethodRow>& rows, double guidance_scale, Pl
 
 }  // namespace
 
-double Sample::error() const {
+double worst_error(const std::map<int64_t, double>& level_errors) {
   double worst = 0;
   for (const auto& [level, error] : level_errors) {
     if (std::isnan(error)) return kNotMeasured;
@@ -157,6 +157,8 @@ double Sample::error() const {
   }
   return worst;
 }
+
+double Sample::error() const { return worst_error(level_errors); }
 
 double Sample::quality_of(const std::string& metric) const {
   const auto found = quality.find(metric);

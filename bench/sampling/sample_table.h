@@ -13,6 +13,9 @@
 
 namespace gld {
 
+// Returns the largest; NaN where one is.
+double worst_error(const std::map<int64_t, double>& level_errors);
+
 // One scene sampled one way.
 struct Sample {
   std::string scene;

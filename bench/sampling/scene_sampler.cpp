@@ -99,9 +99,9 @@ Sample SceneSampler::measure(const BenchmarkScene& scene, const ComparedMethod& 
   const SampledScene made = run(scene, compared);
   Sample sample = sample_of(scene, made);
   if (!made.finite) {
-    sample.psnr_to_reference = std::numeric_limits<double>::quiet_NaN();
-    for (const auto& [level, exact] : reference.result.latents)
-      sample.level_errors[level] = sample.psnr_to_reference;
+    constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
+    sample.psnr_to_reference = kNotKnown;
+    for (const auto& [level, exact] : reference.result.latents) sample.level_errors[level] = kNotKnown;
     return sample;
   }
   const auto& latents = made.result.latents;
@@ -114,8 +114,7 @@ Sample SceneSampler::measure(const BenchmarkScene& scene, const ComparedMethod& 
   if (compared.is_fewer_evaluations()) {
     plain_latents_[compared.method.solver.evaluations] = latents;
   } else if (compared.method.precision != ComputePrecision::kFloat32) {
-    for (const auto& [level, error] : errors_by_level(latents, latents_in_float32(scene, compared)))
-      sample.precision_error = std::max(sample.precision_error, error);
+    sample.precision_error = worst_error(errors_by_level(latents, latents_in_float32(scene, compared)));
   }
   return sample;
 }

@@ -42,7 +42,7 @@ ObservedPart part_of(size_t view, double right, double down) {
 // to be independent: an error of a network's depth is one of a wall, or of a half of the picture.
 constexpr double kIndependentPlaces = 2;
 
-// seen is the share of the views in which depth is known. The mean of k of K independent places of deviation s is off
+// seen is the share of these views in which depth is known. The mean of k of K independent places of deviation s is off
 // that of all by s sqrt(1 / k - 1 / K), with k = seen K: s sqrt((1 / seen - 1) / K). Where half and more is known it
 // counts as half: what is known is known by texture, which is no fair draw.
 DepthScale widened_by_shape(DepthScale estimate, size_t views, double seen) {
@@ -54,8 +54,8 @@ DepthScale widened_by_shape(DepthScale estimate, size_t views, double seen) {
   return estimate;
 }
 
-// views and seen are as above.
-std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, size_t views, double seen,
+// `known` of the `parts` of each of `views` views, together, have a ratio.
+std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, size_t views, size_t known, int64_t parts,
                                  const std::string& estimator) {
   if (ratios.empty()) return std::nullopt;
   std::vector<double> sorted;
@@ -69,7 +69,8 @@ std::optional<DepthScale> agreed(const std::vector<Ratio>& ratios, size_t views,
   for (const Ratio& ratio : ratios) consensus.add_ratio(ratio.value, ratio.part);
   const auto estimate = consensus.estimate(estimator, kKnownDepthDeviation);
   if (!estimate) return std::nullopt;
-  return widened_by_shape(*estimate, views, seen);
+  return widened_by_shape(
+      *estimate, views, static_cast<double>(known) / static_cast<double>(views * static_cast<size_t>(parts)));
 }
 
 }  // namespace
@@ -93,24 +94,18 @@ std::optional<DepthScale> scale_from_sparse_points(const std::vector<DepthView>&
   }
   // Points stand for the part of the picture that they are in.
   std::set<std::pair<size_t, size_t>> parts;
-  std::set<size_t> seeing;
-  for (const Ratio& ratio : ratios) {
-    parts.emplace(ratio.part.view, ratio.part.block);
-    seeing.insert(ratio.part.view);
-  }
-  const double seen =
-      static_cast<double>(parts.size()) / static_cast<double>(seeing.size() * kBlocksASide * kBlocksASide);
-  return agreed(ratios, seeing.size(), seen, "sparse_points");
+  for (const Ratio& ratio : ratios) parts.emplace(ratio.part.view, ratio.part.block);
+  return agreed(ratios, views.size(), parts.size(), kBlocksASide * kBlocksASide, "sparse_points");
 }
 
 std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>& views,
                                                     const std::vector<PlanarDepth>& measured,
                                                     const std::string& estimator) {
   std::vector<Ratio> ratios;
-  size_t known_views = 0;
+  size_t measured_views = 0;
   for (size_t view = 0; view < std::min(views.size(), measured.size()); ++view) {
     if (measured[view].values.empty()) continue;
-    ++known_views;
+    ++measured_views;
     for (int64_t y = 0; y < kSamplesASide; ++y) {
       for (int64_t x = 0; x < kSamplesASide; ++x) {
         const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(kSamplesASide);
@@ -123,9 +118,7 @@ std::optional<DepthScale> scale_from_measured_depth(const std::vector<DepthView>
       }
     }
   }
-  const double seen =
-      static_cast<double>(ratios.size()) / static_cast<double>(known_views * kSamplesASide * kSamplesASide);
-  return agreed(ratios, known_views, seen, estimator);
+  return agreed(ratios, measured_views, ratios.size(), kSamplesASide * kSamplesASide, estimator);
 }
 
 }  // namespace gld

@@ -187,8 +187,10 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
                   resume);
   visit_json(visitor, json);
   visitor.integer({"synthetic", "number of generated scenes"}, synthetic, {0, 1'000'000});
-  visitor.integer({"synthetic_seed", "seed of the generated scenes; training must not have used it"},
-                  synthetic_seed, {0, 1'000'000'000'000});
+  visitor.integer(
+      {"synthetic_seed",
+       "seed of the generated scenes, which training must not have used, and of the views that are drawn of given ones"},
+      synthetic_seed, {0, 1'000'000'000'000});
   visit_scenes(visitor, scenes, "generated ones");
   visitor.group({"generator", "generated scenes; seed and number come from the options above"}, generator);
   visitor.group({"views", "which frames are sources and targets"}, views);

@@ -15,7 +15,7 @@ namespace gld {
 
 // Why a model does not say where its pictures stand.
 constexpr const char* kNoCameraHead = "the model has no geometry head that sees cameras";
-// Nor that of what it generates.
+// Why its head says nothing of what it generates.
 constexpr const char* kNotAllLevels = "the model does not generate all levels, which its geometry head takes";
 
 // Returns why a model's own geometry head says nothing of its samples; none where it does.

@@ -21,11 +21,13 @@
 namespace gld {
 namespace {
 
-// Of 24 drawn rooms (seed 556000), two views of a scene of 8 have 0.06 dB less in what is generated than in a scene of
-// the 4 that the small model was trained on, and as good pictures; in a scene of 24 they have 0.5 dB less.
+// Of drawn rooms, two views of a scene of 8 have 0.06 dB less in what is generated than in a scene of the 4 that the
+// small model was trained on, and as good pictures; in a scene of 24 they have 0.5 dB less
+// (docs/measured/views_beyond_training).
 constexpr int64_t kTimesTrainedViews = 2;
 
-// Returns where many more or other views are asked for than the model was trained on, a sentence each.
+// Returns where many more views, or pictures of another size, are asked for than the model was trained on, a sentence
+// each.
 std::vector<std::string> unlike_training(const SamplingScene& scene, const ModelBundle& model) {
   const BundleOptions& bundle = model.options();
   const int64_t views = trained_views(model);

@@ -116,6 +116,7 @@ TEST_F(ShippedAblations, TablesOfLatentSpacesShareTheirTrainings) {
     EXPECT_EQ(keys_of(other, "backbone").size(), backbones);
     EXPECT_TRUE(within("backbone"));
     EXPECT_TRUE(within("autoencoder"));
+    EXPECT_EQ(keys_of(other, "autoencoder").size(), backbones == 6 ? 3U : 0U);
     if (name != "decoders") {
       EXPECT_EQ(keys_of(other, "decoder").size(), backbones);
       EXPECT_TRUE(within("decoder"));

@@ -70,6 +70,32 @@ TEST(Verdict, SaysHowMuchMoreWouldDecide) {
   EXPECT_EQ(times_as_much(1, 0.05), std::numeric_limits<double>::infinity());
 }
 
+// Holm's correction goes up to the first claim that fails, and none is above 1.
+TEST(Verdict, SaysHowMuchMoreWouldDecideAmongOthers) {
+  const auto reason_of_last = [](const std::vector<double>& p_values) {
+    std::vector<Comparison> claims;
+    for (const double p : p_values) {
+      Comparison claim;
+      claim.p_value = p;
+      claim.scenes = 64;
+      claim.seeds = 2;
+      claim.interval = {-1, 1};
+      claims.push_back(claim);
+    }
+    judge(claims, SeedsOf::kEvaluations);
+    return claims.back().reason;
+  };
+  const auto says = [](const char* times) {
+    return "the interval contains 0; about " + std::string(times) +
+           " times as many scenes and seeds would decide, if the mean stays";
+  };
+  // (2.2414 / 0.5129)^2: .05 of two, though twice .608 is no p-value.
+  EXPECT_EQ(reason_of_last({0.99, 0.608}), says("19"));
+  // .118 needs (2.2414 / 1.5632)^2 = 2.06, .104 before it (2.3940 / 1.6258)^2 = 2.17.
+  EXPECT_EQ(reason_of_last({0.82, 0.104, 0.118}), says("2.2"));
+  EXPECT_EQ(reason_of_last({0.82, 0.118}), says("2.1"));
+}
+
 TEST(Verdict, OfEvaluationsNeedsTwoSeeds) {
   std::vector<Comparison> claims{compare(around({0.5, 0.6}, 64))};
   judge(claims, SeedsOf::kEvaluations);

@@ -91,14 +91,16 @@ TEST(ScaleFromKnownDepth, TheIntervalIsWiderTheLessIsKnown) {
     }
     return scale_from_measured_depth({views[0]}, {measured}, "photographs");
   };
-  const auto quarter = estimate_where_known(0.25), half = estimate_where_known(0.5);
-  ASSERT_TRUE(quarter && half);
+  const auto quarter = estimate_where_known(0.25), half = estimate_where_known(0.5),
+             all = estimate_where_known(1);
+  ASSERT_TRUE(quarter && half && all);
   const auto width = [](const DepthScale& scale) {
     return std::log(scale.high / scale.low) / scale.residual;
   };
   // 4 deviations of sqrt((1 / seen - 1) / 2) times what the fit leaves.
   EXPECT_NEAR(width(*quarter), 4 * 1.4826 * std::sqrt(3 / 2.0), 1e-6);
   EXPECT_NEAR(width(*half), 4 * 1.4826 * std::sqrt(1 / 2.0), 1e-6);
+  EXPECT_NEAR(width(*all), 4 * 1.4826 * std::sqrt(1 / 2.0), 1e-6);  // known by texture, which is no fair draw
 }
 
 }  // namespace
