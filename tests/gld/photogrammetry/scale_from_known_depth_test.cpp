@@ -3,6 +3,7 @@
 #include "tests/support/textured_plane.h"
 
 #include <cmath>
+#include <optional>
 #include <random>
 
 #include <gtest/gtest.h>
@@ -54,9 +55,9 @@ TEST(ScaleFromKnownDepth, MeasuredDepthOfOneViewIsEnough) {
   EXPECT_FALSE(scale_from_measured_depth(views, {PlanarDepth(), PlanarDepth()}, "source_depth").has_value());
 }
 
-// Predicted depth that is 22 % too near at the left and as much too far at the right, known in the left three fifths
-// alone: what is known says a scale that is 8 % off that of the whole, and the interval says so.
-TEST(ScaleFromKnownDepth, TheIntervalHoldsWherePredictedDepthHasAnotherShape) {
+// Predicted depth that is 22 % too near at the left and as much too far at the right, known in that share of the view at
+// its left.
+std::optional<DepthScale> scale_where_known(double share) {
   const test::TexturedPlane plane;
   auto views = depth_of_plane(plane);
   PlanarDepth measured = plane.seen_by(views[0].camera, 1, false).depth;
@@ -65,10 +66,15 @@ TEST(ScaleFromKnownDepth, TheIntervalHoldsWherePredictedDepthHasAnotherShape) {
       const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(measured.width);
       const auto pixel = static_cast<size_t>(y * measured.width + x);
       views[0].depth.values[pixel] *= static_cast<float>(std::exp(0.4 * (right - 0.5)));
-      if (right > 0.6) measured.values[pixel] = 0;
+      if (right > share) measured.values[pixel] = 0;
     }
   }
-  const auto scale = scale_from_measured_depth({views[0]}, {measured}, "photographs");
+  return scale_from_measured_depth({views[0]}, {measured}, "photographs");
+}
+
+// What is known in the left three fifths says a scale that is 8 % off that of the whole, and the interval says so.
+TEST(ScaleFromKnownDepth, TheIntervalHoldsWherePredictedDepthHasAnotherShape) {
+  const auto scale = scale_where_known(0.6);
   ASSERT_TRUE(scale.has_value());
   EXPECT_NEAR(std::log(scale->scale / kKnownUnit), 0.08, 0.03);
   EXPECT_LE(scale->low, kKnownUnit);
@@ -77,22 +83,7 @@ TEST(ScaleFromKnownDepth, TheIntervalHoldsWherePredictedDepthHasAnotherShape) {
 
 // What is known in the left quarter alone says less of the whole than what is known in half of it.
 TEST(ScaleFromKnownDepth, TheIntervalIsWiderTheLessIsKnown) {
-  const test::TexturedPlane plane;
-  const auto estimate_where_known = [&](double known) {
-    auto views = depth_of_plane(plane);
-    PlanarDepth measured = plane.seen_by(views[0].camera, 1, false).depth;
-    for (int64_t y = 0; y < measured.height; ++y) {
-      for (int64_t x = 0; x < measured.width; ++x) {
-        const double right = (static_cast<double>(x) + 0.5) / static_cast<double>(measured.width);
-        const auto pixel = static_cast<size_t>(y * measured.width + x);
-        views[0].depth.values[pixel] *= static_cast<float>(std::exp(0.4 * (right - 0.5) + 0.1 * (y % 2)));
-        if (right > known) measured.values[pixel] = 0;
-      }
-    }
-    return scale_from_measured_depth({views[0]}, {measured}, "photographs");
-  };
-  const auto quarter = estimate_where_known(0.25), half = estimate_where_known(0.5),
-             all = estimate_where_known(1);
+  const auto quarter = scale_where_known(0.25), half = scale_where_known(0.5), all = scale_where_known(1);
   ASSERT_TRUE(quarter && half && all);
   const auto width = [](const DepthScale& scale) {
     return std::log(scale.high / scale.low) / scale.residual;
