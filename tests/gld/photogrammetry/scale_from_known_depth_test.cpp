@@ -55,8 +55,8 @@ TEST(ScaleFromKnownDepth, MeasuredDepthOfOneViewIsEnough) {
   EXPECT_FALSE(scale_from_measured_depth(views, {PlanarDepth(), PlanarDepth()}, "source_depth").has_value());
 }
 
-// Predicted depth that is 22 % too near at the left and as much too far at the right, known in that share of the view at
-// its left.
+// Predicted depth that is 22 % too near at the left and as much too far at the right, known in that share of the view
+// at its left.
 std::optional<DepthScale> scale_where_known(double share) {
   const test::TexturedPlane plane;
   auto views = depth_of_plane(plane);
