@@ -3,6 +3,7 @@
 #include "train/stages/feature_stages.h"
 #include "train/stages/latent_stages.h"
 #include "train/stages/refiner_stage.h"
+#include "train/stages/sample_refiner_stage.h"
 #include "train/stages/validation_sheet.h"
 
 #include <iostream>
@@ -43,7 +44,8 @@ Command stage_command(const std::string& name, const std::string& summary,
 Command make_train_command() {
   Command command;
   command.name = "train";
-  command.summary = "Train a part of a model: backbone, decoder, depth, blending, level, cascade or refiner";
+  command.summary =
+      "Train a part of a model: backbone, decoder, depth, blending, level, cascade, refiner or sample-refiner";
   command.description =
       "Example: gld train backbone --config configs/tiny/backbone.yaml --model configs/tiny --out "
       "runs/backbone\n"
@@ -67,7 +69,10 @@ Command make_train_command() {
       stage_command(
           "refiner",
           "The network that repairs what Gaussians show of latents, beside the nearest views, in one call",
-          train_refiner, {"objective.start"}, {"data.pairs", "data.validation_pairs", "data.batch_size"})};
+          train_refiner, {"objective.start"}, {"data.pairs", "data.validation_pairs", "data.batch_size"}),
+      stage_command("sample-refiner",
+                    "The network that repairs a model's own samples of few evaluations, in one call a view",
+                    train_sample_refiner, {"objective.start"})};
   return command;
 }
 

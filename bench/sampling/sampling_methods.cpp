@@ -15,6 +15,7 @@ const std::string kFewerEvaluations = "fewer evaluations";
 const std::string kPublished = "published";
 const std::string kEncoderNodes = "encoder nodes";
 const std::string kGuidanceInterval = "guidance interval";
+const std::string kRefined = "refined";
 constexpr int64_t kComparedEvaluations = 16;
 
 SamplingMethod solver_method(SolverKind solver, ScheduleKind schedule, int64_t evaluations) {
@@ -96,6 +97,11 @@ std::vector<ComparedMethod> compared_methods(const std::vector<int64_t>& counts,
                   [&](SamplingMethod& method) {
                     method.guidance_interval = {low, 1};
                   });
+    }
+  }
+  if (bundle.refiner.exists() && bundle.refiner.degraded == DegradedLatents::kGenerated) {
+    for (const int64_t count : {4, 6, 8}) {
+      add_changed(kRefined, count, "refined", [](SamplingMethod& method) { method.refine = true; });
     }
   }
   for (const ComputePrecision precision : precisions) {

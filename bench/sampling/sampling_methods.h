@@ -26,8 +26,9 @@ struct ComparedMethod {
 SamplingMethod plain_method(int64_t evaluations);
 
 // Returns what a comparison has for one guidance scale: the published sampler; the default solver at each count; other
-// solvers and the published grid at each count; encoder nodes; guidance on an interval where there is guidance; and in
-// each precision other than float32 the default solver at each count.
+// solvers and the published grid at each count; encoder nodes; guidance on an interval where there is guidance; few
+// evaluations, refined, where the model has a refiner of samples; and in each precision other than float32 the default
+// solver at each count.
 std::vector<ComparedMethod> compared_methods(const std::vector<int64_t>& counts,
                                              const std::vector<ComputePrecision>& precisions,
                                              double guidance_scale, const BundleOptions& bundle);

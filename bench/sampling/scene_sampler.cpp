@@ -5,13 +5,14 @@
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/device.h"
 #include "models/cost/cost_model.h"
+#include "models/refiner/latent_refining.h"
 
 #include <limits>
 
 namespace gld {
 namespace {
 
-// Counts M1 and cascade, from what ran.
+// Counts M1, cascade and refiner, from what ran.
 double flop_of(const PipelineResult& result, const BundleOptions& bundle) {
   double flop = 0;
   for (const auto& flow : result.flows) {
@@ -20,6 +21,11 @@ double flop_of(const PipelineResult& result, const BundleOptions& bundle) {
         static_cast<double>(flow.counts.condition_encoder) *
             condition_encoder_cost(model, result.grid).flop() +
         static_cast<double>(flow.counts.velocity_decoder) * velocity_decoder_cost(model, result.grid).flop();
+  }
+  if (result.refined > 0) {
+    const int64_t references = references_taken(bundle.refiner, result.grid.views - result.refined);
+    flop += static_cast<double>(result.refined) *
+            refiner_cost(bundle.refiner, 1 + references, result.grid.height, result.grid.width).flop();
   }
   return flop;
 }
@@ -52,7 +58,8 @@ SampledScene SceneSampler::run(const BenchmarkScene& scene, const ComparedMethod
     if (error.parts().expected != "finite numbers") throw;
     made.finite = false;
   }
-  made.seconds = stage_seconds(models->levels, StageKind::kFlow, stages);
+  made.seconds = stage_seconds(models->levels, StageKind::kFlow, stages) +
+                 stage_seconds(models->levels, StageKind::kRefinement, stages);
   for (const auto& stage : stages.records()) made.peak_bytes = std::max(made.peak_bytes, stage.peak_bytes);
   return made;
 }

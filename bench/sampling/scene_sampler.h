@@ -27,7 +27,7 @@ struct BenchmarkScene {
 // What sampling a scene one way gave.
 struct SampledScene {
   PipelineResult result;
-  double seconds = 0;  // of M1 and the cascade
+  double seconds = 0;  // of M1, the cascade and a refiner of what they made
   int64_t peak_bytes = 0;
   bool finite = true;  // false: sampling stopped at a value that was not, and result is empty
 };

@@ -31,4 +31,14 @@ inline SourceDepth depth_of_scene(std::vector<PlanarDepth> views) {
   return depth;
 }
 
+// Returns the depth off on purpose, to see what depends on it: the first view's is 1 + error times as far, the second's
+// 1 - error times, and so on in turns, so that views contradict each other. error is at least 0 and below 1.
+inline SourceDepth with_depth_error(SourceDepth depth, double error) {
+  for (size_t view = 0; view < depth.views.size(); ++view) {
+    const auto factor = static_cast<float>(view % 2 == 0 ? 1 + error : 1 - error);
+    for (float& value : depth.views[view].values) value *= factor;
+  }
+  return depth;
+}
+
 }  // namespace gld

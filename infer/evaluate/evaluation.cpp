@@ -37,7 +37,8 @@
 namespace gld {
 namespace {
 
-// Draws the sources, then of each target view the truth, the prediction of the mean and the sample.
+// Draws the sources, then of each target view the truth, the prediction of the mean and the sample, and at last what
+// the true features of the first target say, all together and each level alone (figure 3 of the paper).
 Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   const auto first_target = static_cast<size_t>(scene.views.num_sources);
   SheetSection sources;
@@ -55,6 +56,13 @@ Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
     section.pictures.emplace_back("sample", to_image(evaluated.sample.images[number]));
     sections.push_back(std::move(section));
   }
+  SheetSection decoded;
+  decoded.heading = "target " + scene.view_names[first_target] + ", what its features say";
+  for (const auto& [level, images] : evaluated.reconstructions) {
+    decoded.pictures.emplace_back(level ? fmt::format("level {} alone", *level) : "all levels",
+                                  to_image(images[scene.views.num_sources]));
+  }
+  if (!decoded.pictures.empty()) sections.push_back(std::move(decoded));
   const auto number = [&](const char* column) { return evaluated.evaluation.number(column).value; };
   SheetText text;
   text.title = "gld eval, " + scene.name;
@@ -210,6 +218,8 @@ void EvaluationOptions::visit(FieldVisitor& visitor) {
       samples, {1, 10'000});
   visitor.group({"solver", "solver of both flows, for the samples"}, solver);
   visitor.group({"guidance", "guidance of both flows, for the samples"}, guidance);
+  visitor.boolean(
+      {"refine", "repair the samples' latents in one call a target view, with the model's refiner"}, refine);
   visit_seed(visitor, seed,
              "the first scene's noise, each next scene has the next one, each next sample the next million");
   visit_choice(
@@ -250,7 +260,9 @@ void EvaluationOptions::check() const {
 }
 
 SamplingMethod EvaluationOptions::sampling_method() const {
-  return method_of_options(solver, guidance, ApproximateSavings(), precision);
+  SamplingMethod method = method_of_options(solver, guidance, ApproximateSavings(), precision);
+  method.refine = refine;
+  return method;
 }
 
 EvaluatedViews EvaluationOptions::evaluated_views() const {

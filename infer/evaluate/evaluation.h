@@ -38,7 +38,8 @@ struct EvaluationOptions : OptionsGroup {
   int64_t samples = 1;  // a scene and number of sources
   SolverOptions solver = SampleOptions().solver;
   GuidanceOptions guidance = SampleOptions().guidance;
-  int64_t seed = 0;  // of the first scene's noise; each next scene has the next seed
+  bool refine = false;  // SamplingMethod's, of the samples
+  int64_t seed = 0;     // of the first scene's noise; each next scene has the next seed
   PoseEstimator poses = PoseEstimator::kOurs;
   std::string pose_model;  // whose geometry head looks at the pictures; empty: the model's own
   // Queries and keys of the DiTs are matched at these flow times (attention_correspondence.h); where this is empty,

@@ -425,7 +425,8 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     if (alone && std::find(decoded.begin(), decoded.end(), *alone) == decoded.end()) {
       inputs.missing[MetricNeed::kImages] = fmt::format("the decoder takes no level {}", *alone);
     } else if (pictures.images.defined()) {
-      inputs = metrics.of_images(pictures.images, reconstruction(models, pictures, alone));
+      result.reconstructions.emplace_back(alone, reconstruction(models, pictures, alone));
+      inputs = metrics.of_images(pictures.images, result.reconstructions.back().second);
     }
     set(predictor, std::move(inputs));
   };

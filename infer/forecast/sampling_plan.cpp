@@ -9,6 +9,7 @@
 #include "models/cost/branch_choice.h"
 #include "models/depth_refinement/depth_refinement.h"
 #include "models/dit/encoder_nodes.h"
+#include "models/refiner/latent_refining.h"
 
 #include <algorithm>
 
@@ -117,6 +118,9 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
     }
     case StageKind::kFlow:
       return {{BundlePart::of(bundle.generators.at(stage.generator).generator)}, 0};
+    case StageKind::kRefinement:
+      // Noise, latents before and behind it, source features and those of one view's call.
+      return {{BundlePart::refiner()}, 4 * generated};
     case StageKind::kPropagation:
       return {{BundlePart::backbone()}, 2 + levels};
     case StageKind::kRgbDecoding:
@@ -269,6 +273,15 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
     }
     case StageKind::kFlow:
       break;
+    case StageKind::kRefinement: {
+      const int64_t references = references_taken(bundle.refiner, request.num_sources);
+      Cost cost = refiner_cost(bundle.refiner, 1 + references, request.grid.height, request.grid.width);
+      const auto targets = static_cast<double>(request.grid.views - request.num_sources);
+      cost.linear_flop *= targets;
+      cost.attention_flop *= targets;
+      cost.convolution_flop *= targets;
+      return cost;
+    }
     case StageKind::kPropagation:
       return backbone.propagation_cost(request.grid, bundle.boundary_level);
     case StageKind::kRgbDecoding:
@@ -296,6 +309,7 @@ StageRequest PlanRequest::stage_request() const {
   stages.single_source_unit_known = single_source_unit_known;
   stages.source_depth_given = source_depth_given;
   stages.photographs = photographs_used;
+  stages.refines_samples = flow.refine;
   return stages;
 }
 

@@ -7,6 +7,7 @@
 #include "models/blending/photograph_blending.h"
 #include "models/decoders/rgb_decoder.h"
 #include "models/depth_refinement/depth_refinement.h"
+#include "models/refiner/latent_refining.h"
 
 #include <algorithm>
 #include <cmath>
@@ -74,6 +75,16 @@ double propagation_seconds(const BundleOptions& bundle, const PlanRequest& reque
       torch::randn({request.grid.views, request.grid.tokens_per_view() + bundle.backbone.leading_tokens(),
                     bundle.backbone.level_channels()});
   return seconds_of([&] { backbone->propagate(start); });
+}
+
+double refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+  DenoisingUnet unet(bundle.refiner, ParameterPlacement{});
+  fill(unet);
+  const int64_t views = 1 + references_taken(bundle.refiner, request.num_sources);
+  const auto inputs =
+      torch::randn({1, views, bundle.refiner.latent_channels, request.grid.height, request.grid.width});
+  const auto targets = static_cast<double>(request.grid.views - request.num_sources);
+  return targets * seconds_of([&] { refined_latents(unet, inputs); });
 }
 
 double decoding_seconds(const BundleOptions& bundle, const LatentGrid& grid) {
@@ -167,6 +178,8 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
       return stages.photographs.blends() ? blending_seconds(bundle, request) : 0;
     case StageKind::kFlow:
       break;
+    case StageKind::kRefinement:
+      return refinement_seconds(bundle, request);
     case StageKind::kPropagation:
       return propagation_seconds(bundle, request);
     case StageKind::kRgbDecoding:

@@ -17,7 +17,7 @@ namespace {
 
 // Returns whether the field is one of those that make up a SamplingMethod.
 bool decides_the_method(const std::string& key) {
-  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 ||
+  return key.rfind("solver.", 0) == 0 || key.rfind("approximate.", 0) == 0 || key == "refine" ||
          key == "guidance.guidance_interval";
 }
 
@@ -232,6 +232,11 @@ void SampleOptions::visit(FieldVisitor& visitor) {
   visitor.group({"solver", "how the flow is integrated"}, solver);
   visitor.group({"guidance", "classifier-free guidance"}, guidance);
   visitor.group({"approximate", "work left out with an error"}, approximate);
+  visitor.boolean(
+      {"refine",
+       "repair what the flows made in one call a target view, beside the source views' exact latents; for "
+       "models with a refiner of samples"},
+      refine);
   visitor.texts(
       {"scale_from",
        "what may tell the scale of depth: camera_poses (the predicted against the given ones), "
@@ -351,7 +356,11 @@ RequestedOutputs SampleOptions::requested() const {
 SamplingMethod SampleOptions::method() const {
   const ComputePrecision asked =
       precision == PrecisionChoice::kAutomatic ? ComputePrecision::kFloat32 : precision_of(precision);
-  if (quality == SamplingQuality::kOptions) return method_of_options(solver, guidance, approximate, asked);
+  if (quality == SamplingQuality::kOptions) {
+    SamplingMethod method = method_of_options(solver, guidance, approximate, asked);
+    method.refine = refine;
+    return method;
+  }
   SamplingMethod method = quality_method(quality);
   method.precision = asked;
   return method;

@@ -55,6 +55,7 @@ struct SampleOptions : OptionsGroup {
   SolverOptions solver;
   GuidanceOptions guidance;
   ApproximateSavings approximate;
+  bool refine = false;                                           // SamplingMethod's
   std::vector<std::string> scale_from = usual_scale_evidence();  // of what kinds (scale_evidence.h)
   PointCloudOptions points;
   PageOptions page;

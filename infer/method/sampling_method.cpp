@@ -1,6 +1,7 @@
 #include "infer/method/sampling_method.h"
 
 #include "gld/base/configuration.h"
+#include "gld/base/error.h"
 #include "gld/machine/precision_option.h"
 
 #include <algorithm>
@@ -50,6 +51,7 @@ void SamplingMethod::visit(FieldVisitor& visitor) {
   visitor.reals({"guidance_interval", "flow times [low, high] where guidance acts, both included"},
                 guidance_interval, {0, 1});
   visitor.group({"approximate", "approximate savings"}, approximate);
+  visitor.boolean({"refine", "repair what the flows made in one call a target view"}, refine);
   visit_choice(visitor, {"precision", "what models multiply in"}, precision, compute_precision_names());
 }
 
@@ -84,6 +86,7 @@ std::string method_text(const SamplingMethod& method, const std::string& device)
   if (savings.cascade_encoder_nodes > 0) {
     text += fmt::format("; cascade encoder at {} flow times", savings.cascade_encoder_nodes);
   }
+  if (method.refine) text += "; refined";
   if (method.precision != ComputePrecision::kFloat32) text += "; " + precision_text(method.precision, device);
   return text;
 }
@@ -119,8 +122,15 @@ SamplingMethod quality_method(SamplingQuality quality) {
   return method;
 }
 
+void require_sample_refiner(const BundleOptions& bundle) {
+  if (bundle.refiner.exists() && bundle.refiner.degraded == DegradedLatents::kGenerated) return;
+  fail({"--refine", "a model with a refiner of samples", "none in " + bundle.name,
+        "train one with gld train sample-refiner, or leave --refine out"});
+}
+
 FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& guidance,
                            const BundleOptions& bundle) {
+  if (method.refine) require_sample_refiner(bundle);
   FlowSettings settings;
   for (const auto& part : bundle.generators) {
     SolverOptions solver = with_evaluations_of_file(method.solver);
@@ -130,6 +140,7 @@ FlowSettings flow_settings(const SamplingMethod& method, const GuidanceOptions& 
   settings.guidance = guidance;
   settings.guidance.guidance_interval = method.guidance_interval;
   settings.approximate = method.approximate;
+  settings.refine = method.refine;
   settings.precision = method.precision;
   return settings;
 }

@@ -19,6 +19,9 @@ struct SamplingMethod : OptionsGroup {
   SolverOptions solver;
   std::vector<double> guidance_interval{0, 1};  // flow times where guidance acts, both included
   ApproximateSavings approximate;
+  // Whether the latents that the flows made are repaired in one call a target view
+  // (infer/pipeline/sample_refinement.h).
+  bool refine = false;
   ComputePrecision precision = ComputePrecision::kFloat32;
 
   SamplingMethod();
@@ -52,6 +55,9 @@ bool can_have_encoder_nodes(const BundleOptions& bundle);
 
 // Returns the method of any quality but kOptions.
 SamplingMethod quality_method(SamplingQuality quality);
+
+// Throws Error, naming --refine, where a model has no refiner of samples.
+void require_sample_refiner(const BundleOptions& bundle);
 
 // Returns the method with a model's time shifts and a guidance scale: what the flows are run with. guidance gives what
 // the method does not say: scale and how branches are evaluated. A shift of 0 in the method's schedule is the model's.

@@ -36,6 +36,11 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   if (bundle.options().blending.exists()) models.blending = [=] { return shared->load_blending(); };
   if (bundle.options().depth_refinement.exists())
     models.depth_refinement = [=] { return shared->load_depth_refinement(); };
+  if (bundle.options().refiner.exists()) {
+    models.refiner = [=] {
+      return packed(shared->load_refiner(placement), model_kind_of(StageKind::kRefinement));
+    };
+  }
   for (const auto& part : bundle.options().generators) {
     models.statistics.push_back(bundle.load_statistics(part.generator).to(device));
   }
@@ -89,6 +94,7 @@ PipelineModels kept_bundle_models(const ModelBundle& bundle, const torch::Device
   models.geometry_head = keep(models.geometry_head);
   if (models.blending) models.blending = keep(models.blending);
   if (models.depth_refinement) models.depth_refinement = keep(models.depth_refinement);
+  if (models.refiner) models.refiner = keep(models.refiner);
   return models;
 }
 

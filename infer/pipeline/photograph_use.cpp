@@ -25,12 +25,18 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
        "is needed where photographs are kept"},
       generate_complete);
   visitor.group({"stereo", "how photographs are matched for their depth"}, stereo);
+  visitor.real(
+      {"depth_error",
+       "to see what depends on it: the source views' depth is off by this share, in turns too far and "
+       "too near"},
+      depth_error, {0, 0.9});
 }
 
 PhotographUse PhotographOptions::use(const PhotographModel& model) const {
   const bool trained_with_photographs = model.warped_sources > 0;
   PhotographUse use;
   use.stereo = stereo;
+  use.depth_error = depth_error;
   switch (source_depth) {
     case DepthChoice::kAutomatic:
       if (model.has_depth_refinement) {

@@ -29,7 +29,8 @@ struct PhotographUse {
   Composition composition = Composition::kNone;
   // Target views that photographs show whole are not generated (complete_targets()), unless latents are asked for.
   bool leaves_out_complete = false;
-  StereoOptions stereo;  // of all but kHead
+  StereoOptions stereo;    // of all but kHead
+  double depth_error = 0;  // off by so much on purpose (with_depth_error())
 
   bool matches() const { return depth != SourceDepthOrigin::kHead; }
   bool refines() const { return depth == SourceDepthOrigin::kRefined; }
@@ -56,6 +57,7 @@ struct PhotographOptions : OptionsGroup {
   ComposeChoice compose = ComposeChoice::kAutomatic;
   bool generate_complete = false;
   StereoOptions stereo;
+  double depth_error = 0;
 
   void visit(FieldVisitor& visitor) override;
 

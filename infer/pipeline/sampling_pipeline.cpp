@@ -8,6 +8,7 @@
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/level_decoding.h"
 #include "infer/pipeline/pipeline_state.h"
+#include "infer/pipeline/sample_refinement.h"
 #include "infer/pipeline/used_source_depth.h"
 #include "models/conditioning/decoder_inputs.h"
 #include "models/conditioning/source_conditioning.h"
@@ -228,6 +229,7 @@ void run_without_complete(const PipelineModels& models, const PipelineRequest& r
     result.levels = std::move(rest.levels);
     result.leading = rest.leading;
     result.flows = std::move(rest.flows);
+    result.refined = rest.refined;
     result.warnings.insert(result.warnings.end(), rest.warnings.begin(), rest.warnings.end());
   }
   result.carried_only = complete;
@@ -258,6 +260,7 @@ StageRequest PipelineRequest::stage_request() const {
   stages.source_depth_given = source_depth.has_value();
   stages.single_source_unit_known = single_source_unit > 0;
   stages.photographs = photographs;
+  stages.refines_samples = flow.refine;
   return stages;
 }
 
@@ -286,6 +289,9 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
       case StageKind::kFlow:
         state.sources.for_geometry = {};
         run_flow_stage(models, request, stage, state, result);
+        return;
+      case StageKind::kRefinement:
+        run_sample_refinement(models, request, stage.name, state, result);
         return;
       case StageKind::kPropagation: {
         CompletedLevels levels = complete_levels(models, state, result.grid, stage.name);

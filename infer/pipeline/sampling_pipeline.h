@@ -15,6 +15,7 @@
 #include "models/dit/dit_dh.h"
 #include "models/dit/dit_field.h"
 #include "models/dit/exact_savings.h"
+#include "models/refiner/denoising_unet.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/photograph_depth.h"
 
@@ -40,6 +41,7 @@ struct PipelineModels {
   std::function<std::shared_ptr<GeometryHead>()> geometry_head;
   std::function<std::shared_ptr<PhotographBlending>()> blending;       // empty where the model has none
   std::function<std::shared_ptr<DepthRefinement>()> depth_refinement;  // likewise
+  std::function<std::shared_ptr<DenoisingUnet>()> refiner;             // of samples, likewise
   // Of another model, which looks at the generated images, where geometry is what it sees; empty where geometry is read
   // off the model's own levels by geometry_head.
   std::function<std::shared_ptr<Backbone>()> geometry_model_backbone;
@@ -52,6 +54,7 @@ struct FlowSettings {
   std::vector<SolverOptions> solvers;  // one a generator: each has its time shift
   GuidanceOptions guidance;
   ApproximateSavings approximate;
+  bool refine = false;  // repair what the flows made (infer/pipeline/sample_refinement.h)
   ComputePrecision precision =
       ComputePrecision::kFloat32;  // what the models were loaded for (bundle_models.h)
 };
@@ -147,6 +150,7 @@ struct PipelineResult {
   std::vector<PlanarDepth> view_depth;
   std::string view_depth_from;  // who says it, for people
   std::vector<FlowReport> flows;
+  int64_t refined = 0;  // target views whose latents were repaired, behind the flows
   std::vector<std::string> warnings;
 };
 

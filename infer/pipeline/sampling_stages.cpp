@@ -18,6 +18,8 @@ const char* name_of(StageKind kind) {
       return "source depth";
     case StageKind::kSourceWarp:
       return "source warp";
+    case StageKind::kRefinement:
+      return "refinement";
     case StageKind::kPropagation:
       return "propagation";
     case StageKind::kRgbDecoding:
@@ -154,6 +156,10 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
                                : "nothing is carried into the target views: one source has no scale"));
   }
   for (size_t i = 0; i < levels.generators.size(); ++i) stages.push_back(flow_stage(levels, i));
+  if (request.refines_samples)
+    stages.push_back(
+        stage(StageKind::kRefinement,
+              "what the flows made of the target views, each in one call beside the source views"));
   stages.push_back(request.decodes() ? stage(StageKind::kPropagation, propagation_reason(levels))
                                      : left_out(StageKind::kPropagation, "only latents were asked for"));
   const auto views_text = [&](DecodedViews which) {

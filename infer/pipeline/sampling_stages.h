@@ -29,6 +29,7 @@ struct StageRequest {
   bool source_depth_given = false;        // of the source views, before the pipeline runs
   bool single_source_unit_known = false;  // whether the unit of a single source's depth is known
   PhotographUse photographs;
+  bool refines_samples = false;
 
   bool decodes() const { return image_views != DecodedViews::kNone || geometry_views != DecodedViews::kNone; }
   int64_t decoded_views(DecodedViews which) const {
@@ -41,6 +42,7 @@ enum class StageKind {
   kSourceDepth,
   kSourceWarp,
   kFlow,
+  kRefinement,
   kPropagation,
   kRgbDecoding,
   kComposition,

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <utility>
 
 namespace gld {
 
@@ -17,7 +18,9 @@ PhotographDepth used_source_depth(const PipelineModels& models, const Photograph
   options.single_source_unit = single_source_unit;
   // A model that takes the head's depth as it is was trained on that.
   options.follows_edges = use.matches();
-  return photograph_depth(views, source_images, photographs, head, options);
+  PhotographDepth found = photograph_depth(views, source_images, photographs, head, options);
+  if (use.depth_error > 0) found.depth = with_depth_error(std::move(found.depth), use.depth_error);
+  return found;
 }
 
 }  // namespace gld

@@ -278,6 +278,7 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
     request.photograph_pixels = std::max(request.photograph_pixels, photograph.width * photograph.height);
   }
   request.preview_every = options.preview;
+  request.flow.refine = options.refine;
   if (options.size == kPhotographSize) {
     request.picture_magnification =
         photograph_magnification(prepared.found, prepared.selection, kLargestPhotographSide, size);
@@ -290,6 +291,7 @@ PlanRequest plan_request(const PreparedSampling& prepared, const SampleOptions& 
 
 std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const SampleOptions& options) {
   const BundleOptions& bundle = prepared.bundle.options();
+  if (options.refine) require_sample_refiner(bundle);
   const StageRequest stages = plan_request(prepared, options).stage_request();
   auto parts = needed_parts(bundle, stages);
   const std::vector<BundlePart> seeing{BundlePart::backbone(), BundlePart::geometry_head()};

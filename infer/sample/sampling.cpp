@@ -114,8 +114,8 @@ double saved_flop(const PreparedSampling& prepared, const SampleOptions& options
   const auto flop = [](const SamplingPlan& plan, bool generated) {
     double sum = 0;
     for (const PlannedStage& stage : plan.stages) {
-      const bool generates = stage.kind == StageKind::kFlow || stage.kind == StageKind::kPropagation ||
-                             stage.kind == StageKind::kRgbDecoding;
+      const bool generates = stage.kind == StageKind::kFlow || stage.kind == StageKind::kRefinement ||
+                             stage.kind == StageKind::kPropagation || stage.kind == StageKind::kRgbDecoding;
       if (generates == generated) sum += stage.cost.flop();
     }
     return sum;

@@ -9,7 +9,8 @@
 #include "gld/tensors/compute_threads.h"
 #include "infer/splats/latent_splatting.h"
 #include "models/bundle/part_lineage.h"
-#include "models/splats/latent_refining.h"
+#include "models/refiner/latent_refining.h"
+#include "models/splats/splat_refiner.h"
 #include "models/splats/splatted_scene.h"
 
 #include <algorithm>
@@ -103,7 +104,7 @@ DrawSplats latent_drawing(const SplatRenderOptions& options, const DrawnSplats& 
   const auto drawing = std::make_shared<LatentDrawing>(LatentDrawing{
       splats, LatentDecoding(bundle), fits_of(options, splats, bundle), nullptr, nullptr, nullptr});
   if (options.show == SplatShown::kRefined) {
-    if (!has_refiner(bundle)) {
+    if (!has_splat_refiner(bundle)) {
       fail({options.model, "a refiner with weights", "none",
             "train one with gld train refiner, or --show latents"});
     }

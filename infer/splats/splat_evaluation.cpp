@@ -21,9 +21,10 @@
 #include "infer/request/held_out_scenes.h"
 #include "models/bundle/bundle.h"
 #include "models/bundle/part_lineage.h"
+#include "models/refiner/latent_refining.h"
 #include "models/scene_geometry/composed_views.h"
 #include "models/scene_geometry/photograph_depth.h"
-#include "models/splats/latent_refining.h"
+#include "models/splats/splat_refiner.h"
 
 #include <algorithm>
 #include <iostream>
@@ -328,7 +329,7 @@ void run_splat_evaluation(const SplatEvaluationOptions& options) {
     const ModelBundle looking = ModelBundle::open(options.consistency_model);
     model.places = PlaceFeatures{looking.load_backbone(), looking.options()};
   }
-  if (has_refiner(bundle)) {
+  if (has_splat_refiner(bundle)) {
     print_warnings(mixed_parts(bundle, {BundlePart::refiner()}, /*allow_mixed=*/false));
     model.refiner = bundle.load_refiner();
   }

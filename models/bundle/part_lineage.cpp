@@ -45,6 +45,9 @@ std::vector<BundlePart> trained_on(const BundlePart& part, const BundleOptions& 
     for (const auto& statistics : bundle_parts(options)) {
       if (statistics.kind == BundlePart::Kind::kStatistics) parts.push_back(statistics);
     }
+    if (options.refiner.degraded == DegradedLatents::kGenerated) {
+      for (const auto& generated : options.generators) parts.push_back(BundlePart::of(generated.generator));
+    }
   }
   if (part.kind != BundlePart::Kind::kGenerator) return parts;
   if (options.generator(part.generator).dit.warped_sources > 0) parts.push_back(BundlePart::geometry_head());

@@ -33,8 +33,11 @@ void RefinerOptions::visit(FieldVisitor& visitor) {
       form, {"identity", "published"});
   visit_choice(visitor, {"attention", "how views see each other: grid, self or cross"}, attention,
                {"grid", "self", "cross"});
-  visit_choice(visitor, {"degraded", "what is repaired: splatted latents, or the colours of splats, encoded"},
-               degraded, {"splatted", "colours"});
+  visit_choice(visitor,
+               {"degraded",
+                "what is repaired: splatted latents, the colours of splats, encoded, or what flows of few "
+                "evaluations generated"},
+               degraded, {"splatted", "colours", "generated"});
   visitor.integer({"references", "views beside the degraded one"}, references, {0, 63});
   visit_choice(visitor,
                {"reference_unit",

@@ -20,10 +20,11 @@ enum class OneStepForm {
   kPublished,  // (z - sqrt(1 - a) e) / sqrt(a), of checkpoints of Stable Diffusion's shape
 };
 
-// What a refiner repairs of a view that nothing was fitted to.
+// What a refiner repairs: of a view that no Gaussian was fitted to, or of a target view.
 enum class DegradedLatents {
-  kSplatted,  // latents as features of Gaussians show them (Splatent)
-  kColours,   // what the Gaussians' colours show, encoded (Difix3D+, arXiv 2503.01774)
+  kSplatted,   // latents as features of Gaussians show them (Splatent)
+  kColours,    // what the Gaussians' colours show, encoded (Difix3D+, arXiv 2503.01774)
+  kGenerated,  // all levels that flows of few evaluations generate (models/refiner/stacked_levels.h)
 };
 
 // What distances between cameras are measured in when references are chosen (reference_views.h).

@@ -2,20 +2,15 @@
 
 #include "gld/base/error.h"
 #include "gld/flow/flow.h"
-#include "gld/flow/guidance.h"
 #include "gld/flow/schedule.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/metrics/metric_list.h"
-#include "models/conditioning/decoder_inputs.h"
 #include "models/conditioning/level_conditioning.h"
-#include "models/dit/dit_field.h"
 #include "models/dit/flow_matching_loss.h"
 #include "models/layers/layer_precision.h"
 #include "train/objectives/scene_pixels.h"
-#include "train/objectives/source_view_depth.h"
 
 #include <algorithm>
-#include <limits>
 
 #include <ATen/CPUGeneratorImpl.h>
 #include <torch/autograd.h>
@@ -31,12 +26,7 @@ constexpr uint64_t kValidationSeed = 20240607;
 
 void FlowObjectiveOptions::visit(FieldVisitor& visitor) {
   visit_start(visitor, start);
-  visit_choice(
-      visitor,
-      {"carried_by",
-       "whose depth carries photographs into target views: the geometry head's alone, or what gld sample "
-       "takes, which photographs agree on"},
-      carried_by, {"head", "photographs"});
+  visit_carried_by(visitor, carried_by);
   visitor.real({"camera_dropout", "probability of showing a scene without cameras"}, camera_dropout,
                {0.0, 1.0});
   visitor.integer({"validation_evaluations", "function evaluations of the validation pictures"},
@@ -74,10 +64,7 @@ FlowObjective::FlowObjective(const BundleOptions& model, const LevelGenerator& g
             std::to_string(block), "choose others"});
     }
   }
-  if (options_.carried_by == CarryingDepth::kPhotographs && !placement_.device.is_cpu()) {
-    fail({"objective.carried_by", "head on a GPU: photographs are matched on the CPU", "photographs",
-          "train with --device cpu, or leave it out"});
-  }
+  check_carried_by(options_.carried_by, placement_.device);
   if (options_.correspondence_weight > 0 && options_.checkpoint_blocks) {
     fail({"objective.correspondence_weight", "0 with checkpoint_blocks, which keeps no queries and keys",
           fmt::format("{:g}", options_.correspondence_weight), "switch one of the two off"});
@@ -122,16 +109,8 @@ torch::Tensor FlowObjective::latent_of(const TrainingScene& scene, int64_t level
 
 DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene) const {
   const torch::NoGradGuard no_grad;
-  SourceScene given{scene.views, images_of(scene, scene.views.num_sources), {}};
-  given.single_source_unit = model_.unit_of_single_source(scene.views, scene.metric);
-  if (options_.carried_by == CarryingDepth::kPhotographs && dit_->options().warped_sources > 0) {
-    SourceDepth depth =
-        sampled_source_depth(*frozen_.space, *frozen_.geometry_head, frozen_.depth_refinement.get(), scene,
-                             photographs_of_images(given.views, given.images), given.single_source_unit);
-    if (depth.known()) given.depth = std::move(depth);
-  }
-  const auto needs = conditioning_needs(given, generator_.level, dit_->options().warped_sources);
-  const auto sources = condition_on_sources(*frozen_.space, frozen_.geometry_head.get(), given, needs);
+  const auto sources = condition_on_scene_sources(frozen_, model_, options_.carried_by, scene,
+                                                  generator_.level, dit_->options().warped_sources);
   return condition_on_source_level({generator_.level, dit_->options(), frozen_.statistics}, scene.views,
                                    sources);
 }
@@ -139,10 +118,7 @@ DitSceneInputs FlowObjective::conditioned_on_sources(const TrainingScene& scene)
 torch::Tensor FlowObjective::decode(const TrainingScene& scene, const torch::Tensor& latent) const {
   auto raw = known_levels(scene);
   raw[generator_.level] = frozen_.statistics.denormalise(latent);
-  const LatentGrid grid = grid_of(scene);
-  const auto leading = frozen_.space->leading_for_propagation(images_of(scene, 1));
-  const auto levels = frozen_.space->complete(raw, leading, grid).patches;
-  return frozen_.rgb_decoder->decode(image_features(levels, model_.level_set().decoded_levels()), grid);
+  return decoded_views(frozen_, model_, scene, raw);
 }
 
 void FlowObjective::export_model(const std::filesystem::path& folder, DType dtype) const {
@@ -230,19 +206,12 @@ Losses FlowObjective::losses(const TrainingBatch& batch, const StepContext& cont
 
 torch::Tensor FlowObjective::generate(const DitSceneInputs& shown, const torch::Tensor& noise,
                                       double shift) const {
-  DitField field(*dit_, dit_->prepare_scene(shown));
-  GuidanceOptions none;
-  none.guidance_scale = 1;
-  GuidedField conditional(field, none);
   SolverOptions euler;
   euler.solver = SolverKind::kEuler;
   euler.evaluations = options_.validation_evaluations;
   euler.schedule.schedule = ScheduleKind::kShifted;
   euler.schedule.shift = shift;
-  // No observer: training goes on to its checkpoint at Ctrl-C. Nor does a failure end it: what validation gives then is
-  // no number.
-  const auto solved = try_solve_on(conditional, noise, euler, solver_times(euler));
-  return solved.failure ? torch::full_like(noise, std::numeric_limits<double>::quiet_NaN()) : solved.state;
+  return generated_level(*dit_, shown, noise, euler, /*guidance_scale=*/1);
 }
 
 Validation FlowObjective::validate(const std::vector<TrainingScene>& scenes) {

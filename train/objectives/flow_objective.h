@@ -2,11 +2,10 @@
 
 #include "gld/latents/level_statistics.h"
 #include "models/bundle/bundle.h"
-#include "models/depth_refinement/depth_refinement.h"
 #include "models/dit/flow_matching_loss.h"
-#include "models/latent_spaces/latent_space.h"
 #include "train/loop/objective.h"
 #include "train/objectives/correspondence.h"
+#include "train/objectives/frozen_parts.h"
 #include "train/objectives/scene_latents.h"
 
 #include <cstdint>
@@ -17,12 +16,6 @@
 #include <torch/types.h>
 
 namespace gld {
-
-// Whose depth of the source views carries their photographs into target views.
-enum class CarryingDepth {
-  kHead,        // the geometry head's, brought to the cameras' unit
-  kPhotographs  // what gld sample takes: the photographs' match with the head as prior, mended where a bundle can
-};
 
 struct FlowObjectiveOptions : OptionsGroup {
   ModelStart start = ModelStart::kRandom;
@@ -35,17 +28,6 @@ struct FlowObjectiveOptions : OptionsGroup {
   double kept_latents_gib = 0;                 // of scenes seen before; 0 encodes every time
 
   void visit(FieldVisitor& visitor) override;
-};
-
-// What a diffusion objective needs beside the model it trains; nothing here is changed.
-struct FrozenParts {
-  std::shared_ptr<const LatentSpace> space;
-  LevelStatistics statistics;                       // of the level to generate
-  LevelStatistics deeper_statistics;                // of the level that a cascade starts from
-  std::shared_ptr<const ImageDecoder> rgb_decoder;  // for validation pictures; may be null
-  std::shared_ptr<GeometryHead> geometry_head;      // for warped_sources; null for models that take none
-  std::shared_ptr<DepthRefinement>
-      depth_refinement;  // for CarryingDepth::kPhotographs, where the bundle has one
 };
 
 // Flow matching of the joint latent of all views (DESIGN.md section 4, "Flow"): one flow time a scene, uniform and

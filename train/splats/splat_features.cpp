@@ -5,7 +5,7 @@
 #include "gld/base/interrupt.h"
 #include "gld/tensors/compute_threads.h"
 #include "models/splats/latent_fit.h"
-#include "models/splats/latent_refining.h"
+#include "models/splats/splat_refiner.h"
 
 #include <iostream>
 #include <optional>
@@ -35,7 +35,7 @@ EncodedViews encoded_views(const SplatCommandOptions& options, const Scene& scen
     result.cameras.push_back(view->camera);
     images.push_back(tensor_of(view->target.image));
   }
-  result.refined = has_refiner(bundle);
+  result.refined = has_splat_refiner(bundle);
   result.levels = LatentEncoding(bundle)(torch::stack(images),
                                          latent_levels(options.features, bundle.options(), "--features"));
   return result;

@@ -114,11 +114,25 @@ void tell_narrow_decoder(const GeneratorOptions& part) {
 
 }  // namespace
 
+FrozenParts frozen_parts_of_sampling(const ModelBundle& bundle, int64_t warped_sources,
+                                     const ParameterPlacement& placement, CarryingDepth carried_by) {
+  FrozenParts frozen;
+  frozen.space =
+      std::make_shared<LatentSpace>(bundle.load_backbone(placement), bundle.options().boundary_level);
+  if (warped_sources > 0) {
+    frozen.geometry_head = bundle.load_geometry_head(placement);
+    if (carried_by == CarryingDepth::kPhotographs && bundle.has(BundlePart::depth_refinement()))
+      frozen.depth_refinement = bundle.load_depth_refinement(placement);
+  }
+  if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
+  return frozen;
+}
+
 FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
                          const ParameterPlacement& placement, CarryingDepth carried_by) {
   const auto& model = bundle.options();
-  FrozenParts frozen;
-  frozen.space = std::make_shared<LatentSpace>(bundle.load_backbone(placement), model.boundary_level);
+  FrozenParts frozen =
+      frozen_parts_of_sampling(bundle, model.generator(generator).dit.warped_sources, placement, carried_by);
   frozen.statistics = bundle.load_statistics(generator).to(placement.device);
   if (generator.is_cascade()) {
     for (const auto& part : model.generators) {
@@ -126,12 +140,6 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
       frozen.deeper_statistics = bundle.load_statistics(part.generator).to(placement.device);
     }
   }
-  if (model.generator(generator).dit.warped_sources > 0) {
-    frozen.geometry_head = bundle.load_geometry_head(placement);
-    if (carried_by == CarryingDepth::kPhotographs && bundle.has(BundlePart::depth_refinement()))
-      frozen.depth_refinement = bundle.load_depth_refinement(placement);
-  }
-  if (bundle.has(bundle.image_decoder_part())) frozen.rgb_decoder = bundle.load_image_decoder(placement);
   return frozen;
 }
 

@@ -36,6 +36,10 @@ struct StatsOptions : OptionsGroup {
   void check() const override;
 };
 
+// Returns what sampling takes of a bundle beside its generators, which are shown so many photographs in each target
+// view; no statistics.
+FrozenParts frozen_parts_of_sampling(const ModelBundle& bundle, int64_t warped_sources,
+                                     const ParameterPlacement& placement, CarryingDepth carried_by);
 // Returns what the training of that part needs of a bundle.
 FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& generator,
                          const ParameterPlacement& placement,

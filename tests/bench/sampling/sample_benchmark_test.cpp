@@ -371,6 +371,20 @@ TEST(SampleBenchmark, EveryMethodIsThereOnce) {
   }
   std::sort(names.begin(), names.end());
   EXPECT_EQ(std::unique(names.begin(), names.end()), names.end());
+  // Refined samples are there to be looked at: their distance from a converged solve bounds nothing.
+  EXPECT_THAT(families, testing::Not(testing::Contains("refined")));
+  auto refining = bundle;
+  refining.refiner.degraded = DegradedLatents::kGenerated;
+  refining.refiner.channels = {32, 32};
+  std::vector<std::string> refined;
+  for (const auto& compared : compared_methods({6}, {}, 1.5, refining)) {
+    if (compared.family != "refined") continue;
+    refined.push_back(compared.method.name);
+    EXPECT_TRUE(compared.method.refine);
+    EXPECT_FALSE(compared.is_offered());
+  }
+  EXPECT_THAT(refined, testing::ElementsAre("4 evaluations, refined", "6 evaluations, refined",
+                                            "8 evaluations, refined"));
   // Without guidance there is no interval of it.
   for (const auto& compared : compared_methods({6}, {}, 1, bundle)) {
     EXPECT_NE(compared.family, "guidance interval");

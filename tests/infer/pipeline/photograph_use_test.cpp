@@ -1,5 +1,6 @@
 #include "infer/pipeline/photograph_use.h"
 
+#include "gld/photogrammetry/source_depth.h"
 #include "tests/support/error_of.h"
 
 #include <gtest/gtest.h>
@@ -32,6 +33,19 @@ TEST(PhotographUse, WhatIsAutomaticTheModelDecides) {
   EXPECT_EQ(automatic.use({0, true, true}).depth, SourceDepthOrigin::kFused);
   EXPECT_EQ(automatic.use(with_refinement()).depth, SourceDepthOrigin::kRefined);
   EXPECT_TRUE(automatic.use(with_refinement()).refines());
+}
+
+TEST(PhotographUse, DepthIsOffByAShareInTurns) {
+  SourceDepth depth;
+  depth.views = {{2, 1, {2, 0}}, {1, 1, {4}}, {1, 1, {3}}};
+  const SourceDepth off = with_depth_error(depth, 0.25);
+  EXPECT_EQ(off.views[0].values, (std::vector<float>{2.5F, 0}));
+  EXPECT_EQ(off.views[1].values, std::vector<float>{3});
+  EXPECT_EQ(off.views[2].values, std::vector<float>{3.75F});
+  PhotographOptions options;
+  options.depth_error = 0.25;
+  EXPECT_EQ(options.use(with_blending()).depth_error, 0.25);
+  EXPECT_EQ(PhotographOptions().use(with_blending()).depth_error, 0);
 }
 
 TEST(PhotographUse, OptionsComeBeforeTheModel) {

@@ -353,6 +353,32 @@ TEST_F(SamplingRequests, AMissingPartIsNamedFirst) {
   run(asked);
 }
 
+TEST_F(SamplingRequests, SamplesAreRefinedByModelsThatCan) {
+  auto asked = options("refined");
+  asked.refine = true;
+  EXPECT_EQ(test::error_of([&] { sample(asked); }),
+            "--refine: expected a model with a refiner of samples, found none in " +
+                small_bundle_options().name +
+                "; train one with gld train sample-refiner, or leave --refine out.");
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+  BundleOptions model = small_bundle_options();
+  model.refiner.degraded = DegradedLatents::kGenerated;
+  model.refiner.channels = {32, 32};
+  model.refiner.heads = {2, 2};
+  model.refiner.latent_channels = 2 * model.backbone.level_channels();
+  model.refiner.attention = ViewAttention::kCross;
+  write_random_bundle(folder_->path() / "refining", model, 7);
+  asked.model = (folder_->path() / "refining").string();
+  EXPECT_THAT(stage_names(run(asked)), testing::Contains("refinement"));
+  EXPECT_THAT(printed_, testing::HasSubstr("; refined"));
+  auto quality = asked;
+  quality.quality = SamplingQuality::kFast;
+  EXPECT_THAT(test::error_of([&] { quality.check(); }), testing::HasSubstr("'refine'"));
+  std::filesystem::remove(folder_->path() / "refining/refiner.safetensors");
+  asked.overwrite = true;
+  EXPECT_THAT(test::error_of([&] { sample(asked); }), testing::HasSubstr("refiner"));
+}
+
 TEST_F(SamplingRequests, FramesAreChosenByNumberOrName) {
   const auto frames = open_scene(folder_->path() / "scene").frames;
   auto numbers = options("by_number"), names = options("by_name");

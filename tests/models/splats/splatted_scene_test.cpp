@@ -1,7 +1,8 @@
 #include "models/splats/splatted_scene.h"
 
 #include "gld/tensors/weight_tensors.h"
-#include "models/splats/latent_refining.h"
+#include "models/refiner/latent_refining.h"
+#include "models/splats/splat_refiner.h"
 #include "tests/models/splats/small_autoencoder.h"
 #include "tests/support/error_of.h"
 #include "tests/support/temporary_folder.h"
@@ -123,9 +124,9 @@ TEST_F(SplattedScenes, AreRepairedBesideAsManyViewsAsThereAre) {
   const auto by_hand =
       refined_latents(*unet, torch::stack({degraded, encoded[3], encoded[2], encoded[1]}).unsqueeze(0))[0];
   EXPECT_LT((refined(4) - by_hand).abs().max().item<double>(), 1e-4);
-  EXPECT_TRUE(has_refiner(bundle_));
+  EXPECT_TRUE(has_splat_refiner(bundle_));
   std::filesystem::remove(bundle_.file(BundlePart::refiner()));
-  EXPECT_FALSE(has_refiner(bundle_));
+  EXPECT_FALSE(has_splat_refiner(bundle_));
 }
 
 TEST_F(SplattedScenes, AreNotRepairedWhereTheyDoNotFitIntoMemory) {

@@ -1,4 +1,4 @@
-#include "models/splats/latent_refining.h"
+#include "models/refiner/latent_refining.h"
 
 #include "gld/base/error.h"
 #include "gld/machine/stage_record.h"
@@ -13,15 +13,19 @@
 
 namespace gld {
 
-bool has_refiner(const ModelBundle& bundle) {
-  // Refiners are of autoencoders, which have one level.
-  return bundle.options().refiner.exists() && bundle.has(BundlePart::refiner()) &&
-         bundle.has(BundlePart::statistics(0));
-}
-
 int64_t references_taken(const RefinerOptions& options, int64_t available) {
   const int64_t most = std::min(options.references, available);
   return options.attention == ViewAttention::kGrid ? views_in_whole_grid(1 + most) - 1 : most;
+}
+
+torch::Tensor beside_references(const RefinerOptions& options, const Camera& camera,
+                                const torch::Tensor& degraded, const std::vector<Camera>& cameras,
+                                const torch::Tensor& encoded) {
+  const int64_t taken = references_taken(options, static_cast<int64_t>(cameras.size()));
+  std::vector<torch::Tensor> views = {degraded};
+  for (const int64_t view : nearest_references(camera, cameras, taken, options.reference_unit))
+    views.push_back(encoded[view]);
+  return torch::stack(views);
 }
 
 LatentRefining::LatentRefining(const DenoisingUnet& unet, std::vector<Camera> cameras, torch::Tensor encoded)
@@ -39,12 +43,8 @@ LatentRefining::LatentRefining(const DenoisingUnet& unet, std::vector<Camera> ca
 
 torch::Tensor LatentRefining::operator()(const Camera& camera, const torch::Tensor& degraded) const {
   const torch::NoGradGuard no_grad;
-  const auto available = static_cast<int64_t>(cameras_.size());
-  std::vector<torch::Tensor> views = {degraded};
-  for (const int64_t view : nearest_references(camera, cameras_, references_taken(unet_.options(), available),
-                                               unet_.options().reference_unit))
-    views.push_back(encoded_[view]);
-  auto refined = refined_latents(unet_, torch::stack(views).unsqueeze(0))[0];
+  const auto views = beside_references(unet_.options(), camera, degraded, cameras_, encoded_);
+  auto refined = refined_latents(unet_, views.unsqueeze(0))[0];
   if (!refined.isfinite().all().item<bool>()) {
     fail({"refining latents", "finite latents", "NaN or infinity", "check the refiner with gld inspect"});
   }
