@@ -292,7 +292,7 @@ std::string report_text(const SampleBenchmarkOptions& options, const BundleOptio
              "Model {}, {} scenes of {} views ({}x{} tokens). "
              "Errors are relative RMS differences of the normalised latents (the worse of level 1 and level 0) "
              "from {} with the same noise, whose own error is {:.2g} (against a finer one). "
-             "GFLOP and seconds are of M1 and the cascade of one scene; `count` is evaluations a level. "
+             "GFLOP and seconds are of M1, the cascade and a refiner of what they made, of one scene; `count` is evaluations a level. "
              "`error_at_equal_gflop` and `error_at_equal_seconds` are what the default solver has for as much "
              "(another precision saves time and not GFLOP); `pareto` says on which front of a guidance scale a row "
              "is: of seconds and mean_error, or of seconds and PSNR. "

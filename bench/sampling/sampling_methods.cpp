@@ -99,7 +99,7 @@ std::vector<ComparedMethod> compared_methods(const std::vector<int64_t>& counts,
                   });
     }
   }
-  if (bundle.refiner.exists() && bundle.refiner.degraded == DegradedLatents::kGenerated) {
+  if (bundle.refiner.repairs_samples()) {
     for (const int64_t count : {4, 6, 8}) {
       add_changed(kRefined, count, "refined", [](SamplingMethod& method) { method.refine = true; });
     }

@@ -59,7 +59,7 @@ SampledScene SceneSampler::run(const BenchmarkScene& scene, const ComparedMethod
     made.finite = false;
   }
   made.seconds = stage_seconds(models->levels, StageKind::kFlow, stages) +
-                 stage_seconds(models->levels, StageKind::kRefinement, stages);
+                 stage_seconds(models->levels, StageKind::kSampleRefinement, stages);
   for (const auto& stage : stages.records()) made.peak_bytes = std::max(made.peak_bytes, stage.peak_bytes);
   return made;
 }

@@ -58,9 +58,9 @@ Image scene_sheet(const SamplingScene& scene, const EvaluatedScene& evaluated) {
   }
   SheetSection decoded;
   decoded.heading = "target " + scene.view_names[first_target] + ", what its features say";
-  for (const auto& [level, images] : evaluated.reconstructions) {
+  for (const auto& [level, image] : evaluated.first_reconstructed) {
     decoded.pictures.emplace_back(level ? fmt::format("level {} alone", *level) : "all levels",
-                                  to_image(images[scene.views.num_sources]));
+                                  to_image(image));
   }
   if (!decoded.pictures.empty()) sections.push_back(std::move(decoded));
   const auto number = [&](const char* column) { return evaluated.evaluation.number(column).value; };
@@ -434,9 +434,13 @@ std::string evaluate(const EvaluationOptions& options) {
   }
   const auto bundle = ModelBundle::open(options.model);
   if (!share.team->alone()) check_same_work(*share.team, options, bundle.content_hash());
+  if (options.refine) {
+    require_sample_refiner(bundle.options());
+    bundle.require({BundlePart::refiner()});
+  }
   std::vector<BundlePart> parts;
   for (const auto& part : bundle_parts(bundle.options())) {
-    if (bundle.has(part)) parts.push_back(part);
+    if (bundle.has(part) && (options.refine || !(part == BundlePart::refiner()))) parts.push_back(part);
   }
   const auto mixed = mixed_parts(bundle, parts, options.allow_mixed);
   if (share.leads()) {

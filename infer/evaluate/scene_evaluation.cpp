@@ -425,8 +425,10 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     if (alone && std::find(decoded.begin(), decoded.end(), *alone) == decoded.end()) {
       inputs.missing[MetricNeed::kImages] = fmt::format("the decoder takes no level {}", *alone);
     } else if (pictures.images.defined()) {
-      result.reconstructions.emplace_back(alone, reconstruction(models, pictures, alone));
-      inputs = metrics.of_images(pictures.images, result.reconstructions.back().second);
+      const auto images = reconstruction(models, pictures, alone);
+      if (!alone || decoded.size() > 1)
+        result.first_reconstructed.emplace_back(alone, images[scene.views.num_sources].clone());
+      inputs = metrics.of_images(pictures.images, images);
     }
     set(predictor, std::move(inputs));
   };

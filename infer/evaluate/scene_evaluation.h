@@ -47,9 +47,9 @@ struct EvaluatedScene {
   SceneEvaluation evaluation;
   PipelineResult sample;  // the first one
   PipelineResult mean_prediction;
-  // What the decoder makes of the true views' features, (views, 3, height, width): of all levels that it takes, and of
-  // each alone; empty where a target has no picture. The first of a pair is the level.
-  std::vector<std::pair<std::optional<int64_t>, torch::Tensor>> reconstructions;
+  // What the decoder makes of the first target view's true features, (3, height, width): of all levels that it takes,
+  // and where they are several of each alone; empty where a target has no picture. The first of a pair is the level.
+  std::vector<std::pair<std::optional<int64_t>, torch::Tensor>> first_reconstructed;
 };
 
 // Draws a sample from the noise of each seed, predicts the mean from that of the first, and measures both. sampling

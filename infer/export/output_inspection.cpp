@@ -89,6 +89,7 @@ const std::map<std::string, std::string>& following_commands() {
       {"splat fit", "gld splat render --splats RUN --path orbit --out runs/orbit"},
       {"splat pairs", "gld train refiner --pairs RUN/pairs --model configs/splat --out runs/refiner"},
       {"train refiner", "gld splat eval --model RUN/model --synthetic 16 --out runs/splat_eval"},
+      {"train sample-refiner", "gld eval --model RUN/model --synthetic 16 --refine --out runs/eval"},
       {"train backbone", "gld train decoder --model RUN/model --out runs/decoder"},
       {"train depth", "gld train blending --model RUN/model --out runs/blending"},
       {"train blending", "gld stats --model RUN/model --out runs/stats"},

@@ -118,9 +118,9 @@ StageNeeds needs_of(const SamplingStage& stage, const BundleOptions& bundle, con
     }
     case StageKind::kFlow:
       return {{BundlePart::of(bundle.generators.at(stage.generator).generator)}, 0};
-    case StageKind::kRefinement:
-      // Noise, latents before and behind it, source features and those of one view's call.
-      return {{BundlePart::refiner()}, 4 * generated};
+    case StageKind::kSampleRefinement:
+      // Noise, latents before and behind it, both as maps too, and the source views' features.
+      return {{BundlePart::refiner()}, 8 * generated};
     case StageKind::kPropagation:
       return {{BundlePart::backbone()}, 2 + levels};
     case StageKind::kRgbDecoding:
@@ -273,13 +273,10 @@ Cost single_cost(const SamplingStage& stage, const BundleOptions& bundle, const 
     }
     case StageKind::kFlow:
       break;
-    case StageKind::kRefinement: {
+    case StageKind::kSampleRefinement: {
       const int64_t references = references_taken(bundle.refiner, request.num_sources);
       Cost cost = refiner_cost(bundle.refiner, 1 + references, request.grid.height, request.grid.width);
-      const auto targets = static_cast<double>(request.grid.views - request.num_sources);
-      cost.linear_flop *= targets;
-      cost.attention_flop *= targets;
-      cost.convolution_flop *= targets;
+      cost.multiply_operations(static_cast<double>(request.grid.views - request.num_sources));
       return cost;
     }
     case StageKind::kPropagation:

@@ -77,7 +77,7 @@ double propagation_seconds(const BundleOptions& bundle, const PlanRequest& reque
   return seconds_of([&] { backbone->propagate(start); });
 }
 
-double refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
+double sample_refinement_seconds(const BundleOptions& bundle, const PlanRequest& request) {
   DenoisingUnet unet(bundle.refiner, ParameterPlacement{});
   fill(unet);
   const int64_t views = 1 + references_taken(bundle.refiner, request.num_sources);
@@ -178,8 +178,8 @@ double measure_stage_seconds(const SamplingStage& stage, const BundleOptions& bu
       return stages.photographs.blends() ? blending_seconds(bundle, request) : 0;
     case StageKind::kFlow:
       break;
-    case StageKind::kRefinement:
-      return refinement_seconds(bundle, request);
+    case StageKind::kSampleRefinement:
+      return sample_refinement_seconds(bundle, request);
     case StageKind::kPropagation:
       return propagation_seconds(bundle, request);
     case StageKind::kRgbDecoding:

@@ -123,8 +123,9 @@ SamplingMethod quality_method(SamplingQuality quality) {
 }
 
 void require_sample_refiner(const BundleOptions& bundle) {
-  if (bundle.refiner.exists() && bundle.refiner.degraded == DegradedLatents::kGenerated) return;
-  fail({"--refine", "a model with a refiner of samples", "none in " + bundle.name,
+  if (bundle.refiner.repairs_samples()) return;
+  fail({"--refine", "a model with a refiner of samples",
+        (bundle.refiner.exists() ? "one of splats in " : "none in ") + bundle.name,
         "train one with gld train sample-refiner, or leave --refine out"});
 }
 

@@ -36,9 +36,9 @@ PipelineModels bundle_models(const ModelBundle& bundle, const torch::Device& dev
   if (bundle.options().blending.exists()) models.blending = [=] { return shared->load_blending(); };
   if (bundle.options().depth_refinement.exists())
     models.depth_refinement = [=] { return shared->load_depth_refinement(); };
-  if (bundle.options().refiner.exists()) {
+  if (bundle.options().refiner.repairs_samples()) {
     models.refiner = [=] {
-      return packed(shared->load_refiner(placement), model_kind_of(StageKind::kRefinement));
+      return packed(shared->load_refiner(placement), model_kind_of(StageKind::kSampleRefinement));
     };
   }
   for (const auto& part : bundle.options().generators) {

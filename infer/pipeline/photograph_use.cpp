@@ -27,8 +27,8 @@ void PhotographOptions::visit(FieldVisitor& visitor) {
   visitor.group({"stereo", "how photographs are matched for their depth"}, stereo);
   visitor.real(
       {"depth_error",
-       "to see what depends on it: the source views' depth is off by this share, in turns too far and "
-       "too near"},
+       "to see what depends on it: the depth that carries photographs is off by this share, in turns too "
+       "far and too near, where it is found and not given"},
       depth_error, {0, 0.9});
 }
 

@@ -29,8 +29,10 @@ struct PhotographUse {
   Composition composition = Composition::kNone;
   // Target views that photographs show whole are not generated (complete_targets()), unless latents are asked for.
   bool leaves_out_complete = false;
-  StereoOptions stereo;    // of all but kHead
-  double depth_error = 0;  // off by so much on purpose (with_depth_error())
+  StereoOptions stereo;  // of all but kHead
+  // Depth that is found here, and not given, carries photographs off by so much on purpose (with_depth_error()); what
+  // photographs are matched for beside that, and depth that is written, is not touched.
+  double depth_error = 0;
 
   bool matches() const { return depth != SourceDepthOrigin::kHead; }
   bool refines() const { return depth == SourceDepthOrigin::kRefined; }

@@ -1,6 +1,5 @@
 #include "infer/pipeline/sample_refinement.h"
 
-#include "infer/pipeline/level_decoding.h"
 #include "models/conditioning/level_conditioning.h"
 #include "models/refiner/latent_refining.h"
 #include "models/refiner/stacked_levels.h"
@@ -22,7 +21,7 @@ void run_sample_refinement(const PipelineModels& models, const PipelineRequest& 
   const auto unet = models.refiner();
   const auto& cameras = request.views.cameras;
   const LatentRefining refining(*unet, {cameras.begin(), cameras.begin() + sources},
-                                stacked_levels(exact, state.sources.grid));
+                                stacked_levels(exact, state.sources.grid), stage);
   const auto degraded = stacked_levels(generated, result.grid);
   std::vector<torch::Tensor> repaired;
   for (int64_t view = sources; view < request.views.size(); ++view)
@@ -31,7 +30,6 @@ void run_sample_refinement(const PipelineModels& models, const PipelineRequest& 
   const auto levels = with_stacked_levels(generated, torch::stack(repaired), sources);
   for (size_t i = 0; i < levels.size(); ++i) {
     const int64_t level = models.levels.generators[i].level;
-    require_finite(levels[i], stage, "repaired latents");
     state.latents[level] = levels[i];
     result.latents[level] = levels[i].cpu();
   }

@@ -290,7 +290,7 @@ PipelineResult run_pipeline(const PipelineModels& models, const PipelineRequest&
         state.sources.for_geometry = {};
         run_flow_stage(models, request, stage, state, result);
         return;
-      case StageKind::kRefinement:
+      case StageKind::kSampleRefinement:
         run_sample_refinement(models, request, stage.name, state, result);
         return;
       case StageKind::kPropagation: {

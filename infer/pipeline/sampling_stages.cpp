@@ -18,8 +18,8 @@ const char* name_of(StageKind kind) {
       return "source depth";
     case StageKind::kSourceWarp:
       return "source warp";
-    case StageKind::kRefinement:
-      return "refinement";
+    case StageKind::kSampleRefinement:
+      return "sample refinement";
     case StageKind::kPropagation:
       return "propagation";
     case StageKind::kRgbDecoding:
@@ -131,6 +131,7 @@ ModelKind model_kind_of(StageKind kind) {
     case StageKind::kSourceDepth:
     case StageKind::kSourceWarp:
     case StageKind::kGeometry:
+    case StageKind::kSampleRefinement:
     case StageKind::kComposition:  // convolutions alone
       return ModelKind::kLeanedOn;
     default:
@@ -158,7 +159,7 @@ std::vector<SamplingStage> sampling_stages(const LevelSet& levels, const StageRe
   for (size_t i = 0; i < levels.generators.size(); ++i) stages.push_back(flow_stage(levels, i));
   if (request.refines_samples)
     stages.push_back(
-        stage(StageKind::kRefinement,
+        stage(StageKind::kSampleRefinement,
               "what the flows made of the target views, each in one call beside the source views"));
   stages.push_back(request.decodes() ? stage(StageKind::kPropagation, propagation_reason(levels))
                                      : left_out(StageKind::kPropagation, "only latents were asked for"));

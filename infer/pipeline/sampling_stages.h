@@ -42,7 +42,7 @@ enum class StageKind {
   kSourceDepth,
   kSourceWarp,
   kFlow,
-  kRefinement,
+  kSampleRefinement,
   kPropagation,
   kRgbDecoding,
   kComposition,

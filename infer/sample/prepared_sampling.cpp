@@ -102,14 +102,6 @@ std::optional<ModelBundle> geometry_model_of(const SampleOptions& options, const
   return std::nullopt;
 }
 
-void bundle_has_all(const ModelBundle& bundle, const std::vector<BundlePart>& parts) {
-  for (const auto& part : parts) {
-    if (bundle.has(part)) continue;
-    fail({bundle.folder().string(), "a file " + bundle.file(part).filename().string(), "none",
-          "add the part with gld convert or gld train"});
-  }
-}
-
 bool sees_cameras(const ModelBundle& bundle) {
   return bundle.options().geometry_head.exists() && bundle.options().geometry_head.predicts_rays();
 }
@@ -299,11 +291,11 @@ std::vector<BundlePart> require_parts(const PreparedSampling& prepared, const Sa
     // Its backbone and head look at the generated images; this bundle's head is asked for the sources' depth alone.
     const auto head = std::find(parts.begin(), parts.end(), BundlePart::geometry_head());
     if (head != parts.end() && !uses_source_depth(bundle.level_set(), stages)) parts.erase(head);
-    bundle_has_all(*prepared.geometry_model, seeing);
+    prepared.geometry_model->require(seeing);
   }
-  bundle_has_all(prepared.bundle, parts);
+  prepared.bundle.require(parts);
   if (!prepared.photographs.empty() && sees_cameras(prepared.camera_model())) {
-    bundle_has_all(prepared.camera_model(), seeing);
+    prepared.camera_model().require(seeing);
   }
   return parts;
 }

@@ -73,8 +73,8 @@ std::string one_line_summary(const SampleOptions& options, const PipelineResult&
   // Where none was, all levels were made before --resume.
   const std::string solved =
       evaluations > 0 ? fmt::format("{} evaluations a level", evaluations) : "levels of an interrupted run";
-  return fmt::format("model {}, seed {}, {}, guidance {}", model, options.seed, solved,
-                     options.guidance.guidance_scale);
+  return fmt::format("model {}, seed {}, {}, guidance {}{}", model, options.seed, solved,
+                     options.guidance.guidance_scale, result.refined > 0 ? ", refined" : "");
 }
 
 // It shows the target views side by side as the flow would end now, as long as there are no others.
@@ -114,7 +114,7 @@ double saved_flop(const PreparedSampling& prepared, const SampleOptions& options
   const auto flop = [](const SamplingPlan& plan, bool generated) {
     double sum = 0;
     for (const PlannedStage& stage : plan.stages) {
-      const bool generates = stage.kind == StageKind::kFlow || stage.kind == StageKind::kRefinement ||
+      const bool generates = stage.kind == StageKind::kFlow || stage.kind == StageKind::kSampleRefinement ||
                              stage.kind == StageKind::kPropagation || stage.kind == StageKind::kRgbDecoding;
       if (generates == generated) sum += stage.cost.flop();
     }
@@ -258,6 +258,7 @@ nlohmann::ordered_json sampling_report(const SampleOptions& options, const Finis
   report["sampling"] = choice_json(planned.choice);
   report["plan"] = plan_json(planned.plan, finished.stages.records());
   report["flows"] = flows_json(finished.result.flows);
+  if (options.refine) report["refined_views"] = finished.result.refined;
   if (auto photographs = photographs_json(scene, finished.result, expected_views(finished.evidence));
       !photographs.empty()) {
     report["photographs"] = std::move(photographs);

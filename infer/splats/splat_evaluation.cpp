@@ -6,6 +6,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/cameras/relative_cameras.h"
+#include "gld/latents/relative_latent_error.h"
 #include "gld/machine/timing.h"
 #include "gld/metrics/latent_spectrum.h"
 #include "gld/metrics/metric.h"

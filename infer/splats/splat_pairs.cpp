@@ -5,6 +5,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
+#include "gld/latents/relative_latent_error.h"
 #include "gld/metrics/metric.h"
 #include "gld/report/progress.h"
 #include "gld/report/run_folder.h"

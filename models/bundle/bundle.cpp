@@ -159,11 +159,16 @@ LoadReport ModelBundle::load_into(torch::nn::Module& module, const BundlePart& p
 }
 
 std::shared_ptr<const WeightFile> ModelBundle::open_part(const BundlePart& part) const {
-  if (!has(part)) {
+  require({part});
+  return WeightFile::open(file(part));
+}
+
+void ModelBundle::require(const std::vector<BundlePart>& parts) const {
+  for (const BundlePart& part : parts) {
+    if (has(part)) continue;
     fail({folder_.string(), "a file " + bundle_part_name(part) + kExtension, "none",
           "add the part with gld convert or gld train"});
   }
-  return WeightFile::open(file(part));
 }
 
 int64_t ModelBundle::converted_bytes(const BundlePart& part) const {

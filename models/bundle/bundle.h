@@ -73,6 +73,8 @@ class ModelBundle {
   const BundleOptions& options() const { return options_; }
   std::filesystem::path file(const BundlePart& part) const;
   bool has(const BundlePart& part) const;
+  // Throws Error, with what to do, where the file of one of these parts is missing.
+  void require(const std::vector<BundlePart>& parts) const;
 
   // Loads the part's file into a module that was built from these options; throws Error when the file is missing, with
   // what to do.

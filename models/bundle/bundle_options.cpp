@@ -190,14 +190,14 @@ void BundleOptions::check() const {
     fail({"warped_sources", "0 for a model without a geometry head, whose depth carries the photographs",
           std::to_string(set.warped_sources), "set it to 0, or give the model a dpt_head"});
   }
-  const bool repairs_samples = refiner.exists() && refiner.degraded == DegradedLatents::kGenerated;
-  if (repairs_samples) {
+  if (refiner.repairs_samples()) {
     require_equal("refiner.latent_channels", refiner.latent_channels,
                   static_cast<int64_t>(generators.size()) * channels,
                   "the channels of all generated levels together");
   } else if (refiner.exists() && has_rgb_decoder()) {
     fail({"refiner.degraded",
-          "generated for a model with an RGB decoder: splats show latents of autoencoders", "another one",
+          "generated for a model with an RGB decoder: splats show latents of autoencoders",
+          refiner.degraded == DegradedLatents::kColours ? "colours" : "splatted",
           "change it, or leave the refiner out"});
   } else if (refiner.exists()) {
     const int64_t pixels = backbone.architecture().latent_pixels();

@@ -16,6 +16,12 @@ struct Cost {
       0;  // activations alive at one time while sampling, roughly; of a DiT only as a whole
 
   double flop() const { return linear_flop + convolution_flop + attention_flop; }
+  // Counts the operations of so many passes; weights and activations stay those of one.
+  void multiply_operations(double passes) {
+    linear_flop *= passes;
+    convolution_flop *= passes;
+    attention_flop *= passes;
+  }
   // Adds the operations of another pass; weights and activations stay this one's.
   void add_operations_of(const Cost& other) {
     linear_flop += other.linear_flop;

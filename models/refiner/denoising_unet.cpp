@@ -235,9 +235,11 @@ Cost refiner_cost(const RefinerOptions& options, int64_t views, int64_t height, 
     add_convolution(cost, count * pixels, now, now, 3);
   }
   add_convolution(cost, count * pixels, now, latent, 3);
-  // This counts what the way up takes, the widest maps of a block, and a feed-forward layer's.
-  cost.working_bytes = bytes_of_floats(count * pixels * static_cast<double>(channels.front()) *
-                                       (static_cast<double>(options.layers_per_block + 1) * 2 + 16));
+  // This counts what the way up takes, the widest maps of a block, a feed-forward layer's, and what goes in and comes
+  // out.
+  const double maps =
+      static_cast<double>(channels.front()) * (static_cast<double>(options.layers_per_block + 1) * 2 + 16);
+  cost.working_bytes = bytes_of_floats(count * pixels * (maps + 2 * latent));
   return cost;
 }
 

@@ -55,6 +55,8 @@ struct RefinerOptions : OptionsGroup {
   void visit(FieldVisitor& visitor) override;
   void check() const override;
   bool exists() const { return !channels.empty(); }
+  bool repairs_samples() const { return exists() && degraded == DegradedLatents::kGenerated; }
+  bool repairs_splats() const { return exists() && degraded != DegradedLatents::kGenerated; }
 };
 
 }  // namespace gld

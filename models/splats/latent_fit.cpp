@@ -3,6 +3,7 @@
 #include "gld/base/error.h"
 #include "gld/base/json_text.h"
 #include "gld/base/sha256.h"
+#include "gld/latents/relative_latent_error.h"
 #include "gld/machine/stage_record.h"
 #include "gld/machine/timing.h"
 #include "gld/splatting/feature_harmonics.h"
@@ -133,13 +134,6 @@ SplatImage rendered_features(const StillGaussians& gaussians, const torch::Tenso
     given.values = seen.data();
   }
   return composite(view, given, settings).image;
-}
-
-double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& encoded) {
-  const auto truth = encoded.to(torch::kFloat64);
-  const auto apart = latents.to(torch::kFloat64) - truth;
-  const auto spread = truth - truth.mean({0, 2, 3}, true);
-  return std::sqrt(apart.square().sum().item<double>() / spread.square().sum().item<double>());
 }
 
 torch::Tensor rendered_views(const StillGaussians& gaussians, const torch::Tensor& features,

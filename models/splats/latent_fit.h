@@ -49,10 +49,7 @@ torch::Tensor rendered_views(const StillGaussians& gaussians, const torch::Tenso
                              const LatentPictures& latents, int64_t first, int64_t end,
                              const KernelSettings& settings);
 
-// Returns |latents - encoded| over |encoded - its mean|, (views, channels, height, width) each: 0 where they are what
-// the backbone sees, 1 where they are no more than each channel's mean.
-double relative_latent_error(const torch::Tensor& latents, const torch::Tensor& encoded);
-// Returns the error of what features show of views `first` to `end`.
+// Returns the relative_latent_error() of what features show of views `first` to `end`.
 double latent_error(const StillGaussians& gaussians, const LatentFit& fit, const LatentPictures& latents,
                     int64_t first, int64_t end, const KernelSettings& settings);
 

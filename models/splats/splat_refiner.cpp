@@ -4,9 +4,8 @@ namespace gld {
 
 bool has_splat_refiner(const ModelBundle& bundle) {
   // Such refiners are of autoencoders, which have one level.
-  const RefinerOptions& refiner = bundle.options().refiner;
-  return refiner.exists() && refiner.degraded != DegradedLatents::kGenerated &&
-         bundle.has(BundlePart::refiner()) && bundle.has(BundlePart::statistics(0));
+  return bundle.options().refiner.repairs_splats() && bundle.has(BundlePart::refiner()) &&
+         bundle.has(BundlePart::statistics(0));
 }
 
 }  // namespace gld

@@ -75,8 +75,8 @@ TEST_F(Completion, OfCommands) {
   for (const auto& command : commands_) EXPECT_THAT(names, Contains(command.name));
   EXPECT_THAT(names, Contains("help"));
   EXPECT_THAT(offered({"gld", "sam"}), ElementsAre("sample"));
-  EXPECT_THAT(offered({"gld", "train", ""}),
-              ElementsAre("backbone", "decoder", "depth", "blending", "level", "cascade", "refiner"));
+  EXPECT_THAT(offered({"gld", "train", ""}), ElementsAre("backbone", "decoder", "depth", "blending", "level",
+                                                         "cascade", "refiner", "sample-refiner"));
   EXPECT_THAT(offered({"gld", "help", "train", "l"}), ElementsAre("level"));
   EXPECT_THAT(offered({"gld", "completion", ""}), ElementsAre("bash", "zsh", "fish"));
 }

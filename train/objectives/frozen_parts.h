@@ -1,5 +1,6 @@
 #pragma once
 
+#include "gld/base/options.h"
 #include "gld/flow/solvers/solver.h"
 #include "gld/latents/level_statistics.h"
 #include "models/bundle/bundle.h"

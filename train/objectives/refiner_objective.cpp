@@ -1,6 +1,7 @@
 #include "train/objectives/refiner_objective.h"
 
 #include "gld/latents/latent_tokens.h"
+#include "gld/latents/relative_latent_error.h"
 #include "gld/metrics/metric_list.h"
 #include "models/layers/layer_precision.h"
 #include "models/refiner/one_step_update.h"

@@ -3,6 +3,7 @@
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
 #include "gld/base/mixed_bits.h"
+#include "models/refiner/latent_refining.h"
 
 #include <algorithm>
 #include <set>
@@ -96,9 +97,7 @@ TrainingScene SplatPairBatches::scene_of(const SplattedScene& scene, int64_t hel
     pictures.push_back(scene.pictures[view]);
     encoded.push_back(scene.encoded[view]);
   };
-  for (const int64_t view :
-       nearest_references(camera, scene.fitted_cameras(), refiner_.references, refiner_.reference_unit))
-    take(view);
+  for (const int64_t view : references_of(refiner_, camera, scene.fitted_cameras())) take(view);
   result.views.num_sources = result.views.size();
   take(target);
   result.images = torch::stack(pictures).to(torch::kFloat32) / 255;

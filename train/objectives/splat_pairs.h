@@ -1,7 +1,7 @@
 #pragma once
 
 #include "gld/base/options.h"
-#include "models/refiner/reference_views.h"
+#include "models/refiner/refiner_options.h"
 #include "models/splats/splatted_scene.h"
 #include "train/data/batch_prefetcher.h"
 

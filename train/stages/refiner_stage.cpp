@@ -42,6 +42,10 @@ void TrainRefinerOptions::check() const {
 
 std::string train_refiner(const TrainRefinerOptions& options, const DrawValidation& draw) {
   const BundleOptions model = ModelBundle::open(options.model).options();
+  if (model.refiner.repairs_samples()) {
+    fail({options.model + "/model.yaml", "a refiner of splats (degraded: splatted or colours)",
+          "one of samples", "train it with gld train sample-refiner"});
+  }
   if (!model.refiner.exists()) {
     fail({options.model + "/model.yaml", "a refiner", "none",
           "add for example refiner: {channels: [64, 96, 128], heads: [2, 3, 4]}"});

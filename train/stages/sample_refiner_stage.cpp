@@ -20,9 +20,10 @@ void TrainSampleRefinerOptions::check() const {
 
 std::string train_sample_refiner(const TrainSampleRefinerOptions& options, const DrawValidation& draw) {
   const BundleOptions model = ModelBundle::open(options.model).options();
-  if (!model.refiner.exists() || model.refiner.degraded != DegradedLatents::kGenerated) {
+  if (!model.refiner.repairs_samples()) {
     fail(
-        {options.model + "/model.yaml", "a refiner of samples", "none",
+        {options.model + "/model.yaml", "a refiner of samples",
+         model.refiner.exists() ? "one of splats" : "none",
          "add for example refiner: {degraded: generated, channels: [128, 192], heads: [4, 6], "
          "latent_channels: " +
              std::to_string(static_cast<int64_t>(model.generators.size()) * model.backbone.level_channels()) +

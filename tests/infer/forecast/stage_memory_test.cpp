@@ -116,6 +116,24 @@ TEST_F(StageMemoryPrediction, MendingDepthTakesWhatIsSaid) {
   EXPECT_NEAR(static_cast<double>(taken) / predicted, 1, 0.25);
 }
 
+TEST_F(StageMemoryPrediction, RefiningSamplesTakesWhatIsSaid) {
+  BundleOptions bundle = middling_bundle();
+  bundle.refiner.degraded = DegradedLatents::kGenerated;
+  bundle.refiner.channels = {128, 192};
+  bundle.refiner.heads = {4, 6};
+  bundle.refiner.attention = ViewAttention::kCross;
+  bundle.refiner.latent_channels =
+      static_cast<int64_t>(bundle.generators.size()) * bundle.backbone.level_channels();
+  for (const int64_t side : {16, 28}) {
+    PlanRequest request = request_of(side);
+    request.flow.refine = true;
+    const PlannedStage stage = stage_of(bundle, request, StageKind::kSampleRefinement);
+    const int64_t taken = tensor_bytes_of([&] { measure_stage_seconds(stage, bundle, request); });
+    const auto predicted = static_cast<double>(stage.memory.weights + stage.memory.working);
+    EXPECT_NEAR(static_cast<double>(taken) / predicted, 1, 0.25) << "side " << side;
+  }
+}
+
 TEST_F(StageMemoryPrediction, APreviewKeepsWhatDrawsItBesideTheFlow) {
   const BundleOptions bundle = middling_bundle();
   PlanRequest request = request_of(16);

@@ -369,10 +369,13 @@ TEST_F(SamplingRequests, SamplesAreRefinedByModelsThatCan) {
   model.refiner.attention = ViewAttention::kCross;
   write_random_bundle(folder_->path() / "refining", model, 7);
   asked.model = (folder_->path() / "refining").string();
-  EXPECT_THAT(stage_names(run(asked)), testing::Contains("refinement"));
+  const auto report = run(asked);
+  EXPECT_THAT(stage_names(report), testing::Contains("sample refinement"));
+  EXPECT_EQ(report.at("refined_views"), 2);
   EXPECT_THAT(printed_, testing::HasSubstr("; refined"));
   auto quality = asked;
   quality.quality = SamplingQuality::kFast;
+  quality.solver = SampleOptions().solver;
   EXPECT_THAT(test::error_of([&] { quality.check(); }), testing::HasSubstr("'refine'"));
   std::filesystem::remove(folder_->path() / "refining/refiner.safetensors");
   asked.overwrite = true;

@@ -189,6 +189,14 @@ TEST_F(RefinerStage, SaysWhatItLacks) {
   write_random_bundle(folder_.path() / "without", test::small_model(), 5);
   training.model = (folder_.path() / "without").string();
   EXPECT_THAT(error_of([&] { train_refiner(training, {}); }), HasSubstr("expected a refiner, found none"));
+  BundleOptions of_samples = bundle_.options();
+  of_samples.refiner.degraded = DegradedLatents::kGenerated;
+  of_samples.refiner.latent_channels =
+      static_cast<int64_t>(of_samples.generators.size()) * of_samples.backbone.level_channels();
+  save_bundle_options(folder_.path() / "of_samples", of_samples);
+  training.model = (folder_.path() / "of_samples").string();
+  EXPECT_THAT(error_of([&] { train_refiner(training, {}); }),
+              HasSubstr("found one of samples; train it with gld train sample-refiner"));
 }
 
 }  // namespace
