@@ -34,15 +34,15 @@ function(gld_target_defaults target)
   endif()
 endfunction()
 
-# What computes nothing that takes time is compiled with -O1: tests, commands, pages, readers of text. Half of a whole build
-# is theirs. Not -O0: under the sanitizers, where that saves half of compiling tests, they then take 565 s in the place of 168, since
-# what headers define is linked from them.
+# What computes nothing itself that takes time is compiled with -O1: tests, commands, pages, readers of text, and models whose
+# products and convolutions are others'. Half of a whole build is theirs. Not -O0: under the sanitizers, where that saves half of
+# compiling tests, they then take 565 s in the place of 168, since what headers define is linked from them.
 set(GLD_LIGHT_OPTIMISATION -O1)
 # Only where the rest is optimised more: a quick build (scripts/build.sh --quick) has none at all beside its kernels.
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
   set(GLD_HAS_LIGHT_CODE ON)
 endif()
-set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/(device|extremes|processes|sampling|support|training)|cli|datasets/(check|formats|pictures)|gld/(distributed|report)|infer/(evaluate|forecast|method|page|paths|pipeline|request|run_export|sample)|models/(bundle|conditioning|cost|latent_spaces|splats|weights)|train/(data|loop|page|splats|stages)|verify)$")
+set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/(device|extremes|processes|sampling|solvers|support|training)|cli|datasets/(check|formats|pictures)|gld/(distributed|report)|infer/(evaluate|forecast|method|page|paths|pipeline|request|run_export|sample)|models/(backbones|bundle|conditioning|cost|decoders|dit|latent_spaces|losses|splats|weights)|train/(data|loop|page|splats|stages)|verify)$")
 
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
 # all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a
@@ -229,6 +229,9 @@ function(gld_test_program program folder tests)
   gld_target_defaults(${program})
   gld_unity(${program} 8)
   gld_light(${program})  # what tests multiply, they multiply in the rooms
+  if(GLD_SANITIZE)
+    target_compile_options(${program} PRIVATE -g0)  # a tenth of their time; rooms have their lines
+  endif()
   foreach(source IN LISTS sources)
     gld_rooms_included(rooms tests/${source})
     foreach(room IN LISTS rooms)

@@ -40,8 +40,4 @@ fi
 echo "the slowest ten:"
 sed -nE 's/^ *[0-9]+\/[0-9]+ Test +#[0-9]+: ([^ ]+) .* ([0-9.]+) sec.*$/  \2 s  \1/p' "$log" | sort -k1 -rn | head -n 10 || true
 "$build_folder"/cli/gld verify tests/data/reference_cases/* | tail -1
-if [ -z "$libtorch" ]; then
-  echo "the README's shell blocks:"
-  scripts/readme_commands.py --gld "$build_folder"/cli/gld
-fi
 say_what_did_not_run "$build_folder" "${selection[@]}"

@@ -103,6 +103,40 @@ class Evaluation : public testing::Test {
 };
 test::TemporaryFolder* Evaluation::folder_ = nullptr;
 
+TEST_F(Evaluation, SamplesAreRefinedByModelsThatCan) {
+  auto asked = options("refined");
+  asked.refine = true;
+  EXPECT_TRUE(asked.sampling_method().refine);
+  EXPECT_EQ(test::error_of([&] { evaluate(asked); }),
+            "--refine: expected a model with a refiner of samples, found none in " +
+                small_bundle_options().name +
+                "; train one with gld train sample-refiner, or leave --refine out.");
+  EXPECT_FALSE(std::filesystem::exists(asked.out));
+  auto model = small_bundle_options();
+  model.trained_sizes = {"56x56"};
+  model.refiner.degraded = DegradedLatents::kGenerated;
+  model.refiner.channels = {32, 32};
+  model.refiner.heads = {2, 2};
+  model.refiner.latent_channels = 2 * model.backbone.level_channels();
+  model.refiner.attention = ViewAttention::kCross;
+  write_random_bundle(folder_->path() / "refining", model, 7);
+  asked.model = (folder_->path() / "refining").string();
+  auto plain = asked;
+  plain.refine = false;
+  plain.out = (folder_->path() / "not_refined").string();
+  run(asked);
+  run(plain);
+  const auto psnr = [&](const EvaluationOptions& of, const char* column) {
+    return report(of).at("means").at(column).at("mean").get<double>();
+  };
+  EXPECT_NE(psnr(asked, "sample_psnr"), psnr(plain, "sample_psnr"));
+  EXPECT_EQ(psnr(asked, "mean_prediction_psnr"), psnr(plain, "mean_prediction_psnr"));
+  std::filesystem::remove(folder_->path() / "refining/refiner.safetensors");
+  asked.out = (folder_->path() / "missing").string();
+  EXPECT_THAT(test::error_of([&] { evaluate(asked); }),
+              HasSubstr("expected a file refiner.safetensors, found none"));
+}
+
 TEST_F(Evaluation, ReportsSamplesAndMeanPredictionSideBySide) {
   const auto asked = options("both");
   const std::string text = run(asked);

@@ -389,5 +389,19 @@ TEST_F(PhotographSampling, DepthIsMendedByTheModelOrAsPhotographsAndHeadSayIt) {
   EXPECT_NE(picture(mended), picture(fused));
 }
 
+// The truth tells: what is carried by depth that is off lands beside where it belongs.
+TEST_F(PhotographSampling, DepthThatIsOffCarriesPhotographsElsewhere) {
+  auto asked = with_shipped_model(options("depth_as_it_is"));
+  asked.outputs = {"image"};
+  asked.solver.evaluations = 2;
+  auto off = asked;
+  off.out = (folder_->path() / "depth_off").string();
+  off.photograph_use.depth_error = 0.3;
+  const auto psnr = [](const nlohmann::json& report) {
+    return report.at("against_truth").at(0).at("psnr").get<double>();
+  };
+  EXPECT_GT(psnr(run(asked)), psnr(run(off)) + 1);
+}
+
 }  // namespace
 }  // namespace gld
