@@ -110,11 +110,10 @@ TEST_P(SampleRefinement, IsTheNetworksCallForEachTargetView) {
 
 // bench sample counts such a sample as not finite, and goes on.
 TEST_P(SampleRefinement, NamesItsStageWhereANumberIsNotFinite) {
-  const BundleOptions options = bundle().options();
-  const auto unet = bundle().load_refiner();
-  for (auto& parameter : unet->named_parameters()) parameter.value().data().fill_(std::nan(""));
+  const auto broken = bundle().load_refiner();
+  for (auto& parameter : broken->named_parameters()) parameter.value().data().fill_(std::nan(""));
   PipelineModels models = bundle_models(bundle(), torch::kCPU);
-  models.refiner = [unet] { return unet; };
+  models.refiner = [&broken] { return broken; };
   StageRecords stages;
   EXPECT_EQ(
       test::error_of([&] { run_pipeline(models, request(true), stages); }),
