@@ -110,7 +110,7 @@ TEST_P(SampleRefinement, IsTheNetworksCallForEachTargetView) {
 
 // bench sample counts such a sample as not finite, and goes on.
 TEST_P(SampleRefinement, NamesItsStageWhereANumberIsNotFinite) {
-  const auto broken = bundle().load_refiner();
+  auto broken = bundle().load_refiner();
   for (auto& parameter : broken->named_parameters()) parameter.value().data().fill_(std::nan(""));
   PipelineModels models = bundle_models(bundle(), torch::kCPU);
   models.refiner = [&broken] { return broken; };
