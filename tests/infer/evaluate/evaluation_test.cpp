@@ -15,6 +15,7 @@
 #include "tests/support/csv_cells.h"
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
+#include "tests/support/refining_bundle.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
@@ -112,13 +113,8 @@ TEST_F(Evaluation, SamplesAreRefinedByModelsThatCan) {
                 small_bundle_options().name +
                 "; train one with gld train sample-refiner, or leave --refine out.");
   EXPECT_FALSE(std::filesystem::exists(asked.out));
-  auto model = small_bundle_options();
+  auto model = test::small_refining_bundle_options();
   model.trained_sizes = {"56x56"};
-  model.refiner.degraded = DegradedLatents::kGenerated;
-  model.refiner.channels = {32, 32};
-  model.refiner.heads = {2, 2};
-  model.refiner.latent_channels = 2 * model.backbone.level_channels();
-  model.refiner.attention = ViewAttention::kCross;
   write_random_bundle(folder_->path() / "refining", model, 7);
   asked.model = (folder_->path() / "refining").string();
   auto plain = asked;

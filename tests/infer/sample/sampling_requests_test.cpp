@@ -21,6 +21,7 @@
 #include "tests/support/data_folders.h"
 #include "tests/support/error_of.h"
 #include "tests/support/exported_files.h"
+#include "tests/support/refining_bundle.h"
 #include "tests/support/temporary_folder.h"
 
 #include <algorithm>
@@ -361,13 +362,7 @@ TEST_F(SamplingRequests, SamplesAreRefinedByModelsThatCan) {
                 small_bundle_options().name +
                 "; train one with gld train sample-refiner, or leave --refine out.");
   EXPECT_FALSE(std::filesystem::exists(asked.out));
-  BundleOptions model = small_bundle_options();
-  model.refiner.degraded = DegradedLatents::kGenerated;
-  model.refiner.channels = {32, 32};
-  model.refiner.heads = {2, 2};
-  model.refiner.latent_channels = 2 * model.backbone.level_channels();
-  model.refiner.attention = ViewAttention::kCross;
-  write_random_bundle(folder_->path() / "refining", model, 7);
+  write_random_bundle(folder_->path() / "refining", test::small_refining_bundle_options(), 7);
   asked.model = (folder_->path() / "refining").string();
   const auto report = run(asked);
   EXPECT_THAT(stage_names(report), testing::Contains("sample refinement"));
