@@ -39,7 +39,7 @@ TEST(AttentionBenchmark, ReportsAllVariantsWithSmallErrors) {
   options.head_dims = {16, 48};
   options.tokens = {100};
   options.thread_counts = {1, 2};
-  options.repeats = 2;
+  options.repeats = 1;
   PeakMeter meter;
   const auto rows = attention_benchmark_rows(options, meter);
   const bool bfloat16 = has_matrix_unit(ComputePrecision::kBFloat16);

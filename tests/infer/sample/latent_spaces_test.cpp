@@ -39,14 +39,14 @@ std::filesystem::path description(const std::string& latent) {
   return test::source_root() / "configs/ablations/latents" / latent / "model.yaml";
 }
 
-// The geometric ones with level 0 generated, so that their heads have all levels; and VGGT with its camera and register
+// The geometric ones with level 0 generated, so that their heads have all levels; VGGT with its camera and register
 // tokens generated beside the patches, as the release has it.
-const std::string kWholeDa3 = "da3_whole", kWholeVggt = "vggt_whole", kJoint = "vggt_joint";
+const std::string kWholeDa3 = "da3_whole", kJoint = "vggt_joint";
 
 BundleOptions described(const std::string& latent) {
   BundleOptions options;
   load_yaml(options, description(latent.substr(0, latent.find('_'))));
-  if (latent == kWholeDa3 || latent == kWholeVggt || latent == kJoint) {
+  if (latent == kWholeDa3 || latent == kJoint) {
     options.generators.front().generator = level_model(0);
     options.boundary_level = 0;
     options.decoded_levels.clear();
@@ -218,8 +218,7 @@ TEST_P(LatentSpaces, TrainsSamplesAndEvaluates) {
 }
 
 INSTANTIATE_TEST_SUITE_P(Miniatures, LatentSpaces,
-                         testing::Values("da3", kWholeDa3, "vggt", kWholeVggt, kJoint, "dinov2", "vae",
-                                         "taef2"));
+                         testing::Values("da3", kWholeDa3, "vggt", kJoint, "dinov2", "vae", "taef2"));
 
 TEST(LatentSpaceConfigurations, HaveEqualDits) {
   const BundleOptions first = described("da3");
