@@ -48,7 +48,8 @@ Autoencoding Backbone::autoencode(const torch::Tensor& /*images*/,
 
 std::vector<torch::Tensor> Backbone::encode_with_cameras(const torch::Tensor& /*images*/,
                                                          int64_t /*last_level*/,
-                                                         const std::vector<Camera>& /*cameras*/) const {
+                                                         const std::vector<Camera>& /*cameras*/,
+                                                         std::vector<AttentionTap>* /*taps*/) const {
   fail({"known cameras", "a backbone with an encoder for cameras",
         "one of kind " + architecture().kind() + " without one",
         "use a model that has one, or let it find the cameras itself"});

@@ -115,8 +115,13 @@ class Backbone : public torch::nn::Module {
   // Does the same for views whose cameras are known, one for each image, in any world and unit (DESIGN.md section 4,
   // "Known cameras"); their sizes are those that their intrinsics are for. Throws Error unless
   // architecture().takes_cameras().
+  std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
+                                                 const std::vector<Camera>& cameras) const {
+    return encode_with_cameras(images, last_level, cameras, nullptr);
+  }
   virtual std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
-                                                         const std::vector<Camera>& cameras) const;
+                                                         const std::vector<Camera>& cameras,
+                                                         std::vector<AttentionTap>* taps) const;
 
   // Returns the leading tokens that propagation from that level gives to the views, (leading_rows, leading tokens, C)
   // raw, the last row for all views that have none of their own: new views have no image to take them from, so they get

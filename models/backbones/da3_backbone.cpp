@@ -200,13 +200,14 @@ torch::Tensor Da3Backbone::camera_tokens(const std::vector<Camera>& cameras) con
 }
 
 std::vector<torch::Tensor> Da3Backbone::encode_with_cameras(const torch::Tensor& images, int64_t last_level,
-                                                            const std::vector<Camera>& cameras) const {
+                                                            const std::vector<Camera>& cameras,
+                                                            std::vector<AttentionTap>* taps) const {
   require_images(images);
   if (static_cast<int64_t>(cameras.size()) != images.size(0)) {
     fail({"known cameras", "one for each of " + std::to_string(images.size(0)) + " images",
           std::to_string(cameras.size()), "give the cameras of these views"});
   }
-  return encode_with_tokens(images, last_level, camera_tokens(cameras), nullptr);
+  return encode_with_tokens(images, last_level, camera_tokens(cameras), taps);
 }
 
 std::vector<torch::Tensor> Da3Backbone::encode_with_tokens(const torch::Tensor& images, int64_t last_level,

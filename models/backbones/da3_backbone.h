@@ -73,8 +73,10 @@ class Da3Backbone : public Backbone {
   using Backbone::encode;
   std::vector<torch::Tensor> encode(const torch::Tensor& images, int64_t last_level,
                                     std::vector<AttentionTap>* taps) const override;
+  using Backbone::encode_with_cameras;
   std::vector<torch::Tensor> encode_with_cameras(const torch::Tensor& images, int64_t last_level,
-                                                 const std::vector<Camera>& cameras) const override;
+                                                 const std::vector<Camera>& cameras,
+                                                 std::vector<AttentionTap>* taps) const override;
   // Returns the encoder's token of each camera, which takes the place of the learned camera token: (views, 1,
   // embed_dim). Throws Error without an encoder.
   torch::Tensor camera_tokens(const std::vector<Camera>& cameras) const;

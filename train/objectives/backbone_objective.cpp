@@ -44,6 +44,9 @@ void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
                head_probability, {0.0, 1.0});
   visitor.real({"all_views_probability", "probability of showing all views; otherwise the first 1..V-1"},
                all_views_probability, {0.0, 1.0});
+  visitor.real(
+      {"known_cameras", "probability of telling the backbone the cameras, where it has an encoder of them"},
+      known_cameras, {0.0, 1.0});
   visitor.real({"correspondence_weight", "weight of the attention's error against true correspondence"},
                correspondence_weight, {0.0, 1e6});
   visitor.integers({"correspondence_blocks", "whose attention over all views has that loss, counted from 0"},
@@ -83,6 +86,11 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
           fmt::format("{:g}", options_.feature_noise), "set objective.training to head_only"});
   }
   const auto& backbone = model_.backbone.architecture();
+  if (options_.known_cameras > 0 && !backbone.takes_cameras()) {
+    fail({"objective.known_cameras", "0 for a backbone without an encoder of cameras",
+          fmt::format("{:g}", options_.known_cameras),
+          "give the model one (backbone.camera_encoder_depth), or leave it out"});
+  }
   for (const int64_t block : options_.correspondence_blocks) {
     if (block >= backbone.blocks() || !backbone.attends_over_views(block)) {
       fail({"objective.correspondence_blocks",
@@ -106,9 +114,9 @@ BackboneObjective::BackboneObjective(const BundleOptions& model, const BackboneO
     backbone_ = trained.backbone;
     head_ = trained.head;
   }
-  // No loss reaches what DA3 encodes and decodes cameras with: weight decay alone would shrink it.
-  keep_still(*backbone_, "cam_enc.");
-  if (head_) keep_still(*head_, "cam_dec.");
+  // What no loss reaches weight decay alone would shrink.
+  if (options_.known_cameras == 0) keep_still(*backbone_, "cam_enc.");
+  if (head_ && options_.loss.camera_weight == 0) keep_still(*head_, "cam_dec.");
   if (head_only()) return;
   const int64_t patch = model_.backbone.patch_side();
   for (size_t level = 0; level < options_.pixel_weights.size(); ++level) {
@@ -169,7 +177,11 @@ BackboneObjective::SceneResult BackboneObjective::evaluate(const TrainingScene& 
          wants_correspondence ? options_.correspondence_blocks : std::vector<int64_t>{}) {
       taps.push_back({block, {}, {}});
     }
-    for (const auto& level : backbone_->encode(shown.images, model_.backbone.levels() - 1, &taps)) {
+    const int64_t last = model_.backbone.levels() - 1;
+    const auto encoded = showing.known_cameras
+                             ? backbone_->encode_with_cameras(shown.images, last, shown.views.cameras, &taps)
+                             : backbone_->encode(shown.images, last, &taps);
+    for (const auto& level : encoded) {
       const DecodableLevel decodable = backbone_->decodable(level);
       levels.push_back(decodable.patches);
       leading = decodable.leading;
@@ -235,6 +247,10 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
     Showing showing;
     showing.views = views;
     showing.head = head_ && (head_only() || draws[2].item<double>() < options_.head_probability);
+    // Drawn where it is asked for alone, so that what others draw stays what it was.
+    showing.known_cameras =
+        options_.known_cameras > 0 &&
+        torch::rand({}, generator, torch::kFloat64).item<double>() < options_.known_cameras;
     showing.noisy = &generator;
     const SceneResult result = evaluate(scene, showing);
     torch::Tensor total = showing.head ? result.geometry.total : torch::zeros({}, scene.images.options());
@@ -260,6 +276,7 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
     parts.add("origins", result.geometry.origin);
     parts.add("points", result.geometry.point);
     if (result.geometry.point_map.defined()) parts.add("point_maps", result.geometry.point_map);
+    if (result.geometry.camera.defined()) parts.add("cameras", result.geometry.camera);
     parts.add("depth_abs_rel", result.geometry.absolute_relative);
   }
   losses.parts = parts.take();
@@ -268,8 +285,18 @@ Losses BackboneObjective::losses(const TrainingBatch& batch, const StepContext& 
 
 Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes) {
   Validation validation;
-  double total = 0.0, relative = 0.0, pixel_error = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
-  RayErrors rays;
+  struct HeadErrors {
+    double total = 0, relative = 0, camera = 0;
+    RayErrors rays;
+    void add(const SceneResult& result) {
+      total += result.geometry.total.item<double>();
+      relative += result.geometry.absolute_relative.item<double>();
+      if (result.geometry.camera.defined()) camera += result.geometry.camera.item<double>();
+      rays += result.rays;
+    }
+  };
+  HeadErrors found, told;  // where the backbone has to find the cameras, and where it knows them
+  double pixel_error = 0.0, pixel_psnr = 0.0, correspondence = 0.0;
   std::vector<RayErrors> token_rays(geometry_layers_.size());
   std::vector<double> token_depth(geometry_layers_.size());
   for (const TrainingScene& scene : scenes) {
@@ -277,12 +304,12 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     showing.views = scene.views.size();
     showing.head = head_ != nullptr;
     const SceneResult result = evaluate(scene, showing);
-    if (head_) {
-      total += result.geometry.total.item<double>();
-      relative += result.geometry.absolute_relative.item<double>();
+    if (head_) found.add(result);
+    if (head_ && options_.known_cameras > 0) {
+      showing.known_cameras = true;
+      told.add(evaluate(scene, showing));
     }
     if (result.correspondence.defined()) correspondence += result.correspondence.item<double>();
-    rays += result.rays;
     for (size_t level = 0; level < token_rays.size(); ++level) {
       token_rays[level] += result.token_errors[level].rays;
       token_depth[level] += result.token_errors[level].depth_abs_rel;
@@ -312,14 +339,20 @@ Validation BackboneObjective::validate(const std::vector<TrainingScene>& scenes)
     }
   }
   const auto count = static_cast<double>(scenes.size());
-  if (head_) {
-    validation.values = {{"geometry_loss", total / count},
-                         {"depth_abs_rel", relative / count},
-                         {"direction_degrees", rays.direction_degrees / count},
-                         {"rotation_degrees", rays.rotation_degrees / count},
-                         {"translation_degrees", rays.translation_degrees / count},
-                         {"origin_error", rays.origin / count}};
-  }
+  const auto add_head_errors = [&](const std::string& prefix, const HeadErrors& errors) {
+    const RayErrors& rays = errors.rays;
+    validation.values.insert(validation.values.end(),
+                             {{prefix + "geometry_loss", errors.total / count},
+                              {prefix + "depth_abs_rel", errors.relative / count},
+                              {prefix + "direction_degrees", rays.direction_degrees / count},
+                              {prefix + "rotation_degrees", rays.rotation_degrees / count},
+                              {prefix + "translation_degrees", rays.translation_degrees / count},
+                              {prefix + "origin_error", rays.origin / count}});
+    if (model_.geometry_head.architecture().decodes_cameras())
+      validation.values.emplace_back(prefix + "camera_error", errors.camera / count);
+  };
+  if (head_) add_head_errors("", found);
+  if (head_ && options_.known_cameras > 0) add_head_errors("known_cameras_", told);
   for (size_t level = 0; level < token_rays.size(); ++level) {
     if (!geometry_layers_[level]) continue;
     const std::string name = "level" + std::to_string(level) + "_";

@@ -26,6 +26,7 @@ struct BackboneObjectiveOptions : OptionsGroup {
   std::vector<double> geometry_weights = {};       // the same
   double head_probability = 1.0;
   double all_views_probability = 0.5;
+  double known_cameras = 0;
   double correspondence_weight = 0;
   std::vector<int64_t> correspondence_blocks;  // counted from 0; blocks that attend over all views
   // With kHeadOnly this is the deviation of the strength of the noise on what the head reads, in deviations of a
@@ -55,6 +56,10 @@ struct TrainedGeometry {
 // With correspondence_weight the attention of correspondence_blocks is taught where each token is seen in the other
 // views (train/objectives/correspondence.h): relative poses follow from that, and alone they take far longer to be
 // learnt.
+//
+// With known_cameras the backbone is told the cameras of that share of the scenes (Depth Anything 3 tells them in a
+// fifth), so that it takes them where they are known and finds them where they are not; depth and rays stay in the unit
+// of GeometryTargets.
 //
 // A scene is shown with all its views or with its first 1..V-1 ones, because later stages encode the source views alone
 // and single views too.
@@ -86,6 +91,7 @@ class BackboneObjective : public Objective {
   struct Showing {
     int64_t views = 0;  // the first ones
     bool head = true;
+    bool known_cameras = false;
     torch::Generator* noisy = nullptr;  // where feature_noise is drawn from; none for validation
   };
   SceneResult evaluate(const TrainingScene& scene, const Showing& showing) const;

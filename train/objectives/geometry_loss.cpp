@@ -72,6 +72,9 @@ void GeometryLossOptions::visit(FieldVisitor& visitor) {
   visitor.real(
       {"point_weight", "weight of the error of points: of depth * direction + centre, and of predicted ones"},
       point_weight, {0.0, 1e6});
+  visitor.real({"camera_weight",
+                "weight of the error of cameras that the head decodes beside its rays; 0: not trained"},
+               camera_weight, {0.0, 1e6});
   visitor.real({"confidence_reward", "lambda of the reward for confidence"}, confidence_reward, {1e-6, 1e6});
 }
 
@@ -109,6 +112,10 @@ GeometryLosses geometry_losses(const GeometryOutput& predicted, const GeometryTa
                  options.ray_weight * losses.ray + options.origin_weight * losses.origin +
                  options.point_weight * losses.point;
   if (losses.point_map.defined()) losses.total = losses.total + options.point_weight * losses.point_map;
+  if (predicted.camera_encodings.defined()) {
+    losses.camera = (predicted.camera_encodings - targets.cameras).abs().mean();
+    losses.total = losses.total + options.camera_weight * losses.camera;
+  }
   if (options.relative_weight > 0) {
     losses.total = losses.total + options.relative_weight * losses.absolute_relative;
   }

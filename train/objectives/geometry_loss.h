@@ -15,6 +15,7 @@ struct GeometryLossOptions : OptionsGroup {
   double ray_weight = 1.0;
   double origin_weight = 1.0;
   double point_weight = 1.0;
+  double camera_weight = 1.0;
   double confidence_reward = 0.2;
 
   void visit(FieldVisitor& visitor) override;
@@ -30,10 +31,13 @@ struct GeometryLossOptions : OptionsGroup {
 // distance from the true centre over the scene's baseline (mean distance of the other centres from the first), which
 // grows like a square below kExactOrigin and like the distance above. A scene without a baseline has none.
 //
+// Cameras that a head decodes beside its rays (DA3's) have the mean absolute error of their nine numbers.
+//
 // Points that a head predicts apart from depth (VGGT's) have the error of depth's points with their own confidence.
 struct GeometryLosses {
   torch::Tensor depth, gradient, ray, origin, point;
   torch::Tensor point_map;  // undefined of heads without
+  torch::Tensor camera;     // the same
   torch::Tensor total;
   torch::Tensor absolute_relative;  // mean |predicted - true| / true
 };

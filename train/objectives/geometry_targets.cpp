@@ -1,6 +1,7 @@
 #include "train/objectives/geometry_targets.h"
 
 #include "gld/base/error.h"
+#include "gld/cameras/pose_encoding.h"
 
 #include <algorithm>
 
@@ -27,6 +28,20 @@ torch::Tensor ray_directions(const Camera& camera, const Eigen::Matrix3d& first_
     }
   }
   return directions;
+}
+
+// Returns (views, 9): the cameras in the first one's, centres over that scale.
+torch::Tensor encoded_cameras(const std::vector<Camera>& cameras, double scale) {
+  const Eigen::Isometry3d first_from_world = cameras.front().camera_from_world();
+  const auto values = static_cast<int64_t>(PoseEncoding().size());
+  torch::Tensor encodings = torch::empty({static_cast<int64_t>(cameras.size()), values}, torch::kFloat32);
+  auto* out = encodings.data_ptr<float>();
+  for (Camera camera : cameras) {
+    camera.world_from_camera = first_from_world * camera.world_from_camera;
+    camera.world_from_camera.translation() /= scale;
+    for (const double number : pose_encoding(camera)) *out++ = static_cast<float>(number);
+  }
+  return encodings;
 }
 
 }  // namespace
@@ -75,9 +90,10 @@ GeometryTargets geometry_targets(const TrainingScene& scene, const RayGrid& grid
   targets.depth = depth / targets.scale;
   targets.ray_depth = targets.ray_depth / targets.scale;
   targets.rays = torch::cat({targets.rays.narrow(3, 0, 3), targets.rays.narrow(3, 3, 3) / targets.scale}, 3);
+  targets.cameras = encoded_cameras(scene.views.cameras, targets.scale);
   const auto device = scene.images.device();
-  for (torch::Tensor* tensor :
-       {&targets.depth, &targets.valid, &targets.rays, &targets.ray_depth, &targets.ray_valid}) {
+  for (torch::Tensor* tensor : {&targets.depth, &targets.valid, &targets.rays, &targets.ray_depth,
+                                &targets.ray_valid, &targets.cameras}) {
     *tensor = tensor->to(device);
   }
   return targets;

@@ -19,6 +19,8 @@ struct GeometryTargets {
   torch::Tensor rays;       // (views, rows, columns, 6): R K^-1 (u, v, 1), then the camera's centre
   torch::Tensor ray_depth;  // (views, rows, columns), the depth of the pixel under the cell's middle
   torch::Tensor ray_valid;  // (views, rows, columns), bool
+
+  torch::Tensor cameras;  // (views, 9), each a PoseEncoding (gld/cameras/pose_encoding.h)
 };
 
 struct RayGrid {

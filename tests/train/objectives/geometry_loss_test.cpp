@@ -1,5 +1,6 @@
 #include "train/objectives/geometry_loss.h"
 
+#include "gld/cameras/pose_encoding.h"
 #include "tests/train/small_training.h"
 #include "tests/train/wall_scene.h"
 
@@ -31,6 +32,51 @@ TEST(GeometryTargets, RaysTimesDepthAreThePointsInTheFirstCamera) {
         (ray[axis] * targets.ray_depth[1][2][5] + ray[axis + 3]).item<double>() * targets.scale;
     EXPECT_NEAR(point, expected[axis], 1e-4);
   }
+}
+
+TEST(GeometryTargets, CamerasAreThoseOfTheRays) {
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const TrainingScene scene = data.batch(3).scenes.front();
+  const GeometryTargets targets = geometry_targets(scene, {14, 14});
+  ASSERT_EQ(targets.cameras.sizes(), torch::IntArrayRef({3, 9}));
+  for (int64_t view = 0; view < 3; ++view) {
+    PoseEncoding encoding{};
+    for (int64_t i = 0; i < 9; ++i)
+      encoding[static_cast<size_t>(i)] = targets.cameras[view][i].item<double>();
+    const Camera camera = camera_of_pose_encoding(encoding, {56, 56});
+    const Eigen::Matrix3d back = camera.world_from_camera.linear() * camera.intrinsics.inverse();
+    // The cell of the first test.
+    const Eigen::Vector3d direction = back * Eigen::Vector3d(22.0, 10.0, 1.0);
+    for (int axis = 0; axis < 3; ++axis) {
+      EXPECT_NEAR(targets.rays[view][2][5][axis].item<double>(), direction[axis], 1e-5);
+      EXPECT_NEAR(targets.rays[view][2][5][axis + 3].item<double>(),
+                  camera.world_from_camera.translation()[axis], 1e-6);
+    }
+  }
+}
+
+TEST(GeometryLoss, DecodedCamerasHaveAnErrorOfTheirOwn) {
+  GeometryTargets targets;
+  targets.depth = torch::ones({1, 2, 2});
+  targets.valid = torch::ones({1, 2, 2}, torch::kBool);
+  targets.rays = torch::zeros({1, 1, 1, 6});
+  targets.ray_depth = torch::ones({1, 1, 1});
+  targets.ray_valid = torch::ones({1, 1, 1}, torch::kBool);
+  targets.cameras = torch::zeros({1, 9});
+  GeometryOutput predicted;
+  predicted.depth = torch::ones({1, 2, 2});
+  predicted.depth_confidence = torch::ones({1, 2, 2});
+  predicted.rays = torch::zeros({1, 1, 1, 6});
+  predicted.ray_confidence = torch::ones({1, 1, 1});
+  GeometryLossOptions options;
+  const auto without = geometry_losses(predicted, targets, options);
+  EXPECT_FALSE(without.camera.defined());
+  predicted.camera_encodings = torch::zeros({1, 9});
+  predicted.camera_encodings[0][3] = -0.9F;
+  options.camera_weight = 5;
+  const auto with = geometry_losses(predicted, targets, options);
+  EXPECT_NEAR(with.camera.item<double>(), 0.1, 1e-7);
+  EXPECT_NEAR((with.total - without.total).item<double>(), 0.5, 1e-6);
 }
 
 TEST(GeometryLoss, TheRelativeErrorIsAddedWithItsWeight) {

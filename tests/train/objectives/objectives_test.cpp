@@ -132,6 +132,84 @@ TEST(BackboneTraining, LearnsFromTokensAndCorrespondenceWithoutTheHead) {
       "others.");
 }
 
+BundleOptions model_of_known_cameras() {
+  BundleOptions model = test::small_model();
+  auto& backbone = model.backbone.as<Da3BackboneOptions>();
+  backbone.camera_encoder_depth = 1;
+  backbone.camera_encoder_heads = 2;
+  model.geometry_head.as<DptHeadOptions>().camera_decoder = true;
+  return model;
+}
+
+// Returns how far training of 60 steps on one batch changed each tensor that is trained.
+std::map<std::string, double> changed(const BackboneObjectiveOptions& options,
+                                      std::map<std::string, double>& validation) {
+  BackboneObjective objective(model_of_known_cameras(), options, {}, 1);
+  std::map<std::string, torch::Tensor> before;
+  for (const auto& parameter : objective.parameters())
+    before[parameter.name] = parameter.parameter.detach().clone();
+  FlatParameters parameters(objective.parameters());
+  Optimiser optimiser(parameters, {});
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const TrainingBatch batch = data.batch(0);
+  auto generator = at::detail::createCPUGenerator(2);
+  for (int64_t step = 0; step < 60; ++step) {
+    parameters.zero_gradients();
+    const Losses losses = objective.losses(batch, {step, 60, generator});
+    losses.total.backward();
+    optimiser.step(2e-3, optimiser.gradient_norm());
+  }
+  std::map<std::string, double> changes;
+  for (const auto& parameter : objective.parameters()) {
+    const auto change = parameter.parameter.detach() - before.at(parameter.name);
+    changes[parameter.name] = change.abs().max().item<double>();
+  }
+  const torch::NoGradGuard no_grad;
+  for (const auto& [name, value] : objective.validate(batch.scenes).values) validation[name] = value;
+  return changes;
+}
+
+TEST(BackboneTraining, KnownCamerasAreToldAndDecoded) {
+  BackboneObjectiveOptions options;
+  options.all_views_probability = 1;
+  options.known_cameras = 0.5;
+  std::map<std::string, double> validation;
+  const auto changes = changed(options, validation);
+  int64_t of_encoder = 0, of_decoder = 0;
+  for (const auto& [name, change] : changes) {
+    const bool encoder = name.find("cam_enc.") != std::string::npos;
+    const bool decoder = name.find("cam_dec.") != std::string::npos;
+    if (!encoder && !decoder) continue;
+    ++(encoder ? of_encoder : of_decoder);
+    EXPECT_GT(change, 0) << name;
+  }
+  EXPECT_GT(of_encoder, 10);
+  EXPECT_GT(of_decoder, 6);
+  for (const std::string prefix : {"", "known_cameras_"}) {
+    for (const char* name : {"depth_abs_rel", "rotation_degrees", "origin_error", "camera_error"})
+      EXPECT_TRUE(std::isfinite(validation.at(prefix + name))) << prefix << name;
+  }
+  // What is told is not what is found.
+  EXPECT_NE(validation.at("known_cameras_rotation_degrees"), validation.at("rotation_degrees"));
+  EXPECT_LT(validation.at("camera_error"), 0.2);
+}
+
+TEST(BackboneTraining, WhatNobodyIsToldStaysAsItWas) {
+  BackboneObjectiveOptions options;
+  options.loss.camera_weight = 0;
+  std::map<std::string, double> validation;
+  for (const auto& entry : changed(options, validation)) {
+    EXPECT_EQ(entry.first.find("cam_enc."), std::string::npos) << entry.first;
+    EXPECT_EQ(entry.first.find("cam_dec."), std::string::npos) << entry.first;
+  }
+  EXPECT_EQ(validation.count("known_cameras_depth_abs_rel"), 0U);
+  options.known_cameras = 0.2;
+  EXPECT_EQ(
+      test::error_of([&] { BackboneObjective(test::small_model(), options, {}, 1); }),
+      "objective.known_cameras: expected 0 for a backbone without an encoder of cameras, found 0.2; give "
+      "the model one (backbone.camera_encoder_depth), or leave it out.");
+}
+
 // The best checkpoint is the one with the least of the first value.
 TEST(BackboneTraining, ValidationsBeginWithAnError) {
   const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
