@@ -8,6 +8,7 @@
 #include "datasets/splats/scene_fit.h"
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
+#include "gld/cameras/relative_cameras.h"
 #include "gld/cameras/resized_camera.h"
 #include "gld/metrics/image_metrics.h"
 #include "gld/metrics/metric.h"
@@ -40,6 +41,29 @@ DepthMap depth_map(const torch::Tensor& depth) {
   return to_depth_map(depth.to(torch::kCPU, torch::kFloat32).contiguous());
 }
 
+// Returns what report.json says of a picture beside the true one, and beside the nearest photograph, all of one size.
+// shown is of the picture, (1, height, width) from 0 to 1; undefined where nothing of photographs is kept.
+nlohmann::ordered_json beside_truth(const Image& truth, const Image& picture, const torch::Tensor& shown,
+                                    const torch::Tensor& nearest_photograph) {
+  MetricInputs inputs;
+  inputs.true_images = to_tensor(truth).unsqueeze(0);
+  inputs.images = to_tensor(picture).unsqueeze(0);
+  if (shown.defined()) inputs.shown = shown >= 0.5;
+  nlohmann::ordered_json row;
+  for (const char* name : {"psnr", "psnr_seen", "psnr_unseen", "ssim", "sharpness"}) {
+    const MetricValue value = measure(metric_named(name), inputs);
+    if (value.absent.empty()) row[name] = value.mean();
+  }
+  row["psnr_nearest_source"] =
+      measure_images(metric_named("psnr"), inputs.true_images, nearest_photograph.unsqueeze(0)).mean();
+  return row;
+}
+
+// Returns (3, height, width).
+torch::Tensor picture_of(const PicturedView& view) {
+  return torch::tensor(at::ArrayRef<float>(view.rgb)).view({view.height, view.width, 3}).permute({2, 0, 1});
+}
+
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
@@ -70,10 +94,10 @@ std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptio
 void SamplingOutputs::write_images(const torch::Tensor& images,
                                    const std::optional<ComposedViews>& composed) {
   for (int64_t i = 0; i < images.size(0); ++i) images_.push_back(to_image(images[i]));
-  compare_with_truth(composed);
+  const auto pictures = target_pictures(scene_, options_, images, composed);
+  compare_with_truth(composed, pictures);
   if (!requested_.image) return;
   const auto folder = run_.subfolder("images");
-  const auto pictures = target_pictures(scene_, options_, images, composed);
   for (size_t i = 0; i < pictures.size(); ++i) {
     const int64_t view = scene_.views.num_sources + static_cast<int64_t>(i);
     export_image(folder / (view_name(view, scene_.views.size()) + ".png"), pictures[i], provenance_);
@@ -81,21 +105,28 @@ void SamplingOutputs::write_images(const torch::Tensor& images,
   run_.note("images", "images");
 }
 
-void SamplingOutputs::compare_with_truth(const std::optional<ComposedViews>& composed) {
+void SamplingOutputs::compare_with_truth(const std::optional<ComposedViews>& composed,
+                                         const std::vector<Image>& pictures) {
+  const auto shown = [&](const torch::Tensor& of_views, size_t i) {
+    return of_views.defined() ? of_views.slice(0, static_cast<int64_t>(i), static_cast<int64_t>(i) + 1)
+                              : torch::Tensor();
+  };
   auto rows = nlohmann::ordered_json::array();
   for (size_t i = 0; i < images_.size(); ++i) {
     psnr_.push_back(std::numeric_limits<double>::quiet_NaN());
     if (scene_.true_images[i].empty()) continue;
-    MetricInputs inputs;
-    inputs.true_images = to_tensor(scene_.true_images[i]).unsqueeze(0);
-    inputs.images = to_tensor(images_[i]).unsqueeze(0);
-    if (composed) inputs.shown = composed->shown.slice(0, i, i + 1) >= 0.5;
-    psnr_.back() = psnr(inputs.true_images, inputs.images).item<double>();
-    nlohmann::ordered_json row{{"view", scene_.view_names[static_cast<size_t>(scene_.views.num_sources) + i]},
-                               {"psnr", psnr_.back()}};
-    for (const char* name : {"psnr_seen", "psnr_unseen", "ssim"}) {
-      const MetricValue value = measure(metric_named(name), inputs);
-      if (value.absent.empty()) row[name] = value.mean();
+    const int64_t target = scene_.views.num_sources + static_cast<int64_t>(i);
+    const auto nearest = static_cast<size_t>(nearest_source(scene_.views, target));
+    nlohmann::ordered_json row{{"view", scene_.view_names[static_cast<size_t>(target)]}};
+    row.update(beside_truth(scene_.true_images[i], images_[i],
+                            shown(composed ? composed->shown : torch::Tensor(), i),
+                            to_tensor(scene_.source_images[nearest])));
+    psnr_.back() = row.at("psnr");
+    if (magnification() > 1 && !scene_.large_true_images[i].empty()) {
+      row["large"] = {{"width", pictures[i].width}, {"height", pictures[i].height}};
+      row["large"].update(beside_truth(scene_.large_true_images[i], pictures[i],
+                                       shown(composed ? composed->large_shown : torch::Tensor(), i),
+                                       picture_of(scene_.photographs.views[nearest])));
     }
     rows.push_back(row);
   }

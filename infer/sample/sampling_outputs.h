@@ -48,7 +48,7 @@ class SamplingOutputs {
   // Returns what is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
 
-  // Returns PSNR and SSIM of each target view that has a truth, depth scale, counts of points; this is for report.json.
+  // Returns how each target view compares with its truth where it has one, depth scale, counts of points; this is for report.json.
   const nlohmann::ordered_json& findings() const { return findings_; }
   const std::vector<std::string>& warnings() const { return warnings_; }
 
@@ -69,8 +69,9 @@ class SamplingOutputs {
   std::vector<Camera> geometry_cameras() const;
   // Returns "m" where depth is in metres.
   std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
-  // Apart for pixels of which at least half comes from photographs, and for the others.
-  void compare_with_truth(const std::optional<ComposedViews>& composed);
+  // Apart for pixels of which at least half comes from photographs, and for the others. pictures are as they are
+  // written, images_ of the model's size.
+  void compare_with_truth(const std::optional<ComposedViews>& composed, const std::vector<Image>& pictures);
 
   RunFolder& run_;
   const SamplingScene& scene_;

@@ -1,21 +1,25 @@
 #!/usr/bin/env python3
 """What the program makes of real photographs: gld eval on scenes of real places, and one table of all.
 
-    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known|fresh] [--source-depth fused]
+    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known|fresh] [--source-depth fused] [--large]
 
 known: ../shared/scenes, on which the matching's settings were chosen, into docs/measured/photographs. fresh: three places on which
 nothing was chosen, not ours to hand on, into docs/measured/photographs_fresh: ../fresh_places holds registered_scene.py's scenes of
 openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree,
 those 17 that were at hand: images 1036 to 1057). Another depth than the default's goes into a folder DEPTH_depth of these.
+--large: gld sample --size photographs in the place of gld eval, and pictures are compared as large as they are written; into a
+folder large of these.
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
 depth, with gaps filled smoothly and nothing generated; "generated" is the sample before photographs were kept in it.
 """
 import argparse
 import csv
+import json
 import pathlib
 import shutil
 import subprocess
+import tempfile
 
 KNOWN = [
     ("lund_door_2", "colmap_lund_door", "3,6", "4,5"),
@@ -60,11 +64,34 @@ def cell(row, psnr, ssim):
     return f"{value:.1f}" if also is None else f"{value:.1f} / {also:.2f}"
 
 
+def large(gld, scenes, out, settings):
+    """The table of pictures of the photographs' size, whose reports go into out."""
+    columns = [("nearest source", "psnr_nearest_source"), ("sample", "psnr"), ("seen", "psnr_seen"), ("unseen", "psnr_unseen"), ("SSIM", "ssim"),
+               ("sharpness", "sharpness")]
+    lines = ["| setting | size | " + " | ".join(name for name, _ in columns) + " |", "|---|---|" + "---|" * len(columns)]
+    for name, scene, sources, targets in settings:
+        with tempfile.TemporaryDirectory() as work:
+            run = pathlib.Path(work, name)
+            subprocess.run([gld, "sample", "--model", "configs/tiny", "--scene", f"{scenes}/{scene}", "--sources", sources, "--targets", targets,
+                            "--size", "photographs", "--outputs", "image", "--out", str(run)], check=True)
+            (out / name).mkdir(parents=True, exist_ok=True)
+            shutil.copy(run / "report.json", out / name / "report.json")
+        views = [view["large"] for view in json.loads((out / name / "report.json").read_text())["against_truth"]]
+
+        def mean(column):
+            values = [view[column] for view in views if column in view]
+            return f"{sum(values) / len(values):.{2 if column in ('ssim', 'sharpness') else 1}f}" if values else "-"
+        lines.append(f"| {name} ({sources} -> {targets}) | {views[0]['width']}x{views[0]['height']} | " +
+                     " | ".join(mean(column) for _, column in columns) + " |")
+    return lines
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gld", default="build/release/cli/gld")
     parser.add_argument("--places", choices=PLACES, default="known")
     parser.add_argument("--source-depth", help="of gld eval, where not the default is measured")
+    parser.add_argument("--large", action="store_true", help="pictures of the photographs' size, by gld sample")
     arguments = parser.parse_args()
     scenes, folder, settings = PLACES[arguments.places]
     out = pathlib.Path(folder)
@@ -74,6 +101,11 @@ def main():
         out = out / f"{arguments.source_depth}_depth"
     lines = ["| setting | " + " | ".join(name for name, _, _ in COLUMNS) + " | sharpness |",
              "|---|" + "---|" * (len(COLUMNS) + 1)]
+    if arguments.large:
+        if arguments.source_depth:
+            parser.error("expected --large or --source-depth, found both; leave out one")
+        out = out / "large"
+        lines, settings = large(arguments.gld, scenes, out, settings), []
     for name, scene, sources, targets in settings:
         # A folder out of git is no run that --overwrite would replace: it has no .gld-run.
         shutil.rmtree(out / name, ignore_errors=True)

@@ -2,8 +2,10 @@
 #include "datasets/formats/scene_reader.h"
 #include "datasets/formats/scene_writer.h"
 #include "datasets/images/image_file.h"
+#include "datasets/loading/batching.h"
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/atomic_file.h"
+#include "gld/metrics/metric_list.h"
 #include "infer/paths/camera_path.h"
 #include "infer/sample/sampling.h"
 #include "tests/infer/sample/sampling_fixture.h"
@@ -331,6 +333,50 @@ TEST_F(PhotographSampling, WhatPhotographsShowWholeIsNotGenerated) {
   const auto of_photographs = run(carried);
   EXPECT_EQ(of_photographs.at("photographs").at("carried_only").size(), zooms.size());
   EXPECT_THAT(of_photographs.at("warnings").dump(), testing::Not(HasSubstr(more_views)));
+}
+
+// At the model's size a picture may look better than it is: what is written is compared as it is written.
+TEST_F(PhotographSampling, PicturesOfThePhotographsSizeAreComparedInThatSize) {
+  const auto folder = folder_->path() / "large";
+  SyntheticOptions synthetic;
+  synthetic.seed = 910000;
+  synthetic.frames = 4;
+  synthetic.width = synthetic.height = 224;
+  write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder);
+  auto asked = with_shipped_model(options("large_run"));
+  asked.scene = folder.string();
+  asked.views.sources = {0, 3};
+  asked.views.targets = {1, 2};
+  asked.outputs = {"image"};
+  asked.solver.evaluations = 2;
+  asked.size = kPhotographSize;
+  const auto report = run(asked);
+  const auto frames = open_scene(folder).frames;
+  const auto psnr_of = [](const Image& truth, const Image& picture) {
+    return measure_images(metric_named("psnr"), to_tensor(truth).unsqueeze(0),
+                          to_tensor(picture).unsqueeze(0))
+        .mean();
+  };
+  for (const size_t target : {1, 2}) {
+    const auto& row = report.at("against_truth").at(target - 1);
+    const auto& large = row.at("large");
+    EXPECT_EQ(large.at("width"), 224);
+    EXPECT_EQ(large.at("height"), 224);
+    const Image truth = frames[target].image();
+    const auto name = fmt::format("view_{:02}.png", target + 1);
+    const Image written = read_image(std::filesystem::path(asked.out) / "images" / name);
+    EXPECT_NEAR(large.at("psnr").get<double>(), psnr_of(truth, written), 1e-3);
+    const Image nearest = frames[target == 1 ? 0 : 3].image();
+    EXPECT_NEAR(large.at("psnr_nearest_source").get<double>(), psnr_of(truth, nearest), 1e-3);
+    EXPECT_GT(large.at("psnr").get<double>(), large.at("psnr_nearest_source").get<double>());
+    EXPECT_GT(row.at("psnr").get<double>(), row.at("psnr_nearest_source").get<double>());
+    EXPECT_NE(row.at("psnr"), large.at("psnr"));
+    for (const char* metric : {"psnr_seen", "ssim", "sharpness"})
+      EXPECT_TRUE(large.contains(metric)) << metric;
+  }
+  asked.size = "auto";
+  asked.out = (folder_->path() / "small_run").string();
+  EXPECT_FALSE(run(asked).at("against_truth").at(0).contains("large"));
 }
 
 TEST_F(PhotographSampling, PhotographsAreBlendedByTheModelOrByRule) {
