@@ -92,17 +92,17 @@ TEST_F(FeatureRegistration, FindsTheCamerasOfARoomAndLeavesOutWhatIsElsewhere) {
 }
 
 TEST_F(FeatureRegistration, OneLensTakesPicturesOfSeveralSizes) {
-  for (int i = 0; i < 3; ++i) add(camera_in_box({0.5 * i - 0.5, 0.1 * (i % 2), 0.1 * i}, 0.1 * (1 - i)));
+  for (int i = 0; i < 2; ++i) add(camera_in_box({0.5 * i - 0.5, 0.1 * (i % 2), 0.1 * i}, 0.1 * (1 - i)));
   add(camera_in_box({0.9, 0.1, 0.5}, -0.1, 0.8, 320, 240));
   add(camera_in_box({-0.8, -0.1, 0.4}, 0.1, 0.8, 360, 480));  // held upright
   const Registration registration = found();
-  expect_right(registration, {0, 1, 2, 3, 4});
+  expect_right(registration, {0, 1, 2, 3});
   EXPECT_EQ(registration.lenses.size(), 1U);
-  EXPECT_EQ(registration.photographs[3].camera.width, 320);
+  EXPECT_EQ(registration.photographs[2].camera.width, 320);
 }
 
 TEST_F(FeatureRegistration, PicturesAreUprightAsExifSays) {
-  for (int i = 0; i < 3; ++i) add(camera_in_box({0.5 * i - 0.5, 0.1 * (i % 2), 0.1 * i}, 0.1 * (1 - i)));
+  for (int i = 0; i < 2; ++i) add(camera_in_box({0.5 * i - 0.5, 0.1 * (i % 2), 0.1 * i}, 0.1 * (1 - i)));
   // Stored lying on its side: column x of the file, from the left, is row x of the picture from the top.
   const Camera camera = camera_in_box({-0.8, -0.1, 0.4}, 0.1, 0.8, 360, 480);
   const Image upright = DrawnBox().seen_by(camera);
@@ -113,13 +113,13 @@ TEST_F(FeatureRegistration, PicturesAreUprightAsExifSays) {
     }
   }
   add(upright, camera);
-  photographs_[3].file = folder_.path() / "turned.jpg";
-  write_jpeg(photographs_[3].file, stored, 95);
+  photographs_[2].file = folder_.path() / "turned.jpg";
+  write_jpeg(photographs_[2].file, stored, 95);
   test::ExifEntries exif;
   exif.orientation = 6;
-  test::add_exif(photographs_[3].file, exif);
-  ASSERT_TRUE(probe_image_file(photographs_[3].file).turned());
-  expect_right(found(), {0, 1, 2, 3});
+  test::add_exif(photographs_[2].file, exif);
+  ASSERT_TRUE(probe_image_file(photographs_[2].file).turned());
+  expect_right(found(), {0, 1, 2});
 }
 
 TEST_F(FeatureRegistration, WhatHasNoDepthIsRefused) {
