@@ -42,7 +42,7 @@ set(GLD_LIGHT_OPTIMISATION -O1)
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
   set(GLD_HAS_LIGHT_CODE ON)
 endif()
-set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/(device|extremes|processes|sampling|solvers|support|training)|cli|datasets/(check|formats|pictures)|gld/(distributed|report)|infer/(evaluate|forecast|method|page|paths|pipeline|request|run_export|sample)|models/(backbones|bundle|conditioning|cost|decoders|dit|latent_spaces|losses|splats|weights)|train/(data|loop|page|splats|stages)|verify)$")
+set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/(device|extremes|processes|sampling|solvers|support|training)|cli|datasets/(check|formats|pictures)|gld/(distributed|metrics|report)|infer/(evaluate|forecast|method|page|paths|pipeline|request|run_export|sample|splats)|models/(backbones|bundle|conditioning|cost|decoders|dit|latent_spaces|losses|splats|weights)|train/(data|loop|objectives|page|splats|stages)|verify)$")
 
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
 # all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a

@@ -48,7 +48,8 @@ class SamplingOutputs {
   // Returns what is known of the depth's unit, a line; nothing where no depth was asked for.
   std::string scale_text() const;
 
-  // Returns how each target view compares with its truth where it has one, depth scale, counts of points; this is for report.json.
+  // Returns how each target view compares with its truth where it has one, depth scale, counts of points: for
+  // report.json.
   const nlohmann::ordered_json& findings() const { return findings_; }
   const std::vector<std::string>& warnings() const { return warnings_; }
 
