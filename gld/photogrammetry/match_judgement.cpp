@@ -17,6 +17,8 @@ constexpr float kUnlikeCorrelation = 0.4F, kAlikeCorrelation = 0.75F;
 constexpr float kAmbiguousBelow = 0.01F, kUniqueAbove = 0.06F;
 // Movement in another photograph, in pixels, for 1 % of depth: matches are right to a sixth of a pixel or so.
 constexpr float kLeastMovement = 0.02F, kEnoughMovement = 0.12F;
+// What is far has at least the depth from which on it would move by so much.
+constexpr double kFarPixels = 1;
 // Share of the pixels about one that are certain too.
 constexpr double kFewestCertain = 0.3;
 constexpr float kLeastContrast = 2;  // of a window, in kBrightnessNoise
@@ -120,6 +122,7 @@ std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictur
     StereoDepth& depth = result[view];
     depth.depth = {width, height, std::vector<float>(pixels, 0.0F)};
     depth.confidence = ConfidenceMap(width, height);
+    depth.least = {width, height, std::vector<float>(pixels, 0.0F)};
     depth.doubt.assign(pixels, StereoDoubt::kUnseen);
     depth.compared = swept[view].compared;
     for (size_t i = 0; i < matched[view].plane.size(); ++i) {
@@ -154,9 +157,15 @@ std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictur
                                               : static_cast<float>(votes.agree) /
                                                     static_cast<float>(votes.agree + votes.differ);
         const float textured = ramp(contrast, 0.5F * kLeastContrast, 1.5F * kLeastContrast);
-        const float placed =
-            ramp(static_cast<float>(votes.movement * finest_pixels), kLeastMovement, kEnoughMovement);
-        const float confidence = std::min({alike, unique, agreed, textured, placed});
+        const double movement = votes.movement * finest_pixels;
+        const float placed = ramp(static_cast<float>(movement), kLeastMovement, kEnoughMovement);
+        const float matched_at_all = std::min({alike, unique, agreed, textured});
+        const float confidence = std::min(matched_at_all, placed);
+        if (placed < kConfidentStereo && matched_at_all >= kConfidentStereo && movement > 0) {
+          // A hundredth of the inverse depth moves it by so many pixels.
+          const double nearer = 1 + 0.01 * kFarPixels / movement;
+          depth.least.values[i] = static_cast<float>(static_cast<double>(depth.depth.values[i]) / nearer);
+        }
         depth.confidence.values[i] = confidence;
         depth.doubt[i] = confidence >= kConfidentStereo ? StereoDoubt::kNone
                          : textured == confidence       ? StereoDoubt::kUntextured
@@ -173,21 +182,32 @@ std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictur
 void doubt_edges_and_specks(StereoDepth& found, int64_t radius) {
   if (found.compared.empty()) return;
   const auto nearest = window_extremes(found.depth, radius, [](float a, float b) { return std::min(a, b); });
+  // What is far is of no known depth, and no surface before what is far beside it.
+  PlanarDepth known = found.depth;
+  for (size_t i = 0; i < known.values.size(); ++i) {
+    if (found.least.values[i] > 0) known.values[i] = std::numeric_limits<float>::infinity();
+  }
+  const auto nearest_known = window_extremes(known, radius, [](float a, float b) { return std::min(a, b); });
   const auto farthest = window_extremes(found.depth, radius, [](float a, float b) { return std::max(a, b); });
   std::vector<double> certain(found.confidence.values.size());
   for (size_t i = 0; i < certain.size(); ++i)
-    certain[i] = found.confidence.values[i] >= kConfidentStereo ? 1 : 0;
+    certain[i] = found.confidence.values[i] >= kConfidentStereo || found.least.values[i] > 0 ? 1 : 0;
   window_sums(found.depth.width, found.depth.height, radius, certain);
   const double fewest = kFewestCertain * static_cast<double>((2 * radius + 1) * (2 * radius + 1));
   for (size_t i = 0; i < certain.size(); ++i) {
     float& confidence = found.confidence.values[i];
-    if (confidence < kConfidentStereo) continue;
+    float& least = found.least.values[i];
+    if (confidence < kConfidentStereo && least == 0) continue;
     const float depth = found.depth.values[i];
-    const bool edge = farthest[i] > kOneSurface * depth || kOneSurface * nearest[i] < depth;
+    const bool edge = least > 0 ? kOneSurface * nearest_known[i] < least
+                                : farthest[i] > kOneSurface * depth || kOneSurface * nearest[i] < depth;
     if (!edge && certain[i] >= fewest) continue;
+    least = 0;
+    if (confidence < kConfidentStereo) continue;
     confidence = 0.5F * kConfidentStereo;
     found.doubt[i] = edge ? StereoDoubt::kEdge : StereoDoubt::kContradicted;
   }
+  if (!shows_something_far(found)) std::fill(found.least.values.begin(), found.least.values.end(), 0.0F);
 }
 
 }  // namespace gld

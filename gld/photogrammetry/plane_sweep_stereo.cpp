@@ -121,6 +121,13 @@ bool hardly_any_confident(const std::vector<StereoDepth>& views) {
   return hardly_any(confident, of);
 }
 
+// Of all views.
+struct FirstPass {
+  std::vector<InverseDepths> ranges;
+  std::vector<SweptView> swept;
+  std::vector<StereoDepth> found;
+};
+
 void check_views(const std::vector<PicturedView>& views) {
   for (size_t i = 0; i < views.size(); ++i) {
     const PicturedView& view = views[i];
@@ -185,21 +192,38 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
   // The first pass has all depths and no prior.
   const auto coarse =
       pictures_of(views, std::min(options.coarse_side, options.largest_side), radius, settings.threads);
-  std::vector<SweptView> swept(views.size());
-  std::vector<InverseDepths> wide(views.size());
-  for (size_t view = 0; view < views.size(); ++view) {
-    wide[view] = range_of_points(coarse[view], points);
-    if (wide[view].empty()) wide[view] = range_of_visibility(view, coarse, baselines);
-    if (wide[view].empty()) continue;
-    swept[view].planes = planes_over(wide[view], options.planes);
-    swept[view].compared = photographs_for(view, coarse, baselines, wide[view], options.photographs);
-  }
   const auto fine = pictures_of(views, options.largest_side, radius, settings.threads);
   const double finest_pixels =
       views.empty() ? 1 : static_cast<double>(fine[0].width) / static_cast<double>(coarse[0].width);
-  auto first = judged_matches(coarse, swept, sweep_views(coarse, swept, options, settings), radius,
-                              finest_pixels, settings);
-  for (StereoDepth& view : first) doubt_edges_and_specks(view, 1);
+  const auto first_pass = [&](const std::vector<InverseDepths>& ranges) {
+    FirstPass pass;
+    pass.ranges = ranges;
+    pass.swept.resize(views.size());
+    for (size_t view = 0; view < views.size(); ++view) {
+      if (ranges[view].empty()) continue;
+      pass.swept[view].planes = planes_over(ranges[view], options.planes);
+      pass.swept[view].compared = photographs_for(view, coarse, baselines, ranges[view], options.photographs);
+    }
+    pass.found = judged_matches(coarse, pass.swept, sweep_views(coarse, pass.swept, options, settings),
+                                radius, finest_pixels, settings);
+    for (StereoDepth& view : pass.found) doubt_edges_and_specks(view, 1);
+    return pass;
+  };
+  std::vector<InverseDepths> ranges(views.size()), to_infinity(views.size());
+  bool points_end_somewhere = false;
+  for (size_t view = 0; view < views.size(); ++view) {
+    const PointRange of_points = range_of_points(coarse[view], points);
+    ranges[view] = of_points.depths;
+    if (ranges[view].empty()) ranges[view] = range_of_visibility(view, coarse, baselines);
+    to_infinity[view] = {0, ranges[view].most};
+    points_end_somewhere = points_end_somewhere || (!of_points.depths.empty() && !of_points.all_over);
+  }
+  // No point lies in the sky: where points are not all over, what is there may be beyond all of them.
+  FirstPass pass;
+  if (points_end_somewhere) pass = first_pass(to_infinity);
+  if (std::none_of(pass.found.begin(), pass.found.end(), shows_something_far)) pass = first_pass(ranges);
+  const std::vector<StereoDepth>& first = pass.found;
+  std::vector<SweptView>& swept = pass.swept;
   std::vector<std::vector<float>> coarse_priors;
   for (size_t view = 0; view < views.size(); ++view)
     coarse_priors.push_back(prior_at(views[view], coarse[view]));
@@ -213,9 +237,9 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
     if (swept[view].compared.empty()) continue;
     InverseDepths range = range_of_found(first[view]);
     if (range.empty()) {
-      range = wide[view];
-    } else {
-      range.least = std::max(range.least, wide[view].least);
+      range = pass.ranges[view];
+    } else if (range.least > 0) {
+      range.least = std::max(range.least, pass.ranges[view].least);
     }
     if (prior_judged && !priors[view].empty() && widens_range(*scene.prior)) {
       const InverseDepths of_prior = range_of_prior(priors[view], scene.prior->scale);

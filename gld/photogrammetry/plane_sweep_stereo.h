@@ -47,6 +47,9 @@ struct StereoDepth {
   PlanarDepth depth;         // in the unit of the cameras; 0 where neither photographs nor prior say anything
   ConfidenceMap confidence;  // of the photographs' part in it, from 0 to 1
   std::vector<StereoDoubt> doubt;  // (height, width) kNone where confidence >= kConfidentStereo
+  // Where photographs show something that is too far for the distance between the cameras (sky, far ground), it is at
+  // least so far: nearer, it would move by a pixel. 0 elsewhere.
+  PlanarDepth least;
   std::vector<size_t>
       compared;  // the other views that it was compared with; none where no view stands elsewhere
 
@@ -80,7 +83,8 @@ struct StereoScene {
 //
 // The first pass, at coarse_side and without the prior, looks at all depths: those of the points that lie before the
 // view where it has 20 of them, else from where a quarter of the picture is still inside of another photograph, to
-// infinity. What is confident there limits the depths of the second pass, at largest_side, and says how far the prior
+// infinity. Points that leave some of a view free are asked to infinity first, which counts where something is seen to
+// be far (sky). What is confident there limits the depths of the second pass, at largest_side, and says how far the prior
 // is right: a prior within 5 % counts in the cost like a correlation of 0.4 at most and fills what photographs leave
 // open, corrected by what they say nearby; one that is off by 30 % counts for nothing. Where hardly any pixel is
 // confident, in the first pass or in the second, the prior is the result as it is, with confidence 0: of 224 drawn

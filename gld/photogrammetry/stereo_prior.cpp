@@ -157,7 +157,7 @@ void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreeme
     const double far =
         off / (spread * (confidence >= static_cast<double>(kConfidentStereo) ? kFarCertain : kFarUncertain));
     const double weight = prior_variance / (prior_variance + variance) / (1 + far * far * far * far);
-    depth = static_cast<float>(std::exp(other + weight * off));
+    depth = std::max(static_cast<float>(std::exp(other + weight * off)), found.least.values[i]);
   }
 }
 

@@ -26,7 +26,8 @@ ScaledPrior scaled_prior(const std::vector<float>& prior, const PriorAgreement& 
 // Returns whether a prior of that agreement is near enough to the truth for its depths to be looked at.
 bool widens_range(const PriorAgreement& agreement);
 
-// Makes each pixel's logarithm of depth the mean of photographs and prior, by how far both are sure.
+// Makes each pixel's logarithm of depth the mean of photographs and prior, by how far both are sure; what is seen to be
+// far stays so.
 void put_prior_in(StereoDepth& found, const SweptView& swept, const PriorAgreement& agreement);
 
 // Takes what the prior is where nothing else is known.

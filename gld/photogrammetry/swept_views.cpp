@@ -18,6 +18,9 @@ constexpr double kPositionRounding = 1e-9;
 // The nearest plane is where this share of the picture is inside of another photograph.
 constexpr double kLeastOverlap = 0.25;
 constexpr int64_t kFewestPoints = 20;
+// Points lie all over a view where so many of the cells, of so many a side, that it is cut into have one.
+constexpr size_t kPointCells = 8;
+constexpr double kToldCells = 0.9;
 // What is found is not all there is: ranges of points, and of confident pixels of the first pass, are widened.
 constexpr double kPointMargin = 1.6;
 constexpr double kFoundMargin = 1.25;
@@ -96,8 +99,15 @@ bool hardly_any(size_t confident, size_t of) {
   return static_cast<double>(confident) < std::max(kFewest, kHardlyAny * static_cast<double>(of));
 }
 
-InverseDepths range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points) {
+bool shows_something_far(const StereoDepth& found) {
+  const auto far = static_cast<size_t>(std::count_if(found.least.values.begin(), found.least.values.end(),
+                                                     [](float least) { return least > 0; }));
+  return !hardly_any(far, found.least.values.size());
+}
+
+PointRange range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points) {
   std::vector<double> inverse;
+  std::vector<bool> told(kPointCells * kPointCells);
   const Eigen::Isometry3d camera_from_world = view.camera.camera_from_world();
   for (const Eigen::Vector3d& point : points) {
     const Eigen::Vector3d seen = camera_from_world * point;
@@ -108,9 +118,19 @@ InverseDepths range_of_points(const StereoPicture& view, const std::vector<Eigen
       continue;
     }
     inverse.push_back(1 / seen.z());
+    const auto cell = [](double place, int64_t size) {
+      const auto number = static_cast<size_t>(place * kPointCells / static_cast<double>(size));
+      return std::min<size_t>(number, kPointCells - 1);
+    };
+    told[cell(pixel.y() / pixel.z(), view.height) * kPointCells + cell(pixel.x() / pixel.z(), view.width)] =
+        true;
   }
   if (static_cast<int64_t>(inverse.size()) < kFewestPoints) return {};
-  return {percentile(inverse, 0.01) / kPointMargin, percentile(inverse, 0.99) * kPointMargin};
+  const auto cells = std::count(told.begin(), told.end(), true);
+  PointRange range;
+  range.depths = {percentile(inverse, 0.01) / kPointMargin, percentile(inverse, 0.99) * kPointMargin};
+  range.all_over = static_cast<double>(cells) >= kToldCells * kPointCells * kPointCells;
+  return range;
 }
 
 InverseDepths range_of_visibility(size_t view, const std::vector<StereoPicture>& pictures,
@@ -137,7 +157,8 @@ InverseDepths range_of_found(const StereoDepth& found) {
       inverse.push_back(1 / static_cast<double>(found.depth.values[i]));
   }
   if (hardly_any(inverse.size(), found.depth.values.size())) return {};
-  return {percentile(inverse, 0.005) / kFoundMargin, percentile(inverse, 0.995) * kFoundMargin};
+  return {!shows_something_far(found) ? percentile(inverse, 0.005) / kFoundMargin : 0,
+          percentile(inverse, 0.995) * kFoundMargin};
 }
 
 InverseDepths range_of_prior(const std::vector<float>& prior, double scale) {

@@ -51,12 +51,18 @@ struct InverseDepths {
   bool empty() const { return !(most > least); }
 };
 
-// Returns the range of the points before the view and inside of it.
-InverseDepths range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points);
+// The range of the points before the view and inside of it; empty where they are few.
+struct PointRange {
+  InverseDepths depths;
+  bool all_over = false;  // the view: points say how far what they lie on is, not the sky
+};
+PointRange range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points);
+// Returns whether a hundredth of the view is seen to be far (StereoDepth::least).
+bool shows_something_far(const StereoDepth& found);
 // The range goes from infinity to where a quarter of the picture is inside of another photograph.
 InverseDepths range_of_visibility(size_t view, const std::vector<StereoPicture>& pictures,
                                   const Baselines& baselines);
-// Returns what the first pass is sure of, or nothing.
+// Returns what the first pass is sure of, from infinity where a hundredth of it is seen to be far; or nothing.
 InverseDepths range_of_found(const StereoDepth& found);
 // Returns the range of a prior times its scale; the prior is 0 where not known.
 InverseDepths range_of_prior(const std::vector<float>& prior, double scale);

@@ -59,6 +59,22 @@ PhotographDepth matched_depth(const Views& views, const torch::Tensor& source_im
   return result;
 }
 
+// Neither a network that has seen rooms nor an edge brings nearer what photographs show to be far.
+void keep_far(PhotographDepth& found) {
+  for (size_t view = 0; view < found.depth.views.size() && view < found.stereo.views.size(); ++view) {
+    PlanarDepth& depth = found.depth.views[view];
+    const PlanarDepth& least = found.stereo.views[view].least;
+    for (int64_t y = 0; y < depth.height; ++y) {
+      for (int64_t x = 0; x < depth.width; ++x) {
+        const int64_t row = (2 * y + 1) * least.height / (2 * depth.height);
+        const int64_t column = (2 * x + 1) * least.width / (2 * depth.width);
+        float& value = depth.values[static_cast<size_t>(y * depth.width + x)];
+        value = std::max(value, least.values[static_cast<size_t>(row * least.width + column)]);
+      }
+    }
+  }
+}
+
 // What photographs confirm stays.
 void follow_edges(const SourcePhotographs& photographs, PhotographDepth& found) {
   for (size_t view = 0; view < found.depth.views.size(); ++view) {
@@ -95,6 +111,8 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
     if (options.refinement != nullptr) refine(*options.refinement, photographs, found);
   }
   if (options.follows_edges) follow_edges(photographs, found);
+  const bool unit_is_theirs = found.stereo.prior ? found.stereo.prior->pixels > 0 : head == nullptr;
+  if (unit_is_theirs) keep_far(found);
   return found;
 }
 

@@ -114,6 +114,74 @@ TEST(PlaneSweepStereo, TakesItsRangeFromPoints) {
   EXPECT_GT(errors.confident, 0.5);
 }
 
+// A wall to the left before a sky that does not move with the camera.
+std::vector<PicturedView> wall_before_sky(const std::vector<Camera>& cameras, double depth_of_sky) {
+  const test::TexturedPlane wall;
+  std::vector<PicturedView> views;
+  for (const Camera& camera : cameras) {
+    PicturedView view = wall.seen_by(camera, 1);
+    Camera turned = camera;
+    turned.world_from_camera.translation().setZero();
+    const PicturedView sky = wall.seen_by(turned, 1);
+    for (int64_t y = 0; y < view.height; ++y) {
+      for (int64_t x = 0; x < view.width; ++x) {
+        const auto i = static_cast<size_t>(y * view.width + x);
+        const Vector3d direction = camera.intrinsics.inverse() *
+                                   Vector3d(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5, 1);
+        const Vector3d place =
+            camera.world_from_camera * (direction * static_cast<double>(view.depth.values[i]));
+        if (place.x() < 0) continue;
+        view.depth.values[i] = static_cast<float>(depth_of_sky);
+        std::copy_n(sky.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i), 3,
+                    view.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i));
+      }
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
+}
+
+// A model that has seen rooms says that the sky is a wall, and the points of a reconstruction end at the last thing that
+// has corners.
+TEST(PlaneSweepStereo, WhatIsSeenToBeFarStaysFar) {
+  constexpr float kWall = 6, kParallaxOfAPixel = 0.4F * 96;
+  const auto views = wall_before_sky(cameras_aside(3, 0.4), kWall);
+  std::vector<Vector3d> points;
+  for (int i = 0; i < 60; ++i) {
+    const test::TexturedPlane plane;
+    const Vector3d direction(-0.01 * i, 0.3 * std::sin(i), 1);
+    points.push_back(direction * (plane.distance / plane.normal.dot(direction)));
+  }
+  for (const auto& of_reconstruction : {std::vector<Vector3d>(), points}) {
+    const auto scene = stereo_depth(views, of_reconstruction, few_planes());
+    for (const size_t view : {0, 1, 2}) {
+      const StereoDepth& found = scene.views[view];
+      int64_t far = 0, of_sky = 0;
+      for (int64_t y = 8; y < 64; ++y) {
+        for (int64_t x = 8; x < 88; ++x) {
+          const auto i = static_cast<size_t>(y * 96 + x);
+          const float prior = views[view].depth.values[i];
+          if (prior != kWall) {
+            EXPECT_EQ(found.least.values[i] > 2 * prior, false) << x << ' ' << y;
+            continue;
+          }
+          ++of_sky;
+          EXPECT_GE(found.depth.values[i], found.least.values[i]);
+          if (found.depth.values[i] > 0.5F * kParallaxOfAPixel) ++far;
+        }
+      }
+      // The middle one sees both others' sky.
+      EXPECT_GT(static_cast<double>(far), (view == 1 ? 0.7 : 0.3) * static_cast<double>(of_sky)) << view;
+    }
+  }
+  // Nothing is far in a room.
+  const auto room = stereo_depth(plane_views(cameras_aside(3, 0.4)), {}, few_planes());
+  for (const StereoDepth& view : room.views) {
+    EXPECT_TRUE(
+        std::all_of(view.least.values.begin(), view.least.values.end(), [](float v) { return v == 0; }));
+  }
+}
+
 TEST(PlaneSweepStereo, MovesForward) {
   std::vector<Camera> cameras;
   for (const double z : {0.0, 0.7, 1.4}) cameras.push_back(camera_before_plane({0, 0, z}, 0, 224, 168));
