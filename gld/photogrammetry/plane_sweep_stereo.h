@@ -83,10 +83,10 @@ struct StereoScene {
 //
 // The first pass, at coarse_side and without the prior, looks at all depths: those of the points that lie before the
 // view where it has 20 of them, else from where a quarter of the picture is still inside of another photograph, to
-// infinity. Points that leave some of a view free are asked to infinity first, which counts where something is seen to
-// be far (sky). What is confident there limits the depths of the second pass, at largest_side, and says how far the prior
-// is right: a prior within 5 % counts in the cost like a correlation of 0.4 at most and fills what photographs leave
-// open, corrected by what they say nearby; one that is off by 30 % counts for nothing. Where hardly any pixel is
+// infinity. Where points leave some of a view free, infinity is looked at first, which counts where something is seen
+// to be far (sky). What is confident there limits the depths of the second pass, at largest_side, and says how far the
+// prior is right: a prior within 5 % counts in the cost like a correlation of 0.4 at most and fills what photographs
+// leave open, corrected by what they say nearby; one that is off by 30 % counts for nothing. Where hardly any pixel is
 // confident, in the first pass or in the second, the prior is the result as it is, with confidence 0: of 224 drawn
 // rooms the 6 whose second pass was confident of less than a hundredth all had a wrong unit, by 16 to 76 %.
 //

@@ -75,7 +75,7 @@ def large(gld, scenes, out, settings):
             subprocess.run([gld, "sample", "--model", "configs/tiny", "--scene", f"{scenes}/{scene}", "--sources", sources, "--targets", targets,
                             "--size", "photographs", "--outputs", "image", "--out", str(run)], check=True)
             (out / name).mkdir(parents=True, exist_ok=True)
-            shutil.copy(run / "report.json", out / name / "report.json")
+            (out / name / "report.json").write_text((run / "report.json").read_text().replace(f"{work}/", "runs/"))
         views = [view["large"] for view in json.loads((out / name / "report.json").read_text())["against_truth"]]
 
         def mean(column):

@@ -141,8 +141,8 @@ std::vector<PicturedView> wall_before_sky(const std::vector<Camera>& cameras, do
   return views;
 }
 
-// A model that has seen rooms says that the sky is a wall, and the points of a reconstruction end at the last thing that
-// has corners.
+// A model that has seen rooms says that the sky is a wall, and the points of a reconstruction end at the last thing
+// that has corners.
 TEST(PlaneSweepStereo, WhatIsSeenToBeFarStaysFar) {
   constexpr float kWall = 6, kParallaxOfAPixel = 0.4F * 96;
   const auto views = wall_before_sky(cameras_aside(3, 0.4), kWall);
