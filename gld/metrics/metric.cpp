@@ -27,6 +27,7 @@ const std::string& what_is_missing(MetricNeed need) {
                                                 "there are no features of the true pictures",
                                                 "a view of the scene has no true depth",
                                                 "there are no levels of the true pictures",
+                                                "there are no latents to compare",
                                                 "no photographs were carried into the target views",
                                                 "there are no samples to compare"};
   return phrases.at(static_cast<size_t>(need));
@@ -75,6 +76,8 @@ bool MetricInputs::has(MetricNeed need) const {
       return all_true_depth.defined();
     case MetricNeed::kTrueLevels:
       return !true_levels.empty();
+    case MetricNeed::kLatents:
+      return !latents.empty() && !true_latents.empty();
     case MetricNeed::kShownPixels:
       return shown.defined();
     case MetricNeed::kSamples:

@@ -3,6 +3,7 @@
 #include "gld/base/bootstrap.h"
 #include "gld/cameras/camera.h"
 
+#include <cstdint>
 #include <functional>
 #include <map>
 #include <optional>
@@ -34,6 +35,7 @@ enum class MetricNeed {
   kTrueFeatures,      // features of all views' true pictures, each alone
   kAllTrueDepth,      // true depth of all views
   kTrueLevels,        // a backbone's levels of the true pictures of all views
+  kLatents,           // generated levels of the target views, and the same of their true pictures
   kShownPixels,       // which pixels of the target views photographs show
   kSamples,           // several predictions of the same target views, measured together
 };
@@ -70,6 +72,8 @@ struct MetricInputs {
   torch::Tensor true_features;             // the same of the true pictures
   torch::Tensor all_true_depth;            // (views, height, width) in the scene's unit, 0 where unknown
   std::vector<torch::Tensor> true_levels;  // by level, (views, channels, rows, columns) of the true pictures
+  // By generated level, normalised: (targets, channels, rows, columns).
+  std::map<int64_t, torch::Tensor> latents, true_latents;
   std::map<MetricNeed, std::string> missing;  // one phrase each
 
   bool has(MetricNeed need) const;

@@ -21,6 +21,7 @@ std::vector<Metric> trajectory_metrics();
 std::vector<Metric> reprojection_metrics();
 std::vector<Metric> feature_consistency_metrics();
 std::vector<Metric> correspondence_metrics();
+std::vector<Metric> latent_metrics();
 
 const std::vector<Metric>& metric_list() {
   static const std::vector<Metric> metrics = [] {
@@ -28,7 +29,7 @@ const std::vector<Metric>& metric_list() {
     for (const auto& of_file :
          {pixel_metrics, perceptual_metrics, random_feature_metrics, sharpness_metrics, energy_score_metrics,
           depth_metrics, cloud_metrics, pose_metrics, trajectory_metrics, reprojection_metrics,
-          feature_consistency_metrics, correspondence_metrics}) {
+          feature_consistency_metrics, correspondence_metrics, latent_metrics}) {
       for (Metric& metric : of_file()) all.push_back(std::move(metric));
     }
     return all;

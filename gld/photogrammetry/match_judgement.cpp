@@ -1,6 +1,7 @@
 #include "gld/photogrammetry/match_judgement.h"
 
 #include "gld/photogrammetry/depth_between.h"
+#include "gld/photogrammetry/percentile.h"
 #include "gld/photogrammetry/window_sums.h"
 
 #include <algorithm>
@@ -17,8 +18,11 @@ constexpr float kUnlikeCorrelation = 0.4F, kAlikeCorrelation = 0.75F;
 constexpr float kAmbiguousBelow = 0.01F, kUniqueAbove = 0.06F;
 // Movement in another photograph, in pixels, for 1 % of depth: matches are right to a sixth of a pixel or so.
 constexpr float kLeastMovement = 0.02F, kEnoughMovement = 0.12F;
-// What is far has at least the depth from which on it would move by so much.
+// What is far has at least the depth at which it lies so many pixels from where it was matched, by its movement there.
 constexpr double kFarPixels = 1;
+// It lies beyond so many of the depths that are certain: about the point that the camera moves to, near things move as
+// little.
+constexpr double kNearShare = 0.98;
 // Share of the pixels about one that are certain too.
 constexpr double kFewestCertain = 0.3;
 constexpr float kLeastContrast = 2;  // of a window, in kBrightnessNoise
@@ -109,6 +113,20 @@ std::vector<float> window_extremes(const PlanarDepth& depth, int64_t radius, con
   return result;
 }
 
+// Forgets what is far where that is no farther than what is certain, or where nothing is certain to compare with.
+void forget_what_is_not_beyond(StereoDepth& found) {
+  std::vector<double> certain;
+  for (size_t i = 0; i < found.depth.values.size(); ++i) {
+    if (found.confidence.values[i] >= kConfidentStereo)
+      certain.push_back(static_cast<double>(found.depth.values[i]));
+  }
+  const double beyond =
+      certain.empty() ? std::numeric_limits<double>::infinity() : percentile(certain, kNearShare);
+  for (float& least : found.least.values) {
+    if (static_cast<double>(least) <= beyond) least = 0;
+  }
+}
+
 }  // namespace
 
 std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictures,
@@ -182,12 +200,14 @@ std::vector<StereoDepth> judged_matches(const std::vector<StereoPicture>& pictur
 void doubt_edges_and_specks(StereoDepth& found, int64_t radius) {
   if (found.compared.empty()) return;
   const auto nearest = window_extremes(found.depth, radius, [](float a, float b) { return std::min(a, b); });
-  // What is far is of no known depth, and no surface before what is far beside it.
-  PlanarDepth known = found.depth;
-  for (size_t i = 0; i < known.values.size(); ++i) {
-    if (found.least.values[i] > 0) known.values[i] = std::numeric_limits<float>::infinity();
+  // What is far is no surface before what is far beside it, whatever depth was matched; all else is, sure or not.
+  forget_what_is_not_beyond(found);
+  PlanarDepth not_far = found.depth;
+  for (size_t i = 0; i < not_far.values.size(); ++i) {
+    if (found.least.values[i] > 0) not_far.values[i] = std::numeric_limits<float>::infinity();
   }
-  const auto nearest_known = window_extremes(known, radius, [](float a, float b) { return std::min(a, b); });
+  const auto nearest_of_these =
+      window_extremes(not_far, radius, [](float a, float b) { return std::min(a, b); });
   const auto farthest = window_extremes(found.depth, radius, [](float a, float b) { return std::max(a, b); });
   std::vector<double> certain(found.confidence.values.size());
   for (size_t i = 0; i < certain.size(); ++i)
@@ -199,7 +219,7 @@ void doubt_edges_and_specks(StereoDepth& found, int64_t radius) {
     float& least = found.least.values[i];
     if (confidence < kConfidentStereo && least == 0) continue;
     const float depth = found.depth.values[i];
-    const bool edge = least > 0 ? kOneSurface * nearest_known[i] < least
+    const bool edge = least > 0 ? kOneSurface * nearest_of_these[i] < least
                                 : farthest[i] > kOneSurface * depth || kOneSurface * nearest[i] < depth;
     if (!edge && certain[i] >= fewest) continue;
     least = 0;

@@ -112,13 +112,16 @@ std::vector<StereoPicture> pictures_of(const std::vector<PicturedView>& views, i
   return pictures;
 }
 
-bool hardly_any_confident(const std::vector<StereoDepth>& views) {
-  size_t confident = 0, of = 0;
+// What is far was matched as surely as what is confident.
+bool hardly_any_matched(const std::vector<StereoDepth>& views) {
+  size_t matched = 0, of = 0;
   for (const StereoDepth& view : views) {
-    confident += view.confident_pixels();
+    matched += view.confident_pixels();
+    matched += static_cast<size_t>(std::count_if(view.least.values.begin(), view.least.values.end(),
+                                                 [](float least) { return least > 0; }));
     of += view.confidence.values.size();
   }
-  return hardly_any(confident, of);
+  return hardly_any(matched, of);
 }
 
 // Of all views.
@@ -215,7 +218,7 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
     const PointRange of_points = range_of_points(coarse[view], points);
     ranges[view] = of_points.depths;
     if (ranges[view].empty()) ranges[view] = range_of_visibility(view, coarse, baselines);
-    to_infinity[view] = {0, ranges[view].most};
+    to_infinity[view] = of_points.all_over ? ranges[view] : InverseDepths{0, ranges[view].most};
     points_end_somewhere = points_end_somewhere || (!of_points.depths.empty() && !of_points.all_over);
   }
   // No point lies in the sky: where points are not all over, what is there may be beyond all of them.
@@ -255,7 +258,7 @@ StereoScene stereo_depth(const std::vector<PicturedView>& views, const std::vect
 #pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
   for (size_t view = 0; view < views.size(); ++view) doubt_edges_and_specks(scene.views[view], radius);
   // What agreed by chance does not agree again: then the unit that the first pass told is none either.
-  const bool prior_holds = prior_judged && !hardly_any_confident(scene.views);
+  const bool prior_holds = prior_judged && !hardly_any_matched(scene.views);
   if (prior_judged && !prior_holds) scene.prior = PriorAgreement();
 #pragma omp parallel for num_threads(settings.threads) schedule(dynamic)
   for (size_t view = 0; view < views.size(); ++view) {

@@ -47,8 +47,9 @@ struct StereoDepth {
   PlanarDepth depth;         // in the unit of the cameras; 0 where neither photographs nor prior say anything
   ConfidenceMap confidence;  // of the photographs' part in it, from 0 to 1
   std::vector<StereoDoubt> doubt;  // (height, width) kNone where confidence >= kConfidentStereo
-  // Where photographs show something that is too far for the distance between the cameras (sky, far ground), it is at
-  // least so far: nearer, it would move by a pixel. 0 elsewhere.
+  // In the unit of the cameras: where photographs show something that is too far for the distance between them (sky,
+  // far ground), its depth is at least this, or it would lie a pixel elsewhere in one of them. 0 elsewhere, all over a
+  // view of which less than a hundredth is far, and where the prior is the result.
   PlanarDepth least;
   std::vector<size_t>
       compared;  // the other views that it was compared with; none where no view stands elsewhere
@@ -83,12 +84,13 @@ struct StereoScene {
 //
 // The first pass, at coarse_side and without the prior, looks at all depths: those of the points that lie before the
 // view where it has 20 of them, else from where a quarter of the picture is still inside of another photograph, to
-// infinity. Where points leave some of a view free, infinity is looked at first, which counts where something is seen
-// to be far (sky). What is confident there limits the depths of the second pass, at largest_side, and says how far the
-// prior is right: a prior within 5 % counts in the cost like a correlation of 0.4 at most and fills what photographs
-// leave open, corrected by what they say nearby; one that is off by 30 % counts for nothing. Where hardly any pixel is
-// confident, in the first pass or in the second, the prior is the result as it is, with confidence 0: of 224 drawn
-// rooms the 6 whose second pass was confident of less than a hundredth all had a wrong unit, by 16 to 76 %.
+// infinity. Where points leave some of a view free, there is such a pass before it in which that view is looked at to
+// infinity, and which takes its place where something is seen to be far (sky). What is confident there limits the
+// depths of the second pass, at largest_side, and says how far the prior is right: a prior within 5 % counts in the
+// cost like a correlation of 0.4 at most and fills what photographs leave open, corrected by what they say nearby; one
+// that is off by 30 % counts for nothing. Where hardly any pixel is confident, in the first pass or in the second, the
+// prior is the result as it is, with confidence 0: of 224 drawn rooms the 6 whose second pass was confident of less
+// than a hundredth all had a wrong unit, by 16 to 76 %.
 //
 // Throws Error for a view without a photograph. The result is the same on any number of threads.
 StereoScene stereo_depth(const std::vector<PicturedView>& views,

@@ -165,6 +165,7 @@ void take_prior(StereoDepth& result, const std::vector<float>& prior) {
   for (size_t i = 0; i < prior.size(); ++i) {
     result.depth.values[i] = PlanarDepth::known(prior[i]) ? prior[i] : 0.0F;
     result.confidence.values[i] = 0;
+    result.least.values[i] = 0;
     if (result.doubt[i] == StereoDoubt::kNone) result.doubt[i] = StereoDoubt::kAmbiguous;
   }
 }

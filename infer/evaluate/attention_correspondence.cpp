@@ -3,6 +3,7 @@
 #include "datasets/loading/batching.h"
 #include "gld/metrics/correspondence_metrics.h"
 #include "gld/metrics/metric.h"
+#include "infer/evaluate/latent_comparison.h"
 #include "infer/request/scene_request.h"
 #include "models/conditioning/level_conditioning.h"
 #include "models/conditioning/source_conditioning.h"
@@ -38,19 +39,18 @@ std::vector<ShownScene> shown_scenes(const EvaluationModels& models, const Sampl
   for (const LevelGenerator& generator : generators) {
     deepest = std::max({deepest, generator.level, generator.deeper.value_or(0)});
   }
-  const auto raw = space.encode(images.to(models.device), deepest);
   SourceScene given{scene.views, images.narrow(0, 0, scene.views.num_sources).to(models.device), {}};
   given.single_source_unit = models.bundle.unit_of_single_source(scene.views, scene.metric);
   const auto needs = conditioning_needs(given, deepest, models.models.levels.warped_sources);
   const auto head = needs.head_depth ? models.models.geometry_head() : nullptr;
+  const auto raw = space.encode(images.to(models.device), deepest);
   const SourceConditioning sources = condition_on_sources(space, head.get(), given, needs);
   std::vector<ShownScene> shown(generators.size());
-  std::map<int64_t, torch::Tensor> clean;
+  const LevelLatents clean = latents_of_levels(models.models, raw, sources.grid);
   for (size_t i = 0; i < generators.size(); ++i) {
     const LevelStatistics& statistics = models.models.statistics[i];
     const int64_t level = generators[i].level;
-    clean[level] = shown[i].clean =
-        latent_of_level(raw[static_cast<size_t>(level)], sources.grid, statistics);
+    shown[i].clean = clean.at(level);
     shown[i].inputs = condition_on_source_level(
         {level, models.bundle.generator(generators[i]).dit, statistics}, scene.views, sources);
     if (generators[i].is_cascade()) {

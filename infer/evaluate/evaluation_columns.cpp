@@ -75,10 +75,19 @@ const std::vector<Metric>& compared_metrics() {
 bool of_every_predictor(const Metric& metric) { return metric.of_images() || metric.of_samples(); }
 
 std::string predictor_name(const Predictor& predictor) {
-  static const std::vector<std::string> names{"sample",      "mean_prediction",    "nearest_source",
-                                              "mean_source", "mean_color",         "warped_sources",
-                                              "fill",        "reconstructed_fill", "fill_by_true_depth",
-                                              "generated",   "reconstruction",     "reconstruction_level"};
+  static const std::vector<std::string> names{"sample",
+                                              "mean_prediction",
+                                              "nearest_source",
+                                              "mean_source",
+                                              "mean_color",
+                                              "warped_sources",
+                                              "fill",
+                                              "reconstructed_fill",
+                                              "fill_by_true_depth",
+                                              "generated",
+                                              "reconstruction",
+                                              "reconstruction_level",
+                                              "from_true_levels"};
   const std::string& name = names[static_cast<size_t>(predictor.kind)];
   return predictor.kind == Predictor::kReconstructionOfLevel ? name + std::to_string(predictor.level) : name;
 }
@@ -95,12 +104,23 @@ bool compares_depth(const Metric& metric) {
          });
 }
 
+bool compares_latents(const Metric& metric) {
+  return metric.needs == std::vector<MetricNeed>{MetricNeed::kLatents};
+}
+
 }  // namespace
 
 const std::vector<EvaluationColumn>& evaluation_columns() {
   static const std::vector<EvaluationColumn> columns = [] {
     std::vector<EvaluationColumn> list;
     for (const Metric& metric : metric_list()) {
+      if (compares_latents(metric)) {
+        for (const Predictor::Kind kind :
+             {Predictor::kSample, Predictor::kMeanPrediction, Predictor::kFromTrueLevels}) {
+          list.push_back({column_name(kind, metric), metric, kind});
+        }
+        continue;
+      }
       if (!of_every_predictor(metric)) {
         list.push_back({metric.name, metric, Predictor::kSample});
         if (compares_depth(metric)) {

@@ -37,6 +37,9 @@ struct Predictor {
     // The same with one level alone, the others zero: what a level holds of the picture (GLD's Table 6). It says
     // something of the level only where the decoder was trained with levels left out.
     kReconstructionOfLevel,
+    // The prediction of the mean where deeper levels are the true ones: what a cascade makes of a level when what it is
+    // given is right. It has latents and no images.
+    kFromTrueLevels,
   };
   Kind kind = kSample;
   int64_t level = 0;  // of kReconstructionOfLevel
@@ -69,7 +72,8 @@ bool of_every_predictor(const Metric& metric);
 // A number that gld eval reports of every scene: a metric of a predictor's images ("sample_psnr",
 // "mean_prediction_psnr", "psnr_nearest_source", "reconstruction_psnr", "fill_energy_score"), or one of the sample's
 // geometry under the metric's own name ("depth_abs_rel_unscaled"), or of the depth of warped sources
-// ("warped_sources_depth_abs_rel_unscaled").
+// ("warped_sources_depth_abs_rel_unscaled"), or of latents ("sample_latent_error_level0",
+// "from_true_levels_latent_error_level0").
 struct EvaluationColumn {
   std::string name;
   Metric metric;

@@ -168,12 +168,13 @@ nlohmann::ordered_json energy_score_json(const std::vector<SceneEvaluation>& sce
 }
 
 std::string geometry_table(const nlohmann::ordered_json& means) {
-  Table table({"geometry of the samples", "mean", "scenes"});
-  for (const Metric& metric : metric_list()) {
-    if (of_every_predictor(metric)) continue;
-    const auto& statistics = means.at(metric.name);
+  Table table({"geometry and latents", "mean", "scenes"});
+  for (const EvaluationColumn& column : evaluation_columns()) {
+    if (of_every_predictor(column.metric) || column.of == Predictor::kWarpedSources) continue;
+    const auto& statistics = means.at(column.name);
     if (statistics.at("scenes") == 0 && !statistics.contains("infinite")) continue;  // absent_text says why
-    table.add_row({name_with_unit(metric), with_interval(statistics, metric.unit),
+    const std::string& unit = column.metric.unit;
+    table.add_row({unit.empty() ? column.name : column.name + " (" + unit + ")", with_interval(statistics, unit),
                    std::to_string(statistics.at("scenes").get<int64_t>())});
   }
   return table.markdown();
@@ -280,7 +281,7 @@ std::vector<MetricPicture> metric_pictures(const std::vector<SceneEvaluation>& s
       const auto values = sorted_values(scenes, column->name);
       if (values.size() < 2) continue;
       PlotSeries series;
-      series.name = of_every_predictor(metric) ? predictor_name(predictor) : "sample";
+      series.name = column->name == metric.name ? "sample" : predictor_name(predictor);
       std::replace(series.name.begin(), series.name.end(), '_', ' ');
       for (size_t i = 0; i < values.size(); ++i)
         series.points.emplace_back(static_cast<double>(i + 1), values[i]);

@@ -5,13 +5,15 @@
 #include "gld/metrics/metric_list.h"
 #include "gld/tensors/device.h"
 #include "infer/evaluate/carried_pictures.h"
+#include "infer/evaluate/encoded_pictures.h"
+#include "infer/evaluate/latent_comparison.h"
+#include "infer/evaluate/scene_truth.h"
 #include "infer/method/sampling_method.h"
 #include "infer/pipeline/geometry_of_pictures.h"
 #include "infer/pipeline/placed_cloud.h"
 #include "infer/request/photo_cameras.h"
 #include "infer/request/scale_evidence.h"
 #include "infer/request/scene_request.h"
-#include "models/conditioning/decoder_inputs.h"
 
 #include <algorithm>
 #include <cmath>
@@ -24,103 +26,14 @@
 namespace gld {
 namespace {
 
-// Pictures of all views, sources first, encoded together.
-struct EncodedPictures {
-  torch::Tensor images;               // (views, 3, height, width); undefined where there are none
-  std::vector<torch::Tensor> levels;  // as decoders take them, (views, tokens, channels)
-  LatentGrid grid;
-};
+constexpr const char* kNothingGenerated =
+    "nothing is generated of target views that photographs show whole; --photograph-use.generate-complete does it all "
+    "the same";
 
-EncodedPictures encoded(const EvaluationModels& models, const torch::Tensor& images) {
-  EncodedPictures pictures;
-  pictures.images = images;
-  const auto backbone = models.models.backbone();
-  const auto& architecture = backbone->architecture();
-  pictures.grid = architecture.grid_of(images.size(0), images.size(2), images.size(3));
-  for (const auto& level : backbone->encode(images.to(models.device), architecture.levels() - 1)) {
-    pictures.levels.push_back(backbone->decodable(level).patches);
-  }
-  return pictures;
-}
-
-// Decodes all levels that the decoder takes, or `alone` with the others zero.
-torch::Tensor reconstruction(const EvaluationModels& models, const EncodedPictures& pictures,
-                             std::optional<int64_t> alone) {
-  auto levels = pictures.levels;
-  for (size_t level = 0; alone && level < levels.size(); ++level) {
-    if (static_cast<int64_t>(level) != *alone) levels[level] = torch::Tensor();
-  }
-  const auto features = image_features(levels, models.models.levels.decoded_levels());
-  return models.models.rgb_decoder()->decode(features, pictures.grid).to(torch::kCPU);
-}
-
-// Returns pictures of the target views encoded beside the sources' and decoded; undefined where there are none.
-torch::Tensor through_decoder(const EvaluationModels& models, const torch::Tensor& source_images,
-                              const torch::Tensor& images) {
-  if (!images.defined()) return {};
-  return reconstruction(models, encoded(models, torch::cat({source_images, images})), std::nullopt)
-      .narrow(0, source_images.size(0), images.size(0));
-}
-
-// The result is undefined unless every target view has a picture.
-torch::Tensor true_images(const SamplingScene& scene) {
-  const auto& images = scene.true_images;
-  const bool complete = std::none_of(images.begin(), images.end(), [](const Image& i) { return i.empty(); });
-  return complete ? stacked(images) : torch::Tensor();
-}
-
-// Depth is 0 where unknown; the result is undefined where no target view has a depth map.
-torch::Tensor true_depth(const SamplingScene& scene) {
-  bool any = false;
-  std::vector<torch::Tensor> maps;
-  for (const DepthMap& depth : scene.true_depths) {
-    any = any || !depth.empty();
-    maps.push_back(depth.empty() ? torch::zeros({scene.size.height, scene.size.width}) : to_tensor(depth));
-  }
-  return any ? torch::stack(maps) : torch::Tensor();
-}
-
-torch::Tensor points_of(const PointCloud& cloud) {
-  torch::Tensor points = torch::empty({cloud.size(), 3}, torch::kFloat64);
-  for (int64_t i = 0; i < cloud.size(); ++i) {
-    Eigen::Map<Eigen::Vector3d>(points.data_ptr<double>() + 3 * i) = cloud.x_in_world[static_cast<size_t>(i)];
-  }
-  return points;
-}
-
-// Depth is 0 where unknown; the result is undefined unless every view has a depth map.
-torch::Tensor all_true_depth(const SamplingScene& scene) {
-  std::vector<DepthMap> depths = scene.source_depths;
-  depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
-  std::vector<torch::Tensor> maps;
-  for (const DepthMap& depth : depths) {
-    if (depth.empty()) return {};
-    maps.push_back(to_tensor(depth));
-  }
-  return static_cast<int64_t>(maps.size()) == scene.views.size() ? torch::stack(maps) : torch::Tensor();
-}
-
-// Returns what the true depth of all views shows of the scene, (points, 3); undefined where a view has none.
-torch::Tensor true_surface(const SamplingScene& scene) {
-  std::vector<DepthMap> depths = scene.source_depths;
-  depths.insert(depths.end(), scene.true_depths.begin(), scene.true_depths.end());
-  const bool complete =
-      static_cast<int64_t>(depths.size()) == scene.views.size() &&
-      std::none_of(depths.begin(), depths.end(), [](const DepthMap& d) { return d.empty(); });
-  if (!complete) return {};
-  std::vector<PointView> views;
-  for (size_t i = 0; i < depths.size(); ++i) {
-    PointView view;
-    view.camera = scene.views.cameras[i];
-    view.image = Image(1, 1);
-    view.depth = depths[i];
-    views.push_back(std::move(view));
-  }
-  PointCloudOptions all;
-  all.confidence_quantile = 0;
-  all.edge_step = 1e6;
-  all.far_limit = 0;
-  return points_of(build_point_cloud(views, 1, all));
+PipelineResult run(const EvaluationModels& models, const PipelineRequest& request) {
+  StageRecords stages;
+  record_device(stages, models.device);
+  return run_pipeline(models.models, request, stages);
 }
 
 PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, const FlowSettings& settings,
@@ -131,9 +44,24 @@ PipelineResult run(const EvaluationModels& models, const SamplingScene& scene, c
   request.image_views = DecodedViews::kTargets;
   request.geometry_views = geometry_views;
   request.geometry_maps = GeometryMaps::kDepthAndRays;
-  StageRecords stages;
-  record_device(stages, models.device);
-  return run_pipeline(models.models, request, stages);
+  return run(models, request);
+}
+
+// Returns the prediction of the mean of each level that a cascade makes, of the true deeper ones; latents alone.
+PipelineResult predicted_from_true_levels(const EvaluationModels& models, const SamplingScene& scene,
+                                          const PhotographUse& photographs, int64_t noise_seed,
+                                          const LevelLatents& true_latents) {
+  PipelineRequest request = scene_request(scene, models.bundle, noise_seed, models.device);
+  request.photographs = photographs;
+  request.flow = mean_prediction_settings(models.bundle);
+  request.image_views = request.geometry_views = DecodedViews::kNone;
+  for (const LevelGenerator& generator : models.models.levels.generators) {
+    if (!generator.is_cascade())
+      request.kept_latents[generator.level] = true_latents.at(generator.level).cpu();
+  }
+  PipelineResult result = run(models, request);
+  for (const auto& kept : request.kept_latents) result.latents.erase(kept.first);
+  return result;
 }
 
 // A scene's truth as metrics take it, and how to measure images against it.
@@ -149,14 +77,16 @@ class SceneMetrics {
     truth_.views = scene.views;
     const std::string no_picture = "a target view of the scene has no picture";
     for (const MetricNeed need : {MetricNeed::kImages, MetricNeed::kPhotoCameras, MetricNeed::kPseudoDepth,
-                                  MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures}) {
+                                  MetricNeed::kTrueLevels, MetricNeed::kTrueFeatures, MetricNeed::kLatents}) {
       truth_.missing[need] = no_picture;
     }
     if (truth_.true_images.defined()) {
-      pictures_ = encoded(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
+      pictures_ = encoded_pictures(models, torch::cat({stacked(scene.source_images), truth_.true_images}));
       truth_.true_features = models.models.backbone()->features_of_each(pictures_.images.to(models.device));
       for (const auto& level : pictures_.levels)
         truth_.true_levels.push_back(token_maps(level, pictures_.grid));
+      latents_ = latents_of_levels(models.models, pictures_.raw, pictures_.grid);
+      truth_.true_latents = maps_of_targets(latents_, pictures_.grid, scene.views);
       if (models.bundle.geometry_head.predicts_rays()) {
         set_what_the_head_says_of_true_pictures(geometry_of_pictures(
             models.models, pictures_.images, GeometryMaps::kDepthAndRays, models.device));
@@ -195,7 +125,14 @@ class SceneMetrics {
     return inputs;
   }
 
-  // Returns the inputs of the geometry of all views of a sample.
+  // Returns the inputs of a result's images and of its latents.
+  MetricInputs of_result(const PipelineResult& result) const {
+    MetricInputs inputs = of_images(result.images);
+    set_latents(result, inputs);
+    return inputs;
+  }
+
+  // Returns the inputs of the geometry of all views of a sample, and of its latents.
   MetricInputs of_geometry(const PipelineResult& sample) const {
     const GeometryOutput& geometry = sample.geometry;
     MetricInputs inputs = truth_;
@@ -203,6 +140,7 @@ class SceneMetrics {
     inputs.view_images = torch::cat({stacked(scene_.source_images), sample.images}).clamp(0, 1);
     inputs.view_features = models_.models.backbone()->features_of_each(inputs.view_images.to(models_.device));
     set_estimated_cameras(geometry, inputs);
+    set_latents(sample, inputs);
     if (!geometry.depth.defined()) {
       for (const MetricNeed need : {MetricNeed::kDepth, MetricNeed::kDepthScale, MetricNeed::kRays,
                                     MetricNeed::kCameraScale, MetricNeed::kPseudoDepth}) {
@@ -242,8 +180,18 @@ class SceneMetrics {
 
   // Returns the true ones of all views.
   const EncodedPictures& pictures() const { return pictures_; }
+  const LevelLatents& latents() const { return latents_; }
 
  private:
+  void set_latents(const PipelineResult& result, MetricInputs& inputs) const {
+    if (latents_.empty()) return;
+    if (result.carried_only.empty()) {
+      inputs.latents = maps_of_targets(result.latents, result.grid, truth_.views);
+    } else {
+      inputs.missing[MetricNeed::kLatents] = kNothingGenerated;
+    }
+  }
+
   // Makes the cloud as gld sample writes it: the sources' pixels have their photographs' colours, the targets' those of
   // the sample's images.
   PointCloud cloud_of(const PipelineResult& sample, const GeometryPlacement& placement) const {
@@ -295,6 +243,7 @@ class SceneMetrics {
   const SamplingScene& scene_;
   MetricInputs truth_;
   EncodedPictures pictures_;
+  LevelLatents latents_;  // of these
   std::shared_ptr<Lpips> lpips_;
 };
 
@@ -397,7 +346,17 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
   const auto set = [&](const Predictor& predictor, MetricInputs inputs) {
     by_predictor[predictor_name(predictor)] = std::move(inputs);
   };
-  set(Predictor::kMeanPrediction, metrics.of_images(result.mean_prediction.images));
+  set(Predictor::kMeanPrediction, metrics.of_result(result.mean_prediction));
+  const auto& generators = models.models.levels.generators;
+  MetricInputs from_truth = metrics.of_images(torch::Tensor());
+  if (std::none_of(generators.begin(), generators.end(),
+                   [](const auto& made) { return made.is_cascade(); })) {
+    from_truth.missing[MetricNeed::kLatents] = "the model has no cascade, which is given a deeper level";
+  } else if (!metrics.latents().empty()) {
+    from_truth = metrics.of_result(
+        predicted_from_true_levels(models, scene, shown_only, noise_seeds.front(), metrics.latents()));
+  }
+  set(Predictor::kFromTrueLevels, std::move(from_truth));
   set(Predictor::kNearestSource, metrics.of_images(nearest_sources(scene.views, sources)));
   set(Predictor::kMeanSource, metrics.of_images(for_every_target(sources.mean(0, /*keepdim=*/true))));
   set(Predictor::kMeanColor, metrics.of_images(for_every_target(sources.mean({0, 2, 3}, /*keepdim=*/true))));
@@ -447,8 +406,7 @@ EvaluatedScene evaluate_scene(const EvaluationModels& models, const SamplingScen
     if (!sample.generated_images.defined()) {
       generated.missing[MetricNeed::kImages] =
           sample.carried_only.empty() ? "nothing of the photographs is kept in samples: they are generated"
-                                      : "nothing is generated of target views that photographs show whole; "
-                                        "--photograph-use.generate-complete does it all the same";
+                                      : kNothingGenerated;
     }
     set(Predictor::kGenerated, std::move(generated));
     samples.push_back(sample.images);

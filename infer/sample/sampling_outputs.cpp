@@ -10,7 +10,6 @@
 #include "gld/base/interrupt.h"
 #include "gld/cameras/relative_cameras.h"
 #include "gld/cameras/resized_camera.h"
-#include "gld/metrics/image_metrics.h"
 #include "gld/metrics/metric.h"
 #include "gld/metrics/metric_list.h"
 #include "gld/report/progress.h"
@@ -59,11 +58,6 @@ nlohmann::ordered_json beside_truth(const Image& truth, const Image& picture, co
   return row;
 }
 
-// Returns (3, height, width).
-torch::Tensor picture_of(const PicturedView& view) {
-  return torch::tensor(at::ArrayRef<float>(view.rgb)).view({view.height, view.width, 3}).permute({2, 0, 1});
-}
-
 }  // namespace
 
 SamplingOutputs::SamplingOutputs(RunFolder& run, const SamplingScene& scene,
@@ -94,7 +88,8 @@ std::vector<Image> target_pictures(const SamplingScene& scene, const SampleOptio
 void SamplingOutputs::write_images(const torch::Tensor& images,
                                    const std::optional<ComposedViews>& composed) {
   for (int64_t i = 0; i < images.size(0); ++i) images_.push_back(to_image(images[i]));
-  const auto pictures = target_pictures(scene_, options_, images, composed);
+  std::vector<Image> pictures;
+  if (requested_.image || magnification() > 1) pictures = target_pictures(scene_, options_, images, composed);
   compare_with_truth(composed, pictures);
   if (!requested_.image) return;
   const auto folder = run_.subfolder("images");
@@ -123,10 +118,11 @@ void SamplingOutputs::compare_with_truth(const std::optional<ComposedViews>& com
                             to_tensor(scene_.source_images[nearest])));
     psnr_.back() = row.at("psnr");
     if (magnification() > 1 && !scene_.large_true_images[i].empty()) {
+      const PicturedView& photograph = scene_.photographs.views[nearest];
       row["large"] = {{"width", pictures[i].width}, {"height", pictures[i].height}};
       row["large"].update(beside_truth(scene_.large_true_images[i], pictures[i],
                                        shown(composed ? composed->large_shown : torch::Tensor(), i),
-                                       picture_of(scene_.photographs.views[nearest])));
+                                       picture_of(photograph.rgb, photograph.width, photograph.height)));
     }
     rows.push_back(row);
   }

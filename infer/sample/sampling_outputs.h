@@ -71,7 +71,7 @@ class SamplingOutputs {
   // Returns "m" where depth is in metres.
   std::string depth_unit_name() const { return scene_.metric && depth_has_scene_unit_ ? "m" : ""; }
   // Apart for pixels of which at least half comes from photographs, and for the others. pictures are as they are
-  // written, images_ of the model's size.
+  // written, images_ of the model's size; they may be none where both are of one size.
   void compare_with_truth(const std::optional<ComposedViews>& composed, const std::vector<Image>& pictures);
 
   RunFolder& run_;

@@ -59,18 +59,17 @@ PhotographDepth matched_depth(const Views& views, const torch::Tensor& source_im
   return result;
 }
 
-// Neither a network that has seen rooms nor an edge brings nearer what photographs show to be far.
-void keep_far(PhotographDepth& found) {
-  for (size_t view = 0; view < found.depth.views.size() && view < found.stereo.views.size(); ++view) {
-    PlanarDepth& depth = found.depth.views[view];
-    const PlanarDepth& least = found.stereo.views[view].least;
-    for (int64_t y = 0; y < depth.height; ++y) {
-      for (int64_t x = 0; x < depth.width; ++x) {
-        const int64_t row = (2 * y + 1) * least.height / (2 * depth.height);
-        const int64_t column = (2 * x + 1) * least.width / (2 * depth.width);
-        float& value = depth.values[static_cast<size_t>(y * depth.width + x)];
-        value = std::max(value, least.values[static_cast<size_t>(row * least.width + column)]);
-      }
+// Neither a network that has seen rooms nor an edge brings nearer what photographs show to be far. The depth may have
+// another size than what was matched.
+void keep_far(const StereoScene& stereo, size_t view, PlanarDepth& depth) {
+  if (view >= stereo.views.size()) return;
+  const PlanarDepth& least = stereo.views[view].least;
+  for (int64_t y = 0; y < depth.height; ++y) {
+    for (int64_t x = 0; x < depth.width; ++x) {
+      const int64_t row = (2 * y + 1) * least.height / (2 * depth.height);
+      const int64_t column = (2 * x + 1) * least.width / (2 * depth.width);
+      float& value = depth.values[static_cast<size_t>(y * depth.width + x)];
+      value = std::max(value, least.values[static_cast<size_t>(row * least.width + column)]);
     }
   }
 }
@@ -111,8 +110,8 @@ PhotographDepth photograph_depth(const Views& views, const torch::Tensor& source
     if (options.refinement != nullptr) refine(*options.refinement, photographs, found);
   }
   if (options.follows_edges) follow_edges(photographs, found);
-  const bool unit_is_theirs = found.stereo.prior ? found.stereo.prior->pixels > 0 : head == nullptr;
-  if (unit_is_theirs) keep_far(found);
+  for (size_t view = 0; view < found.depth.views.size(); ++view)
+    keep_far(found.stereo, view, found.depth.views[view]);
   return found;
 }
 
@@ -179,6 +178,7 @@ std::vector<PlanarDepth> fused_view_depths(const Views& views, const torch::Tens
         value = static_cast<float>(static_cast<double>(value) * std::exp(log_units / told));
     }
     depths.push_back(std::move(fused[i].depth));
+    if (first + i < sources.size()) keep_far(stereo, first + i, depths.back());
   }
   return depths;
 }

@@ -75,13 +75,15 @@ def large(gld, scenes, out, settings):
             subprocess.run([gld, "sample", "--model", "configs/tiny", "--scene", f"{scenes}/{scene}", "--sources", sources, "--targets", targets,
                             "--size", "photographs", "--outputs", "image", "--out", str(run)], check=True)
             (out / name).mkdir(parents=True, exist_ok=True)
-            (out / name / "report.json").write_text((run / "report.json").read_text().replace(f"{work}/", "runs/"))
-        views = [view["large"] for view in json.loads((out / name / "report.json").read_text())["against_truth"]]
+            for file in ("report.json", "config.yaml"):
+                (out / name / file).write_text((run / file).read_text().replace(f"{work}/", "runs/"))
+        # Photographs that are no larger than the model's pictures are compared in that size.
+        views = [view.get("large", view) for view in json.loads((out / name / "report.json").read_text())["against_truth"]]
 
         def mean(column):
             values = [view[column] for view in views if column in view]
             return f"{sum(values) / len(values):.{2 if column in ('ssim', 'sharpness') else 1}f}" if values else "-"
-        lines.append(f"| {name} ({sources} -> {targets}) | {views[0]['width']}x{views[0]['height']} | " +
+        lines.append(f"| {name} ({sources} -> {targets}) | {views[0].get('width', '')}x{views[0].get('height', '')} | " +
                      " | ".join(mean(column) for _, column in columns) + " |")
     return lines
 

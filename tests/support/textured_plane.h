@@ -3,7 +3,9 @@
 #include "gld/cameras/camera.h"
 #include "gld/photogrammetry/photo_consistency.h"
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 #include <vector>
 
 #include <Eigen/LU>
@@ -56,6 +58,34 @@ inline Camera camera_before_plane(const Eigen::Vector3d& centre, double turn, in
   camera.world_from_camera.linear() = Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY()).toRotationMatrix();
   camera.world_from_camera.translation() = centre;
   return camera;
+}
+
+// A wall to the left before a sky that does not move with the camera.
+inline std::vector<PicturedView> wall_before_sky(const std::vector<Camera>& cameras, double depth_of_sky) {
+  const TexturedPlane wall;
+  std::vector<PicturedView> views;
+  for (const Camera& camera : cameras) {
+    PicturedView view = wall.seen_by(camera, 1);
+    Camera turned = camera;
+    turned.world_from_camera.translation().setZero();
+    const PicturedView sky = wall.seen_by(turned, 1);
+    for (int64_t y = 0; y < view.height; ++y) {
+      for (int64_t x = 0; x < view.width; ++x) {
+        const auto i = static_cast<size_t>(y * view.width + x);
+        const Eigen::Vector3d direction =
+            camera.intrinsics.inverse() *
+            Eigen::Vector3d(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5, 1);
+        const Eigen::Vector3d place =
+            camera.world_from_camera * (direction * static_cast<double>(view.depth.values[i]));
+        if (place.x() < 0) continue;
+        view.depth.values[i] = static_cast<float>(depth_of_sky);
+        std::copy_n(sky.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i), 3,
+                    view.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i));
+      }
+    }
+    views.push_back(std::move(view));
+  }
+  return views;
 }
 
 inline std::vector<PicturedView> two_views_of_plane(const TexturedPlane& plane = {}) {

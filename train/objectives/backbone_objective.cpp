@@ -21,6 +21,9 @@
 namespace gld {
 namespace {
 
+// The learned camera token has to be learned too.
+constexpr double kMostKnown = 0.9;
+
 // Parameters whose names begin so are no part of what is trained, and are saved as they were.
 void keep_still(torch::nn::Module& module, const std::string& beginning) {
   for (auto& item : module.named_parameters()) {
@@ -46,7 +49,7 @@ void BackboneObjectiveOptions::visit(FieldVisitor& visitor) {
                all_views_probability, {0.0, 1.0});
   visitor.real(
       {"known_cameras", "probability of telling the backbone the cameras, where it has an encoder of them"},
-      known_cameras, {0.0, 1.0});
+      known_cameras, {0.0, kMostKnown});
   visitor.real({"correspondence_weight", "weight of the attention's error against true correspondence"},
                correspondence_weight, {0.0, 1e6});
   visitor.integers({"correspondence_blocks", "whose attention over all views has that loss, counted from 0"},

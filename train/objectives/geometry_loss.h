@@ -15,7 +15,7 @@ struct GeometryLossOptions : OptionsGroup {
   double ray_weight = 1.0;
   double origin_weight = 1.0;
   double point_weight = 1.0;
-  double camera_weight = 1.0;
+  double camera_weight = 0.0;
   double confidence_reward = 0.2;
 
   void visit(FieldVisitor& visitor) override;

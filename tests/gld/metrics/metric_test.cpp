@@ -41,6 +41,7 @@ TEST(MetricList, KeepsTheColumnsOfARecordedReport) {
   std::vector<std::string> listed, recorded;
   for (const Metric& metric : metric_list()) {
     if (metric.of_images() || metric.of_samples()) continue;
+    if (metric.needs == std::vector{MetricNeed::kLatents}) continue;  // younger than that report
     listed.push_back(metric.name);
     const auto& column = report.at("means").at(metric.name);
     EXPECT_EQ(column.at("unit"), metric.unit) << metric.name;

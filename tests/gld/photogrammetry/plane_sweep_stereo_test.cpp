@@ -114,38 +114,11 @@ TEST(PlaneSweepStereo, TakesItsRangeFromPoints) {
   EXPECT_GT(errors.confident, 0.5);
 }
 
-// A wall to the left before a sky that does not move with the camera.
-std::vector<PicturedView> wall_before_sky(const std::vector<Camera>& cameras, double depth_of_sky) {
-  const test::TexturedPlane wall;
-  std::vector<PicturedView> views;
-  for (const Camera& camera : cameras) {
-    PicturedView view = wall.seen_by(camera, 1);
-    Camera turned = camera;
-    turned.world_from_camera.translation().setZero();
-    const PicturedView sky = wall.seen_by(turned, 1);
-    for (int64_t y = 0; y < view.height; ++y) {
-      for (int64_t x = 0; x < view.width; ++x) {
-        const auto i = static_cast<size_t>(y * view.width + x);
-        const Vector3d direction = camera.intrinsics.inverse() *
-                                   Vector3d(static_cast<double>(x) + 0.5, static_cast<double>(y) + 0.5, 1);
-        const Vector3d place =
-            camera.world_from_camera * (direction * static_cast<double>(view.depth.values[i]));
-        if (place.x() < 0) continue;
-        view.depth.values[i] = static_cast<float>(depth_of_sky);
-        std::copy_n(sky.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i), 3,
-                    view.rgb.begin() + static_cast<std::ptrdiff_t>(3 * i));
-      }
-    }
-    views.push_back(std::move(view));
-  }
-  return views;
-}
-
 // A model that has seen rooms says that the sky is a wall, and the points of a reconstruction end at the last thing
 // that has corners.
 TEST(PlaneSweepStereo, WhatIsSeenToBeFarStaysFar) {
   constexpr float kWall = 6, kParallaxOfAPixel = 0.4F * 96;
-  const auto views = wall_before_sky(cameras_aside(3, 0.4), kWall);
+  const auto views = test::wall_before_sky(cameras_aside(3, 0.4), kWall);
   std::vector<Vector3d> points;
   for (int i = 0; i < 60; ++i) {
     const test::TexturedPlane plane;
@@ -194,6 +167,11 @@ TEST(PlaneSweepStereo, MovesForward) {
   const auto middle = static_cast<size_t>(84 * 224 + 112);
   EXPECT_LT(scene.views[0].confidence.values[middle], kConfidentStereo);
   EXPECT_EQ(scene.views[0].doubt[middle], StereoDoubt::kFar);
+  // And nothing is far.
+  for (const StereoDepth& view : scene.views) {
+    EXPECT_TRUE(
+        std::all_of(view.least.values.begin(), view.least.values.end(), [](float v) { return v == 0; }));
+  }
 }
 
 TEST(PlaneSweepStereo, SaysThatOnePlaceTellsNothing) {

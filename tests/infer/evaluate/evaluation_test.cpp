@@ -401,6 +401,30 @@ TEST_F(EvaluationProtocol, EveryNumberOfSourcesIsReported) {
   EXPECT_TRUE(std::filesystem::exists(std::filesystem::path(asked.out) / "plots" / "psnr.png"));
 }
 
+// A cascade is also asked what it makes of the true deeper level, M1, which is given no deeper level, is not.
+TEST_F(EvaluationProtocol, LatentsAreComparedLevelByLevel) {
+  auto asked = rooms("latents");
+  asked.model = (test::source_root() / "configs" / "tiny").string();
+  asked.generator.width = asked.generator.height = 112;
+  asked.synthetic = 1;
+  asked.poses = PoseEstimator::kNone;
+  asked.photograph_use.generate_complete = true;
+  run(asked);
+  const auto means = report(asked).at("means");
+  const auto mean = [&](const std::string& name) { return means.at(name).at("mean").get<double>(); };
+  for (const char* of : {"sample", "mean_prediction"}) {
+    for (const char* level : {"0", "1"}) {
+      const double error = mean(std::string(of) + "_latent_error_level" + level);
+      EXPECT_TRUE(error > 0.1 && error < 1.2) << of << level << ' ' << error;
+    }
+  }
+  EXPECT_GT(mean("from_true_levels_latent_error_level0"), 0.05);
+  EXPECT_NE(mean("from_true_levels_latent_error_level0"), mean("mean_prediction_latent_error_level0"));
+  const auto why = [&](const char* name) { return means.at(name).at("absent").items().begin().key(); };
+  EXPECT_EQ(why("from_true_levels_latent_error_level1"), "level 1 is not predicted");
+  EXPECT_EQ(why("sample_latent_error_level2"), "level 2 is not predicted");
+}
+
 TEST_F(EvaluationProtocol, QueriesAndKeysOfEveryBlockAreMatched) {
   auto asked = rooms("attention");
   asked.attention_times = {0.9, 0.5};

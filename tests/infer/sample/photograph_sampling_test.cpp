@@ -337,7 +337,7 @@ TEST_F(PhotographSampling, WhatPhotographsShowWholeIsNotGenerated) {
 
 // At the model's size a picture may look better than it is: what is written is compared as it is written.
 TEST_F(PhotographSampling, PicturesOfThePhotographsSizeAreComparedInThatSize) {
-  const auto folder = folder_->path() / "large";
+  const auto folder = folder_->path() / "large_scene";
   SyntheticOptions synthetic;
   synthetic.seed = 910000;
   synthetic.frames = 4;

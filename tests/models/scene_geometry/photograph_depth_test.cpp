@@ -21,15 +21,15 @@ struct PhotographedPlane {
   torch::Tensor images;
   GeometryOutput head;
 
-  PhotographedPlane() {
+  explicit PhotographedPlane(const std::vector<PicturedView>& photographs = test::two_views_of_plane()) {
     constexpr double kHeadUnit = 2.5;
     std::vector<torch::Tensor> pictures, depths;
-    for (const PicturedView& view : test::two_views_of_plane()) {
+    for (const PicturedView& view : photographs) {
       views.cameras.push_back(view.camera);
       pictures.push_back(picture_of(view.rgb, view.width, view.height));
       depths.push_back(planes_of(view.depth.values, 1, view.width, view.height)[0] / kHeadUnit);
     }
-    views.num_sources = 2;
+    views.num_sources = views.size();
     images = torch::stack(pictures);
     head.depth = torch::stack(depths);
   }
@@ -38,14 +38,14 @@ struct PhotographedPlane {
   }
 };
 
-// exp(.2) times as deep, whatever it sees.
-std::shared_ptr<DepthRefinement> deepening_network() {
+// exp(by) times as deep, whatever it sees.
+std::shared_ptr<DepthRefinement> deepening_network(double by = 0.2) {
   PixelUnetOptions options;
   options.channels = {4, 6};
   auto refinement = std::make_shared<DepthRefinement>(options, ParameterPlacement{});
   refinement->initialise(at::detail::createCPUGenerator(3));
   const torch::NoGradGuard no_grad;
-  refinement->named_parameters()["correction.bias"].fill_(0.2);
+  refinement->named_parameters()["correction.bias"].fill_(by);
   return refinement;
 }
 
@@ -80,6 +80,31 @@ TEST(PhotographDepth, WhatPhotographsDoNotConfirmIsMended) {
   }
   EXPECT_GT(confirmed, 1000);
   EXPECT_GT(open, 100);
+}
+
+// The head says that the sky is a wall, and the network brings all nearer.
+TEST(PhotographDepth, WhatIsFarIsBroughtNoNearer) {
+  std::vector<Camera> cameras;
+  for (const double x : {0.0, 0.4, 0.8}) cameras.push_back(test::camera_before_plane({x, 0, 0}, -0.1 * x));
+  const PhotographedPlane sky(test::wall_before_sky(cameras, 6));
+  const auto network = deepening_network(-1);
+  PhotographDepthOptions options;
+  options.refinement = network.get();
+  const PhotographDepth found = sky.found(options);
+  ASSERT_TRUE(found.depth.known()) << found.depth.doubt;
+  int64_t far = 0, nearer = 0;
+  for (size_t view = 0; view < 3; ++view) {
+    const auto& depth = found.depth.views[view].values;
+    const auto& least = found.stereo.views[view].least.values;
+    ASSERT_EQ(depth.size(), least.size());
+    for (size_t i = 0; i < depth.size(); ++i) {
+      ASSERT_GE(depth[i], least[i]) << i;
+      if (least[i] > 0) ++far;
+      if (least[i] == 0 && depth[i] < 4) ++nearer;
+    }
+  }
+  EXPECT_GT(far, 2500);
+  EXPECT_GT(nearer, 1000);  // all that is not
 }
 
 // Nothing of it is matched, and what the network mends is a match.

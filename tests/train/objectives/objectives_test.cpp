@@ -12,6 +12,7 @@
 #include "train/objectives/feature_noise.h"
 #include "train/objectives/scene_pixels.h"
 
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -173,6 +174,7 @@ TEST(BackboneTraining, KnownCamerasAreToldAndDecoded) {
   BackboneObjectiveOptions options;
   options.all_views_probability = 1;
   options.known_cameras = 0.5;
+  options.loss.camera_weight = 1;
   std::map<std::string, double> validation;
   const auto changes = changed(options, validation);
   int64_t of_encoder = 0, of_decoder = 0;
@@ -194,9 +196,27 @@ TEST(BackboneTraining, KnownCamerasAreToldAndDecoded) {
   EXPECT_LT(validation.at("camera_error"), 0.2);
 }
 
+// Attention is taught with cameras told as with cameras found.
+TEST(BackboneTraining, CorrespondenceIsTaughtWithKnownCameras) {
+  BackboneObjectiveOptions options;
+  options.known_cameras = 0.9;
+  options.correspondence_weight = 0.1;
+  options.correspondence_blocks = {3};
+  options.all_views_probability = 1;
+  BackboneObjective objective(model_of_known_cameras(), options, {}, 1);
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImageAndDepth);
+  const TrainingBatch batch = data.batch(0);
+  auto generator = at::detail::createCPUGenerator(2);
+  for (int64_t step = 0; step < 8; ++step) {  // of which nearly all are told
+    const auto parts = objective.losses(batch, {step, 8, generator}).parts;
+    EXPECT_TRUE(std::any_of(parts.begin(), parts.end(), [](const auto& part) {
+      return part.first == "correspondence";
+    })) << step;
+  }
+}
+
 TEST(BackboneTraining, WhatNobodyIsToldStaysAsItWas) {
   BackboneObjectiveOptions options;
-  options.loss.camera_weight = 0;
   std::map<std::string, double> validation;
   for (const auto& entry : changed(options, validation)) {
     EXPECT_EQ(entry.first.find("cam_enc."), std::string::npos) << entry.first;
