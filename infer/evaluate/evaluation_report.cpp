@@ -174,8 +174,8 @@ std::string geometry_table(const nlohmann::ordered_json& means) {
     const auto& statistics = means.at(column.name);
     if (statistics.at("scenes") == 0 && !statistics.contains("infinite")) continue;  // absent_text says why
     const std::string& unit = column.metric.unit;
-    table.add_row({unit.empty() ? column.name : column.name + " (" + unit + ")", with_interval(statistics, unit),
-                   std::to_string(statistics.at("scenes").get<int64_t>())});
+    table.add_row({unit.empty() ? column.name : column.name + " (" + unit + ")",
+                   with_interval(statistics, unit), std::to_string(statistics.at("scenes").get<int64_t>())});
   }
   return table.markdown();
 }

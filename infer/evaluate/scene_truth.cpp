@@ -1,6 +1,7 @@
 #include "infer/evaluate/scene_truth.h"
 
 #include "datasets/loading/batching.h"
+#include "infer/request/scene_request.h"
 
 #include <algorithm>
 #include <utility>
