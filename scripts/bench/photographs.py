@@ -88,6 +88,25 @@ def large(gld, scenes, out, settings):
     return lines
 
 
+def evaluated(gld, scenes, out, settings, depth):
+    """The table of gld eval, whose runs are made in out."""
+    lines = ["| setting | " + " | ".join(name for name, _, _ in COLUMNS) + " | sharpness |",
+             "|---|" + "---|" * (len(COLUMNS) + 1)]
+    for name, scene, sources, targets in settings:
+        # A folder out of git is no run that --overwrite would replace: it has no .gld-run.
+        shutil.rmtree(out / name, ignore_errors=True)
+        subprocess.run([gld, "eval", "--model", "configs/tiny", "--scenes",
+                        f"{scenes}/{scene}", "--source-frames", sources, "--target-frames", targets,
+                        "--pictures", "0", *depth, "--out", str(out / name)], check=True)
+        shutil.rmtree(out / name / "scenes", ignore_errors=True)
+        with open(out / name / "eval.csv", newline="") as file:
+            row = next(csv.DictReader(file))
+        sharpness = number(row, "sample_sharpness")
+        lines.append(f"| {name} ({sources} -> {targets}) | " +
+                     " | ".join(cell(row, psnr, ssim) for _, psnr, ssim in COLUMNS) + f" | {sharpness:.2f} |")
+    return lines
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gld", default="build/release/cli/gld")
@@ -97,29 +116,16 @@ def main():
     arguments = parser.parse_args()
     scenes, folder, settings = PLACES[arguments.places]
     out = pathlib.Path(folder)
-    depth = []
-    if arguments.source_depth:
-        depth = ["--photograph-use.source-depth", arguments.source_depth]
-        out = out / f"{arguments.source_depth}_depth"
-    lines = ["| setting | " + " | ".join(name for name, _, _ in COLUMNS) + " | sharpness |",
-             "|---|" + "---|" * (len(COLUMNS) + 1)]
+    if arguments.large and arguments.source_depth:
+        parser.error("expected --large or --source-depth, found both; leave out one")
     if arguments.large:
-        if arguments.source_depth:
-            parser.error("expected --large or --source-depth, found both; leave out one")
         out = out / "large"
-        lines, settings = large(arguments.gld, scenes, out, settings), []
-    for name, scene, sources, targets in settings:
-        # A folder out of git is no run that --overwrite would replace: it has no .gld-run.
-        shutil.rmtree(out / name, ignore_errors=True)
-        subprocess.run([arguments.gld, "eval", "--model", "configs/tiny", "--scenes",
-                        f"{scenes}/{scene}", "--source-frames", sources, "--target-frames", targets,
-                        "--pictures", "0", *depth, "--out", str(out / name)], check=True)
-        shutil.rmtree(out / name / "scenes", ignore_errors=True)
-        with open(out / name / "eval.csv", newline="") as file:
-            row = next(csv.DictReader(file))
-        sharpness = number(row, "sample_sharpness")
-        lines.append(f"| {name} ({sources} -> {targets}) | " +
-                     " | ".join(cell(row, psnr, ssim) for _, psnr, ssim in COLUMNS) + f" | {sharpness:.2f} |")
+        lines = large(arguments.gld, scenes, out, settings)
+    elif arguments.source_depth:
+        out = out / f"{arguments.source_depth}_depth"
+        lines = evaluated(arguments.gld, scenes, out, settings, ["--photograph-use.source-depth", arguments.source_depth])
+    else:
+        lines = evaluated(arguments.gld, scenes, out, settings, [])
     table = "\n".join(lines) + "\n"
     (out / "table.md").write_text(table)
     print(table)
