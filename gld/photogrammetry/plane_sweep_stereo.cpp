@@ -116,9 +116,7 @@ std::vector<StereoPicture> pictures_of(const std::vector<PicturedView>& views, i
 bool hardly_any_matched(const std::vector<StereoDepth>& views) {
   size_t matched = 0, of = 0;
   for (const StereoDepth& view : views) {
-    matched += view.confident_pixels();
-    matched += static_cast<size_t>(std::count_if(view.least.values.begin(), view.least.values.end(),
-                                                 [](float least) { return least > 0; }));
+    matched += view.confident_pixels() + view.far_pixels();
     of += view.confidence.values.size();
   }
   return hardly_any(matched, of);
@@ -177,6 +175,11 @@ void StereoOptions::check() const {
 size_t StereoDepth::confident_pixels() const {
   return static_cast<size_t>(std::count_if(confidence.values.begin(), confidence.values.end(),
                                            [](float value) { return value >= kConfidentStereo; }));
+}
+
+size_t StereoDepth::far_pixels() const {
+  return static_cast<size_t>(
+      std::count_if(least.values.begin(), least.values.end(), [](float value) { return value > 0; }));
 }
 
 double StereoDepth::confident_share() const {

@@ -55,6 +55,7 @@ struct StereoDepth {
       compared;  // the other views that it was compared with; none where no view stands elsewhere
 
   size_t confident_pixels() const;
+  size_t far_pixels() const;
   double confident_share() const;  // of the pixels
 };
 

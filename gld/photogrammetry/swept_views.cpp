@@ -100,9 +100,7 @@ bool hardly_any(size_t confident, size_t of) {
 }
 
 bool shows_something_far(const StereoDepth& found) {
-  const auto far = static_cast<size_t>(std::count_if(found.least.values.begin(), found.least.values.end(),
-                                                     [](float least) { return least > 0; }));
-  return !hardly_any(far, found.least.values.size());
+  return !hardly_any(found.far_pixels(), found.least.values.size());
 }
 
 PointRange range_of_points(const StereoPicture& view, const std::vector<Eigen::Vector3d>& points) {
