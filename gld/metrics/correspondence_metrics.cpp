@@ -117,9 +117,6 @@ double correct_keypoints(const std::vector<double>& errors, double threshold) {
 
 namespace {
 
-// As many as the published backbones have; of a level that a backbone lacks, the metric is absent.
-constexpr int64_t kComparedLevels = 4;
-
 // The metric is the mean over the pairs of the first view with each other one.
 Metric pck_of_level(int64_t level) {
   return {"pck_level" + std::to_string(level),
@@ -149,10 +146,6 @@ Metric pck_of_level(int64_t level) {
 
 }  // namespace
 
-std::vector<Metric> correspondence_metrics() {
-  std::vector<Metric> metrics;
-  for (int64_t level = 0; level < kComparedLevels; ++level) metrics.push_back(pck_of_level(level));
-  return metrics;
-}
+std::vector<Metric> correspondence_metrics() { return metrics_of_levels(pck_of_level); }
 
 }  // namespace gld

@@ -7,9 +7,6 @@
 namespace gld {
 namespace {
 
-// As many as files have columns for.
-constexpr int64_t kLevelColumns = 4;
-
 Metric latent_error_of_level(int64_t level) {
   return {"latent_error_level" + std::to_string(level),
           "",
@@ -30,10 +27,6 @@ Metric latent_error_of_level(int64_t level) {
 
 // Of generated levels beside what the backbone sees in the true pictures of all views (gld/latents/
 // relative_latent_error.h), over all target views together.
-std::vector<Metric> latent_metrics() {
-  std::vector<Metric> metrics;
-  for (int64_t level = 0; level < kLevelColumns; ++level) metrics.push_back(latent_error_of_level(level));
-  return metrics;
-}
+std::vector<Metric> latent_metrics() { return metrics_of_levels(latent_error_of_level); }
 
 }  // namespace gld

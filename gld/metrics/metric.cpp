@@ -88,6 +88,12 @@ bool MetricInputs::has(MetricNeed need) const {
   return false;
 }
 
+std::vector<Metric> metrics_of_levels(const std::function<Metric(int64_t level)>& of_level) {
+  std::vector<Metric> metrics;
+  for (int64_t level = 0; level < kLevelColumns; ++level) metrics.push_back(of_level(level));
+  return metrics;
+}
+
 double MetricValue::mean() const {
   if (!per_view.defined()) return kNaN;
   return per_view.masked_select(per_view.isnan().logical_not()).mean().item<double>();

@@ -108,6 +108,12 @@ struct Metric {
   bool of_samples() const;
 };
 
+// Files have columns for so many levels, as many as the published backbones have; of a level that a backbone lacks, or
+// that is not generated, a metric is absent.
+constexpr int64_t kLevelColumns = 4;
+// Returns one metric a level.
+std::vector<Metric> metrics_of_levels(const std::function<Metric(int64_t level)>& of_level);
+
 // The value is absent, with the reason, where something is missing that the metric needs.
 MetricValue measure(const Metric& metric, const MetricInputs& inputs);
 

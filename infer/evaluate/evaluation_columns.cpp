@@ -35,7 +35,6 @@ const std::vector<Predictor>& main_predictors() {
 }
 
 const std::vector<Predictor>& level_predictors() {
-  constexpr int64_t kLevelColumns = 4;
   static const std::vector<Predictor> predictors = [] {
     std::vector<Predictor> levels;
     for (int64_t level = 0; level < kLevelColumns; ++level) {
