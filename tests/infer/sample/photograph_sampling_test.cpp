@@ -27,7 +27,19 @@ using testing::HasSubstr;
 using testing::Not;
 
 // What gld sample makes of photographs: cameras found, what they show kept, blended, and what it is worth.
-class PhotographSampling : public test::Sampling {};
+class PhotographSampling : public test::Sampling {
+ protected:
+  // Returns the folder of a drawn room in twice the size that the shipped model makes.
+  static std::filesystem::path large_room(const std::string& name, int64_t frames, int64_t number = 0) {
+    SyntheticOptions synthetic;
+    synthetic.seed = 910000;
+    synthetic.first_scene = number;
+    synthetic.frames = frames;
+    synthetic.width = synthetic.height = 224;
+    write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder_->path() / name);
+    return folder_->path() / name;
+  }
+};
 
 TEST_F(PhotographSampling, PhotographsNeedNoCameras) {
   auto asked = with_shipped_model(options("photographs"));
@@ -278,13 +290,7 @@ TEST_F(PhotographSampling, SaysWhatItIsWorth) {
 
 // The shipped model keeps photographs; its target is a part of what the second source shows.
 TEST_F(PhotographSampling, WhatPhotographsShowWholeIsNotGenerated) {
-  const auto scene = folder_->path() / "video";
-  SyntheticOptions synthetic;
-  synthetic.seed = 910000;
-  synthetic.first_scene = 19;
-  synthetic.frames = 24;
-  synthetic.width = synthetic.height = 224;
-  write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", scene);
+  const auto scene = large_room("video", 24, 19);
   auto asked = with_shipped_model(options("whole"));
   asked.scene = scene.string();
   asked.views.sources = {2, 4, 6};
@@ -337,12 +343,7 @@ TEST_F(PhotographSampling, WhatPhotographsShowWholeIsNotGenerated) {
 
 // At the model's size a picture may look better than it is: what is written is compared as it is written.
 TEST_F(PhotographSampling, PicturesOfThePhotographsSizeAreComparedInThatSize) {
-  const auto folder = folder_->path() / "large_scene";
-  SyntheticOptions synthetic;
-  synthetic.seed = 910000;
-  synthetic.frames = 4;
-  synthetic.width = synthetic.height = 224;
-  write_scene(make_synthetic_scene(synthetic, 0), "cameras-json", folder);
+  const auto folder = large_room("large_scene", 4);
   auto asked = with_shipped_model(options("large_run"));
   asked.scene = folder.string();
   asked.views.sources = {0, 3};
