@@ -8,6 +8,7 @@
 #include "datasets/formats/nerfstudio_reader.h"
 #include "datasets/formats/npz_reader.h"
 #include "datasets/formats/re10k_reader.h"
+#include "datasets/formats/scannet_reader.h"
 #include "datasets/formats/tartanair_reader.h"
 #include "gld/base/configuration.h"
 #include "gld/base/error.h"
@@ -66,6 +67,8 @@ std::vector<std::string> SceneReader::parts(const std::filesystem::path&) const 
 
 const std::vector<const SceneReader*>& scene_readers() {
   static const CamerasJsonReader cameras_json;
+  static const ScannetPairsReader scannet_pairs;
+  static const ScannetReader scannet;
   static const NpzReader npz;
   static const NerfstudioReader nerfstudio;
   static const HypersimReader hypersim;
@@ -73,8 +76,9 @@ const std::vector<const SceneReader*>& scene_readers() {
   static const Eth3dReader eth3d;
   static const ColmapReader colmap;
   static const Re10kReader re10k;
-  static const std::vector<const SceneReader*> readers{&cameras_json, &npz,   &nerfstudio, &hypersim,
-                                                       &tartanair,    &eth3d, &colmap,     &re10k};
+  static const std::vector<const SceneReader*> readers{&cameras_json, &scannet_pairs, &scannet,   &npz,
+                                                       &nerfstudio,   &hypersim,      &tartanair, &eth3d,
+                                                       &colmap,       &re10k};
   return readers;
 }
 

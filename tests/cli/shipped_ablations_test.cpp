@@ -73,7 +73,8 @@ TEST_F(ShippedAblations, ArePlannedWhereWeightsAndScenesAreGiven) {
   fs::create_directory_symlink(recipes, "configs");
   write_random_bundle("models/gld-da3", small_bundle_options(), 1);
   write_random_bundle("models/taef2", taef2, 1);
-  for (const char* scenes : {"data/re10k_test/scene", "data/scannet_test"}) fs::create_directories(scenes);
+  for (const char* scenes : {"data/re10k_test/scene", "data/scannet_test", "data/scannet_test_1500"})
+    fs::create_directories(scenes);
   for (const fs::path& file : files) {
     SCOPED_TRACE(file);
     EXPECT_FALSE(plan(file).tasks.empty());

@@ -197,7 +197,9 @@ TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
   EXPECT_EQ(
       error_of([&] { open_scene(folder.path()); }),
       path +
-          ": expected one of: cameras.json (cameras-json), images_N/ with a .npz beside each image (npz), "
+          ": expected one of: cameras.json (cameras-json), "
+          "scans of ScanNet with test.npz or scannet_test_pairs_with_gt.txt (scannet-pairs), "
+          "color and pose, with numbered files (scannet), images_N/ with a .npz beside each image (npz), "
           "transforms.json with frames (nerfstudio), "
           "_detail/cam_XX/camera_keyframe_positions.hdf5 (hypersim), pose_left.txt (tartanair), "
           "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
@@ -210,7 +212,8 @@ TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
   reading.format = "colmop";
   EXPECT_EQ(
       error_of([&] { reading.check(); }),
-      "--format: expected auto or cameras-json, npz, nerfstudio, hypersim, tartanair, eth3d, colmap, re10k, "
+      "--format: expected auto or cameras-json, scannet-pairs, scannet, npz, nerfstudio, hypersim, tartanair, "
+      "eth3d, colmap, re10k, "
       "found \"colmop\"; did you mean \"colmap\"?");
 }
 
