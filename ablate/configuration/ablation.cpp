@@ -283,6 +283,13 @@ void check_claims(const Ablation& ablation, const std::vector<std::string>& all,
     if (claim.better == claim.worse) {
       fail({where, "two variants", quoted_text(claim.better) + " twice", "compare it with another one"});
     }
+    if (claim.beyond.empty()) continue;
+    const std::string margin = where + ", key 'beyond'";
+    if (claim.beyond.size() != 2 || claim.beyond[0] == claim.beyond[1]) {
+      fail({margin, "two variants, [BETTER, WORSE]", std::to_string(claim.beyond.size()) + " names",
+            "name those whose margin is the smaller one"});
+    }
+    for (const std::string& variant : claim.beyond) require_name(variant, all, margin, "variant");
   }
 }
 
@@ -390,6 +397,7 @@ void ClaimDescription::visit(FieldVisitor& visitor) {
   visitor.text({"metric", "by which"}, metric);
   visitor.text({"better", "the variant that is claimed to be better"}, better);
   visitor.text({"worse", "than this variant"}, worse);
+  visitor.texts({"beyond", "by more than the first of these two variants is better than the second"}, beyond);
   visitor.text({"paper", "what the paper reports, for reference"}, paper);
 }
 

@@ -101,7 +101,9 @@ struct ClaimDescription : OptionsGroup {
   std::string metric;
   std::string better;  // variant
   std::string worse;   // variant
-  std::string paper;   // what the paper reports, for reference
+  // Two variants, or none: claimed is that `better` is above `worse` by more than the first of them is above the second.
+  std::vector<std::string> beyond;
+  std::string paper;  // what the paper reports, for reference
 
   void visit(FieldVisitor& visitor) override;
 };

@@ -85,9 +85,12 @@ ResultTable claims_table(const Json& report) {
   for (const Json& claim : report_value(report, "/claims")) {
     const std::string reason = report_text_at(claim, "/reason");
     const std::string better = report_text_at(claim, "/better"), worse = report_text_at(claim, "/worse");
+    std::string text =
+        better.empty() ? report_text_at(claim, "/name") : label(better) + " over " + label(worse);
+    const std::string first = report_text_at(claim, "/beyond/0"), second = report_text_at(claim, "/beyond/1");
+    if (!first.empty()) text += ", by more than " + label(first) + " over " + label(second);
     table.rows.push_back(
-        {better.empty() ? report_text_at(claim, "/name") : label(better) + " over " + label(worse),
-         report_text_at(claim, "/metric"), with_interval(claim, "/better_by"),
+        {text, report_text_at(claim, "/metric"), with_interval(claim, "/better_by"),
          report_number_at(claim, "/scenes_won") + " : " + report_number_at(claim, "/scenes_lost"),
          number_text(report_value(claim, "/holm_p")), report_text_at(claim, "/paper"),
          report_text_at(claim, "/verdict") + (reason.empty() ? "" : " (" + reason + ")")});

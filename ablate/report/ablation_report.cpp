@@ -114,7 +114,12 @@ std::string variants_table(const Ablation& ablation, const AblationResults& resu
 }
 
 std::string claim_text(const Ablation& ablation, const ClaimDescription& claim) {
-  return label_of(ablation, claim.better) + " over " + label_of(ablation, claim.worse);
+  const auto over = [&](const std::string& better, const std::string& worse) {
+    return label_of(ablation, better) + " over " + label_of(ablation, worse);
+  };
+  std::string text = over(claim.better, claim.worse);
+  if (!claim.beyond.empty()) text += ", by more than " + over(claim.beyond[0], claim.beyond[1]);
+  return text;
 }
 
 std::string claims_table(const Ablation& ablation, const AblationResults& results) {
@@ -277,6 +282,7 @@ nlohmann::ordered_json ablation_json(const Ablation& ablation, const AblationPla
                                  {"seeds", comparison.seeds},
                                  {"seeds_in_favour", comparison.seeds_in_favour},
                                  {"verdict", verdict_name(comparison.verdict, result.claim.paper)}};
+    if (!result.claim.beyond.empty()) claim["beyond"] = result.claim.beyond;
     if (!comparison.reason.empty()) claim["reason"] = comparison.reason;
     json["claims"].push_back(std::move(claim));
   }

@@ -121,13 +121,29 @@ NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const Mea
   return scene_means(gains);
 }
 
+NumbersBySeed gain_beyond(const NumbersBySeed& gain, const NumbersBySeed& other) {
+  NumbersBySeed above;
+  for (const auto& [seed, scenes] : gain) {
+    const auto others = other.find(seed);
+    if (others == other.end()) continue;
+    for (const auto& [scene, value] : scenes) {
+      const auto found = others->second.find(scene);
+      if (found != others->second.end()) above[seed][scene] = value - found->second;
+    }
+  }
+  return above;
+}
+
 std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vector<VariantNumbers>& numbers) {
   BootstrapOptions bootstrap;
   bootstrap.replicates = ablation.options.bootstrap;
   std::vector<ClaimResult> results;
   for (const ClaimDescription& claim : ablation.claims) {
     ClaimResult result{claim, {}};
-    if (ablation.variant(claim.better) == nullptr || ablation.variant(claim.worse) == nullptr) {
+    std::vector<std::string> compared{claim.better, claim.worse};
+    compared.insert(compared.end(), claim.beyond.begin(), claim.beyond.end());
+    if (std::any_of(compared.begin(), compared.end(),
+                    [&](const std::string& variant) { return ablation.variant(variant) == nullptr; })) {
       result.comparison.mean = std::numeric_limits<double>::quiet_NaN();
       result.comparison.reason = "not run: --only left a variant out";
     } else {
@@ -137,8 +153,11 @@ std::vector<ClaimResult> judge_claims(const Ablation& ablation, const std::vecto
         return found == metrics.end() ? MeasuredNumbers() : found->second;
       };
       const Better better = ablation.metric(claim.metric).direction();
-      result.comparison =
-          compare(paired_gain(better, measured(claim.better), measured(claim.worse)), bootstrap);
+      NumbersBySeed gain = paired_gain(better, measured(claim.better), measured(claim.worse));
+      if (!claim.beyond.empty()) {
+        gain = gain_beyond(gain, paired_gain(better, measured(claim.beyond[0]), measured(claim.beyond[1])));
+      }
+      result.comparison = compare(gain, bootstrap);
     }
     results.push_back(std::move(result));
   }

@@ -39,6 +39,9 @@ NumbersBySeed scene_means(const MeasuredNumbers& numbers);
 // variants with more target views than others are compared on those that both were asked for.
 NumbersBySeed paired_gain(Better better, const MeasuredNumbers& first, const MeasuredNumbers& second);
 
+// Returns by how much one gain is above another, of scenes that both have.
+NumbersBySeed gain_beyond(const NumbersBySeed& gain, const NumbersBySeed& other);
+
 struct ClaimResult {
   ClaimDescription claim;
   Comparison comparison;

@@ -142,6 +142,14 @@ TEST(Ablation, ErrorsNameLineAndSection) {
   EXPECT_EQ(Described().error("worse: one", "worse: two"),
             "a.yaml, claim 'more': expected two variants, found 'two' twice; compare it with another one.");
   EXPECT_EQ(
+      Described().error("worse: one", "worse: one, beyond: [one]"),
+      "a.yaml, claim 'more', key 'beyond': expected two variants, [BETTER, WORSE], found 1 names; name those "
+      "whose margin is the smaller one.");
+  EXPECT_EQ(
+      Described().error("worse: one", "worse: one, beyond: [one, tow]"),
+      "a.yaml, claim 'more', key 'beyond': expected a variant of this ablation, found 'tow'; did you mean "
+      "'two'?");
+  EXPECT_EQ(
       Described().error("better: lower, unit: s", "unit: s"),
       "a.yaml, metric 'seconds', key 'better': expected higher, lower or near 1, found nothing, and it is no column "
       "that gld knows; add it, for example 'seconds: {better: higher}'.");

@@ -65,5 +65,50 @@ TEST(JudgeClaims, JudgesByTheMetricsDirectionAndSaysWhatWasNotRun) {
   EXPECT_EQ(results[1].comparison.reason, "not run: --only left a variant out");
 }
 
+// A margin that grows: better by 3 with one source and by 1 with two, in every scene, so by 2 more.
+TEST(JudgeClaims, AMarginBeyondAnotherIsTheDifferenceOfBothInTheSameScenes) {
+  Ablation ablation;
+  ablation.options.bootstrap = 200;
+  MetricDescription psnr;
+  psnr.name = psnr.column = "psnr";
+  psnr.better = "higher";
+  ablation.metrics.push_back(psnr);
+  std::vector<VariantNumbers> numbers;
+  for (const auto& [name, margin] :
+       {std::pair("one", 3.0), {"rival_one", 0.0}, {"two", 1.0}, {"rival_two", 0.0}}) {
+    VariantDescription variant;
+    variant.name = variant.label = name;
+    ablation.variants.push_back(variant);
+    VariantNumbers measured;
+    measured.variant = name;
+    for (int64_t seed = 0; seed < 3; ++seed) {
+      for (int64_t scene = 0; scene < 64; ++scene) {
+        // Scenes are of different difficulty, which is in both of a margin and goes with it.
+        measured.metrics["psnr"][seed][std::to_string(scene)][""] =
+            20 + 0.1 * static_cast<double>(scene) + margin;
+      }
+    }
+    numbers.push_back(measured);
+  }
+  numbers[2].metrics["psnr"][0].erase("0");  // a scene that one of the four lacks does not count
+  ClaimDescription claim;
+  claim.metric = "psnr";
+  claim.better = "one";
+  claim.worse = "rival_one";
+  claim.beyond = {"two", "rival_two"};
+  ablation.claims.push_back(claim);
+  std::swap(claim.better, claim.beyond[0]);
+  std::swap(claim.worse, claim.beyond[1]);
+  ablation.claims.push_back(claim);
+  claim.beyond[1] = "absent";
+  ablation.claims.push_back(claim);
+  const auto results = judge_claims(ablation, numbers);
+  ASSERT_EQ(results.size(), 3U);
+  EXPECT_NEAR(results[0].comparison.mean, 2, 1e-12);
+  EXPECT_EQ(results[0].comparison.signs.positive, 64);
+  EXPECT_NEAR(results[1].comparison.mean, -2, 1e-12);
+  EXPECT_EQ(results[2].comparison.reason, "not run: --only left a variant out");
+}
+
 }  // namespace
 }  // namespace gld
