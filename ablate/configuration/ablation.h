@@ -101,7 +101,8 @@ struct ClaimDescription : OptionsGroup {
   std::string metric;
   std::string better;  // variant
   std::string worse;   // variant
-  // Two variants, or none: claimed is that `better` is above `worse` by more than the first of them is above the second.
+  // Two variants, or none: claimed is that `better` is above `worse` by more than the first of them is above the
+  // second.
   std::vector<std::string> beyond;
   std::string paper;  // what the paper reports, for reference
 
