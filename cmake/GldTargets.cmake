@@ -34,22 +34,27 @@ function(gld_target_defaults target)
   endif()
 endfunction()
 
-# What computes nothing itself that takes time is compiled with -O1: tests, commands, pages, readers of text, and models whose
-# products and convolutions are others'. Half of a whole build is theirs. Not -O0: under the sanitizers, where that saves half of
+# What computes nothing itself that takes time is compiled with -O1: tests, commands, pages, readers of text, and all that includes
+# LibTorch, whose products and convolutions are others' and whose loops over pixels are in rooms without it. Half of a whole build is
+# theirs, and one precompiled header serves all of LibTorch's (a build of the program alone: 320 s with -O3 where it was, 296 so, on two
+# Zen 5 cores; sampling, training and evaluating take as long). Not -O0: under the sanitizers, where that saves half of
 # compiling tests, they then take 565 s in the place of 168, since what headers define is linked from them.
 set(GLD_LIGHT_OPTIMISATION -O1)
 # Only where the rest is optimised more: a quick build (scripts/build.sh --quick) has none at all beside its kernels.
 if(CMAKE_BUILD_TYPE STREQUAL "Release" AND CMAKE_CXX_FLAGS_RELEASE MATCHES "-O3")
   set(GLD_HAS_LIGHT_CODE ON)
 endif()
-set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/(device|extremes|processes|sampling|solvers|support|training)|cli|datasets/(check|formats|pictures)|gld/(distributed|metrics|report)|infer/(evaluate|forecast|method|page|paths|pipeline|request|run_export|sample|splats)|models/(backbones|bundle|conditioning|cost|decoders|dit|latent_spaces|losses|splats|weights)|train/(data|loop|objectives|page|splats|stages)|verify)$")
+set(GLD_LIGHT_ROOMS "^(ablate/.*|bench/.*|cli|datasets/(check|formats|pictures)|gld/report|infer/(page|paths|run_export)|train/page)$")
 
 # gld_shared_headers(NAME FOLDER LIBRARIES...): the library gld_NAME_headers, for the precompiled header FOLDER/NAME_precompiled.h, which
 # all sources with LibTorch share (torch: its headers cost 25 s a file otherwise), and all without (plain). What g++ reads from a
-# precompiled header it optimises as that was: gld_light_NAME_headers has it for what is compiled with less.
+# precompiled header it optimises as that was: all with LibTorch is compiled with less, and gld_light_plain_headers is for those without
+# that are.
 function(gld_shared_headers name folder)
   gld_precompiled_headers(gld_${name}_headers ${folder}/${name}_precompiled ${ARGN})
-  if(GLD_HAS_LIGHT_CODE)
+  if(GLD_HAS_LIGHT_CODE AND name STREQUAL "torch")
+    target_compile_options(gld_torch_headers PRIVATE ${GLD_LIGHT_OPTIMISATION})
+  elseif(GLD_HAS_LIGHT_CODE)
     gld_precompiled_headers(gld_light_${name}_headers ${folder}/${name}_precompiled gld_${name}_headers)
     target_compile_options(gld_light_${name}_headers PRIVATE ${GLD_LIGHT_OPTIMISATION})
   endif()
@@ -120,7 +125,7 @@ function(gld_room)
   add_library(${target} STATIC ${arg_SOURCES} ${arg_TORCH_SOURCES})
   gld_target_defaults(${target})
   gld_unity(${target} 16)
-  if(room MATCHES "${GLD_LIGHT_ROOMS}")
+  if(arg_TORCH_SOURCES OR room MATCHES "${GLD_LIGHT_ROOMS}")
     gld_light(${target})
   endif()
   foreach(included IN LISTS GLD_ROOM_${room})
