@@ -39,7 +39,7 @@ struct PhotographView {
   // Of a photograph that alone shows a place: nothing contradicts it, and nothing confirms its depth. About 24 dB,
   // which is what carried photographs of drawn rooms and of real places have there.
   static constexpr float kVarianceOfOne = 0.004F;
-  // Colours differ by this where everything is right: noise of cameras, bilinear interpolation.
+  // Colours differ by this where everything is right: noise of cameras, what lies between pixels.
   static constexpr float kColourNoise = 0.0004F;
 };
 

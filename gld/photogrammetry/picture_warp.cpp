@@ -192,6 +192,12 @@ struct PlaceInSource {
   float y = 0;
 };
 
+// Returns the weights of the pixels at -1, 0, 1 and 2 for a place `t` of the way from 0 to 1 (Keys 1981, a = -1/2).
+std::array<float, 4> cubic_weights(float t) {
+  return {((-0.5F * t + 1) * t - 0.5F) * t, (1.5F * t - 2.5F) * t * t + 1, ((-1.5F * t + 2) * t + 0.5F) * t,
+          (0.5F * t - 0.5F) * t * t};
+}
+
 // The photographs as the target view's pixels see them at a depth of its own each.
 class SourcesFromTarget {
  public:
@@ -217,7 +223,7 @@ class SourcesFromTarget {
     return place;
   }
 
-  std::array<float, 3> colour(size_t source, const PlaceInSource& place) const {
+  std::array<float, 3> bilinear_colour(size_t source, const PlaceInSource& place) const {
     const PicturedView& view = sources_[source];
     const float x = std::clamp(place.x, 0.0F, static_cast<float>(view.width - 1));
     const float y = std::clamp(place.y, 0.0F, static_cast<float>(view.height - 1));
@@ -232,6 +238,30 @@ class SourcesFromTarget {
       const float below = lower[c] + across * (lower[right + c] - lower[c]);
       mixed[static_cast<size_t>(c)] = above + down * (below - above);
     }
+    return mixed;
+  }
+
+  std::array<float, 3> cubic_colour(size_t source, const PlaceInSource& place) const {
+    const PicturedView& view = sources_[source];
+    const float x = std::clamp(place.x, 0.0F, static_cast<float>(view.width - 1));
+    const float y = std::clamp(place.y, 0.0F, static_cast<float>(view.height - 1));
+    const auto left = static_cast<int64_t>(x), top = static_cast<int64_t>(y);
+    const auto across = cubic_weights(x - static_cast<float>(left));
+    const auto down = cubic_weights(y - static_cast<float>(top));
+    std::array<int64_t, 4> columns{};
+    for (int64_t i = 0; i < 4; ++i)
+      columns[static_cast<size_t>(i)] = 3 * std::clamp<int64_t>(left + i - 1, 0, view.width - 1);
+    std::array<float, 3> mixed{};
+    for (int64_t j = 0; j < 4; ++j) {
+      const float* row =
+          view.rgb.data() + 3 * view.width * std::clamp<int64_t>(top + j - 1, 0, view.height - 1);
+      for (size_t c = 0; c < 3; ++c) {
+        float along = 0;
+        for (size_t i = 0; i < 4; ++i) along += across[i] * row[columns[i] + static_cast<int64_t>(c)];
+        mixed[c] += down[static_cast<size_t>(j)] * along;
+      }
+    }
+    for (float& colour : mixed) colour = std::clamp(colour, 0.0F, 1.0F);
     return mixed;
   }
 
@@ -265,7 +295,7 @@ void differences(const SourcesFromTarget& sources, const Camera& target, const s
         const PlaceInSource place =
             sources.place(source, static_cast<float>(column) + 0.5F, static_cast<float>(row) + 0.5F,
                           static_cast<float>(factor * depth[pixel]));
-        if (place.inside) colours[shown++] = sources.colour(source, place);
+        if (place.inside) colours[shown++] = sources.bilinear_colour(source, place);
       }
       result[pixel] = kCostOfOneSource;
       if (shown < 2) continue;
@@ -347,7 +377,9 @@ std::vector<CarriedPicture> carry_pictures_to(const std::vector<PicturedView>& s
             from_target.place(source, static_cast<float>(column) + 0.5F, static_cast<float>(row) + 0.5F,
                               static_cast<float>(depth.values[pixel]));
         if (!place.inside || from_target.hidden(source, place, options.hidden_behind)) continue;
-        const auto colour = from_target.colour(source, place);
+        const auto colour = options.colours == ColourSampling::kCubic
+                                ? from_target.cubic_colour(source, place)
+                                : from_target.bilinear_colour(source, place);
         std::copy(colour.begin(), colour.end(),
                   carried[source].rgb.begin() + static_cast<std::ptrdiff_t>(3 * pixel));
         carried[source].seen[pixel] = 1;

@@ -18,12 +18,20 @@ struct CarriedPicture {
   double seen_share() const;  // of the pixels
 };
 
+// How a colour between pixels of a photograph is found.
+enum class ColourSampling {
+  kBilinear,  // of 2x2 pixels; what models were trained to see. Half-way between pixels it is their mean, a blur.
+  kCubic,  // of 4x4 pixels by Catmull-Rom's spline (Keys 1981, a = -1/2), which keeps edges; within [0, 1]
+};
+
 // How photographs are carried by the depth of the sources.
 struct CarryOptions {
   // Depths up to exp(this) nearer and farther than the sources' say are tried. 0.35 is about a third, for depth that a
   // network predicts; what photographs were matched for needs less. 0 takes the depth as it is.
   double depth_reach = 0.35;
   double hidden_behind = 1.3;  // depths over what a source shows at a place, to be hidden from it; above 1
+  ColourSampling colours =
+      ColourSampling::kBilinear;  // of what is carried; depth is matched by bilinear ones
 };
 
 // The depth of a target view, row by row, of its camera's size and in the unit of the cameras.
@@ -43,7 +51,7 @@ TargetDepth matched_target_depth(const std::vector<PicturedView>& sources, const
                                  const CarryOptions& options = {});
 
 // Returns each photograph of sources carried into the target view, of the target camera's size, which depth has as
-// well. Colours are taken bilinearly from where a point was seen. A pixel that depth does not reach, that lies outside
+// well. Colours are taken by options.colours from where a point was seen. A pixel that depth does not reach, that lies outside
 // of a photograph or behind what it shows, is not seen in it.
 std::vector<CarriedPicture> carry_pictures_to(const std::vector<PicturedView>& sources, const Camera& target,
                                               const TargetDepth& depth, const CarryOptions& options = {});

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -61,9 +62,63 @@ TEST(PictureWarp, TwoPhotographsMendTheDepth) {
 
 TEST(PictureWarp, TheSameCameraGivesTheSamePicture) {
   const PicturedView source = test::TexturedPlane().seen_by(camera_before_plane({0.3, -0.2, 0.4}, 0.2), 1);
-  const CarriedPicture carried = carry_pictures({source}, source.camera)[0];
-  EXPECT_EQ(carried.seen_share(), 1);
-  for (size_t i = 0; i < carried.rgb.size(); ++i) ASSERT_NEAR(carried.rgb[i], source.rgb[i], 1e-4) << i;
+  CarryOptions options;
+  for (const ColourSampling colours : {ColourSampling::kBilinear, ColourSampling::kCubic}) {
+    options.colours = colours;
+    const CarriedPicture carried = carry_pictures({source}, source.camera, options)[0];
+    EXPECT_EQ(carried.seen_share(), 1);
+    for (size_t i = 0; i < carried.rgb.size(); ++i) ASSERT_NEAR(carried.rgb[i], source.rgb[i], 1e-4) << i;
+  }
+}
+
+// A photograph one unit away whose pixel in column x has that brightness, carried to where it is seen half a pixel further.
+CarriedPicture half_a_pixel_on(ColourSampling colours, double (*brightness)(double)) {
+  PicturedView source;
+  source.camera = camera_before_plane({0, 0, 0}, 0);
+  source.width = source.depth.width = source.camera.width;
+  source.height = source.depth.height = source.camera.height;
+  const auto pixels = static_cast<size_t>(source.width * source.height);
+  source.depth.values.assign(pixels, 1.0F);
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    const auto column = static_cast<double>(pixel % static_cast<size_t>(source.width));
+    source.rgb.insert(source.rgb.end(), 3, static_cast<float>(brightness(column)));
+  }
+  const Camera target = camera_before_plane({0.5 / source.camera.intrinsics(0, 0), 0, 0}, 0);
+  CarryOptions options;
+  options.colours = colours;
+  const TargetDepth depth{target.width, target.height, std::vector<double>(pixels, 1.0),
+                          std::vector<uint8_t>(pixels, 1)};
+  return carry_pictures_to({source}, target, depth, options)[0];
+}
+
+constexpr double kWave = 2 * 3.14159265358979323846 / 6;  // radians a pixel
+
+// Between two pixels a wave keeps cos(w/2) of its height where the two are averaged, and (9 cos(w/2) - cos(3w/2)) / 8 by the
+// spline: .866 and .974 of a wave six pixels long.
+TEST(PictureWarp, ColoursBetweenPixelsKeepWhatTheirSamplingKeeps) {
+  const auto wave = [](double x) { return 0.5 + 0.4 * std::sin(kWave * x); };
+  const double bilinear = std::cos(kWave / 2),
+               cubic = (9 * std::cos(kWave / 2) - std::cos(3 * kWave / 2)) / 8;
+  for (const auto& [colours, kept] :
+       {std::pair(ColourSampling::kBilinear, bilinear), {ColourSampling::kCubic, cubic}}) {
+    const CarriedPicture carried = half_a_pixel_on(colours, wave);
+    for (int64_t column = 2; column < carried.width - 3; ++column) {
+      const auto pixel = static_cast<size_t>(3 * (10 * carried.width + column));
+      ASSERT_NEAR(carried.rgb[pixel],
+                  0.5 + 0.4 * kept * std::sin(kWave * (static_cast<double>(column) + 0.5)), 2e-5)
+          << column;
+    }
+  }
+}
+
+TEST(PictureWarp, ColoursAtAnEdgeStayColours) {
+  const CarriedPicture carried =
+      half_a_pixel_on(ColourSampling::kCubic, [](double x) { return x < 40 ? 0.0 : 1.0; });
+  for (const float colour : carried.rgb) {
+    ASSERT_GE(colour, 0);
+    ASSERT_LE(colour, 1);
+  }
+  EXPECT_NEAR(carried.rgb[static_cast<size_t>(3 * 39)], 0.5, 1e-5);
 }
 
 TEST(PictureWarp, TheDepthOfASourceAsATargetSeesIt) {
