@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """What the program makes of real photographs: gld eval on scenes of real places, and one table of all.
 
-    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known|fresh] [--source-depth fused] [--large]
+    scripts/bench/photographs.py [--gld build/release/cli/gld] [--places known|fresh] [--source-depth fused] [--large [--side 448]]
 
 known: ../shared/scenes, on which the matching's settings were chosen, into docs/measured/photographs. fresh: three places on which
 nothing was chosen, not ours to hand on, into docs/measured/photographs_fresh: ../fresh_places holds registered_scene.py's scenes of
 openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree,
 those 17 that were at hand: images 1036 to 1057). Another depth than the default's goes into a folder DEPTH_depth of these.
 --large: gld sample --size photographs in the place of gld eval, and pictures are compared as large as they are written; into a
-folder large of these.
+folder large of these. --side N reduces photographs beforehand, to N pixels of their shorter side where they are larger (needs Pillow), and
+goes into a folder large_N with those settings whose photographs are.
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
 depth, with gaps filled smoothly and nothing generated; "generated" is the sample before photographs were kept in it.
@@ -64,6 +65,28 @@ def cell(row, psnr, ssim):
     return f"{value:.1f}" if also is None else f"{value:.1f} / {also:.2f}"
 
 
+def reduced(scenes, settings, side, work):
+    """Scenes with photographs of side pixels at their shorter side, below work, and the settings of those that had larger ones."""
+    from PIL import Image
+    kept = []
+    for setting in settings:
+        scene = pathlib.Path(scenes, setting[1])
+        pictures = [file for file in scene.rglob("*") if file.suffix.lower() in (".jpg", ".png") and "images" in str(file.relative_to(scene))]
+        if not pictures or min(Image.open(pictures[0]).size) <= side:
+            continue
+        kept.append(setting)
+        copy = pathlib.Path(work, setting[1])
+        if copy.is_dir():
+            continue
+        shutil.copytree(scene, copy)
+        for file in pictures:
+            picture = Image.open(file).convert("RGB")
+            factor = side / min(picture.size)
+            size = tuple(round(factor * length) for length in picture.size)
+            picture.resize(size, Image.LANCZOS).save(copy / file.relative_to(scene), **({} if file.suffix.lower() == ".png" else {"quality": 97}))
+    return kept
+
+
 def large(gld, scenes, out, settings):
     """The table of pictures of the photographs' size, whose reports go into out."""
     columns = [("nearest source", "psnr_nearest_source"), ("sample", "psnr"), ("seen", "psnr_seen"), ("unseen", "psnr_unseen"), ("SSIM", "ssim"),
@@ -113,12 +136,23 @@ def main():
     parser.add_argument("--places", choices=PLACES, default="known")
     parser.add_argument("--source-depth", help="of gld eval, where not the default is measured")
     parser.add_argument("--large", action="store_true", help="pictures of the photographs' size, by gld sample")
+    parser.add_argument("--side", type=int, help="of --large: pixels to which photographs are reduced beforehand")
     arguments = parser.parse_args()
     scenes, folder, settings = PLACES[arguments.places]
     out = pathlib.Path(folder)
     if arguments.large and arguments.source_depth:
         parser.error("expected --large or --source-depth, found both; leave out one")
-    if arguments.large:
+    if arguments.side and not arguments.large:
+        parser.error("expected --side with --large, found it alone; add --large")
+    if arguments.side:
+        out = out / f"large_{arguments.side}"
+        with tempfile.TemporaryDirectory() as work:
+            settings = reduced(scenes, settings, arguments.side, work)
+            lines = large(arguments.gld, work, out, settings)
+        # The scene is where its photographs came from.
+        for file in [*out.glob("*/report.json"), *out.glob("*/config.yaml")]:
+            file.write_text(file.read_text().replace(f"{work}/", f"{scenes}/"))
+    elif arguments.large:
         out = out / "large"
         lines = large(arguments.gld, scenes, out, settings)
     elif arguments.source_depth:
