@@ -35,8 +35,8 @@ function(gld_target_defaults target)
 endfunction()
 
 # What computes nothing itself that takes time is compiled with -O1: tests, commands, pages, readers of text, and all that includes
-# LibTorch, whose products and convolutions are others' and whose loops over pixels are in rooms without it. Half of a whole build is
-# theirs, and one precompiled header serves all of LibTorch's (a build of the program alone: 320 s with -O3 where it was, 296 so, on two
+# LibTorch, whose products and convolutions are others' and whose loops over pixels are in rooms without it, but for few that take no
+# time beside those (models/blending lays a large picture together as fast as before). Half of a whole build is theirs, and one precompiled header serves all of LibTorch's (a build of the program alone: 320 s with -O3 where it was, 296 so, on two
 # Zen 5 cores; sampling, training and evaluating take as long). Not -O0: under the sanitizers, where that saves half of
 # compiling tests, they then take 565 s in the place of 168, since what headers define is linked from them.
 set(GLD_LIGHT_OPTIMISATION -O1)

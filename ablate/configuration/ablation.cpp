@@ -286,7 +286,13 @@ void check_claims(const Ablation& ablation, const std::vector<std::string>& all,
     if (claim.beyond.empty()) continue;
     const std::string margin = where + ", key 'beyond'";
     if (claim.beyond.size() != 2 || claim.beyond[0] == claim.beyond[1]) {
-      fail({margin, "two variants, [BETTER, WORSE]", std::to_string(claim.beyond.size()) + " names",
+      fail({margin, "two different variants, [BETTER, WORSE]",
+            claim.beyond.size() == 2 ? quoted_text(claim.beyond[0]) + " twice"
+                                     : std::to_string(claim.beyond.size()) + " names",
+            "name those whose margin is the smaller one"});
+    }
+    if (claim.beyond == std::vector<std::string>{claim.better, claim.worse}) {
+      fail({margin, "another margin than the claim's own", "the same two variants",
             "name those whose margin is the smaller one"});
     }
     for (const std::string& variant : claim.beyond) require_name(variant, all, margin, "variant");

@@ -13,6 +13,9 @@
 #include <cmath>
 #include <optional>
 #include <regex>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -24,11 +27,13 @@ constexpr double kMetresPerUnit = 0.001;
 constexpr uint64_t kMostListedPairs = 10'000'000;
 
 Eigen::Matrix4d matrix_of_file(const std::filesystem::path& file) {
+  constexpr size_t kMostFields = 64;  // of a file that is no matrix; enough to see that it is none
   std::vector<double> values;
   for (const TextLine& line : read_lines(file)) {
-    const auto fields = blank_separated(line.text);
-    if (values.size() + fields.size() > 16) break;
-    for (const auto& field : fields) values.push_back(parse_number(field, line.where));
+    for (const auto& field : blank_separated(line.text, kMostFields)) {
+      values.push_back(parse_number(field, line.where));
+    }
+    if (values.size() > kMostFields) break;
   }
   if (values.size() != 16) {
     fail({file.string(), "a matrix of 4 rows of 4 numbers", fmt::format("{} numbers", values.size()),
@@ -46,18 +51,22 @@ struct ScanCamera {
 
 // ScanNet's colour camera has 1296x968 pixels; exports reduced to 640x480 have intrinsics of that size, which the
 // principal point tells, for it lies near the middle.
-ScanCamera camera_with(const Eigen::Matrix3d& intrinsics) {
-  ScanCamera camera{intrinsics, 1296, 968};
-  if (std::abs(2 * intrinsics(0, 2) - 640) < std::abs(2 * intrinsics(0, 2) - 1296)) {
-    camera.width = 640;
-    camera.height = 480;
+ScanCamera camera_with(const Eigen::Matrix3d& intrinsics, const std::string& where) {
+  constexpr double kNearTheMiddle = 0.15;
+  for (const auto& [width, height] : {std::pair<int64_t, int64_t>{1296, 968}, {640, 480}}) {
+    const auto middle = static_cast<double>(width) / 2;
+    if (std::abs(intrinsics(0, 2) - middle) <= kNearTheMiddle * middle) return {intrinsics, width, height};
   }
-  return camera;
+  fail({where, "a principal point near the middle of 1296x968 or 640x480 pixels",
+        fmt::format("one at column {:.0f}", intrinsics(0, 2)),
+        "export the scan again in one of these sizes"});
 }
 
 ScanCamera camera_of_scan(const std::filesystem::path& scan) {
   const auto file = scan / "intrinsic" / "intrinsic_color.txt";
-  if (std::filesystem::is_regular_file(file)) return camera_with(matrix_of_file(file).topLeftCorner<3, 3>());
+  if (std::filesystem::is_regular_file(file)) {
+    return camera_with(matrix_of_file(file).topLeftCorner<3, 3>(), file.string());
+  }
   const auto all = scan / ".." / "intrinsics.npz";
   if (!std::filesystem::is_regular_file(all)) {
     fail({scan.string(), "intrinsic/intrinsic_color.txt, or intrinsics.npz beside the scan", "neither",
@@ -112,6 +121,10 @@ void add_frames(SceneBuilder& builder, const std::filesystem::path& scan,
     });
   }
   builder.warn(maker.crop_note());
+  if (lost > 0 && builder.scene().frames.empty()) {
+    fail({scan.string(), "frames with a pose",
+          fmt::format("{} without one, where ScanNet's tracking was lost", lost), "leave the scan out"});
+  }
   if (lost > 0) {
     builder.warn(
         fmt::format("{} of {} frames have no pose, where ScanNet's tracking was lost, and are left out.",
@@ -188,6 +201,10 @@ std::filesystem::path pair_list(const std::filesystem::path& path) {
 
 std::vector<FramePair> listed_pairs(const std::filesystem::path& path) {
   const auto list = pair_list(path);
+  if (list.empty()) {
+    fail({path.string(), "test.npz or scannet_test_pairs_with_gt.txt", "neither",
+          "put the list beside the scans"});
+  }
   auto pairs = list.extension() == ".npz" ? pairs_of_array(list) : pairs_of_text(list);
   if (pairs.empty()) fail({list.string(), "pairs of frames", "none", "copy the list again"});
   return pairs;
@@ -235,7 +252,12 @@ Scene ScannetPairsReader::read(const std::filesystem::path& path, const SceneRea
   SceneBuilder builder(name(), path, reading);
   builder.scene().name = reading.part;
   add_frames(builder, path / pair->scan, {std::to_string(pair->frames[0]), std::to_string(pair->frames[1])});
-  return builder.finish();
+  Scene scene = builder.finish();
+  if (scene.frames.size() != pair->frames.size()) {
+    fail({path.string() + " pair " + reading.part, "both of its frames", "one",
+          "leave the pair out of the list"});
+  }
+  return scene;
 }
 
 }  // namespace gld

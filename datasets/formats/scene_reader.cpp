@@ -53,7 +53,7 @@ void SceneReading::visit(FieldVisitor& visitor) {
   visitor.text(
       {"image_folder", "folder of images inside the scene, such as images_4; empty: chosen by the reader"},
       image_folder);
-  visitor.text({"part", "which trajectory of a scene that has several, such as cam_00"}, part);
+  visitor.text({"part", "which trajectory or pair of a scene that has several, such as cam_00"}, part);
   visit_choice(visitor,
                {"broken_frames", "refuse a scene with a broken frame, or skip and count such frames"},
                broken_frames, {"refuse", "skip"});
@@ -76,9 +76,9 @@ const std::vector<const SceneReader*>& scene_readers() {
   static const Eth3dReader eth3d;
   static const ColmapReader colmap;
   static const Re10kReader re10k;
-  static const std::vector<const SceneReader*> readers{&cameras_json, &scannet_pairs, &scannet,   &npz,
-                                                       &nerfstudio,   &hypersim,      &tartanair, &eth3d,
-                                                       &colmap,       &re10k};
+  static const std::vector<const SceneReader*> readers{&cameras_json, &npz,   &nerfstudio, &hypersim,
+                                                       &tartanair,    &eth3d, &colmap,     &scannet_pairs,
+                                                       &scannet,      &re10k};
   return readers;
 }
 

@@ -18,7 +18,7 @@ enum class BrokenFrames {
 struct SceneReading : OptionsGroup {
   std::string format = "auto";
   std::string image_folder;  // "images_4"; empty: chosen by the reader
-  std::string part;          // HyperSim's camera "cam_00"; empty: the only one
+  std::string part;          // HyperSim's camera "cam_00", a listed pair; empty: the only one
   BrokenFrames broken_frames = BrokenFrames::kRefuse;
 
   void visit(FieldVisitor& visitor) override;
@@ -32,7 +32,8 @@ class SceneReader {
   virtual std::string name() const = 0;    // "colmap"
   virtual std::string marker() const = 0;  // what makes a folder recognised, in words
   virtual bool recognises(const std::filesystem::path& path) const = 0;
-  // Returns the scenes a recognised folder holds; {""} unless the format keeps several trajectories in one folder.
+  // Returns the scenes a recognised folder holds; {""} unless the format keeps several trajectories or pairs in one
+  // folder.
   virtual std::vector<std::string> parts(const std::filesystem::path& path) const;
   virtual Scene read(const std::filesystem::path& path, const SceneReading& reading) const = 0;
 };

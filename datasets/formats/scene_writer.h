@@ -9,9 +9,8 @@
 namespace gld {
 
 // Writes a scene with images (PNG where the layout allows it) in one of the layouts that the readers know (all but
-// HyperSim's, whose files are HDF5, which is only read), so that
-// they can be tested end to end and other programs can use generated scenes. The folder is created; files appear
-// whole or not at all.
+// HyperSim's, whose files are HDF5, and ScanNet's two, which are only read), so that they can be tested end to end and
+// other programs can use generated scenes. The folder is created; files appear whole or not at all.
 //   cameras-json  cameras.json, images/, depth/*.npy
 //   npz           nerfstudio/images_4/frame_*.png + .npz
 //   nerfstudio    transforms.json, images/, depth/*.npy

@@ -236,8 +236,8 @@ PlacedPhotographs place_photographs(const std::vector<PicturedView>& sources,
                                     const std::vector<ColourGains>& gains, const Camera& target,
                                     const PhotographViewOptions& options) {
   PlacedPhotographs placed{{}, target, {}, options.carry};
-  // What is shown of a photograph is as sharp as it; twice bilinear pictures have .60 of the truth's sharpness, these .75
-  // (the Lund door at 448x448).
+  // What is shown of a photograph is as sharp as it; pictures from bilinear colours have .60 of the truth's sharpness,
+  // these .75 (the Lund door at 448x448).
   placed.carry.colours = ColourSampling::kCubic;
   if (sources.empty()) return placed;
   placed.photographs = evened_photographs(sources, gains, target);

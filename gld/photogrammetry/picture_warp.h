@@ -20,7 +20,7 @@ struct CarriedPicture {
 
 // How a colour between pixels of a photograph is found.
 enum class ColourSampling {
-  kBilinear,  // of 2x2 pixels; what models were trained to see. Half-way between pixels it is their mean, a blur.
+  kBilinear,  // of 2x2 pixels; what generators were trained to see. Half-way between pixels it is their mean, a blur.
   kCubic,  // of 4x4 pixels by Catmull-Rom's spline (Keys 1981, a = -1/2), which keeps edges; within [0, 1]
 };
 
@@ -51,8 +51,8 @@ TargetDepth matched_target_depth(const std::vector<PicturedView>& sources, const
                                  const CarryOptions& options = {});
 
 // Returns each photograph of sources carried into the target view, of the target camera's size, which depth has as
-// well. Colours are taken by options.colours from where a point was seen. A pixel that depth does not reach, that lies outside
-// of a photograph or behind what it shows, is not seen in it.
+// well. Colours are taken by options.colours from where a point was seen. A pixel that depth does not reach, that lies
+// outside of a photograph or behind what it shows, is not seen in it.
 std::vector<CarriedPicture> carry_pictures_to(const std::vector<PicturedView>& sources, const Camera& target,
                                               const TargetDepth& depth, const CarryOptions& options = {});
 

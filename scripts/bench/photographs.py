@@ -9,7 +9,7 @@ openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary OpenSfM's data/berlin (b
 those 17 that were at hand: images 1036 to 1057). Another depth than the default's goes into a folder DEPTH_depth of these.
 --large: gld sample --size photographs in the place of gld eval, and pictures are compared as large as they are written; into a
 folder large of these. --side N reduces photographs beforehand, to N pixels of their shorter side where they are larger (needs Pillow), and
-goes into a folder large_N with those settings whose photographs are.
+goes into a folder large_N with those settings whose photographs are and lie in a folder images*.
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
 depth, with gaps filled smoothly and nothing generated; "generated" is the sample before photographs were kept in it.
@@ -142,16 +142,17 @@ def main():
     out = pathlib.Path(folder)
     if arguments.large and arguments.source_depth:
         parser.error("expected --large or --source-depth, found both; leave out one")
-    if arguments.side and not arguments.large:
+    if arguments.side is not None and not arguments.large:
         parser.error("expected --side with --large, found it alone; add --large")
-    if arguments.side:
+    if arguments.side is not None and arguments.side < 16:
+        parser.error(f"expected a --side of 16 pixels or more, found {arguments.side}; choose the photographs' shorter side")
+    if arguments.side is not None:
         out = out / f"large_{arguments.side}"
         with tempfile.TemporaryDirectory() as work:
             settings = reduced(scenes, settings, arguments.side, work)
             lines = large(arguments.gld, work, out, settings)
-        # The scene is where its photographs came from.
         for file in [*out.glob("*/report.json"), *out.glob("*/config.yaml")]:
-            file.write_text(file.read_text().replace(f"{work}/", f"{scenes}/"))
+            file.write_text(file.read_text().replace(f"{work}/", f"runs/photographs_of_{arguments.side}/"))
     elif arguments.large:
         out = out / "large"
         lines = large(arguments.gld, scenes, out, settings)

@@ -143,8 +143,16 @@ TEST(Ablation, ErrorsNameLineAndSection) {
             "a.yaml, claim 'more': expected two variants, found 'two' twice; compare it with another one.");
   EXPECT_EQ(
       Described().error("worse: one", "worse: one, beyond: [one]"),
-      "a.yaml, claim 'more', key 'beyond': expected two variants, [BETTER, WORSE], found 1 names; name those "
-      "whose margin is the smaller one.");
+      "a.yaml, claim 'more', key 'beyond': expected two different variants, [BETTER, WORSE], found 1 names; name "
+      "those whose margin is the smaller one.");
+  EXPECT_EQ(
+      Described().error("worse: one", "worse: one, beyond: [one, one]"),
+      "a.yaml, claim 'more', key 'beyond': expected two different variants, [BETTER, WORSE], found 'one' twice; "
+      "name those whose margin is the smaller one.");
+  EXPECT_EQ(
+      Described().error("worse: one", "worse: one, beyond: [two, one]"),
+      "a.yaml, claim 'more', key 'beyond': expected another margin than the claim's own, found the same two "
+      "variants; name those whose margin is the smaller one.");
   EXPECT_EQ(
       Described().error("worse: one", "worse: one, beyond: [one, tow]"),
       "a.yaml, claim 'more', key 'beyond': expected a variant of this ablation, found 'tow'; did you mean "

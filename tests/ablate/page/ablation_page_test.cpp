@@ -34,6 +34,16 @@ TEST(AblationPage, ShowsTheClaimsFirst) {
               HasSubstr("gld ablate --config configs/ablations/sources.yaml"));
 }
 
+TEST(AblationPage, SaysBeyondWhichMarginAClaimIs) {
+  test::TemporaryFolder run;
+  write_file_atomically(run.path() / "report.json",
+                        R"({"variants": [{"name": "a", "label": "A"}, {"name": "b", "label": "B"}],
+                            "claims": [{"name": "c", "metric": "x", "better": "a", "worse": "b", "beyond": ["b", "a"],
+                                        "verdict": "undecided"}]})");
+  EXPECT_EQ(ablation_page(run.path()).data.at("parts")[0].at("rows")[0][0].get<std::string>(),
+            "A over B, by more than B over A");
+}
+
 TEST(AblationPage, SaysThatASmokeRunSaysNothing) {
   test::TemporaryFolder run;
   write_file_atomically(

@@ -97,6 +97,63 @@ TEST(Scannet, FramesWhoseTrackingWasLostAreLeftOut) {
                   "1 of 3 frames have no pose, where ScanNet's tracking was lost, and are left out."));
 }
 
+TEST(Scannet, WhereAllTrackingWasLostOrAPairLacksAFrame) {
+  const TemporaryFolder folder;
+  const auto scan = folder.path() / "scene0707_00";
+  write_scan(drawn_room(2), scan, {0, 1});
+  const std::string lost =
+      "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n";
+  write_file_atomically(scan / "pose" / "1.txt", lost);
+  write_file_atomically(folder.path() / "scannet_test_pairs_with_gt.txt",
+                        "scene0707_00_frame-000000.jpg scene0707_00_frame-000001.jpg 0 0\n");
+  SceneReading reading;
+  reading.part = "scene0707_00_0_1";
+  EXPECT_EQ(
+      error_of([&] { open_scene(folder.path(), reading); }),
+      folder.path().string() +
+          " pair scene0707_00_0_1: expected both of its frames, found one; leave the pair out of the list.");
+  write_file_atomically(scan / "pose" / "0.txt", lost);
+  EXPECT_EQ(
+      error_of([&] { open_scene(scan); }),
+      scan.string() +
+          ": expected frames with a pose, found 2 without one, where ScanNet's tracking was lost; leave the scan "
+          "out.");
+}
+
+TEST(Scannet, IntrinsicsSayWhichOfTwoSizesTheyBelongTo) {
+  const TemporaryFolder folder;
+  const Scene truth = drawn_room(1);
+  write_scan(truth, folder.path(), {0});
+  const auto file = folder.path() / "intrinsic" / "intrinsic_color.txt";
+  Eigen::Matrix4d intrinsics = Eigen::Matrix4d::Identity();
+  intrinsics.topLeftCorner<3, 3>() =
+      Eigen::Vector3d(10, 10, 1).asDiagonal() * truth.frames[0].camera.intrinsics;
+  write_file_atomically(file, text_of(intrinsics));
+  EXPECT_TRUE(open_scene(folder.path())
+                  .frames[0]
+                  .camera.intrinsics.isApprox(truth.frames[0].camera.intrinsics, 1e-12));
+  intrinsics.topLeftCorner<2, 3>() /= 2;
+  write_file_atomically(file, text_of(intrinsics));
+  EXPECT_EQ(
+      error_of([&] { open_scene(folder.path()); }),
+      file.string() +
+          ": expected a principal point near the middle of 1296x968 or 640x480 pixels, found one at column 160; "
+          "export the scan again in one of these sizes.");
+}
+
+// ScanNet's depth camera has half as many pixels as its other one: depth is brought to the picture's size.
+TEST(Scannet, DepthOfAnotherSizeIsBroughtToThePictures) {
+  const TemporaryFolder folder;
+  write_scan(drawn_room(1), folder.path(), {0});
+  Grey16 half{32, 24, std::vector<uint16_t>(32 * 24, 1500)};
+  half.values[0] = 3000;
+  write_file_atomically(folder.path() / "depth" / "0.png", encode_png(half, {}));
+  const DepthMap depth = open_scene(folder.path()).frames[0].depth();
+  EXPECT_EQ(depth.width, 64);
+  EXPECT_EQ(depth.at(1, 1), 3.0F);
+  EXPECT_EQ(depth.at(2, 2), 1.5F);
+}
+
 TEST(Scannet, PairsOfBothListsAreScenesOfTwoFrames) {
   const TemporaryFolder folder;
   const Scene truth = drawn_room(3);
@@ -154,7 +211,17 @@ TEST(Scannet, DamagedScansAndLists) {
   EXPECT_EQ(
       error_of([&] { open_scene(scan); }),
       pose.string() + ": expected a matrix of 4 rows of 4 numbers, found 12 numbers; export the scan again.");
+  write_file_atomically(pose, good + "0 0 0 1\n");
+  EXPECT_EQ(
+      error_of([&] { open_scene(scan); }),
+      pose.string() + ": expected a matrix of 4 rows of 4 numbers, found 20 numbers; export the scan again.");
   write_file_atomically(pose, good);
+  SceneReading pairs;
+  pairs.format = "scannet-pairs";
+  EXPECT_EQ(
+      error_of([&] { open_scene(folder.path(), pairs); }),
+      folder.path().string() +
+          ": expected test.npz or scannet_test_pairs_with_gt.txt, found neither; put the list beside the scans.");
   const auto list = folder.path() / "scannet_test_pairs_with_gt.txt";
   write_file_atomically(list, "scene0707_00_frame-000000.jpg scene0707_00/1.jpg 0 0\n");
   EXPECT_EQ(error_of([&] { list_scenes(folder.path()); }),

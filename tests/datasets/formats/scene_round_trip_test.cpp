@@ -194,26 +194,26 @@ TEST(SceneReader, SaysHowPhotographsWithoutCamerasGetSome) {
 TEST(SceneReader, NamesTheFormatsWhenNoneIsRecognised) {
   const TemporaryFolder folder;
   const std::string path = folder.path().string();
-  EXPECT_EQ(
-      error_of([&] { open_scene(folder.path()); }),
-      path +
-          ": expected one of: cameras.json (cameras-json), "
-          "scans of ScanNet with test.npz or scannet_test_pairs_with_gt.txt (scannet-pairs), "
-          "color and pose, with numbered files (scannet), images_N/ with a .npz beside each image (npz), "
-          "transforms.json with frames (nerfstudio), "
-          "_detail/cam_XX/camera_keyframe_positions.hdf5 (hypersim), pose_left.txt (tartanair), "
-          "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
-          "sparse/0 with cameras.bin or cameras.txt (colmap), "
-          "a camera text file that starts with a video's address (re10k), found none of them; "
-          "check the folder; gld check-data --format forces a layout and says what is missing.");
+  EXPECT_EQ(error_of([&] { open_scene(folder.path()); }),
+            path +
+                ": expected one of: cameras.json (cameras-json), "
+                "images_N/ with a .npz beside each image (npz), "
+                "transforms.json with frames (nerfstudio), "
+                "_detail/cam_XX/camera_keyframe_positions.hdf5 (hypersim), pose_left.txt (tartanair), "
+                "dslr_calibration_jpg/ or dslr_calibration_undistorted/ (eth3d), "
+                "sparse/0 with cameras.bin or cameras.txt (colmap), "
+                "scans of ScanNet with test.npz or scannet_test_pairs_with_gt.txt (scannet-pairs), "
+                "color and pose, with numbered files (scannet), "
+                "a camera text file that starts with a video's address (re10k), found none of them; "
+                "check the folder; gld check-data --format forces a layout and says what is missing.");
   EXPECT_EQ(error_of([&] { open_scene(folder.path() / "nowhere"); }),
             path + "/nowhere: expected a scene's folder, found nothing; check the path.");
   SceneReading reading;
   reading.format = "colmop";
   EXPECT_EQ(
       error_of([&] { reading.check(); }),
-      "--format: expected auto or cameras-json, scannet-pairs, scannet, npz, nerfstudio, hypersim, tartanair, "
-      "eth3d, colmap, re10k, "
+      "--format: expected auto or cameras-json, npz, nerfstudio, hypersim, tartanair, eth3d, colmap, scannet-pairs, "
+      "scannet, re10k, "
       "found \"colmop\"; did you mean \"colmap\"?");
 }
 

@@ -42,6 +42,29 @@ TEST(PhotographComposition, ColoursHaveTheSizeOfTheTarget) {
   EXPECT_LT(mean_error(view, test::TexturedPlane().seen_by(large, 1).rgb), 0.02);
 }
 
+// Seen half a pixel further, a wave six pixels long keeps .974 of its height by the spline, and .866 where pixels are
+// averaged.
+TEST(PhotographComposition, WhatIsShownOfAPhotographIsNotAveragedBetweenPixels) {
+  PicturedView source;
+  source.camera = camera_before_plane({0, 0, 0}, 0);
+  source.width = source.depth.width = source.camera.width;
+  source.height = source.depth.height = source.camera.height;
+  const auto pixels = static_cast<size_t>(source.width * source.height);
+  source.depth.values.assign(pixels, 1.0F);
+  const auto wave = [](double column) { return 0.4 * std::sin(2 * std::acos(-1.0) / 6 * column); };
+  for (size_t pixel = 0; pixel < pixels; ++pixel) {
+    const auto column = static_cast<double>(pixel % static_cast<size_t>(source.width));
+    source.rgb.insert(source.rgb.end(), 3, static_cast<float>(0.5 + wave(column)));
+  }
+  const Camera target = camera_before_plane({0.5 / source.camera.intrinsics(0, 0), 0, 0}, 0);
+  const PhotographView view = view_from_photographs({source}, {{1, 1, 1}}, target);
+  for (int64_t column = 4; column < view.width - 5; ++column) {
+    const double kept =
+        static_cast<double>(view.rgb[static_cast<size_t>(3 * (10 * view.width + column))]) - 0.5;
+    ASSERT_NEAR(kept, 0.974 * wave(static_cast<double>(column) + 0.5), 1e-3) << column;
+  }
+}
+
 TEST(PhotographComposition, ExposureIsTheFactorBetweenPhotographs) {
   auto sources = two_views_of_plane();
   EXPECT_EQ(exposure_gains(sources)[0], (ColourGains{1, 1, 1}));

@@ -71,7 +71,8 @@ TEST(PictureWarp, TheSameCameraGivesTheSamePicture) {
   }
 }
 
-// A photograph one unit away whose pixel in column x has that brightness, carried to where it is seen half a pixel further.
+// A photograph one unit away whose pixel in column x has that brightness, carried to where it is seen half a pixel
+// further.
 CarriedPicture half_a_pixel_on(ColourSampling colours, double (*brightness)(double)) {
   PicturedView source;
   source.camera = camera_before_plane({0, 0, 0}, 0);
@@ -93,8 +94,8 @@ CarriedPicture half_a_pixel_on(ColourSampling colours, double (*brightness)(doub
 
 constexpr double kWave = 2 * 3.14159265358979323846 / 6;  // radians a pixel
 
-// Between two pixels a wave keeps cos(w/2) of its height where the two are averaged, and (9 cos(w/2) - cos(3w/2)) / 8 by the
-// spline: .866 and .974 of a wave six pixels long.
+// Between two pixels a wave keeps cos(w/2) of its height where the two are averaged, and (9 cos(w/2) - cos(3w/2)) / 8
+// by the spline: .866 and .974 of a wave six pixels long.
 TEST(PictureWarp, ColoursBetweenPixelsKeepWhatTheirSamplingKeeps) {
   const auto wave = [](double x) { return 0.5 + 0.4 * std::sin(kWave * x); };
   const double bilinear = std::cos(kWave / 2),
