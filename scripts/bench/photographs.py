@@ -8,7 +8,7 @@ nothing was chosen, not ours to hand on, into docs/measured/photographs_fresh: .
 openMVG's ImageDataset_SceauxCastle (sceaux), Mapillary OpenSfM's data/berlin (berlin) and AliceVision's dataset_monstree (monstree,
 those 17 that were at hand: images 1036 to 1057). Another depth than the default's goes into a folder DEPTH_depth of these.
 --large: gld sample --size photographs in the place of gld eval, and pictures are compared as large as they are written; into a
-folder large of these. --side N reduces photographs beforehand, to N pixels of their shorter side where they are larger (needs Pillow), and
+folder large of these, with the contact sheet where a place may be shown (needs Pillow). --side N reduces photographs beforehand, to N pixels of their shorter side where they are larger, and
 goes into a folder large_N with those settings whose photographs are and lie in a folder images*.
 
 Means over the target views of one sample each, not scaled to the truth. "fill" is what the photographs show, carried by the same
@@ -40,6 +40,7 @@ FRESH = [
     ("monstree_3", "monstree", "8,10,12", "9,11"),
     ("monstree_4", "monstree", "0,2,4,6", "1,3,5"),
 ]
+SHOWN = ("colmap_lund_door", "tartanair_hospital")
 PLACES = {"known": ("../shared/scenes", "docs/measured/photographs", KNOWN),
           "fresh": ("../fresh_places", "docs/measured/photographs_fresh", FRESH)}
 COLUMNS = [
@@ -100,6 +101,9 @@ def large(gld, scenes, out, settings):
             (out / name).mkdir(parents=True, exist_ok=True)
             for file in ("report.json", "config.yaml"):
                 (out / name / file).write_text((run / file).read_text().replace(f"{work}/", "runs/"))
+            if scene in SHOWN:
+                from PIL import Image
+                Image.open(run / "contact_sheet.png").convert("RGB").save(out / name / "contact_sheet.webp", quality=80)
         # Photographs that are no larger than the model's pictures are compared in that size.
         views = [view.get("large", view) for view in json.loads((out / name / "report.json").read_text())["against_truth"]]
 
