@@ -2,6 +2,9 @@
 
 #include <cmath>
 #include <limits>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <gtest/gtest.h>
 
@@ -26,18 +29,24 @@ TEST(PairedGain, IsOfOneSeedAndSceneAndLeavesOutWhatIsNotFinite) {
   EXPECT_EQ(paired_gain(Better::kLower, first, second), expected);
 }
 
-TEST(JudgeClaims, JudgesByTheMetricsDirectionAndSaysWhatWasNotRun) {
+Ablation ablation_of(const std::string& metric, const std::string& better,
+                     const std::vector<std::string>& variants) {
   Ablation ablation;
   ablation.options.bootstrap = 200;
-  MetricDescription error;
-  error.name = error.column = "error";
-  error.better = "lower";
-  ablation.metrics.push_back(error);
-  for (const char* name : {"small", "large"}) {
+  MetricDescription described;
+  described.name = described.column = metric;
+  described.better = better;
+  ablation.metrics.push_back(described);
+  for (const std::string& name : variants) {
     VariantDescription variant;
     variant.name = variant.label = name;
     ablation.variants.push_back(variant);
   }
+  return ablation;
+}
+
+TEST(JudgeClaims, JudgesByTheMetricsDirectionAndSaysWhatWasNotRun) {
+  Ablation ablation = ablation_of("error", "lower", {"small", "large"});
   for (const auto& [better, worse] : {std::pair("small", "large"), std::pair("small", "absent")}) {
     ClaimDescription claim;
     claim.name = "claim";
@@ -67,18 +76,10 @@ TEST(JudgeClaims, JudgesByTheMetricsDirectionAndSaysWhatWasNotRun) {
 
 // A margin that grows: better by 3 with one source and by 1 with two, in every scene, so by 2 more.
 TEST(JudgeClaims, AMarginBeyondAnotherIsTheDifferenceOfBothInTheSameScenes) {
-  Ablation ablation;
-  ablation.options.bootstrap = 200;
-  MetricDescription psnr;
-  psnr.name = psnr.column = "psnr";
-  psnr.better = "higher";
-  ablation.metrics.push_back(psnr);
+  Ablation ablation = ablation_of("psnr", "higher", {"one", "rival_one", "two", "rival_two"});
   std::vector<VariantNumbers> numbers;
   for (const auto& [name, margin] :
        {std::pair("one", 3.0), {"rival_one", 0.0}, {"two", 1.0}, {"rival_two", 0.0}}) {
-    VariantDescription variant;
-    variant.name = variant.label = name;
-    ablation.variants.push_back(variant);
     VariantNumbers measured;
     measured.variant = name;
     for (int64_t seed = 0; seed < 3; ++seed) {

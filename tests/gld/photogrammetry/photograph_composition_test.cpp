@@ -2,6 +2,7 @@
 
 #include "gld/cameras/resized_camera.h"
 #include "tests/support/photograph_error.h"
+#include "tests/support/striped_wall.h"
 #include "tests/support/textured_plane.h"
 
 #include <cmath>
@@ -45,18 +46,9 @@ TEST(PhotographComposition, ColoursHaveTheSizeOfTheTarget) {
 // Seen half a pixel further, a wave six pixels long keeps .974 of its height by the spline, and .866 where pixels are
 // averaged.
 TEST(PhotographComposition, WhatIsShownOfAPhotographIsNotAveragedBetweenPixels) {
-  PicturedView source;
-  source.camera = camera_before_plane({0, 0, 0}, 0);
-  source.width = source.depth.width = source.camera.width;
-  source.height = source.depth.height = source.camera.height;
-  const auto pixels = static_cast<size_t>(source.width * source.height);
-  source.depth.values.assign(pixels, 1.0F);
   const auto wave = [](double column) { return 0.4 * std::sin(2 * std::acos(-1.0) / 6 * column); };
-  for (size_t pixel = 0; pixel < pixels; ++pixel) {
-    const auto column = static_cast<double>(pixel % static_cast<size_t>(source.width));
-    source.rgb.insert(source.rgb.end(), 3, static_cast<float>(0.5 + wave(column)));
-  }
-  const Camera target = camera_before_plane({0.5 / source.camera.intrinsics(0, 0), 0, 0}, 0);
+  const PicturedView source = test::striped_wall([&](double column) { return 0.5 + wave(column); });
+  const Camera target = test::half_a_pixel_beside(source.camera);
   const PhotographView view = view_from_photographs({source}, {{1, 1, 1}}, target);
   for (int64_t column = 4; column < view.width - 5; ++column) {
     const double kept =

@@ -1,5 +1,6 @@
 #include "gld/photogrammetry/picture_warp.h"
 
+#include "tests/support/striped_wall.h"
 #include "tests/support/textured_plane.h"
 
 #include <algorithm>
@@ -71,25 +72,15 @@ TEST(PictureWarp, TheSameCameraGivesTheSamePicture) {
   }
 }
 
-// A photograph one unit away whose pixel in column x has that brightness, carried to where it is seen half a pixel
-// further.
+// Returns the wall carried to where it is seen half a pixel further.
 CarriedPicture half_a_pixel_on(ColourSampling colours, double (*brightness)(double)) {
-  PicturedView source;
-  source.camera = camera_before_plane({0, 0, 0}, 0);
-  source.width = source.depth.width = source.camera.width;
-  source.height = source.depth.height = source.camera.height;
+  const PicturedView source = test::striped_wall(brightness);
   const auto pixels = static_cast<size_t>(source.width * source.height);
-  source.depth.values.assign(pixels, 1.0F);
-  for (size_t pixel = 0; pixel < pixels; ++pixel) {
-    const auto column = static_cast<double>(pixel % static_cast<size_t>(source.width));
-    source.rgb.insert(source.rgb.end(), 3, static_cast<float>(brightness(column)));
-  }
-  const Camera target = camera_before_plane({0.5 / source.camera.intrinsics(0, 0), 0, 0}, 0);
   CarryOptions options;
   options.colours = colours;
-  const TargetDepth depth{target.width, target.height, std::vector<double>(pixels, 1.0),
+  const TargetDepth depth{source.width, source.height, std::vector<double>(pixels, 1.0),
                           std::vector<uint8_t>(pixels, 1)};
-  return carry_pictures_to({source}, target, depth, options)[0];
+  return carry_pictures_to({source}, test::half_a_pixel_beside(source.camera), depth, options)[0];
 }
 
 constexpr double kWave = 2 * 3.14159265358979323846 / 6;  // radians a pixel
