@@ -1,15 +1,13 @@
 #include "train/loop/micro_batches.h"
 
 #include "gld/tensors/torch_version.h"
+#include "train/optim/workers.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <exception>
 #include <optional>
-#include <thread>
 
 #include <torch/autograd.h>
 
@@ -45,21 +43,16 @@ Evaluated evaluate(Objective& objective, const MicroBatch& micro, const MicroBat
 struct WorkerResult {
   MicroBatchOutcome outcome;
   std::vector<torch::Tensor> gradients;  // one a parameter, undefined where it has none
-  std::exception_ptr error;
 };
 
 WorkerResult compute(Objective& objective, const std::vector<torch::Tensor>& parameters,
                      const MicroBatch& micro, const MicroBatchWork& work) {
   WorkerResult result;
-  try {
-    const Evaluated evaluated = evaluate(objective, micro, work);
-    result.outcome = evaluated.outcome;
-    if (evaluated.scaled_loss.defined()) {
-      result.gradients = torch::autograd::grad({evaluated.scaled_loss}, parameters, {}, /*retain_graph=*/{},
-                                               /*create_graph=*/false, /*allow_unused=*/true);
-    }
-  } catch (...) {
-    result.error = std::current_exception();
+  const Evaluated evaluated = evaluate(objective, micro, work);
+  result.outcome = evaluated.outcome;
+  if (evaluated.scaled_loss.defined()) {
+    result.gradients = torch::autograd::grad({evaluated.scaled_loss}, parameters, {}, /*retain_graph=*/{},
+                                             /*create_graph=*/false, /*allow_unused=*/true);
   }
   return result;
 }
@@ -76,16 +69,10 @@ std::vector<WorkerResult> compute_all(Objective& objective, const FlatParameters
   const auto workers = std::min<int64_t>(work.workers, static_cast<int64_t>(batches.size()));
   const auto tensors = tensors_of(parameters);
   std::vector<WorkerResult> results(batches.size());
-  std::atomic<size_t> next{0};
-  std::vector<std::thread> threads;
-  for (int64_t worker = 0; worker < workers; ++worker) {
-    threads.emplace_back([&] {
-      for (size_t index = next++; index < batches.size(); index = next++) {
-        results[index] = compute(objective, tensors, batches[index], work);
-      }
-    });
-  }
-  for (std::thread& thread : threads) thread.join();
+  in_workers(workers, static_cast<int64_t>(batches.size()), [&](int64_t index) {
+    const auto at = static_cast<size_t>(index);
+    results[at] = compute(objective, tensors, batches[at], work);
+  });
   return results;
 }
 
@@ -157,7 +144,6 @@ std::vector<MicroBatchOutcome> add_gradients(Objective& objective, FlatParameter
   const auto results = compute_all(objective, parameters, batches, work);
   const torch::NoGradGuard no_grad;
   for (const WorkerResult& result : results) {
-    if (result.error) std::rethrow_exception(result.error);
     outcomes.push_back(result.outcome);
     add_to(parameters, result.gradients);
   }
@@ -184,8 +170,7 @@ std::vector<MicroBatchOutcome> add_gradients_of_all(ProcessTeam& team, Objective
     if (index < own.size()) {
       const WorkerResult result =
           work.workers > 1 ? std::move(at_once[index]) : compute(objective, tensors, own[index], work);
-      if (result.error) std::rethrow_exception(result.error);
-      const torch::NoGradGuard no_grad;
+        const torch::NoGradGuard no_grad;
       add_to(parameters, result.gradients);
       mine.push_back(text_of(result.outcome));
     }

@@ -31,8 +31,8 @@ torch::Tensor SharedOptimiser::padded(const torch::Tensor& piece) const {
   return whole_piece;
 }
 
-void SharedOptimiser::step(double learning_rate, double gradient_norm) {
-  own_.step(learning_rate, gradient_norm);
+void SharedOptimiser::step(double learning_rate, double gradient_norm, int64_t workers) {
+  own_.step(learning_rate, gradient_norm, workers);
   if (!in_pieces_) return;
   const torch::NoGradGuard no_grad;
   torch::Tensor values = parameters_->values();

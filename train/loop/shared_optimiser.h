@@ -30,7 +30,7 @@ class SharedOptimiser {
   bool in_pieces() const { return in_pieces_; }
 
   // All together call this: it does Optimiser::step(), and sends the new values of all pieces.
-  void step(double learning_rate, double gradient_norm);
+  void step(double learning_rate, double gradient_norm, int64_t workers);
   // All together call this: it returns the state of all parameters, as Optimiser::state() names it. In pieces only rank
   // 0 gets it; the others get nothing.
   std::map<std::string, torch::Tensor> whole_state();

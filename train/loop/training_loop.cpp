@@ -110,6 +110,8 @@ class Session {
  private:
   // Rank 0 restores, logs, validates and writes for all.
   bool leads() const { return team_.rank() == 0; }
+  // As many as share a step; the threads of LibTorch are divided among them (DividedThreads).
+  int64_t workers() const { return objective_.concurrent() ? options_.workers : 1; }
   bool computes(int64_t micro) const { return process_of_micro_batch(micro, team_.count()) == team_.rank(); }
   void check_team() const;
   void read_checkpoint(TrainingStart start);
@@ -317,7 +319,7 @@ StepOutcome Session::forward_backward() {
   }
   MicroBatchWork work;
   work.precision = options_.precision;
-  work.workers = objective_.concurrent() ? options_.workers : 1;
+  work.workers = workers();
   work.share = 1.0 / static_cast<double>(options_.micro_batches);
   Averages parts;
   double loss_sum = 0.0;
@@ -469,7 +471,7 @@ TrainingSummary Session::run() {
     }();
     scenes += outcome.scenes;
     if (outcome.finite) {
-      optimiser_.step(rate, outcome.gradient_norm);
+      optimiser_.step(rate, outcome.gradient_norm, workers());
       skipped_in_a_row_ = 0;
       last_loss_ = outcome.loss;
       averages.add("loss", outcome.loss);

@@ -2,9 +2,12 @@
 
 #include "gld/base/error.h"
 #include "gld/kernels/adam_kernel.h"
+#include "train/optim/workers.h"
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
+#include <utility>
 
 #include <ATen/Parallel.h>
 #include <torch/autograd.h>
@@ -40,6 +43,30 @@ double norm_in_pieces(const torch::Tensor& flat) {
   }
   if (norms.empty()) return 0;
   return torch::linalg_vector_norm(torch::stack(norms), 2).item<double>();
+}
+
+// Returns the multiplications of five Newton-Schulz steps of that matrix, in products of its shorter side with itself.
+double newton_schulz_products(const torch::Tensor& matrix) {
+  const auto shorter = static_cast<double>(std::min(matrix.size(0), matrix.size(1)));
+  const auto longer = static_cast<double>(std::max(matrix.size(0), matrix.size(1)));
+  return shorter * shorter * (2 * longer + shorter);
+}
+
+// Returns `items` in that many shares of about equal cost: the dearest first, each to the share that has least. In runs
+// of equal counts one thread had the wide blocks of a DiT and the others waited.
+std::vector<std::vector<size_t>> equal_shares(const std::vector<size_t>& items, int64_t count,
+                                              const std::function<double(size_t)>& cost_of) {
+  std::vector<std::pair<double, size_t>> dearest_first;
+  for (const size_t item : items) dearest_first.emplace_back(-cost_of(item), item);
+  std::sort(dearest_first.begin(), dearest_first.end());
+  std::vector<std::vector<size_t>> shares(static_cast<size_t>(std::max<int64_t>(1, count)));
+  std::vector<double> costs(shares.size(), 0.0);
+  for (const auto& [negative_cost, item] : dearest_first) {
+    const auto least = static_cast<size_t>(std::min_element(costs.begin(), costs.end()) - costs.begin());
+    shares[least].push_back(item);
+    costs[least] -= negative_cost;
+  }
+  return shares;
 }
 
 }  // namespace
@@ -100,7 +127,7 @@ double Optimiser::gradient_norm() const {
   return std::sqrt(total);
 }
 
-void Optimiser::step(double learning_rate, double gradient_norm) {
+void Optimiser::step(double learning_rate, double gradient_norm, int64_t workers) {
   const torch::NoGradGuard no_grad;
   ++steps_;
   const double steps = static_cast<double>(steps_);
@@ -133,7 +160,7 @@ void Optimiser::step(double learning_rate, double gradient_norm) {
     begin = parameters_->offset(i) + parameters[i].parameter.numel();
   }
   adam_step(step, begin, parameters_->values().numel());
-  muon_step(learning_rate, scale);
+  muon_step(learning_rate, scale, workers);
 }
 
 void Optimiser::adam_step(const AdamStep& step, int64_t begin, int64_t end) {
@@ -164,31 +191,45 @@ void Optimiser::adam_step(const AdamStep& step, int64_t begin, int64_t end) {
   if (average.defined()) average.mul_(step.average_decay).add_(values, 1.0F - step.average_decay);
 }
 
-void Optimiser::muon_step(double learning_rate, double gradient_scale) {
+void Optimiser::muon_step(double learning_rate, double gradient_scale, int64_t workers) {
   const auto& parameters = parameters_->parameters();
   std::vector<size_t> matrices;
   for (size_t i = 0; i < parameters.size(); ++i) {
     if (is_block_matrix(parameters[i])) matrices.push_back(i);
   }
-  // Each thread takes one matrix; inside, products then run on that thread alone.
-  at::parallel_for(0, static_cast<int64_t>(matrices.size()), 1, [&](int64_t first, int64_t last) {
-    const torch::NoGradGuard no_grad;
-    for (int64_t i = first; i < last; ++i) {
-      const size_t index = matrices[static_cast<size_t>(i)];
-      torch::Tensor value = parameters_->part(parameters_->values(), index);
-      torch::Tensor momentum = parameters_->part(first_moment_, index);
-      const auto gradient = parameters_->part(parameters_->gradients(), index) * gradient_scale;
-      momentum.lerp_(gradient, 1.0 - options_.momentum);
-      const auto ahead = torch::lerp(gradient, momentum, options_.momentum);
-      const auto matrix = ahead.flatten(1);
-      const double size = 0.2 * std::sqrt(static_cast<double>(std::max(matrix.size(0), matrix.size(1))));
-      value.mul_(1.0 - learning_rate * options_.weight_decay)
-          .add_(nearly_orthogonal(matrix).view_as(value), -learning_rate * size);
-      if (average_.defined()) {
-        parameters_->part(average_, index).mul_(options_.ema_decay).add_(value, 1.0 - options_.ema_decay);
-      }
-    }
+  const auto shares =
+      equal_shares(matrices, workers > 1 ? workers : int64_t{at::get_num_threads()}, [&](size_t index) {
+        return newton_schulz_products(parameters[index].parameter.flatten(1));
+      });
+  const auto move = [&](int64_t share) {
+    for (const size_t index : shares[static_cast<size_t>(share)])
+      move_matrix(index, learning_rate, gradient_scale);
+  };
+  const auto count = static_cast<int64_t>(shares.size());
+  if (workers > 1) {
+    in_workers(workers, count, move);
+    return;
+  }
+  // Inside a share products run on its thread alone.
+  at::parallel_for(0, count, 1, [&](int64_t first, int64_t last) {
+    for (int64_t share = first; share < last; ++share) move(share);
   });
+}
+
+void Optimiser::move_matrix(size_t index, double learning_rate, double gradient_scale) {
+  const torch::NoGradGuard no_grad;
+  torch::Tensor value = parameters_->part(parameters_->values(), index);
+  torch::Tensor momentum = parameters_->part(first_moment_, index);
+  const auto gradient = parameters_->part(parameters_->gradients(), index) * gradient_scale;
+  momentum.lerp_(gradient, 1.0 - options_.momentum);
+  const auto ahead = torch::lerp(gradient, momentum, options_.momentum);
+  const auto matrix = ahead.flatten(1);
+  const double size = 0.2 * std::sqrt(static_cast<double>(std::max(matrix.size(0), matrix.size(1))));
+  value.mul_(1.0 - learning_rate * options_.weight_decay)
+      .add_(nearly_orthogonal(matrix).view_as(value), -learning_rate * size);
+  if (average_.defined()) {
+    parameters_->part(average_, index).mul_(options_.ema_decay).add_(value, 1.0 - options_.ema_decay);
+  }
 }
 
 bool Optimiser::is_block_matrix(const NamedParameter& item) {

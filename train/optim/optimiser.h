@@ -57,8 +57,9 @@ class Optimiser {
   // Returns the L2 norm of all gradients, not of the own ones alone, accumulated in double; it does not depend on the
   // number of threads.
   double gradient_norm() const;
-  // Does one update with the gradients clipped from gradient_norm to clip_norm, then the moving average.
-  void step(double learning_rate, double gradient_norm);
+  // Does one update with the gradients clipped from gradient_norm to clip_norm, then the moving average. Several workers
+  // share Muon's matrices, where LibTorch's threads were divided among them; their number changes no bit.
+  void step(double learning_rate, double gradient_norm, int64_t workers = 1);
 
   int64_t steps_taken() const { return steps_; }
   bool has_average() const { return average_.defined(); }
@@ -76,7 +77,8 @@ class Optimiser {
 
  private:
   void adam_step(const AdamStep& step, int64_t begin, int64_t end);
-  void muon_step(double learning_rate, double gradient_scale);
+  void muon_step(double learning_rate, double gradient_scale, int64_t workers);
+  void move_matrix(size_t index, double learning_rate, double gradient_scale);
 
   FlatParameters* parameters_;
   OptimiserOptions options_;
