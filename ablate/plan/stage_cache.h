@@ -25,6 +25,8 @@ enum class StageState { kDone, kBegun, kMissing };
 //   run/          the command's run folder; of assemble: model/ alone
 //   log.txt       what the command printed, all runs of it
 //   done.json     its cost; there only when the stage is finished
+// And one for all of them, kept_scenes/, which any may do without: what trainings drew and encoded
+// (train/data/kept_folder.h).
 class StageCache {
  public:
   explicit StageCache(std::filesystem::path folder) : folder_(std::move(folder)) {}
@@ -32,6 +34,7 @@ class StageCache {
   std::filesystem::path folder(const StageTask& task) const { return folder_ / task.key; }
   std::filesystem::path run(const StageTask& task) const { return folder(task) / "run"; }
   std::filesystem::path model(const StageTask& task) const { return run(task) / "model"; }
+  std::filesystem::path kept_scenes() const { return folder_ / "kept_scenes"; }
 
   StageState state(const StageTask& task) const;
   std::optional<StageCost> cost(const StageTask& task) const;  // of a finished one

@@ -230,6 +230,7 @@ class Planner {
     const int64_t first_seed = seeded ? integer_field(*options, seed) : 0;
     if (seeded) set(*options, seed, std::to_string(first_seed + kSeedStride * run.seed), run, stage);
     task.takes_threads = has_field(*options, "threads");
+    task.takes_kept_scenes = has_field(*options, "kept_scenes");
     task.takes_model = has_field(*options, "model");
     if (task.takes_model) {
       choose_model(run, stage, task);

@@ -373,6 +373,7 @@ std::vector<std::string> command_line_of(const StageTask& task, const AblationPl
   if (task.takes_model) line.insert(line.end(), {"--model", model_folder(task, plan, cache).string()});
   line.insert(line.end(), {"--out", cache.run(task).string()});
   if (task.takes_threads) line.insert(line.end(), {"--threads", std::to_string(options.threads)});
+  if (task.takes_kept_scenes) line.insert(line.end(), {"--kept-scenes", cache.kept_scenes().string()});
   if (resume) line.emplace_back("--resume");
   return line;
 }

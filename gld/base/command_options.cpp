@@ -19,8 +19,8 @@ void check_out(const std::string& out, const std::string& example) {
 }
 
 const std::vector<std::string>& options_beside_the_result() {
-  static const std::vector<std::string> names{"out",  "overwrite", "resume", "threads",
-                                              "json", "processes", "preview"};
+  static const std::vector<std::string> names{"out",  "overwrite", "resume",  "threads",
+                                              "json", "processes", "preview", "kept_scenes"};
   return names;
 }
 

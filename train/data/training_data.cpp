@@ -3,6 +3,8 @@
 #include "datasets/loading/batching.h"
 #include "gld/base/command_options.h"
 #include "gld/base/error.h"
+#include "gld/base/option_differences.h"
+#include "train/data/kept_batch.h"
 
 #include <algorithm>
 
@@ -113,10 +115,21 @@ DatasetBatches::DatasetBatches(const TrainingDataOptions& options, const std::ve
     : loader_(mixture_of(options), weighted(sizes, options.size_weights), with_parts(options.loading, parts)),
       distinct_(options.distinct_batches) {
   options.check();
+  if (!options.scenes.empty()) return;
+  drawn_from_ = to_yaml_without(options, {"distinct_batches", "validation_folder", "validation_seed",
+                                          "validation_scenes", "validation_sources"});
+  for (const ImageSize& size : sizes) drawn_from_ += size_text(size.width, size.height) + '\n';
+  drawn_from_ += parts == FrameParts::kImageAndDepth ? "with depth" : "pictures";
+}
+
+void DatasetBatches::keep_in(const std::filesystem::path& folder) {
+  if (distinct_ > 0 && !drawn_from_.empty())
+    folder_ = std::make_unique<const KeptFolder>(folder, "drawn rooms\n" + drawn_from_);
 }
 
 std::shared_ptr<const SceneImageBatch> DatasetBatches::load(int64_t number) const {
-  if (distinct_ == 0) return std::make_shared<SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
+  if (distinct_ == 0 || folder_)
+    return std::make_shared<SceneImageBatch>(loader_.load(static_cast<uint64_t>(number)));
   number %= distinct_;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -130,6 +143,19 @@ std::shared_ptr<const SceneImageBatch> DatasetBatches::load(int64_t number) cons
 }
 
 TrainingBatch DatasetBatches::batch(int64_t index) const {
+  if (!folder_) return loaded(index);
+  const int64_t number = index % distinct_;
+  const std::string key = std::to_string(number);
+  if (const auto kept = folder_->find(key)) {
+    if (auto batch = batch_of(*kept, index)) return std::move(*batch);
+  }
+  TrainingBatch made = loaded(number);
+  folder_->keep(key, kept_batch(made));
+  made.index = index;
+  return made;
+}
+
+TrainingBatch DatasetBatches::loaded(int64_t index) const {
   TrainingBatch batch;
   batch.index = index;
   const auto loaded = load(index);

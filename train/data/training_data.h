@@ -4,6 +4,7 @@
 #include "datasets/synthetic/synthetic_scene.h"
 #include "gld/base/options.h"
 #include "train/data/batch_prefetcher.h"
+#include "train/data/kept_folder.h"
 
 #include <cstdint>
 #include <map>
@@ -38,14 +39,21 @@ struct TrainingDataOptions : OptionsGroup {
 class DatasetBatches : public TrainingBatchSource {
  public:
   DatasetBatches(const TrainingDataOptions& options, const std::vector<ImageSize>& sizes, FrameParts parts);
+  // Takes drawn rooms that come again (distinct_batches) from that folder where it has them, and keeps them there and
+  // no more in memory. Scenes of files stay as they are: they may change.
+  void keep_in(const std::filesystem::path& folder);
   TrainingBatch batch(int64_t index) const override;
   LoadingReport report() const { return loader_.report(); }
 
  private:
   std::shared_ptr<const SceneImageBatch> load(int64_t number) const;
+  TrainingBatch loaded(int64_t index) const;
 
   SceneImageLoader loader_;
   int64_t distinct_ = 0;
+  std::string
+      drawn_from_;  // everything that a batch of drawn rooms depends on but its number; empty for files
+  std::unique_ptr<const KeptFolder> folder_;
   mutable std::mutex mutex_;
   mutable std::map<int64_t, std::shared_ptr<const SceneImageBatch>> kept_;  // by number, below distinct_
 };

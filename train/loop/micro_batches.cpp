@@ -170,7 +170,7 @@ std::vector<MicroBatchOutcome> add_gradients_of_all(ProcessTeam& team, Objective
     if (index < own.size()) {
       const WorkerResult result =
           work.workers > 1 ? std::move(at_once[index]) : compute(objective, tensors, own[index], work);
-        const torch::NoGradGuard no_grad;
+      const torch::NoGradGuard no_grad;
       add_to(parameters, result.gradients);
       mine.push_back(text_of(result.outcome));
     }

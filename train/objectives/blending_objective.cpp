@@ -8,6 +8,7 @@
 #include "train/objectives/scene_pixels.h"
 #include "train/objectives/source_view_depth.h"
 
+#include <array>
 #include <utility>
 
 #include <ATen/CPUGeneratorImpl.h>
@@ -21,6 +22,13 @@ BlendingCandidates in_type(BlendingCandidates candidates, torch::Dtype type) {
     if (part->defined()) *part = part->to(type);
   }
   return candidates;
+}
+
+std::array<std::pair<const char*, torch::Tensor*>, 4> named_parts(BlendingCandidates& candidates) {
+  return {{{"colours", &candidates.colours},
+           {"shown", &candidates.shown},
+           {"disagreement", &candidates.disagreement},
+           {"depth", &candidates.depth}}};
 }
 
 torch::Tensor targets_of(const TrainingScene& scene) {
@@ -101,15 +109,20 @@ BlendingCandidates BlendingObjective::candidates_of(const TrainingScene& scene, 
 }
 
 BlendingCandidates BlendingObjective::kept_candidates_of(const TrainingScene& scene, DepthOf depth) {
-  const auto made = kept_.get(scene, depth == DepthOf::kTruth ? "true depth" : "depth", [&] {
-    auto candidates = std::make_shared<BlendingCandidates>(candidates_of(scene, depth));
-    KeptScenes::Made result{candidates, 0};
-    for (const torch::Tensor* part : candidates->parts()) {
-      if (part->defined()) result.bytes += part->numel() * part->element_size();
+  const KeptTensors kept = kept_.get(scene, depth == DepthOf::kTruth ? "true depth" : "depth", [&] {
+    BlendingCandidates made = candidates_of(scene, depth);
+    KeptTensors tensors;
+    for (const auto& [name, part] : named_parts(made)) {
+      if (part->defined()) tensors[name] = *part;
     }
-    return result;
+    return tensors;
   });
-  return in_type(*static_cast<const BlendingCandidates*>(made.get()), torch::kFloat32);
+  BlendingCandidates candidates;
+  for (const auto& [name, part] : named_parts(candidates)) {
+    const auto found = kept.find(name);
+    if (found != kept.end()) *part = found->second.to(torch::kFloat32);
+  }
+  return candidates;
 }
 
 Losses BlendingObjective::losses(const TrainingBatch& batch, const StepContext& context) {

@@ -48,6 +48,9 @@ class BlendingObjective : public Objective {
   // Goes on with a trained network of the same architecture.
   void start_from(std::shared_ptr<PhotographBlending> trained) { blending_ = std::move(trained); }
 
+  // Keeps what pictures are chosen from in that folder too.
+  void keep_in(std::shared_ptr<const KeptFolder> folder) { kept_.keep_in(std::move(folder)); }
+
   std::string kind() const override { return "blending"; }
   torch::Device device() const override { return torch::kCPU; }
   bool concurrent() const override { return true; }

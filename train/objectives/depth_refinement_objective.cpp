@@ -144,21 +144,32 @@ std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::lesson
   return lesson;
 }
 
+std::array<std::pair<const char*, torch::Tensor*>, 8> DepthRefinementObjective::named_parts(Lesson& lesson) {
+  DepthEvidence& evidence = lesson.evidence;
+  return {{{"colours", &evidence.colours},
+           {"log_depth", &evidence.log_depth},
+           {"confidence", &evidence.confidence},
+           {"head", &evidence.head},
+           {"differences", &evidence.differences},
+           {"shown", &evidence.shown},
+           {"off", &lesson.off},
+           {"known", &lesson.known}}};
+}
+
 std::optional<DepthRefinementObjective::Lesson> DepthRefinementObjective::kept_lesson_of(
     const TrainingScene& scene) {
-  const auto made = kept_.get(scene, "depth", [&] {
-    auto lesson = std::make_shared<std::optional<Lesson>>(lesson_of(scene));
-    KeptScenes::Made result{lesson, 0};
-    if (!*lesson) return result;
-    pack((*lesson)->evidence);
-    for (const torch::Tensor* part : (*lesson)->evidence.parts())
-      result.bytes += part->numel() * part->element_size();
-    // Five bytes a pixel of the error and where it is known.
-    result.bytes += 5 * (*lesson)->off.numel();
-    return result;
+  const KeptTensors kept = kept_.get(scene, "depth", [&] {
+    KeptTensors tensors;
+    auto lesson = lesson_of(scene);
+    if (!lesson) return tensors;
+    pack(lesson->evidence);
+    for (const auto& [name, part] : named_parts(*lesson)) tensors[name] = *part;
+    return tensors;
   });
-  auto lesson = *static_cast<const std::optional<Lesson>*>(made.get());
-  if (lesson) unpack(lesson->evidence);
+  if (kept.empty()) return std::nullopt;
+  Lesson lesson;
+  for (const auto& [name, part] : named_parts(lesson)) *part = kept.at(name);
+  unpack(lesson.evidence);
   return lesson;
 }
 

@@ -6,6 +6,7 @@
 #include "train/loop/objective.h"
 #include "train/objectives/kept_scenes.h"
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -41,6 +42,9 @@ class DepthRefinementObjective : public Objective {
   // Goes on with a trained network of the same architecture.
   void start_from(std::shared_ptr<DepthRefinement> trained) { refinement_ = std::move(trained); }
 
+  // Keeps what the network is shown in that folder too.
+  void keep_in(std::shared_ptr<const KeptFolder> folder) { kept_.keep_in(std::move(folder)); }
+
   std::string kind() const override { return "depth"; }
   torch::Device device() const override { return torch::kCPU; }
   bool concurrent() const override { return true; }
@@ -59,6 +63,7 @@ class DepthRefinementObjective : public Objective {
     torch::Tensor off;    // (sources, 1, height, width): log(depth / true depth); 0 where either is not known
     torch::Tensor known;  // (sources, 1, height, width), bool
   };
+  static std::array<std::pair<const char*, torch::Tensor*>, 8> named_parts(Lesson& lesson);
   // Returns nothing where the depth is not known.
   std::optional<Lesson> lesson_of(const TrainingScene& scene) const;
   std::optional<Lesson> kept_lesson_of(const TrainingScene& scene);

@@ -27,6 +27,7 @@ class KeptLatents {
   // gib bounds their memory; past it scenes are encoded every time. 0 keeps none.
   explicit KeptLatents(double gib);
 
+  void keep_in(std::shared_ptr<const KeptFolder> folder) { kept_.keep_in(std::move(folder)); }
   bool enabled() const { return kept_.enabled(); }
   // Returns the latents of that scene (its name and cameras tell), on the CPU and in float32; encode makes them where
   // they are not kept. It may be called from several threads.

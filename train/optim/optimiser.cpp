@@ -197,10 +197,9 @@ void Optimiser::muon_step(double learning_rate, double gradient_scale, int64_t w
   for (size_t i = 0; i < parameters.size(); ++i) {
     if (is_block_matrix(parameters[i])) matrices.push_back(i);
   }
-  const auto shares =
-      equal_shares(matrices, workers > 1 ? workers : int64_t{at::get_num_threads()}, [&](size_t index) {
-        return newton_schulz_products(parameters[index].parameter.flatten(1));
-      });
+  const auto shares = equal_shares(
+      matrices, workers > 1 ? workers : int64_t{at::get_num_threads()},
+      [&](size_t index) { return newton_schulz_products(parameters[index].parameter.flatten(1)); });
   const auto move = [&](int64_t share) {
     for (const size_t index : shares[static_cast<size_t>(share)])
       move_matrix(index, learning_rate, gradient_scale);

@@ -4,6 +4,8 @@
 
 #include <iostream>
 
+#include <fmt/format.h>
+
 namespace gld {
 
 void TrainBackboneOptions::visit(FieldVisitor& visitor) {
@@ -138,6 +140,9 @@ std::string train_depth(const TrainDepthOptions& options, const DrawValidation& 
     auto objective = std::make_unique<DepthRefinementObjective>(
         bundle.options(), options.objective, bundle.load_backbone(placement),
         bundle.load_geometry_head(placement), options.loop.seed);
+    objective->keep_in(
+        kept_scene_folder(options, bundle, {BundlePart::backbone(), BundlePart::geometry_head()},
+                          fmt::format("lessons of depth\nside {}", bundle.options().depth_refinement.side)));
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_depth_refinement());
     return objective;
   };
@@ -159,6 +164,10 @@ std::string train_blending(const TrainBlendingOptions& options, const DrawValida
       depth.refinement = bundle.load_depth_refinement(placement);
     auto objective =
         std::make_unique<BlendingObjective>(bundle.options(), options.objective, depth, options.loop.seed);
+    objective->keep_in(kept_scene_folder(
+        options, bundle,
+        {BundlePart::backbone(), BundlePart::geometry_head(), BundlePart::depth_refinement()},
+        "candidates of blending"));
     if (options.objective.start == ModelStart::kBundle) objective->start_from(bundle.load_blending());
     return objective;
   };

@@ -143,6 +143,28 @@ FrozenParts frozen_parts(const ModelBundle& bundle, const LevelGenerator& genera
   return frozen;
 }
 
+namespace {
+
+// Where latents of that generator are kept for other runs.
+std::shared_ptr<const KeptFolder> kept_latent_folder(const TrainOptions& options, const ModelBundle& bundle,
+                                                     const LevelGenerator& generator,
+                                                     CarryingDepth carried_by) {
+  std::vector<BundlePart> frozen = {BundlePart::backbone(), BundlePart::geometry_head(),
+                                    BundlePart::depth_refinement(), BundlePart::statistics(generator.level),
+                                    BundlePart::special_statistics(generator.level)};
+  if (generator.is_cascade()) {
+    frozen.push_back(BundlePart::statistics(*generator.deeper));
+    frozen.push_back(BundlePart::special_statistics(*generator.deeper));
+  }
+  const DitOptions& dit = bundle.options().generator(generator).dit;
+  return kept_scene_folder(options, bundle, frozen,
+                           fmt::format("latents of {}\nspecial tokens {}, warped sources {}, carried by {}",
+                                       generator_name(generator), dit.num_special_tokens, dit.warped_sources,
+                                       static_cast<int>(carried_by)));
+}
+
+}  // namespace
+
 void TrainLevelOptions::visit(FieldVisitor& visitor) {
   TrainOptions::visit(visitor);
   visitor.integer({"level", "level to generate, one that the model generates from noise"}, level, {0, 16});
@@ -169,6 +191,7 @@ std::string train_level(const TrainLevelOptions& options, const DrawValidation& 
         bundle.options(), options.level, options.objective,
         frozen_parts(bundle, generator, placement, options.objective.carried_by), placement,
         options.loop.seed);
+    objective->keep_in(kept_latent_folder(options, bundle, generator, options.objective.carried_by));
     if (options.objective.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }
@@ -194,6 +217,7 @@ std::string train_cascade(const TrainCascadeOptions& options, const DrawValidati
         bundle.options(), generator, options.objective,
         frozen_parts(bundle, generator, placement, options.objective.flow.carried_by), placement,
         options.loop.seed);
+    objective->keep_in(kept_latent_folder(options, bundle, generator, options.objective.flow.carried_by));
     if (options.objective.flow.start == ModelStart::kBundle) {
       objective->start_from(*bundle.load_generator(generator, placement));
     }

@@ -7,6 +7,7 @@
 #include "gld/base/error.h"
 #include "gld/base/interrupt.h"
 #include "gld/base/option_differences.h"
+#include "gld/base/sha256.h"
 #include "gld/distributed/shared_work.h"
 #include "gld/machine/precision_option.h"
 #include "gld/page/run_page.h"
@@ -93,7 +94,29 @@ void StageOptions::visit(FieldVisitor& visitor) {
   visitor.group({"loop", "steps, optimiser, checkpoints"}, loop);
 }
 
-void TrainOptions::visit_data(FieldVisitor& visitor) { visitor.group({"data", "what to train on"}, data); }
+void TrainOptions::visit_data(FieldVisitor& visitor) {
+  visitor.group({"data", "what to train on"}, data);
+  visitor.text(
+      {"kept_scenes",
+       "folder where drawn rooms that come again, and what frozen parts make of scenes, are kept for "
+       "other runs of this build; none keeps them in memory alone"},
+      kept_scenes);
+}
+
+std::shared_ptr<const KeptFolder> kept_scene_folder(const TrainOptions& options, const ModelBundle& bundle,
+                                                    const std::vector<BundlePart>& frozen,
+                                                    const std::string& use) {
+  if (options.kept_scenes.empty()) return nullptr;
+  const BundleOptions& model = bundle.options();
+  std::string made_of =
+      use + '\n' + to_yaml(model.backbone) + to_yaml(model.geometry_head) + to_yaml(model.depth_refinement) +
+      fmt::format("boundary {}, epsilon {}, unit {} {}\n", model.boundary_level, model.latent_epsilon,
+                  model.single_source_unit, model.single_source_unit_deviation);
+  for (const BundlePart& part : frozen) {
+    if (bundle.has(part)) made_of += bundle_part_name(part) + ' ' + sha256_of_file(bundle.file(part)) + '\n';
+  }
+  return std::make_shared<const KeptFolder>(options.kept_scenes, made_of);
+}
 
 TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts) {
   TrainingStage stage;
@@ -102,6 +125,7 @@ TrainingStage scene_stage(const std::string& command, const TrainOptions& option
   stage.data = [&options, parts](const ModelBundle& bundle) {
     const auto sizes = bundle.options().image_sizes();
     const auto batches = std::make_shared<DatasetBatches>(options.data, sizes, parts);
+    if (!options.kept_scenes.empty()) batches->keep_in(options.kept_scenes);
     StageData data;
     data.batches = batches;
     data.validation = [&options, parts, size = sizes.front()] {

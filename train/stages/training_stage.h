@@ -46,6 +46,8 @@ struct StageOptions : OptionsGroup {
 // Of those that train on scenes.
 struct TrainOptions : StageOptions {
   TrainingDataOptions data;
+  std::string
+      kept_scenes;  // folder of drawn rooms and what frozen parts make of scenes, for other runs; may be empty
 
  protected:
   void visit_data(FieldVisitor& visitor) override;
@@ -69,6 +71,12 @@ struct TrainingStage {
   ModelStart start = ModelStart::kRandom;
   std::function<std::unique_ptr<Objective>(const ModelBundle&, const ParameterPlacement&)> objective;
 };
+
+// Returns the folder where what these parts of the bundle make of scenes is kept (TrainOptions::kept_scenes), or null
+// where that is empty. use: what is made, with every option that it depends on but those of these parts.
+std::shared_ptr<const KeptFolder> kept_scene_folder(const TrainOptions& options, const ModelBundle& bundle,
+                                                    const std::vector<BundlePart>& frozen,
+                                                    const std::string& use);
 
 // Returns a stage that trains on scenes with these parts.
 TrainingStage scene_stage(const std::string& command, const TrainOptions& options, FrameParts parts);

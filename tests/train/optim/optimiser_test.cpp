@@ -260,6 +260,29 @@ TEST(Muon, MovesBlockMatricesByItsRuleAndTheRestByAdamW) {
   }
 }
 
+// One had them all while the others waited: LibTorch's threads are divided among workers.
+TEST(Muon, WorkersShareItsMatricesAndChangeNoBit) {
+  std::vector<torch::Tensor> values;
+  for (const int64_t workers : {1, 2, 5}) {
+    auto generator = at::detail::createCPUGenerator(8);
+    std::vector<NamedParameter> parameters;
+    for (const auto& [rows, columns] :
+         std::vector<std::pair<int64_t, int64_t>>{{40, 16}, {16, 16}, {24, 48}}) {
+      const auto value = torch::empty({rows, columns}).normal_(0, 1, generator);
+      parameters.push_back({"blocks." + std::to_string(rows) + ".weight", value});
+    }
+    FlatParameters flat(parameters);
+    OptimiserOptions options;
+    options.algorithm = OptimiserAlgorithm::kMuon;
+    Optimiser optimiser(flat, options);
+    flat.gradients().normal_(0, 1, generator);
+    optimiser.step(0.02, optimiser.gradient_norm(), workers);
+    values.push_back(torch::cat({flat.values(), optimiser.average()}).clone());
+  }
+  EXPECT_TRUE(torch::equal(values[1], values[0]));
+  EXPECT_TRUE(torch::equal(values[2], values[0]));
+}
+
 TEST(LearningRate, FallsOnlyFromTheStartOfItsDecay) {
   LearningRateOptions options;
   options.schedule = LearningRateSchedule::kLinear;

@@ -106,6 +106,24 @@ TEST(BlendingTraining, LearnsOnMendedDepth) {
   EXPECT_NE(loss_after(deeper, 1), loss);
 }
 
+// Another run takes it from the folder, rounded as what is kept in memory.
+TEST(BlendingTraining, WhatAFolderKeepsIsWhatWouldBeMadeAgain) {
+  const TemporaryFolder folder;
+  BlendingObjectiveOptions options = by_true_depth();
+  const auto loss = [&] {
+    auto objective = random_objective(options);
+    objective.keep_in(std::make_shared<const KeptFolder>(folder.path(), "test"));
+    return loss_after(objective, 6);
+  };
+  options.kept_gib = 0.1;
+  auto in_memory = random_objective(options);
+  const double expected = loss_after(in_memory, 6);
+  for (const double gib : {0.0, 0.0, 0.1}) {
+    options.kept_gib = gib;
+    EXPECT_EQ(loss(), expected);
+  }
+}
+
 // Nothing is learnt from it, and nothing breaks.
 TEST(BlendingTraining, ASceneWithoutDepthHasNoGradient) {
   BlendingObjectiveOptions options;

@@ -85,6 +85,24 @@ TEST(DepthRefinementTraining, WhatIsKeptIsWhatWouldBeMadeAgain) {
   EXPECT_EQ(mended(kept, 3).loss, loss);
 }
 
+// Another run takes it from the folder, rounded as what is kept in memory.
+TEST(DepthRefinementTraining, WhatAFolderKeepsIsWhatWouldBeMadeAgain) {
+  const TemporaryFolder folder;
+  DepthRefinementObjectiveOptions options;
+  const auto loss = [&] {
+    auto objective = random_refinement(options);
+    objective.keep_in(std::make_shared<const KeptFolder>(folder.path(), "test"));
+    return mended(objective, 3).loss;
+  };
+  options.kept_gib = 0.1;
+  auto in_memory = random_refinement(options);
+  const double expected = mended(in_memory, 3).loss;
+  for (const double gib : {0.0, 0.0, 0.1}) {
+    options.kept_gib = gib;
+    EXPECT_EQ(loss(), expected);
+  }
+}
+
 // Nothing is learnt from it, and nothing breaks.
 TEST(DepthRefinementTraining, ASceneWithoutDepthHasNoGradient) {
   auto objective = random_refinement({});

@@ -535,6 +535,71 @@ TEST(KeptLatents, EncodesASceneOnceAndOthersApart) {
   EXPECT_EQ(encoded, 5);
 }
 
+// The second run takes rooms and latents from the folder, and its model is the same to the byte.
+TEST_F(TrainedChain, ScenesOfAnotherRunMakeTheSameModel) {
+  const auto trained = [&](const std::string& name, bool in_folder) {
+    auto level = test::training_options<TrainLevelOptions>(path("stats/model"), path(name));
+    level.data.distinct_batches = 2;
+    level.objective.kept_latents_gib = 0.01;
+    if (in_folder) level.kept_scenes = path("kept_scenes").string();
+    train_level(level, {});
+    auto cascade = test::training_options<TrainCascadeOptions>(path(name) / "model", path(name + "_cascade"));
+    cascade.data.distinct_batches = 2;
+    if (in_folder) {
+      cascade.kept_scenes = level.kept_scenes;  // which rounds latents as those in memory are
+    } else {
+      cascade.objective.flow.kept_latents_gib = 0.01;
+    }
+    train_cascade(cascade, {});
+    return ModelBundle::open(path(name + "_cascade") / "model").content_hash();
+  };
+  const auto files = [&] {
+    int64_t count = 0;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(path("kept_scenes")))
+      count += entry.is_regular_file() ? 1 : 0;
+    return count;
+  };
+  const std::string alone = trained("kept_alone", false);
+  EXPECT_EQ(trained("kept_first", true), alone);
+  // Two rooms, and of each the latents of level 1 and of the cascade.
+  EXPECT_EQ(files(), 6);
+  EXPECT_EQ(trained("kept_second", true), alone);
+  EXPECT_EQ(files(), 6);
+}
+
+TEST(KeptLatents, AreTakenFromAFolderForTheSamePictures) {
+  const test::TemporaryFolder folder;
+  const DatasetBatches data(test::small_data(), {{56, 56}}, FrameParts::kImage);
+  TrainingScene scene = data.batch(0).scenes.front();
+  int encoded = 0;
+  const auto encode = [&] {
+    ++encoded;
+    SceneLatents latents;
+    latents.shown.views = scene.views;
+    latents.shown.source_features = torch::full({1, 2, 3}, 1.0 / 3.0 + encoded);
+    latents.clean = torch::full({2, 2, 3}, 2.0);
+    return latents;
+  };
+  const auto of_another_run = [&](double gib) {
+    KeptLatents kept(gib);
+    kept.keep_in(std::make_shared<const KeptFolder>(folder.path(), "test"));
+    EXPECT_TRUE(kept.enabled());
+    return kept.get(scene, encode);
+  };
+  const SceneLatents first = of_another_run(0);
+  for (const double gib : {0.0, 1e-3}) {
+    const SceneLatents again = of_another_run(gib);
+    EXPECT_TRUE(torch::equal(again.shown.source_features, first.shown.source_features));
+    EXPECT_TRUE(torch::equal(again.clean, first.clean));
+    EXPECT_EQ(again.shown.views.size(), scene.views.size());
+  }
+  EXPECT_EQ(encoded, 1);
+  scene.images = scene.images.clone();  // the same name and cameras, another picture
+  scene.images[0][0][0][0] += 0.5;
+  of_another_run(0);
+  EXPECT_EQ(encoded, 2);
+}
+
 TEST(DistinctBatches, ComeAgain) {
   auto options = test::small_data();
   options.distinct_batches = 2;

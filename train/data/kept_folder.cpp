@@ -1,0 +1,74 @@
+#include "train/data/kept_folder.h"
+
+#include "gld/base/error.h"
+#include "gld/base/sha256.h"
+#include "gld/tensors/weight_tensors.h"
+
+#include <atomic>
+#include <iostream>
+
+#include <fmt/format.h>
+
+namespace gld {
+namespace {
+
+// A safetensors file without a tensor is none.
+constexpr const char* kNothing = "nothing";
+
+const std::string& this_executable() {
+  static const std::string hash = sha256_of_file("/proc/self/exe");
+  return hash;
+}
+
+}  // namespace
+
+KeptFolder::KeptFolder(const std::filesystem::path& folder, const std::string& made_of)
+    : folder_(folder), made_of_("gld kept scene 1\n" + this_executable() + '\n' + made_of + '\n') {
+  std::error_code error;
+  std::filesystem::create_directories(folder_, error);
+  if (error || !std::filesystem::is_directory(folder_)) {
+    fail({"--kept-scenes " + folder_.string(), "a folder that can be written",
+          error ? error.message() : "a file of that name", "choose another"});
+  }
+}
+
+std::filesystem::path KeptFolder::file_of(const std::string& key) const {
+  Sha256 hash;
+  hash.update(made_of_);
+  hash.update(key);
+  const std::string digits = hash.hex_digest();
+  return folder_ / digits.substr(0, 2) / (digits.substr(2) + ".safetensors");
+}
+
+std::optional<KeptThing> KeptFolder::find(const std::string& key) const {
+  const auto file = file_of(key);
+  if (!std::filesystem::is_regular_file(file)) return std::nullopt;
+  try {
+    const auto opened = WeightFile::open(file);
+    KeptThing thing;
+    thing.text = opened->metadata();
+    for (const TensorEntry& entry : opened->entries()) {
+      if (entry.name != kNothing) thing.tensors[entry.name] = read_tensor(*opened, entry);
+    }
+    return thing;
+  } catch (const Error&) {
+    return std::nullopt;  // it is written anew
+  }
+}
+
+void KeptFolder::keep(const std::string& key, const KeptThing& thing) const {
+  static std::atomic<bool> failed{false};
+  if (failed) return;
+  try {
+    KeptTensors tensors = thing.tensors;
+    if (tensors.empty()) tensors[kNothing] = torch::zeros({1}, torch::kUInt8);
+    const auto file = file_of(key);
+    std::filesystem::create_directories(file.parent_path());
+    save_safetensors(file, tensors, thing.text);
+  } catch (const std::exception& error) {
+    if (failed.exchange(true)) return;
+    std::cerr << fmt::format("warning: nothing more is kept in {}: {}\n", folder_.string(), error.what());
+  }
+}
+
+}  // namespace gld
