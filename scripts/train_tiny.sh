@@ -7,7 +7,8 @@
 #                                                parts together in RUNS/model and measures it; the run itself is unharmed
 #   scripts/train_tiny.sh keep [RUNS [DEVICE]]   copies the weights and curves so far beside the recipe, for git: another
 #                                                machine goes on from them
-# RUNS is runs/tiny by default, DEVICE cpu. The recipe is configs/tiny/next (the model that is to take the place of
+# RUNS is runs/tiny by default, DEVICE cpu. RUNS/kept_scenes, some 10 GB of rooms and latents, spares drawing them again.
+# The recipe is configs/tiny/next (the model that is to take the place of
 # configs/tiny) where there is one, else configs/tiny. Weights that lie beside the recipe are gone on with where RUNS has
 # no checkpoints: a backbone with its statistics is taken as it is, everything else starts from them.
 set -euo pipefail
@@ -45,8 +46,8 @@ stage() {
     how+=(--set "$start" --set loop.learning_rate.warmup_steps=0)
     echo "train_tiny: $name goes on from the weights in $model; its curve begins anew"
   fi
-  "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$runs/$name" --device "$device" "$@" \
-    "${how[@]}"
+  "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$runs/$name" --device "$device" \
+    --kept-scenes "$runs/kept_scenes" "$@" "${how[@]}"
 }
 
 # The start setting where the recipe brings the weights of that part, else -.
@@ -116,6 +117,7 @@ branch() {
       --may-change loop.optimiser.ema_decay)
   fi
   "$gld" train "$kind" --config "$recipe/$name.yaml" --model "$model" --out "$copy" --device "$device" --resume \
+    --kept-scenes "$runs/kept_scenes" \
     --set loop.steps=$((step + fall)) --set loop.learning_rate.schedule=linear \
     --set loop.learning_rate.decay_start_step="$step" ${average[@]+"${average[@]}"} "$@"
 }
