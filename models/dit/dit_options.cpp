@@ -73,6 +73,10 @@ void DitOptions::visit(FieldVisitor& visitor) {
        "warped_sources: squared error of the carried features over the latent's variance, by which the "
        "predicted data rests on them; 0: they are only embedded"},
       carried_error, {0, 10});
+  visit_choice(visitor,
+               {"carried_guess",
+                "carried_error: mixed with what the network predicts, or corrected by it (prediction: data)"},
+               carried_guess, {"mixed", "corrected"});
 }
 
 void DitOptions::check() const {
@@ -89,6 +93,11 @@ void DitOptions::check() const {
   if (num_special_tokens > 0 && decoder_width() != in_channels) {
     fail({"num_special_tokens", fmt::format("a decoder width of {}, the channels of the latent", in_channels),
           std::to_string(decoder_width()), "set hidden_size[1] to in_channels, or num_special_tokens to 0"});
+  }
+  if (carried_guess == CarriedGuess::kCorrected &&
+      (carried_error == 0 || prediction != FlowPrediction::kData || num_special_tokens > 0)) {
+    fail({"carried_guess", "mixed without a carried_error, prediction: data and num_special_tokens: 0",
+          "corrected", "give these, or leave it out"});
   }
   if (carried_error > 0 && warped_sources == 0) {
     fail({"carried_error", "0 for a model without warped_sources", fmt::format("{:g}", carried_error),

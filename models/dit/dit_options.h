@@ -22,6 +22,11 @@ enum class PositionEmbedding { kNone, kSinCos };
 // (x_t - data) min(1/t, largest_inverse_time). Below t = 1 / largest_inverse_time the layer's target is then x_t minus
 // that share of the velocity, which is still exact: the bound only keeps its errors from growing without limit.
 enum class FlowPrediction { kVelocity, kData };
+// How what was carried and what the network predicts make the data (DitDh, "First guess").
+enum class CarriedGuess {
+  kMixed,     // a mixture: where the one counts, the other does not
+  kCorrected  // the best guess without the network, which predicts its error in units of that error's deviation
+};
 
 // A DiT^DH (DESIGN.md section 4). Pairs are [condition encoder, velocity decoder]. Defaults are a new level model
 // on DA3-Base features; apply_published_conventions() sets what the released checkpoints were trained with.
@@ -54,6 +59,7 @@ struct DitOptions : OptionsGroup {
   // Mean squared error of those features where the photographs agree, in units of the latent's variance: the
   // prediction of the data then begins at them (DitDh, "First guess"); 0: they are embedded and no more.
   double carried_error = 0;
+  CarriedGuess carried_guess = CarriedGuess::kMixed;
 
   void visit(FieldVisitor& visitor) override;
   void check() const override;

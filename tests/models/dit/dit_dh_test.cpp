@@ -117,6 +117,21 @@ std::vector<Configuration> configurations() {
          o.prediction = FlowPrediction::kData;
          o.conditioning = DitConditioning::kDeeperLevel;
        }},
+      {"carried_corrected",
+       [](DitOptions& o) {
+         o.warped_sources = 2;
+         o.carried_error = 0.1;
+         o.prediction = FlowPrediction::kData;
+         o.carried_guess = CarriedGuess::kCorrected;
+       }},
+      {"carried_corrected_cascade",
+       [](DitOptions& o) {
+         o.warped_sources = 1;
+         o.carried_error = 0.3;
+         o.prediction = FlowPrediction::kData;
+         o.carried_guess = CarriedGuess::kCorrected;
+         o.conditioning = DitConditioning::kDeeperLevel;
+       }},
       {"carried_special",
        [](DitOptions& o) {
          o.warped_sources = 1;
@@ -467,6 +482,41 @@ TEST(DitDh, WhatWasCarriedIsTheFirstGuess) {
     EXPECT_LT(relative_difference(trained->velocity(trained->prepare_scene(scene.inputs), scene.noisy, row),
                                   trained->velocity(trained->prepare_scene(without), scene.noisy, row)),
               1e-6);
+  }
+}
+
+// Latents of variance 1, carried features and noise as the model takes them to be: before training its error is that of the
+// best linear estimate, sigma^2, at every time, and never more than that of the mixture.
+TEST(DitDh, AGuessToBeCorrectedIsTheBestLinearEstimate) {
+  const torch::NoGradGuard no_grad;
+  auto options = small_dit_options();
+  options.warped_sources = 2;
+  options.carried_error = 0.2;
+  options.prediction = FlowPrediction::kData;
+  options.largest_inverse_time = 1000;
+  auto scene = random_dit_scene(options, {9, 1, 56, 56});
+  scene.inputs.warp_agreement.fill_(1);
+  const double trust = 1 / (1 + std::exp(-2.0));  // of an untrained gate where all agree
+  auto generator = at::detail::createCPUGenerator(5);
+  const auto data = torch::empty_like(scene.noisy).normal_(0, 1, generator);
+  const auto noise = torch::empty_like(data).normal_(0, 1, generator);
+  const auto of_carried = torch::empty_like(scene.inputs.warped_features).normal_(0, 1, generator);
+  scene.inputs.warped_features = data.narrow(0, 1, 8) + std::sqrt(options.carried_error / trust) * of_carried;
+  const auto error_at = [&](double time, CarriedGuess guess) {
+    options.carried_guess = guess;
+    DitDh model(options, ParameterPlacement{});
+    model.initialise(at::detail::createCPUGenerator(3));
+    const auto noisy = (1 - time) * data + time * noise;
+    const auto velocity =
+        model.velocity(model.prepare_scene(scene.inputs), noisy, model.time_rows({time}).front());
+    return (noisy - velocity * time - data).narrow(0, 1, 8).square().mean().item<double>();
+  };
+  for (const double time : {0.05, 0.3, 0.6, 0.9, 1.0}) {
+    const double of_noisy = (1 - time) * (1 - time) / (time * time);
+    const double best = 1 / (1 + trust / options.carried_error + of_noisy);
+    const double error = error_at(time, CarriedGuess::kCorrected);
+    EXPECT_NEAR(error, best, 0.05 * best) << time;
+    EXPECT_LT(error, error_at(time, CarriedGuess::kMixed)) << time;
   }
 }
 

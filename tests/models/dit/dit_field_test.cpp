@@ -41,7 +41,10 @@ TEST_F(DitFieldTest, GuidanceCombinesTheBranches) {
   auto carried = small_cascade_options(), carried_data = data;
   carried.warped_sources = carried_data.warped_sources = 1;
   carried.carried_error = carried_data.carried_error = 0.2;
-  for (const auto& options : {small_dit_options(), small_cascade_options(), data, carried, carried_data}) {
+  auto corrected = carried_data;
+  corrected.carried_guess = CarriedGuess::kCorrected;
+  for (const auto& options :
+       {small_dit_options(), small_cascade_options(), data, carried, carried_data, corrected}) {
     build(options);
     auto dit = field();
     const auto conditional = dit.conditional(scene_.noisy, 0.4);

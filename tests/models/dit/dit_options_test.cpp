@@ -41,6 +41,10 @@ TEST(DitOptions, RefuseWhatDoesNotFitTogether) {
               "expected 0 for a model without warped_sources, found 0.1; set it to 0, or warped_sources to 1 "
               "or more."),
       std::string::npos);
+  EXPECT_NE(refusal([](DitOptions& o) { o.carried_guess = CarriedGuess::kCorrected; })
+                .find("carried_guess: expected mixed without a carried_error, prediction: data and "
+                      "num_special_tokens: 0, found corrected; give these, or leave it out."),
+            std::string::npos);
   EXPECT_NE(refusal([](DitOptions& o) {
               o.depth = {28};
             }).find("expected two values, [condition encoder, velocity decoder], found 1; give two."),

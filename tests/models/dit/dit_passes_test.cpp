@@ -36,7 +36,7 @@ std::ostream& operator<<(std::ostream& stream, const Kind& kind) {
 
 std::vector<Kind> kinds() {
   std::vector<Kind> list;
-  for (const std::string model : {"level", "cascade", "special", "predicts_data", "carried"}) {
+  for (const std::string model : {"level", "cascade", "special", "predicts_data", "carried", "corrected"}) {
     list.push_back({model, torch::kFloat64, 1e-13});
     list.push_back({model, torch::kFloat32, 1e-5});
   }
@@ -56,6 +56,12 @@ class DitPassesOf : public testing::TestWithParam<Kind> {
     if (GetParam().model == "carried") {
       options.warped_sources = 2;
       options.carried_error = 0.2;
+    }
+    if (GetParam().model == "corrected") {
+      options.warped_sources = 2;
+      options.carried_error = 0.2;
+      options.prediction = FlowPrediction::kData;
+      options.carried_guess = CarriedGuess::kCorrected;
     }
     const bool is_double = GetParam().dtype == torch::kFloat64;
     model_ = random_dit(options);

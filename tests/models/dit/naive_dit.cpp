@@ -234,7 +234,8 @@ class NaiveDit {
   std::vector<Tensor> projection_, inverse_;
 };
 
-// This goes token by token: the network's prediction is mixed with what was carried to the token.
+// This goes token by token: the network's prediction is mixed with what was carried to the token, or corrects the best
+// linear estimate of it.
 Tensor with_first_guess(const DitOptions& options, const std::map<std::string, Tensor>& weights,
                         const NaiveDitInputs& inputs, Tensor output) {
   const int64_t side = options.camera_patch_size, special = options.num_special_tokens;
@@ -254,15 +255,33 @@ Tensor with_first_guess(const DitOptions& options, const std::map<std::string, T
         agreed += gate[i].item<double>() * pixels[i].mean().item<double>();
       }
       const double largest = std::get<0>(pixels.max(0)).mean().item<double>();
-      const double m = lambda * largest / (1 + std::exp(-agreed));
+      const double trust = largest / (1 + std::exp(-agreed)), m = lambda * trust;
       const auto w = inputs.warped_features[target][patch];
       const auto x_t = inputs.noisy[view][special + patch];
       auto token = output[view][special + patch];
+      if (options.carried_guess == CarriedGuess::kCorrected) {
+        // Guesses by their precision: the mean of all latents, w, and the data that x_t would be without noise.
+        const double of_w = trust / options.carried_error, of_noisy = (1 - t) * (1 - t) / (t * t);
+        const double precision = 1 + of_w + of_noisy;
+        token.copy_((of_w * w + of_noisy * x_t / (1 - t)) / precision + token / std::sqrt(precision));
+        continue;
+      }
       const auto carried = options.prediction == FlowPrediction::kData ? w : (x_t - w) / t;
       token.copy_((1 - m) * token + m * carried);
     }
   }
   return output;
+}
+
+// The same where nothing is carried.
+Tensor without_guess(const NaiveDitInputs& inputs, const Tensor& output, int64_t first_view,
+                     int64_t end_view) {
+  const double t = inputs.time, of_noisy = (1 - t) * (1 - t) / (t * t);
+  const auto views = [&](const Tensor& all) { return all.narrow(0, first_view, end_view - first_view); };
+  auto result = output.clone();
+  views(result).copy_(of_noisy / (1 + of_noisy) * views(inputs.noisy) / (1 - t) +
+                      views(output) / std::sqrt(1 + of_noisy));
+  return result;
 }
 
 }  // namespace
@@ -272,6 +291,10 @@ torch::Tensor naive_dit_velocity(const DitOptions& options,
                                  const NaiveDitInputs& inputs) {
   const torch::NoGradGuard no_grad;
   auto output = NaiveDit(options, weights, inputs).velocity();
+  if (options.carried_guess == CarriedGuess::kCorrected) {
+    const int64_t views = output.size(0);
+    output = without_guess(inputs, output, 0, inputs.conditional ? inputs.views.num_sources : views);
+  }
   if (options.carried_error > 0 && inputs.conditional) {
     output = with_first_guess(options, weights, inputs, output);
   }
